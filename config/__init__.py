@@ -1,0 +1,1 @@
+"""Configuration: what a scene and a rig may say, read from TOML and checked before anything moves."""

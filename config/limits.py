@@ -1,0 +1,46 @@
+"""Ranges that no file and no command-line flag can widen, each with its reason.
+
+A rig may lower what a device is asked for; it cannot raise it past these. The device's own limits,
+known once it is open, are applied on top.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+
+class Range(NamedTuple):
+    """Closed interval [low, high] in the unit of the key that uses it, and why it ends there."""
+
+    low: float
+    high: float
+    reason: str
+
+
+# What the hand feels: the guard.
+FORCE_MAX_N: Final = Range(0.0, 40.0, "the strongest desktop devices give 37 N; more can hurt a held finger")
+TORQUE_MAX_NM: Final = Range(0.0, 2.0, "twice what a fingertip grip can hold against")
+FORCE_SLEW_N_PER_S: Final = Range(1.0, 20_000.0, "zero to the highest force in 2 ms; faster is a blow, not a contact")
+TORQUE_SLEW_NM_PER_S: Final = Range(0.01, 1_000.0, "zero to the highest torque in 2 ms")
+RAMP_S: Final = Range(0.01, 10.0, "a ramp of a few ticks is none; past 10 s an engaged device seems dead")
+
+# The loop.
+RATE_HZ: Final = Range(100.0, 8_000.0, "below, walls chatter; above, there is no USB frame short enough")
+PRIORITY: Final = Range(1, 99, "the priorities of SCHED_FIFO")
+CPU: Final = Range(0, 1023, "the size of the kernel's processor mask")
+EVERY: Final = Range(1, 10_000, "one message in every 10 000 ticks is 10 s of silence at 1 kHz")
+
+# What is rendered.
+LENGTH_M: Final = Range(1e-5, 1e3, "the contact model is tested between these")
+COORDINATE_M: Final = Range(-1e3, 1e3, "farther out float64 still resolves 1e-13 m, but no device reaches it")
+QUATERNION: Final = Range(-1e3, 1e3, "only the direction of a quaternion counts; it is normalised")
+STIFFNESS_N_PER_M: Final = Range(1e-3, 1e6, "the contact model is tested between these")
+DAMPING_NS_PER_M: Final = Range(0.0, 1e4, "damping past the device's own friction makes a sampled wall active")
+FRICTION: Final = Range(0.0, 1e3, "past 1000 nothing ever slides")
+TORSION_NM_PER_RAD: Final = Range(1e-6, 100.0, "a fingertip has about 0.05; 100 is a clamped shaft")
+FRICTION_LENGTH_M: Final = Range(0.0, 1.0, "it is about two thirds of the radius of the contact patch")
+TIME_CONSTANT_S: Final = Range(0.0, 0.1, "a slower velocity filter lags behind the hand and feeds energy in")
+RESOLUTION_M: Final = Range(0.0, 1e-3, "a device with coarser steps cannot render a contact")
+OBJECTS: Final = Range(1, 64, "every object is compiled into the contact step")
+NAME_LENGTH: Final = Range(1, 64, "a name has to fit a line of a report")
+ENDPOINT_LENGTH: Final = Range(1, 256, "longer than any address ZeroMQ takes")

@@ -1,0 +1,1 @@
+"""Devices: one contract (`base`), one file per device, found by name (`registry`)."""

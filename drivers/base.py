@@ -1,0 +1,91 @@
+"""The contract every device keeps.
+
+A driver gives the servo loop three integers: the addresses of two C functions and a handle that
+both receive. The loop calls them without the GIL; it does not know which device is behind.
+
+    int64 read(int64 handle, double sample[SAMPLE_SIZE])    -> status
+    int64 write(int64 handle, const double wrench[6])       -> status
+
+`sample` is position (m), orientation quaternion w, x, y, z (fingertip to world), device time (s)
+and buttons; `wrench` is force (N) and torque (N m) on the hand. Both are in the world frame:
+vendor axes are turned inside the driver and nowhere else.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final, NamedTuple, Self
+
+OK: Final = 0
+"""A new sample was read, or the wrench was taken."""
+STALE: Final = 1
+"""Read: no new sample, the last one is repeated. Write: taken, but limited by the device."""
+END: Final = 2
+"""Read: a recording has come to its end; the servo stops in order."""
+LOST: Final = -1
+"""The device is gone."""
+TIMEOUT: Final = -2
+"""The device did not answer in time."""
+PROTOCOL: Final = -3
+"""The device answered something that is not in its protocol."""
+
+SAMPLE_SIZE: Final = 9
+SAMPLE_TIME: Final = 7
+SAMPLE_BUTTONS: Final = 8
+
+
+class DeviceIO(NamedTuple):
+    """C function addresses and the handle they are called with."""
+
+    read: int
+    write: int
+    handle: int
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What a device can do; the guard never commands more than this.
+
+    `own_clock` says that each read advances the device by one nominal period, whatever the wall
+    clock does (a recording, a simulation); the contact step then uses the nominal dt, so that a
+    run is reproducible to the bit.
+    """
+
+    name: str
+    sensed_dof: int
+    actuated_dof: int
+    force_max_n: float
+    torque_max_nm: float
+    stiffness_max_n_per_m: float
+    damping_max_ns_per_m: float
+    workspace_min_m: tuple[float, float, float]
+    workspace_max_m: tuple[float, float, float]
+    own_clock: bool = False
+
+
+class Device(ABC):
+    """An open device. Opening happens in the constructor; leaving the context stops and closes it."""
+
+    info: DeviceInfo
+
+    @abstractmethod
+    def io(self) -> DeviceIO:
+        """Addresses for the servo loop, valid until `close`."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Command zero force and disarm. From any thread, any number of times, also after an error."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop, then release the device. Any number of times."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

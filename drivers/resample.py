@@ -1,0 +1,206 @@
+"""Recorded poses at the servo's rate: interpolated without a step, and closed into a loop without a jump."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import RecordingError
+from softfinger.drivers.poses import Poses
+
+Array = NDArray[np.float64]
+
+SAMPLES_MAX: Final = 10_000_000  # 2.8 h at 1 kHz, 560 MB
+SAME_TIME_S: Final = 1e-9  # a tick this close to a recorded sample is that sample, to the bit
+RETURN_SPEED_M_PER_S: Final = 0.1
+RETURN_SPEED_RAD_PER_S: Final = 1.0
+RETURN_MIN_S: Final = 0.5
+MINIMUM_JERK_PEAK: Final = 1.875  # peak speed of a minimum-jerk move over its mean speed
+SEAM_POSE: Final = 1e-9  # m and rad: closer than this, end and start are one pose
+SEAM_SPEED_M_PER_S: Final = 1e-3  # a velocity step this small at the seam needs no return
+SEAM_SPEED_RAD_PER_S: Final = 1e-2
+
+
+def resample(poses: Poses, rate_hz: float) -> Array:
+    """Poses (M, 7) at ticks k / rate_hz from the first sample to the last: x, y, z, qw, qx, qy, qz.
+
+    Positions by shape-preserving cubic Hermite interpolation: through every sample, no overshoot,
+    continuous velocity, so that a 100 Hz recording has no velocity steps at 1 kHz. Orientations
+    turn at a constant rate along the short way (slerp). RecordingError when the recording is
+    shorter than two ticks or too long to hold.
+    """
+    duration = float(poses.t[-1]) - float(poses.t[0])
+    ticks = duration * rate_hz + 1e-6
+    if not 1.0 <= ticks < SAMPLES_MAX:
+        raise RecordingError(
+            f"recording of {duration:g} s is {ticks:.4g} ticks at {rate_hz:g} Hz, must be 1 to {SAMPLES_MAX:,}: "
+            "choose another rate or cut the recording"
+        )
+    t = poses.t - poses.t[0]
+    at = np.arange(int(ticks) + 1) / rate_hz
+    near = np.searchsorted(t, at - SAME_TIME_S)
+    on_sample = (near < len(t)) & (np.abs(t[np.minimum(near, len(t) - 1)] - at) <= SAME_TIME_S)
+    segment = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    width = t[segment + 1] - t[segment]
+    u = np.clip((at - t[segment]) / width, 0.0, 1.0)[:, None]
+
+    samples = np.empty((len(at), 7))
+    samples[:, :3] = _hermite(poses.position, _slopes(t, poses.position), segment, width[:, None], u)
+    samples[:, 3:] = slerp(poses.orientation[segment], poses.orientation[segment + 1], u)
+    samples[on_sample, :3] = poses.position[near[on_sample]]
+    samples[on_sample, 3:] = poses.orientation[near[on_sample]]
+    return samples
+
+
+def _slopes(t: Array, x: Array) -> Array:
+    """Velocities (N, 3) at the samples that keep the interpolant monotone where the samples are.
+
+    Source: Fritsch, Carlson (1980), with the weighted harmonic mean of Fritsch, Butland (1984) and
+    their one-sided three-point rule at both ends.
+    """
+    h = np.diff(t)[:, None]
+    secant = np.diff(x, axis=0) / h
+    if len(t) == 2:
+        return np.repeat(secant, 2, axis=0)
+    slope = np.zeros_like(x)
+    left, right = secant[:-1], secant[1:]
+    w_left, w_right = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]
+    monotone = (np.sign(left) * np.sign(right)) > 0.0
+    safe_left, safe_right = np.where(monotone, left, 1.0), np.where(monotone, right, 1.0)
+    with np.errstate(over="ignore"):  # a secant next to nothing gives slope 0, as it should
+        mean = (w_left + w_right) / (w_left / safe_left + w_right / safe_right)
+    slope[1:-1] = np.where(monotone, mean, 0.0)
+    slope[0] = _end_slope(h[0], h[1], secant[0], secant[1])
+    slope[-1] = _end_slope(h[-1], h[-2], secant[-1], secant[-2])
+    return slope
+
+
+def _end_slope(h0: Array, h1: Array, secant0: Array, secant1: Array) -> Array:
+    slope: Array = ((2.0 * h0 + h1) * secant0 - h0 * secant1) / (h0 + h1)
+    slope = np.where(np.sign(slope) != np.sign(secant0), 0.0, slope)
+    turns = np.sign(secant0) != np.sign(secant1)
+    return np.where(turns & (np.abs(slope) > 3.0 * np.abs(secant0)), 3.0 * secant0, slope)
+
+
+def _hermite(x: Array, slope: Array, segment: NDArray[np.intp], width: Array, u: Array) -> Array:
+    a, b = x[segment], x[segment + 1]
+    rise = u * u * (3.0 - 2.0 * u)
+    value: Array = a + rise * (b - a) + width * u * (1.0 - u) * ((1.0 - u) * slope[segment] - u * slope[segment + 1])
+    return value
+
+
+def slerp(a: Array, b: Array, u: Array) -> Array:
+    """Unit quaternions (M, 4) a fraction u (M, 1) of the short way from a to b."""
+    b = np.where(np.sum(a * b, axis=1, keepdims=True) < 0.0, -b, b)
+    # atan2 of chord lengths keeps its accuracy at small angles, where acos of the dot product has none
+    half = np.arctan2(np.linalg.norm(b - a, axis=1), np.linalg.norm(b + a, axis=1))[:, None]
+    sine = np.sin(2.0 * half)
+    small = sine < 1e-9
+    safe = np.where(small, 1.0, sine)
+    mixed = (
+        np.where(small, 1.0 - u, np.sin((1.0 - u) * 2.0 * half) / safe) * a
+        + np.where(small, u, np.sin(u * 2.0 * half) / safe) * b
+    )
+    unit: Array = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+    return unit
+
+
+def close_loop(samples: Array, rate_hz: float) -> Array:
+    """One period (L, 7) of the endless motion that repeats `samples` (M, 7) without a jump.
+
+    When the end does not run on into the start, a return is appended that leaves with the end's
+    velocity and arrives with the start's, in position and in orientation; it is no faster than
+    0.1 m/s and 1 rad/s on top of those velocities. When end and start are one pose at one
+    velocity, the doubled sample is dropped instead. Sample L of the motion is sample 0.
+    """
+    end, start = samples[-1], samples[0]
+    travel, turn = start[:3] - end[:3], _log(_relative(end[3:], start[3:]))
+    distance, angle = float(np.linalg.norm(travel)), float(np.linalg.norm(turn))
+    if distance <= SEAM_POSE and angle <= SEAM_POSE and _runs_on(samples, rate_hz):
+        return np.ascontiguousarray(samples[:-1])
+
+    leave, arrive = (samples[-1, :3] - samples[-2, :3]) * rate_hz, (samples[1, :3] - start[:3]) * rate_hz
+    spin_leave = _log(_relative(samples[-2, 3:], end[3:])) * rate_hz
+    spin_arrive = _log(_relative(start[3:], samples[1, 3:])) * rate_hz
+    seconds = max(
+        RETURN_MIN_S,
+        MINIMUM_JERK_PEAK * distance / RETURN_SPEED_M_PER_S,
+        MINIMUM_JERK_PEAK * angle / RETURN_SPEED_RAD_PER_S,
+    )
+    count = max(2, int(np.ceil(seconds * rate_hz)))
+    u = (np.arange(1, count) / count)[:, None]
+    seconds = count / rate_hz
+    way = np.empty((count - 1, 7))
+    way[:, :3] = end[:3] + _quintic(travel, leave, arrive, seconds, u)
+    # the turn in the end's body frame: its rate there is the angular velocity, at the other end only
+    # through the inverse Jacobian of the rotation vector
+    rotation = _quintic(turn, spin_leave, _inverse_jacobian(turn) @ spin_arrive, seconds, u)
+    way[:, 3:] = _product(end[3:], _exp(rotation))
+    return np.concatenate((samples, way))
+
+
+def _runs_on(samples: Array, rate_hz: float) -> bool:
+    """Whether the velocity steps no more from the end to the start, one pose, than within the motion."""
+    velocity = np.diff(samples[:, :3], axis=0) * rate_hz
+    spin = _log(_relative(samples[:-1, 3:], samples[1:, 3:])) * rate_hz
+    for rates, negligible in ((velocity, SEAM_SPEED_M_PER_S), (spin, SEAM_SPEED_RAD_PER_S)):
+        within = np.linalg.norm(np.diff(rates, axis=0), axis=1)
+        if np.linalg.norm(rates[0] - rates[-1]) > max(negligible, float(within.max(initial=0.0))):
+            return False
+    return True
+
+
+def _quintic(travel: Array, leave: Array, arrive: Array, seconds: float, u: Array) -> Array:
+    """Minimum-jerk way of 0 to `travel` with the given velocities and no acceleration at both ends."""
+    rise = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    out = u - u**3 * (6.0 - 8.0 * u + 3.0 * u**2)
+    into = -(u**3) * (4.0 - 7.0 * u + 3.0 * u**2)
+    way: Array = rise * travel + seconds * (out * leave + into * arrive)
+    return way
+
+
+def _product(a: Array, b: Array) -> Array:
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        axis=-1,
+    )
+
+
+def _relative(a: Array, b: Array) -> Array:
+    """a^-1 b: the turn from a to b seen in the body."""
+    return _product(a * np.array([1.0, -1.0, -1.0, -1.0]), b)
+
+
+def _log(q: Array) -> Array:
+    """Rotation vectors (..., 3) of unit quaternions (..., 4), the short way."""
+    vector = np.where(q[..., :1] >= 0.0, q[..., 1:], -q[..., 1:])
+    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
+    small = sine < 1e-12
+    angle = 2.0 * np.arctan2(sine, np.abs(q[..., :1]))
+    rotation: Array = np.where(small, 2.0, angle / np.where(small, 1.0, sine)) * vector
+    return rotation
+
+
+def _exp(rotation: Array) -> Array:
+    """Unit quaternions (M, 4) of rotation vectors (M, 3)."""
+    half = 0.5 * np.linalg.norm(rotation, axis=1, keepdims=True)
+    return np.concatenate((np.cos(half), 0.5 * rotation * np.sinc(half / np.pi)), axis=1)
+
+
+def _inverse_jacobian(rotation: Array) -> Array:
+    """(3, 3) from body angular velocity to the rate of the rotation vector (inverse right Jacobian)."""
+    angle = float(np.linalg.norm(rotation))
+    x, y, z = rotation
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    factor = 1.0 / 12.0 if angle < 1e-4 else 1.0 / angle**2 - 0.5 / (angle * np.tan(0.5 * angle))
+    inverse: Array = np.eye(3) + 0.5 * cross + factor * cross @ cross
+    return inverse

@@ -1,0 +1,1 @@
+"""The numeric core: nopython functions of scalars and tuples, without allocation and without exceptions."""

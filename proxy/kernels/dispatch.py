@@ -1,0 +1,47 @@
+"""Functions chosen by the type of their first argument, compiled or in plain Python.
+
+A scene is a tree of named tuples. `@by_type` declares what every kind of node can do, `.of(Kind)`
+says how one kind does it; `.of(None)` is the case of a part the scene does not have. The choice is
+made while compiling, so a scene runs only the code of the parts it has.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from numba import types
+from numba.extending import overload
+
+from softfinger.proxy.kernels.jit import OPTIONS, jit
+
+
+def _kind_of(numba_type: types.Type) -> type | None:
+    # A named tuple whose fields all have one type is a NamedUniTuple, not a NamedTuple: ask for the class.
+    if isinstance(numba_type, types.NoneType):
+        return None
+    return getattr(numba_type, "instance_class", None) or type(numba_type)
+
+
+def by_type(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel that each kind of node implements with `.of(Kind)`."""
+    kernels: dict[type | None, Callable[..., Any]] = {}
+
+    @functools.wraps(declaration)
+    def call(node: Any, *rest: Any) -> Any:
+        return kernels[None if node is None else type(node)](node, *rest)
+
+    def of(kind: type | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
+            kernels[kind] = kernel
+            return jit(kernel)
+
+        return register
+
+    def choose(node: types.Type, *rest: types.Type) -> Callable[..., Any] | None:
+        return kernels.get(_kind_of(node))
+
+    choose.__signature__ = inspect.signature(declaration)  # type: ignore[attr-defined]  # numba compares it with the kernel's
+    overload(call, jit_options=OPTIONS)(choose)
+    call.of = of  # type: ignore[attr-defined]
+    return call

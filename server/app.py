@@ -1,0 +1,182 @@
+"""The daemon: device, servo thread, publisher thread and supervisor, from start to the last zero force."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+
+from softfinger.config import schema
+from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop
+from softfinger.config.load import build
+from softfinger.drivers import base, registry
+from softfinger.proxy.state import RECORD_SIZE
+from softfinger.server import realtime, servo
+from softfinger.server.guard import GUARD_NAMES
+from softfinger.server.telemetry import Publisher
+from softfinger.server.tuning import make_tuning
+
+log: Final = logging.getLogger(__name__)
+
+STALL_POLLS: Final = 5
+STALL_POLL_S: Final = 0.05
+"""The servo has stalled when so many looks in a row, this far apart, find no new tick: a quarter of a second, which
+is longer than any host stall seen and shorter than a hand needs to be hurt. Counting looks, not time: a process that
+was suspended as a whole did not stall."""
+
+BATCH: Final = 256
+
+
+def open_device(config: schema.DeviceConfig, rate_hz: float, where: str = "[device]") -> base.Device:
+    """Open the device a rig names; ConfigError for options its driver does not know."""
+    driver = registry.load(config.driver)
+    options = build(driver.Options, config.options, where)
+    device: base.Device = driver.open_device(options, rate_hz)
+    return device
+
+
+class Daemon:
+    """A running server. Construct (opens everything), `start`, `wait`, `close`; or use as a context.
+
+    rig, scene   validated configuration
+    ticks        how many ticks to run, None until stopped
+    report       called from the servo thread with the outcome of each real-time setting
+
+    Raises what opening a device or binding an endpoint raises; nothing stays open then.
+    """
+
+    def __init__(
+        self,
+        rig: schema.Rig,
+        scene: schema.Scene,
+        ticks: int | None = None,
+        report: Callable[[list[realtime.Setting]], None] | None = None,
+    ) -> None:
+        self._report = report
+        self._rig = rig
+        self._failure: HapticError | None = None
+        self.publisher = Publisher(rig.telemetry.endpoint, rig.telemetry.every, guard_names=GUARD_NAMES)
+        try:
+            self.device = open_device(rig.device, rig.servo.rate_hz)
+        except BaseException:
+            self.publisher.close()
+            raise
+        try:
+            tuning = make_tuning(scene, rig.guard, self.device.info)
+            self.servo = servo.Servo(self.device, tuning, rig.servo.rate_hz, ticks, self._prepare)
+        except BaseException:
+            self.device.close()
+            self.publisher.close()
+            raise
+        self._threads = [
+            threading.Thread(target=self._publish, name="publisher", daemon=True),
+            threading.Thread(target=self._supervise, name="supervisor", daemon=True),
+        ]
+
+    def start(self) -> None:
+        """Compile what is not compiled yet, then start the threads; returns when the servo runs."""
+        self.servo.compile()
+        self.publisher.event("lifecycle", "started", device=self.device.info.name)
+        for thread in self._threads:
+            thread.start()
+        self.servo.start()
+
+    def stop(self) -> None:
+        """Ask the servo to end; from any thread or signal handler."""
+        self.servo.stop()
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait for the servo's end; True when it has ended.
+
+        Raises what ended it, if that was not a stop, the last tick or the end of a recording:
+        DeviceLost, DeviceTimeout, SafetyStop, RealtimeError or a programming error.
+        """
+        ended = self.servo.join(timeout_s)
+        if ended is None:
+            return False
+        if self._failure is not None:
+            raise self._failure
+        if ended.error is not None:
+            raise ended.error
+        if ended.ending in (servo.READ_FAILED, servo.WRITE_FAILED):
+            raise _device_failure(self.device.info.name, ended)
+        return True
+
+    def close(self) -> None:
+        """Stop the servo, release the device, send what is left. Any number of times."""
+        self.servo.stop()
+        if self._threads[0].is_alive():
+            # A servo that does not answer within this is stuck in its device; the device is stopped regardless.
+            self.servo.join(timeout_s=2.0)
+            for thread in self._threads:
+                thread.join(timeout=2.0)
+            self.publisher.event("lifecycle", "stopped", ticks=self.servo.ticks)
+        self.device.close()
+        self.publisher.close()
+        if not self.servo.running:
+            self.servo.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _prepare(self) -> Callable[[], None]:
+        wanted = self._rig.servo
+        settings = realtime.apply(wanted.realtime, wanted.priority, wanted.cpu)
+        if self._report is not None:
+            self._report(settings.settings)
+        return settings.undo
+
+    def _publish(self) -> None:
+        batch = np.empty((BATCH, RECORD_SIZE))
+        try:
+            running = True
+            while running:
+                self.servo.wait_record()
+                running = self.servo.running  # asked before emptying the ring: what came before the end is sent
+                while (count := self.servo.take(batch)) > 0:
+                    self.publisher.publish(batch[:count], self.servo.drops)
+        except Exception as error:
+            log.exception("the publisher failed; stopping")
+            self._fail(SafetyStop(f"telemetry cannot be published: {error}"))
+
+    def _supervise(self) -> None:
+        """Zero the device when ticks stop coming though nobody asked them to."""
+        seen, idle = -1, 0
+        while self.servo.running:
+            time.sleep(STALL_POLL_S)
+            ticks = self.servo.ticks
+            idle = idle + 1 if ticks == seen else 0
+            seen = ticks
+            # The slowest loop ticks ten times between two looks. Before the first tick real-time settings are made.
+            if idle >= STALL_POLLS and ticks > 0 and self.servo.running:
+                self.device.stop()
+                self._fail(
+                    SafetyStop(
+                        f"no tick for {idle * STALL_POLL_S:.2f} s after tick {ticks}: force was set to zero; "
+                        "the device's exchange hangs, or this machine starves the servo thread"
+                    )
+                )
+                return
+
+    def _fail(self, error: HapticError) -> None:
+        self._failure = error
+        self.publisher.event("fault", type(error).__name__, message=str(error))
+        self.servo.stop()
+
+
+def _device_failure(name: str, ended: servo.Ended) -> HapticError:
+    doing = "read" if ended.ending == servo.READ_FAILED else "write"
+    if ended.status == base.TIMEOUT:
+        return DeviceTimeout(f"{name}: no answer to a {doing} in time: check cable and power, then start again")
+    what = "answered what is not in its protocol" if ended.status == base.PROTOCOL else "is gone"
+    return DeviceLost(f"{name} {what} (status {ended.status} on {doing}): plug it in again, then start again")

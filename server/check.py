@@ -1,0 +1,183 @@
+"""`softfinger check`: are these scene and rig files usable, and what do they model?"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from softfinger.config.errors import ConfigError, DeviceError, HapticError
+from softfinger.config.load import FaultyConfig, build, describe, find, load_rig, load_scene, read_toml, shipped
+from softfinger.config.schema import Plane, Rig, Scene
+from softfinger.config.validate import near, shown
+
+_SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
+_RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
+
+
+class Finding(NamedTuple):
+    """What one file is: kind (scene, rig, or empty), summary rows, errors, and its content as read."""
+
+    file: str
+    kind: str
+    summary: list[tuple[str, str]]
+    errors: list[str]
+    content: dict[str, Any]
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.description = "Check scene and rig files. Exit code 0: all are usable; 2: at least one is not."
+    parser.add_argument("files", nargs="+", metavar="FILE", help="scene or rig, as a file or a shipped name")
+    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check every file and print what it is; returns 0, or ConfigError's exit code if any is faulty."""
+    findings = [examine_file(file) for file in args.files]
+    if args.json:
+        print(json.dumps([finding._asdict() | {"summary": dict(finding.summary)} for finding in findings], indent=2))
+    else:
+        for finding in findings:
+            _show(finding)
+    return ConfigError.exit_code if any(finding.errors for finding in findings) else 0
+
+
+def examine_file(file: str) -> Finding:
+    """Everything `run` would find wrong with a file before it touches the device, or what the file means."""
+    kind = ""
+    try:
+        path = _locate(file)
+        kind = kind_of(read_toml(path, file), file)
+        config = load_scene(path) if kind == "scene" else load_rig(path)
+        if isinstance(config, Scene):
+            _check_rendered(config, file)
+            summary = scene_summary(config)
+        else:
+            _check_driver(config, file)
+            summary = rig_summary(config)
+    except FaultyConfig as error:
+        return Finding(file, kind, [], [str(fault) for fault in error.faults], {})
+    except (ConfigError, DeviceError) as error:
+        return Finding(file, kind, [], [str(error)], {})
+    return Finding(file, kind, summary, [], describe(config))
+
+
+def kind_of(mapping: dict[str, Any], where: str) -> str:
+    """`scene` or `rig`, by the tables a file has. Raises ConfigError when it is neither, or both."""
+    scene, rig = _SCENE_KEYS & mapping.keys(), _RIG_KEYS & mapping.keys()
+    if scene and not rig:
+        return "scene"
+    if rig and not scene:
+        return "rig"
+    if rig and scene:
+        raise ConfigError(
+            f"{where}: both scene ({', '.join(sorted(scene))}) and rig ({', '.join(sorted(rig))}): "
+            "put them into two files"
+        )
+    raise ConfigError(
+        f"{where}: neither scene nor rig: a scene has [fingertip] and [[object]], a rig has [device]; "
+        f"this has {', '.join(repr(key) for key in list(mapping)[:8]) or 'nothing'}"
+    )
+
+
+def scene_summary(scene: Scene) -> list[tuple[str, str]]:
+    """What the contact step models, and what is left out of it."""
+    coupling, probe = scene.coupling, scene.probe
+    rolling = "left out: rotation moves no contact"
+    if scene.rolling is not None:
+        given = scene.rolling.torque_stiffness_n_per_m
+        stiffness = coupling.stiffness_n_per_m if given is None else given
+        rolling = f"{scene.rolling.method}, torque stiffness {stiffness:g} N/m"
+    smoothing = f"low-pass {probe.velocity_time_constant_s:g} s" if probe.velocity_time_constant_s else "none"
+    drags = "left out: nothing sticks"
+    if any(item.material.friction is not None for item in scene.object):
+        drags = f"{coupling.stiffness_n_per_m:g} N/m, {coupling.damping_ns_per_m:g} N s/m"
+    rows = [
+        ("fingertip", f"sphere, radius {scene.fingertip.radius_m:g} m"),
+        ("rolling", rolling),
+        ("coupling", drags),
+        ("velocity filter", smoothing),
+    ]
+    for item in scene.object:
+        rows += _object_rows(item)
+    return rows
+
+
+def _object_rows(item: Plane) -> list[tuple[str, str]]:
+    material = item.material
+    friction, torsion = "left out: frictionless", "left out: no moment about the normal"
+    if material.friction is not None:
+        friction = f"static {material.friction.static:g}, kinetic {material.friction.kinetic:g}"
+    if material.torsion is not None:
+        part = material.torsion
+        torsion = f"{part.stiffness_nm_per_rad:g} N m/rad up to {part.friction_length_m:g} m times the normal force"
+    place = ", ".join(f"{value:g}" for value in item.position_m)
+    damping = f"{material.damping_ns_per_m:g} N s/m" if material.damping_ns_per_m else "undamped"
+    return [
+        (f"object '{item.name}'", f"{item.shape} at ({place}) m, {material.stiffness_n_per_m:g} N/m, {damping}"),
+        ("  friction", friction),
+        ("  torsion", torsion),
+    ]
+
+
+def rig_summary(rig: Rig) -> list[tuple[str, str]]:
+    """Device, loop, guard and telemetry in a line each."""
+    options = ", ".join(f"{key} = {shown(value)}" for key, value in rig.device.options.items())
+    servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
+    processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
+    return [
+        ("device", rig.device.driver + (f" ({options})" if options else "")),
+        ("servo", f"{servo.rate_hz:g} Hz, real time {servo.realtime}, priority {servo.priority}, {processor}"),
+        ("guard, force", f"{guard.force_max_n:g} N, {guard.force_slew_n_per_s:g} N/s, ramp {guard.ramp_s:g} s"),
+        ("guard, torque", f"{guard.torque_max_nm:g} N m, {guard.torque_slew_nm_per_s:g} N m/s"),
+        ("telemetry", telemetry.endpoint + (f", one tick in {telemetry.every}" if telemetry.every > 1 else "")),
+    ]
+
+
+def _locate(file: str) -> Path:
+    """Path of a file or of a shipped scene or rig."""
+    names = [*shipped(Scene), *shipped(Rig)]
+    if file not in names and "." not in file and "/" not in file and not Path(file).exists():
+        raise ConfigError(
+            f"no scene or rig is called {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
+            "a file of your own is named with its ending .toml"
+        )
+    return find(file, Rig if file in shipped(Rig) else Scene)
+
+
+def _check_rendered(scene: Scene, file: str) -> None:
+    """Raise ConfigError for what a valid scene asks and this version does not render."""
+    from softfinger.proxy.scene import build_scene
+
+    try:
+        build_scene(scene)
+    except FaultyConfig:
+        raise
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error
+
+
+def _check_driver(rig: Rig, file: str) -> None:
+    """Raise if there is no such driver, or if it does not take the rig's options."""
+    from softfinger.drivers import registry
+
+    try:
+        driver = registry.load(rig.device.driver)
+    except HapticError as error:
+        raise ConfigError(f"{file}: device.driver = {rig.device.driver!r}: {error}") from error
+    build(driver.Options, rig.device.options, f"{file} [device]")
+
+
+def _show(finding: Finding) -> None:
+    if finding.errors:
+        print(f"{finding.file}: not usable", file=sys.stderr)
+        for error in finding.errors:
+            print(f"  {error}", file=sys.stderr)
+        return
+    print(f"{finding.file}: {finding.kind}, usable")
+    width = max(len(label) for label, _ in finding.summary)
+    for label, text in finding.summary:
+        print(f"  {label:{width}}  {text}")

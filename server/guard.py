@@ -1,0 +1,110 @@
+"""The guard between contact step and device: every wrench passes, there is no way around.
+
+In order: what is not finite becomes zero, the ramp after engaging, the clamp by norm (the direction
+is kept), the limit on change per tick. Because the last output lies within the clamp and so does the
+new goal, every point between them does too, so the slew limit cannot leave the clamp.
+"""
+
+from math import isfinite
+from typing import Final, NamedTuple
+
+from softfinger.proxy.kernels import vec3
+from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.model import Vec3
+
+GUARD_NAMES: Final = (
+    "pose_refused", "not_finite", "ramping", "force_clamped", "torque_clamped", "slew_limited", "disarmed",
+)  # fmt: skip
+"""Name of each bit of `servo.guard`, lowest first."""
+POSE_REFUSED: Final = 1
+NOT_FINITE: Final = 2
+RAMPING: Final = 4
+FORCE_CLAMPED: Final = 8
+TORQUE_CLAMPED: Final = 16
+SLEW_LIMITED: Final = 32
+DISARMED: Final = 64
+
+
+class Guard(NamedTuple):
+    """Limits: N, N m, N/s, N m/s, s; `armed` 1 or 0."""
+
+    force_max: float
+    torque_max: float
+    force_slew: float
+    torque_slew: float
+    ramp: float
+    armed: float
+
+
+class Guarded(NamedTuple):
+    """What the guard remembers: the last output (N, N m) and how far the ramp has come, 0 to 1."""
+
+    force: Vec3
+    torque: Vec3
+    gain: float
+
+
+DISENGAGED: Final = Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+
+
+@jit
+def finite(v):
+    return isfinite(v[0]) and isfinite(v[1]) and isfinite(v[2])
+
+
+@jit
+def clamp(v, largest):
+    """`v` with its norm brought down to `largest`, and whether that was needed.
+
+    The largest component is divided out first: the square of a huge force overflows.
+    """
+    peak = max(abs(v[0]), abs(v[1]), abs(v[2]))
+    if peak <= 0.0:
+        return v, False
+    unit = vec3.scale(1.0 / peak, v)
+    size = peak * vec3.norm(unit)
+    if size <= largest:
+        return v, False
+    return vec3.scale(largest / vec3.norm(unit), unit), True
+
+
+@jit
+def slew(before, goal, largest):
+    """The point at most `largest` from `before` towards `goal`, and whether it falls short."""
+    step, limited = clamp(vec3.sub(goal, before), largest)
+    if limited:
+        return vec3.add(before, step), True
+    return goal, False
+
+
+@jit
+def guard_wrench(guard, guarded, force, torque, dt):
+    """Make a wrench safe to command.
+
+    force, torque  (3,) N, N m  as the contact step computed them
+    dt             s            time since the last output
+    returns        Guarded, whose force and torque are to be commanded, and the bits of what was changed
+    """
+    bits = 0
+    zero = (0.0, 0.0, 0.0)
+    if guard.armed == 0.0:
+        return Guarded(zero, zero, 0.0), DISARMED
+    if not (finite(force) and finite(torque)):
+        return Guarded(zero, zero, 0.0), NOT_FINITE
+    gain = min(guarded.gain + dt / guard.ramp, 1.0) if guard.ramp > 0.0 else 1.0
+    if gain < 1.0:
+        bits |= RAMPING
+        force, torque = vec3.scale(gain, force), vec3.scale(gain, torque)
+    force, clamped = clamp(force, guard.force_max)
+    if clamped:
+        bits |= FORCE_CLAMPED
+    torque, clamped = clamp(torque, guard.torque_max)
+    if clamped:
+        bits |= TORQUE_CLAMPED
+    force, limited = slew(guarded.force, force, guard.force_slew * dt)
+    if limited:
+        bits |= SLEW_LIMITED
+    torque, limited = slew(guarded.torque, torque, guard.torque_slew * dt)
+    if limited:
+        bits |= SLEW_LIMITED
+    return Guarded(force, torque, gain), bits

@@ -1,0 +1,70 @@
+"""One tick without its clock and device: pose in, guarded wrench and record out.
+
+The servo loop and `simulate` both run this, on the same poses to the same bits.
+"""
+
+from math import isfinite
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.model import START, Scene, State
+from softfinger.proxy.kernels.record import write_contact
+from softfinger.proxy.kernels.rotations import normalize
+from softfinger.proxy.kernels.step import out_of_contact, step
+from softfinger.proxy.state import OFFSET
+from softfinger.server.guard import DISENGAGED, POSE_REFUSED, Guard, Guarded, guard_wrench
+
+GUARD = OFFSET["servo.guard"]
+POSITION_MAX_M = 1e6
+"""A coordinate beyond this is a broken sensor; its square is still far from overflow."""
+
+
+class Tuning(NamedTuple):
+    """Everything that may change while the servo runs."""
+
+    scene: Scene
+    guard: Guard
+
+
+class Memory(NamedTuple):
+    """Everything a tick leaves for the next: the contact's state and the guard's."""
+
+    contact: State
+    guarded: Guarded
+
+
+BEGIN: Any = Memory(START, DISENGAGED)
+
+
+@jit
+def usable(sample):
+    """Whether a device sample holds a pose: finite, within reach, a quaternion that is about unit."""
+    square = 0.0
+    for i in range(3):
+        if not abs(sample[i]) <= POSITION_MAX_M:
+            return False
+    for i in range(3, 7):
+        if not isfinite(sample[i]):
+            return False
+        square += sample[i] * sample[i]
+    return 0.25 <= square <= 4.0
+
+
+@jit
+def tick(tuning, memory, sample, dt, number, record):
+    """Contact step and guard for one sample (position, quaternion, ...); fills the contact part of `record`.
+
+    A sample without a usable pose ends the contact: force zero, and the ramp begins anew.
+    """
+    if usable(sample):
+        position = (sample[0], sample[1], sample[2])
+        orientation = normalize((sample[3], sample[4], sample[5], sample[6]))
+        state, contact = step(tuning.scene, memory.contact, position, orientation, dt)
+        guarded, bits = guard_wrench(tuning.guard, memory.guarded, contact.force, contact.torque, dt)
+    else:
+        position, orientation = memory.contact.position, memory.contact.orientation
+        _, contact = out_of_contact(memory.contact, position, orientation, (0.0, 0.0, 0.0))
+        state, guarded, bits = START, DISENGAGED, POSE_REFUSED
+    write_contact(record, number, dt, position, orientation, contact, guarded.force, guarded.torque)
+    record[GUARD] = bits
+    return Memory(state, guarded)

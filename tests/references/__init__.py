@@ -1,0 +1,1 @@
+"""Published numbers, and slow independent implementations that the engine is compared with."""

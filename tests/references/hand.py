@@ -1,0 +1,90 @@
+"""A hand that moves tick by tick, and the trace of what the engine answered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from references.rotation import multiply, quaternion
+from softfinger.proxy.engine import Engine, Step
+
+Array = NDArray[np.float64]
+
+
+class Hand:
+    """Collects poses (n, 7) of the fingertip centre, one a tick; starts at `start` with no rotation."""
+
+    def __init__(self, start: ArrayLike) -> None:
+        self.x = np.asarray(start, float)
+        self.q = np.array([1.0, 0.0, 0.0, 0.0])
+        self.poses = [np.concatenate([self.x, self.q])]
+
+    def go(self, ticks: int, move: ArrayLike = (0.0, 0.0, 0.0), turn: ArrayLike = (0.0, 0.0, 0.0)) -> Hand:
+        """Move by `move` (3,) m and turn by the world rotation vector `turn` (3,) rad, evenly over `ticks`."""
+        x, q = self.x, self.q
+        for i in range(1, ticks + 1):
+            part = i / ticks
+            self.x = x + part * np.asarray(move, float)
+            self.q = multiply(quaternion(part * np.asarray(turn, float)), q)
+            self.poses.append(np.concatenate([self.x, self.q]))
+        return self
+
+    def go_to(self, ticks: int, goal: ArrayLike) -> Hand:
+        """Move to `goal` (3,) m, evenly over `ticks`."""
+        return self.go(ticks, np.asarray(goal, float) - self.x)
+
+    @property
+    def at(self) -> int:
+        """Index of the last pose."""
+        return len(self.poses) - 1
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The engine's answers over n ticks: vectors (n, 3), scalars (n,)."""
+
+    poses: Array
+    steps: list[Step]
+
+    @property
+    def force(self) -> Array:
+        return np.array([s.force for s in self.steps])
+
+    @property
+    def torque(self) -> Array:
+        return np.array([s.torque for s in self.steps])
+
+    @property
+    def proxy(self) -> Array:
+        return np.array([s.proxy_position for s in self.steps])
+
+    @property
+    def mode(self) -> NDArray[np.int64]:
+        return np.array([s.mode for s in self.steps])
+
+    @property
+    def normal_force(self) -> Array:
+        return np.array([s.normal_force for s in self.steps])
+
+    @property
+    def tangential(self) -> Array:
+        """Magnitude of the tangential force, N."""
+        return np.array([s.tangential_force for s in self.steps])
+
+    @property
+    def events(self) -> list[tuple[int, str]]:
+        """(tick, cause) of every transition."""
+        return [(i, s.cause) for i, s in enumerate(self.steps) if s.cause != "none"]
+
+    @property
+    def causes(self) -> list[str]:
+        """The causes alone, in order."""
+        return [cause for _, cause in self.events]
+
+
+def drive(engine: Engine, hand: Hand, dt: float | None = None) -> Trace:
+    """Step the engine through all of the hand's poses."""
+    poses = np.array(hand.poses)
+    return Trace(poses, [engine.step(pose[:3], pose[3:], dt) for pose in poses])

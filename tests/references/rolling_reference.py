@@ -1,0 +1,73 @@
+"""The paper's Euler decomposition (eqs. 5-7) on matrices, and the rolling equation it approximates.
+
+Eqs. 5-7 are the z-x-z angles of the step's rotation in the contact frame: R = Rz(phi) Rx(theta) Rz(psi).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
+
+from references.rotation import tangent_frame
+
+Array = NDArray[np.float64]
+
+
+def zxz_angles(rotation: Array) -> tuple[float, float, float]:
+    """(phi, theta, psi) rad of a rotation (3, 3) in the contact frame; theta in [0, pi]."""
+    theta = math.atan2(math.hypot(rotation[0, 2], rotation[1, 2]), rotation[2, 2])
+    if theta == 0.0:
+        return math.atan2(rotation[1, 0], rotation[0, 0]), 0.0, 0.0
+    return math.atan2(rotation[0, 2], -rotation[1, 2]), theta, math.atan2(rotation[2, 0], rotation[2, 1])
+
+
+def zxz_roll(
+    rotation: Array, normal: ArrayLike, heading: Literal["half_way", "phi"] = "half_way"
+) -> tuple[Array, float, float]:
+    """Roll vector theta e (3,) rad in the tangent plane, theta, and spin about the normal, of a world rotation.
+
+    Spin is phi + psi, taken as one angle: where theta is rounding, phi and psi each are noise and
+    their sum is noise too, while (1 + cos theta) e^(i (phi + psi)) stands in the matrix.
+    """
+    frame = tangent_frame(normal)
+    local = frame.T @ rotation @ frame
+    phi, theta, _ = zxz_angles(local)
+    spin = math.atan2(local[1, 0] - local[0, 1], local[0, 0] + local[1, 1])
+    angle = phi - spin / 2 if heading == "half_way" else phi
+    return theta * (frame @ np.array([math.cos(angle), math.sin(angle), 0.0])), theta, spin
+
+
+def rolled_path(rotations: list[Array], radius: float) -> Array:
+    """Contact path (n + 1, 3) m on the plane z = 0, from n world rotations (3, 3), one a step."""
+    normal = np.array([0.0, 0.0, 1.0])
+    steps = [radius * np.cross(zxz_roll(rotation, normal)[0], normal) for rotation in rotations]
+    return np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+
+
+def rolling_equation(
+    rate: Callable[[float], ArrayLike], radius: float, times: ArrayLike, normal: ArrayLike = (0.0, 0.0, 1.0)
+) -> tuple[Array, Array]:
+    """Contact path (n, 3) m on a plane and rotations (n, 3, 3), under the world angular velocity rate(t) (3,) rad/s.
+
+    Integrates R' = [w] R and u = (W_o + W_f)^-1 (w x n), with W_o = 0 and W_f = I / r: the classical
+    equation without coordinates on the sphere. Steps are at most a tenth of the span, because the
+    controller would jump over a rate that is zero at its first samples.
+    """
+    n, t = np.asarray(normal, float), np.asarray(times, float)
+    curvature = np.zeros((3, 3)) + np.eye(3) / radius
+
+    def derivative(time: float, state: Array) -> Array:
+        w = np.asarray(rate(time), float)
+        turning = np.cross(w, state[3:].reshape(3, 3).T).T
+        return np.concatenate([np.linalg.solve(curvature, np.cross(w, n)), turning.ravel()])
+
+    start = np.concatenate([np.zeros(3), np.eye(3).ravel()])
+    solution = solve_ivp(
+        derivative, (t[0], t[-1]), start, method="DOP853", t_eval=t, rtol=1e-13, atol=1e-16, max_step=(t[-1] - t[0]) / 10
+    )
+    return np.asarray(solution.y[:3].T), np.asarray(solution.y[3:].T.reshape(-1, 3, 3))

@@ -1,0 +1,205 @@
+"""What is shipped: the wheel, the source archive, pinned versions, and the order of imports."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tomllib
+import venv
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("config", "drivers", "proxy", "server", "tools")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+VERSION = PROJECT["project"]["version"]
+
+KERNEL_IMPORTS = ("collections.abc", "llvmlite", "math", "numba", "numpy", "typing", "__future__")
+KERNEL_OWN_IMPORTS = ("softfinger.proxy.kernels", "softfinger.proxy.state")
+# At import, or inside numba's typing; never in a tick.
+KERNEL_STANDARD_LIBRARY = {
+    "jit.py": {"hashlib", "os", "pathlib", "sys"},
+    "dispatch.py": {"functools", "inspect"},
+}
+
+
+def run(*command: str | Path, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
+    """Run to the end with nothing of this environment's import path; fail with the output on a non-zero exit."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run([*map(str, command)], cwd=cwd, env=kept | env, capture_output=True, text=True, timeout=180)
+    assert done.returncode == 0, f"{command}: exit {done.returncode}\n{done.stdout}\n{done.stderr}"
+    return done
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the wheel and the source archive, the wheel built from the archive."""
+    folder = tmp_path_factory.mktemp("dist")
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ROOT, cwd=folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(dist: Path) -> Path:
+    (path,) = dist.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`bin` of a clean environment: the wheel in it, dependencies borrowed from the running one.
+
+    Borrowed through a .pth file: Python puts the folder it names on the path, but does not obey the
+    .pth files inside that folder, so the editable install of this checkout stays out.
+    """
+    folder = tmp_path_factory.mktemp("clean")
+    venv.create(folder, with_pip=False, symlinks=True)
+    python = folder / "bin" / "python"
+    run(
+        *(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-index", wheel),
+        cwd=folder,
+    )
+    site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).stdout.strip())
+    borrowed = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (site / "borrowed.pth").write_text("\n".join(sorted(borrowed)) + "\n")
+    return folder / "bin"
+
+
+def sources(package: str) -> Iterator[Path]:
+    """Every file of a package that is shipped."""
+    for path in sorted((ROOT / package).rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            yield path.relative_to(ROOT)
+
+
+def test_the_wheel_holds_every_source_file_and_nothing_else(wheel: Path) -> None:
+    """Each file of the five folders is in the wheel under softfinger/, tests and tools of the repository are not."""
+    names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert names == {f"softfinger/{path}" for package in PACKAGES for path in sources(package)}
+    assert {f"softfinger/{package}/py.typed" for package in PACKAGES} <= names
+    assert "softfinger/__init__.py" not in names, "softfinger is a namespace package: an __init__ would hide portions"
+
+
+@pytest.mark.parametrize("kind", ["scenes", "rigs", "recordings"])
+def test_the_wheel_ships_data(wheel: Path, kind: str) -> None:
+    """Scenes, rigs and recordings are in the wheel, so `softfinger run` works without a checkout."""
+    assert [name for name in zipfile.ZipFile(wheel).namelist() if name.startswith(f"softfinger/config/{kind}/")]
+
+
+def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
+    """The source archive holds what make setup, lint and test read, and no second copy through .dev."""
+    (path,) = dist.glob("*.tar.gz")
+    with tarfile.open(path) as archive:
+        names = {member.name.partition("/")[2] for member in archive.getmembers()}
+    needed = {"Makefile", "constraints.txt", "pyproject.toml", "LICENSE", "README.md", ".ci/run", "Dockerfile"}
+    needed |= {str(file) for package in (*PACKAGES, "tests") for file in sources(package)}
+    assert not needed - names
+    assert not [name for name in names if name.startswith((".dev", ".venv", ".git/"))]
+
+
+def test_the_installed_wheel_is_what_runs(installed: Path, tmp_path: Path) -> None:
+    """In the clean environment softfinger comes from the wheel and from nowhere else."""
+    code = "import json, softfinger, softfinger.server as s; print(json.dumps([*softfinger.__path__, s.__file__]))"
+    for path in json.loads(run(installed / "python", "-c", code, cwd=tmp_path).stdout):
+        assert Path(path).is_relative_to(installed.parent), path
+
+
+def test_the_installed_wheel_says_its_version(installed: Path, tmp_path: Path) -> None:
+    """`softfinger --version` prints the version of pyproject.toml."""
+    assert VERSION in run(installed / "softfinger", "--version", cwd=tmp_path).stdout
+
+
+def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
+    """A second of the daemon on its shipped scene and recording, from a folder that holds nothing."""
+    rig = tmp_path / "rig.toml"
+    rig.write_text(f'[device]\ndriver = "replay"\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n')
+    run(
+        *(installed / "softfinger", "run", "--rig", rig, "--duration", "1", "--realtime", "off"),
+        cwd=tmp_path,
+        SOFTFINGER_CACHE_DIR=str(tmp_path / "cache"),
+    )
+
+
+def test_every_pinned_version_has_hashes_and_names_no_host() -> None:
+    """Constraints hold name==version with sha256 hashes only: no URL, path, option or index."""
+    text = (ROOT / "constraints.txt").read_text()
+    entries = re.split(r"\n(?=\S)", text.strip())
+    assert len(entries) > 40
+    for entry in entries:
+        first, *hashes = [line.strip().removesuffix("\\").strip() for line in entry.splitlines()]
+        assert re.fullmatch(r"[a-z0-9-]+==[\w.]+( ; [\w\s.'\"<>=!()]+)?", first), first
+        assert hashes, f"{first} has no hash"
+        assert all(re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", line) for line in hashes), first
+
+
+def test_every_dependency_is_pinned() -> None:
+    """Each requirement needed to run and to test has a line in constraints.txt."""
+    pinned = set(re.findall(r"^([a-z0-9-]+)==", (ROOT / "constraints.txt").read_text(), re.MULTILINE))
+    wanted = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["dev"]
+    names = {re.match(r"[A-Za-z0-9_.-]+", line)[0].lower().replace("_", "-") for line in wanted}  # type: ignore[index]
+    assert not names - pinned, "run `make constraints`"
+
+
+def test_the_packages_are_named_the_same_everywhere() -> None:
+    """Wheel, source archive, Makefile, Dockerfile, .dockerignore, links and import order list the same folders."""
+    build = PROJECT["tool"]["hatch"]["build"]["targets"]
+    layers = next(c for c in PROJECT["tool"]["importlinter"]["contracts"] if c["type"] == "layers")["layers"]
+    makefile = (ROOT / "Makefile").read_text()
+    assert set(build["wheel"]["only-include"]) == set(PACKAGES)
+    assert build["wheel"]["sources"] == {package: f"softfinger/{package}" for package in PACKAGES}
+    assert set(PACKAGES) <= set(build["sdist"]["only-include"])
+    assert set(layers) == {f"softfinger.{package}" for package in PACKAGES}
+    assert f"PACKAGES := {' '.join(PACKAGES)}\n" in makefile
+    for package in PACKAGES:
+        assert (ROOT / ".dev" / "softfinger" / package).resolve() == ROOT / package
+        assert f"COPY {package} {package}\n" in (ROOT / "Dockerfile").read_text()
+        assert f"!{package}\n" in (ROOT / ".dockerignore").read_text()
+
+
+def test_ci_calls_targets_that_exist() -> None:
+    """Each `make` in .ci/run names a target of the Makefile, lint and test among them."""
+    called = set(re.findall(r"^make (\S+)$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE))
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert {"lint", "test"} <= called <= targets
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Modules a file imports anywhere, `from a import b` as `a`."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            yield str(node.module)
+
+
+def test_kernels_import_only_numerics_and_each_other() -> None:
+    """A kernel file imports math, numpy, numba, llvmlite, typing, other kernels and the record table; no more."""
+    allowed = (*KERNEL_IMPORTS, *KERNEL_OWN_IMPORTS)
+    files = sorted((ROOT / "proxy" / "kernels").glob("*.py"))
+    assert files
+    for path in files:
+        extra = {
+            name for name in imported(path) if not any(name == root or name.startswith(f"{root}.") for root in allowed)
+        }
+        assert extra <= KERNEL_STANDARD_LIBRARY.get(path.name, set()), f"{path.name} imports {sorted(extra)}"
+
+
+def test_the_import_linter_sees_every_module() -> None:
+    """The graph that import-linter checks holds all our modules: an empty graph would keep every contract."""
+    code = "import grimp, json; print(json.dumps(sorted(grimp.build_graph('softfinger', cache_dir=None).modules)))"
+    seen = set(json.loads(run(sys.executable, "-c", code, cwd=ROOT).stdout))
+    for package in PACKAGES:
+        for path in sources(package):
+            if path.suffix == ".py" and path.name != "__init__.py":
+                assert ".".join(("softfinger", *path.with_suffix("").parts)) in seen

@@ -1,0 +1,27 @@
+"""`bench`: what a step costs, how late the servo wakes, how long telemetry takes."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from typing import Final
+
+KINDS: Final = {
+    "step": ("softfinger.tools.bench_step", "cost of the contact step, back to back"),
+    "loop": ("softfinger.tools.bench_loop", "lateness and execution time of the servo loop, beside a C loop"),
+    "telemetry": ("softfinger.tools.bench_telemetry", "time from tick to subscriber, and what was lost"),
+}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
+    for name, (module_name, text) in KINDS.items():
+        kind = kinds.add_parser(name, help=text, description=f"softfinger bench {name}: {text}.")
+        module = importlib.import_module(module_name)
+        module.configure(kind)
+        kind.set_defaults(measure=module.run)
+
+
+def run(args: argparse.Namespace) -> int:
+    code: int = args.measure(args)
+    return code

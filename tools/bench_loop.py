@@ -1,0 +1,196 @@
+"""`bench loop`: how late the servo wakes and what a tick costs, beside an equal loop in C, run in turn.
+
+Three loops take turns, so that whatever the machine does meanwhile falls on all of them: the C loop, the
+servo, and the servo with another thread of the process spinning in pure Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.config.schema import Rig, Scene
+from softfinger.proxy.state import OFFSET, RECORD_SIZE
+from softfinger.server import realtime
+from softfinger.server.app import open_device
+from softfinger.server.progress import progress
+from softfinger.server.servo import Servo
+from softfinger.server.tuning import make_tuning
+from softfinger.tools.measure import Array, add_output_options, figure, microseconds, quantiles, show
+
+TURN_S: Final = 5.0
+SOURCE: Final = Path(__file__).with_name("reference_loop.c")
+FIGURES: Final = [OFFSET["servo.late"], OFFSET["servo.exec"], OFFSET["servo.busy"], OFFSET["servo.missed"]]
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, default=15.0, help="for each of the loops (default: %(default)s)")
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
+    parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
+    parser.add_argument("--realtime", default="auto", help="auto, require or off (default: %(default)s)")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    rig = load_rig("replay", {"servo.rate_hz": args.rate, "servo.realtime": args.realtime})
+    scene = load_scene(args.scene)
+    turns = max(1, round(args.seconds / TURN_S))
+    ticks = max(1, round(args.seconds / turns * args.rate))
+    settings: list[realtime.Setting] = []
+    with tempfile.TemporaryDirectory() as folder:
+        loops: dict[str, Callable[[], Array]] = {
+            "servo": lambda: run_servo(rig, scene, ticks, settings),
+            "servo_busy": lambda: run_busy(rig, scene, ticks, settings),
+        }
+        program = compile_reference(Path(folder))
+        if program is not None:
+            loops = {"c": lambda: run_reference(program, rig, ticks), **loops}
+        runs: dict[str, list[Array]] = {name: [] for name in loops}
+        with progress("measuring the servo loop", turns * len(loops)) as done:
+            run_servo(rig, scene, 10, settings)  # compiles, and touches what the first turn would touch first
+            for turn in range(turns):
+                for number, (name, loop) in enumerate(loops.items()):
+                    runs[name].append(loop())
+                    done(turn * len(loops) + number + 1)
+    result = evaluate({name: np.concatenate(parts) for name, parts in runs.items()}, args.rate)
+    result["realtime"] = {setting.name: setting.ok for setting in settings}
+    show(result, args.json, table(result))
+    if args.plot:
+        draw(args.plot, runs, args.rate)
+    return 0
+
+
+def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Setting]) -> Array:
+    """One turn of the real servo on a replay, its records taken by a thread; (n, 4) late, exec, busy s, missed."""
+
+    def prepare() -> Callable[[], None]:
+        applied = realtime.apply(rig.servo.realtime, rig.servo.priority, rig.servo.cpu)
+        settings[:] = applied.settings
+        return applied.undo
+
+    with open_device(rig.device, rig.servo.rate_hz) as device:
+        servo = Servo(device, make_tuning(scene, rig.guard), rig.servo.rate_hz, ticks, prepare)
+        servo.compile()
+        servo.start()
+        batch, parts = np.empty((256, RECORD_SIZE)), []
+        running = True
+        while running:
+            servo.wait_record()
+            running = servo.running
+            while (count := servo.take(batch)) > 0:
+                parts.append(batch[:count, FIGURES].copy())
+        ended = servo.join()
+        servo.close()
+    if ended is not None and ended.error is not None:
+        raise ended.error
+    found = np.concatenate(parts)
+    found[:, 2] = np.roll(found[:, 2], -1)  # a record holds the busy time of the tick before
+    return found[:-1]
+
+
+@contextmanager
+def spinning_python() -> Iterator[None]:
+    """Another thread of this process that never lets the interpreter rest."""
+    stop = threading.Event()
+
+    def spin() -> None:
+        total = 0
+        while not stop.is_set():
+            for number in range(10_000):
+                total += number * number
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def run_busy(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Setting]) -> Array:
+    with spinning_python():
+        return run_servo(rig, scene, ticks, settings)
+
+
+def compile_reference(folder: Path) -> Path | None:
+    """The C loop, compiled; None where there is no C compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        return None
+    program = folder / "reference_loop"
+    subprocess.run([compiler, "-O2", "-pthread", "-o", str(program), str(SOURCE)], check=True)
+    return program
+
+
+def run_reference(program: Path, rig: Rig, ticks: int) -> Array:
+    """One turn of the C loop; (n, 2) late, exec s."""
+    priority = 0 if rig.servo.realtime == "off" else rig.servo.priority
+    out = program.with_suffix(".out")
+    words = [str(program), repr(rig.servo.rate_hz), str(ticks), str(priority), str(RECORD_SIZE), str(out)]
+    subprocess.run(words, check=True)
+    return np.fromfile(out).reshape(-1, 2)
+
+
+def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
+    """Percentiles of each loop, seconds, and their ratios."""
+    block = round(rate_hz)
+    result: dict[str, Any] = {"rate_hz": rate_hz}
+    for name, values in figures.items():
+        result[name] = {"ticks": len(values), "late": quantiles(values[:, 0], block), "exec": quantiles(values[:, 1], block)}
+        if values.shape[1] > 2:
+            result[name]["busy"] = quantiles(values[:, 2], block)
+            result[name]["missed"] = int(np.maximum(np.diff(values[:, 3], prepend=values[0, 3]), 0).sum())
+
+    def ratio(above: str, below: str) -> dict[str, float]:
+        top, bottom = result[above]["late"]["blocks"], result[below]["late"]["blocks"]
+        return {name: top[name] / bottom[name] for name in top}
+
+    if "c" in figures:
+        result["late_servo_over_c"] = ratio("servo", "c")
+    result["late_busy_over_quiet"] = ratio("servo_busy", "servo")
+    return result
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    lines = [f"servo loop at {result['rate_hz']:g} Hz, us; in brackets the median over blocks of 1 s"]
+    lines.append(f"  {'':<11}{'':<6}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")))
+    for loop in ("c", "servo", "servo_busy"):
+        for what in ("late", "exec", "busy"):
+            found = result.get(loop, {}).get(what)
+            if found is not None:
+                cells = (f"{microseconds(found[q])} ({microseconds(found['blocks'][q])})" for q in found["blocks"])
+                lines.append(f"  {loop:<11}{what:<6}" + "".join(f"{cell:>22}" for cell in cells))
+    for loop in ("servo", "servo_busy"):
+        lines.append(f"  {loop}: {result[loop]['missed']} deadlines missed in {result[loop]['ticks']} ticks")
+    for key, text in (("late_servo_over_c", "servo over C"), ("late_busy_over_quiet", "busy Python over quiet")):
+        if key in result:
+            lines.append(f"  lateness, {text}: p50 {result[key]['p50']:.2f}, p99 {result[key]['p99']:.2f} (blocks)")
+    if "c" not in result:
+        lines.append("  no C compiler here, so no reference: install gcc for one")
+    lines.append("  real time: " + ", ".join(f"{k} {'yes' if v else 'no'}" for k, v in result["realtime"].items()))
+    return lines
+
+
+def draw(path: Path, runs: dict[str, list[Array]], rate_hz: float) -> None:
+    drawing = figure(path)
+    axes = drawing.add_subplot()
+    for name, parts in runs.items():
+        late = np.sort(np.concatenate(parts)[:, 0]) * 1e6
+        axes.loglog(late.clip(0.1), 1.0 - np.arange(len(late)) / len(late), label=name)
+    axes.set_xlabel("wake-up lateness, us")
+    axes.set_ylabel("share of ticks later than this")
+    axes.set_title(f"servo loop at {rate_hz:g} Hz")
+    axes.legend()
+    axes.grid(True, alpha=0.3)
+    drawing.savefig(path)

@@ -1,0 +1,178 @@
+"""Writes the shipped recordings: scripted motions of a fingertip over the plane z = 0.
+
+    python -m softfinger.tools.recordings OUTDIR
+
+Each is a chain of minimum-jerk moves, so velocity and acceleration are continuous, sampled at
+100 Hz and rounded to fixed decimals, so that every machine writes the same bytes. The fingertip
+has a radius of 10 mm: its centre touches the plane at z = 0.010 m and presses 1 mm at 0.009 m.
+All start and end at rest in free space, in one pose, and so loop without a return.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, NamedTuple
+
+RATE_HZ: Final = 100
+RADIUS_M: Final = 0.010
+ABOVE_M: Final = 0.020
+PRESSED_M: Final = 0.009
+HEADER: Final = "t,x,y,z,qw,qx,qy,qz"
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+class Move(NamedTuple):
+    """One minimum-jerk move: duration (s), travel (m, world), turn (rotation vector, rad, world axes)."""
+
+    seconds: float
+    travel: Vector = (0.0, 0.0, 0.0)
+    turn: Vector = (0.0, 0.0, 0.0)
+
+
+def hold(seconds: float) -> Move:
+    return Move(seconds)
+
+
+def press(seconds: float) -> Move:
+    return Move(seconds, (0.0, 0.0, PRESSED_M - ABOVE_M))
+
+
+def release(seconds: float) -> Move:
+    return Move(seconds, (0.0, 0.0, ABOVE_M - PRESSED_M))
+
+
+def roll(seconds: float, about_x: float = 0.0, about_y: float = 0.0, followed: float = 1.0) -> Move:
+    """Roll by radians about a world axis; the hand follows that part of the way the contact rolls."""
+    # without slip the centre travels r (turn x n), n = +z
+    return Move(seconds, (followed * RADIUS_M * about_y, -followed * RADIUS_M * about_x, 0.0), (about_x, about_y, 0.0))
+
+
+def spin(seconds: float, angle: float) -> Move:
+    return Move(seconds, turn=(0.0, 0.0, angle))
+
+
+def drag(distance: float, speed: float) -> Move:
+    """Slide along x, no faster than `speed` (m/s)."""
+    seconds = 1.875 * abs(distance) / speed  # peak of a minimum-jerk move over its mean
+    return Move(math.ceil(seconds * RATE_HZ) / RATE_HZ, (distance, 0.0, 0.0))
+
+
+def press_roll_spin_drag() -> list[Move]:
+    """All of it: rolls half followed (rolling must hold), rolls fully followed, spins past the torsional
+    limit, a drag until it slides, its reversal, a stop and a release."""
+    small, large = 0.04, 0.6
+    half = [roll(0.4, about_x=small, followed=0.5), roll(0.4, about_x=-small, followed=0.5)]
+    half += [roll(0.4, about_y=small, followed=0.5), roll(0.4, about_y=-small, followed=0.5)]
+    full = [roll(0.9, about_x=large), roll(0.9, about_x=-large), roll(0.9, about_y=large), roll(0.9, about_y=-large)]
+    spins = [spin(0.4, 0.15), spin(0.8, -0.30), spin(0.4, 0.15)]
+    drags = [drag(0.020, 0.040), drag(-0.020, 0.040)]
+    return [
+        hold(0.3),
+        press(0.8),
+        hold(0.2),
+        *half,
+        hold(0.1),
+        *full,
+        *spins,
+        hold(0.1),
+        *drags,
+        hold(0.4),
+        release(0.6),
+        hold(0.3),
+    ]
+
+
+def roll_follow() -> list[Move]:
+    """An honest roll of 1 rad: the hand follows it fully, so nothing may slide; turned back in the air."""
+    return [
+        hold(0.2),
+        press(0.6),
+        hold(0.2),
+        roll(2.0, about_x=1.0),
+        hold(0.2),
+        release(0.6),
+        roll(1.6, about_x=-1.0),
+        hold(0.2),
+    ]
+
+
+def tap() -> list[Move]:
+    """Three taps, each faster than the one before."""
+    moves = [hold(0.3)]
+    for seconds in (0.30, 0.16, 0.08):
+        moves += [press(seconds), release(seconds), hold(0.3)]
+    return moves
+
+
+RECORDINGS: Final[dict[str, Callable[[], list[Move]]]] = {
+    "press-roll-spin-drag": press_roll_spin_drag,
+    "roll-follow": roll_follow,
+    "tap": tap,
+}
+
+
+def to_csv(moves: list[Move]) -> str:
+    """The poses of a chain of moves as CSV text."""
+    position: Vector = (0.0, 0.0, ABOVE_M)
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    lines, row = [HEADER], 0
+    for move in moves:
+        count = round(move.seconds * RATE_HZ)
+        for k in range(count):
+            lines.append(_line(row, *_at(position, orientation, move, k / count)))
+            row += 1
+        position, orientation = _at(position, orientation, move, 1.0)
+    lines.append(_line(row, position, orientation))
+    return "\n".join(lines) + "\n"
+
+
+def write(folder: Path) -> list[Path]:
+    """Write every recording into `folder`, which is made if need be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{name}.csv" for name in RECORDINGS]
+    for path, script in zip(paths, RECORDINGS.values(), strict=True):
+        path.write_text(to_csv(script()), encoding="ascii", newline="\n")
+    return paths
+
+
+def _at(position: Vector, orientation: Quaternion, move: Move, u: float) -> tuple[Vector, Quaternion]:
+    done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    x, y, z = (p + done * d for p, d in zip(position, move.travel, strict=True))
+    return (x, y, z), _turned(orientation, move.turn, done)
+
+
+def _turned(q: Quaternion, turn: Vector, part: float) -> Quaternion:
+    angle = math.hypot(*turn)
+    if angle == 0.0:
+        return q
+    aw, scale = math.cos(0.5 * part * angle), math.sin(0.5 * part * angle) / angle
+    ax, ay, az = (scale * component for component in turn)
+    bw, bx, by, bz = q
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def _line(row: int, position: Vector, orientation: Quaternion) -> str:
+    # rounding then adding zero keeps "-0.0000000" out of the file
+    cells = [f"{round(p, 7) + 0.0:.7f}" for p in position] + [f"{round(q, 8) + 0.0:.8f}" for q in orientation]
+    return ",".join([f"{row / RATE_HZ:.2f}", *cells])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Write the shipped recordings.")
+    parser.add_argument("outdir", type=Path, help="folder for the CSV files")
+    for path in write(parser.parse_args().outdir):
+        print(path)
+
+
+if __name__ == "__main__":
+    main()
