@@ -2,7 +2,7 @@
 
 Exit codes: 0 done or stopped in order, 1 a defect in this program, 2 a bad command line or configuration,
 3 a recording that cannot be used, 4 a device, 5 real-time settings refused, 6 a safety stop, 7 an address
-in use, 8 no data arrived.
+in use, 8 a message that breaks the protocol, 9 no telemetry arrived.
 """
 
 from __future__ import annotations

@@ -290,6 +290,8 @@ class Servo:
 
     def close(self) -> None:
         """Release the eventfd, after the loop has ended and its reader has gone."""
+        if self._thread.ident is not None:
+            self._thread.join()
         if self._wake_fd >= 0:
             os.close(self._wake_fd)
             self._wake_fd = -1

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from conftest import SceneFactory
 from references.hand import Hand, drive
+
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.state import ROLLING, SLIDING
 
@@ -74,7 +74,7 @@ def test_roll_with_the_probe_following(plane_scene: SceneFactory) -> None:
 
 
 def test_drag_stop_and_drag_again(plane_scene: SceneFactory) -> None:
-    """Both drags peak at mu_s f_N, slide at mu_d f_N with the proxy 0.5 mm behind, and a stop re-sticks between them."""
+    """Both drags peak at mu_s f_N, slide at mu_d f_N with the proxy 0.5 mm behind; the stop between them sticks."""
     hand = pressed().go(500, move=[0.025, 0, 0])
     first_end = hand.at
     hand.go(300)

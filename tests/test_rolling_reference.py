@@ -5,14 +5,16 @@ The plane is z = 0, r = 10 mm. Friction is as high as a scene may have it, so th
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
-
 from conftest import SceneFactory
 from references.hand import Array
 from references.paper import published
 from references.rolling_reference import rolled_path, rolling_equation, zxz_roll
 from references.rotation import matrix, multiply, quaternion, rodrigues, tangent_frame
+
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.state import OFFSET, ROLLING
@@ -36,7 +38,7 @@ def quaternions(rotations: Array) -> Array:
 
 def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: float = 0.001) -> Array:
     """Contact points (n, 3) m of a probe whose centre is over `follow` (n, 3), pressed `depth` in."""
-    positions = follow + [0.0, 0.0, R - depth]
+    positions = follow + np.array([0.0, 0.0, R - depth])
     records = Engine(scene, 1.0 / dt).run(np.hstack([positions, turned]), dt)
     assert (records[:, OFFSET["contact.mode"]] == ROLLING).all()
     at = OFFSET["contact.point"]
@@ -106,7 +108,9 @@ def test_paper_experiment_along_an_arc() -> None:
 @pytest.mark.parametrize(
     "rate", [(3.0, 2.0, 0.0), (3.0, 2.0, 5.0), (-1.0, 4.0, -2.0), (0.0, 0.0, 5.0), (0.2, -0.1, 0.01)]
 )
-def test_constant_rate_against_the_rolling_equation(plane_scene: SceneFactory, rate: tuple[float, float, float]) -> None:
+def test_constant_rate_against_the_rolling_equation(
+    plane_scene: SceneFactory, rate: tuple[float, float, float]
+) -> None:
     """At a constant world rate and 1 kHz the path strays from the integrated equation by theta^2 / 24 at most."""
     dt, n = 1e-3, 500
     w = np.array(rate) * dt
@@ -138,7 +142,7 @@ def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFa
         path = engine_path(plane_scene(material=HIGH_FRICTION), exact, quaternions(rotations), 1 / n)
         errors.append(np.abs(path - exact).max())
     assert errors[-1] < 1e-6
-    for coarse, fine in zip(errors, errors[1:], strict=False):
+    for coarse, fine in pairwise(errors):
         assert 3.5 < coarse / fine < 4.5
 
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from conftest import SceneFactory
 from references.hand import Hand, drive
+
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.state import CAUSE_NAMES, FREE, ROLLING, SLIDING
 
@@ -262,18 +262,18 @@ def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory) -> None:
         "reverse": (SLIDING, ROLLING),
     }
     seen: set[str] = set()
-    for _ in range(20):
+    for _ in range(12):
         hand = pressed(0.001)
         for _ in range(30):
             goal = [*(hand.x[:2] + rng.normal(0, 2e-3, 2)), R - rng.uniform(-0.0004, 0.003)]
-            still = rng.random() < 0.3
-            hand.go(int(rng.integers(2, 80)), move=(goal - hand.x) * (not still), turn=rng.normal(0, 0.2, 3) * (not still))
+            moving = rng.random() < 0.7
+            turn = rng.normal(0, 0.2, 3)
+            hand.go(int(rng.integers(2, 80)), move=moving * (goal - hand.x), turn=moving * turn)
         scene = plane_scene(material={"damping_ns_per_m": 1.0}, coupling={"damping_ns_per_m": 1.0})
         trace = drive(Engine(scene), hand)
         assert (trace.normal_force >= 0.0).all()
         assert (trace.tangential <= 0.6 * trace.normal_force * (1 + EXACT)).all()
-        spin_torque = -np.abs(trace.torque[:, 2])
-        assert (-spin_torque <= 0.004 * trace.normal_force * (1 + EXACT)).all()
+        assert (np.abs(trace.torque[:, 2]) <= 0.004 * trace.normal_force * (1 + EXACT)).all()
         assert (trace.proxy[:, 2] >= R - EXACT).all()
         for before, step in zip([FREE, *trace.mode[:-1]], trace.steps, strict=True):
             if step.cause == "none":

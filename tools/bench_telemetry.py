@@ -19,18 +19,12 @@ from typing import Any, Final
 import numpy as np
 import zmq
 
-from softfinger.config.errors import HapticError
+from softfinger.server.client import NoTelemetry
 from softfinger.server.progress import progress
 from softfinger.tools.measure import Array, add_output_options, figure, microseconds, quantiles, show
 
 START_S: Final = 180.0
 """How long a cold daemon may take to compile."""
-
-
-class NoTelemetry(HapticError):
-    """The daemon under test did not publish."""
-
-    exit_code = 8
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -67,7 +67,6 @@ def rolling_equation(
         return np.concatenate([np.linalg.solve(curvature, np.cross(w, n)), turning.ravel()])
 
     start = np.concatenate([np.zeros(3), np.eye(3).ravel()])
-    solution = solve_ivp(
-        derivative, (t[0], t[-1]), start, method="DOP853", t_eval=t, rtol=1e-13, atol=1e-16, max_step=(t[-1] - t[0]) / 10
-    )
+    span, longest = (t[0], t[-1]), (t[-1] - t[0]) / 10
+    solution = solve_ivp(derivative, span, start, method="DOP853", t_eval=t, rtol=1e-13, atol=1e-16, max_step=longest)
     return np.asarray(solution.y[:3].T), np.asarray(solution.y[3:].T.reshape(-1, 3, 3))

@@ -52,9 +52,10 @@ def wrap(angle: float) -> float:
     return math.remainder(angle, 2 * math.pi)
 
 
-def tangent_frame(n: ArrayLike) -> Array:
-    """A right-handed frame (3, 3), columns x, y tangent and z = n, to world."""
-    n = np.asarray(n, float) / np.linalg.norm(n)
+def tangent_frame(normal: ArrayLike) -> Array:
+    """A right-handed frame (3, 3), columns x, y tangent and z = normal, to world."""
+    n = np.asarray(normal, float)
+    n = n / np.linalg.norm(n)
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(n)))], n)
-    x /= np.linalg.norm(x)
+    x = x / np.linalg.norm(x)
     return np.column_stack([x, np.cross(n, x), n])

@@ -1,0 +1,194 @@
+"""The command line: exit codes, what is printed where, and that bad input gives one clear error."""
+
+import os
+import pty
+import subprocess
+import sys
+import time
+from importlib.metadata import version
+
+import numpy as np
+import pytest
+import zmq
+
+from softfinger.proxy.state import columns
+from softfinger.server.cli import VERBS, make_parser
+from softfinger.server.results import read_results
+
+COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+
+
+def run(*words, timeout=300):
+    return subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=timeout)
+
+
+def test_version():
+    """`--version` prints the installed version."""
+    assert run("--version").stdout == f"softfinger {version('softfinger')}\n"
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help(verb):
+    """Each verb explains itself."""
+    done = run(verb, "--help")
+    assert done.returncode == 0 and f"softfinger {verb}" in done.stdout and len(done.stdout) > 150
+
+
+def test_unknown_verb_lists_the_verbs():
+    """A verb that does not exist is a usage error that names those that do."""
+    done = run("fly")
+    assert done.returncode == 2 and "simulate" in done.stderr
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion_knows_every_verb(shell):
+    """The completion script names every verb and the options of `run`."""
+    script = run("--print-completion", shell).stdout
+    assert all(verb in script for verb in VERBS) and "--realtime" in script
+
+
+def test_parser_without_a_verb_imports_no_verb():
+    """A list of verbs costs no import: only the verb asked for delays the first tick."""
+    code = (
+        "import sys\nfrom softfinger.server.cli import make_parser\nmake_parser([])\n"
+        "assert 'numba' not in sys.modules and 'zmq' not in sys.modules and 'rich' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert "run" in make_parser([]).format_help()
+
+
+def test_run_for_a_duration_logs_plain_lines():
+    """Off a terminal `run` logs what it uses, every real-time setting, and a clean end; nothing on stdout."""
+    done = run("run", "--duration", "0.2", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "auto")
+    assert done.returncode == 0 and done.stdout == ""
+    for piece in ("paper-plane", "replay", "tcp://127.0.0.1:", "real time:", "stopped after 200 ticks"):
+        assert piece in done.stderr
+    assert "\r" not in done.stderr and "\x1b" not in done.stderr
+
+
+def test_run_shows_one_status_line_on_a_terminal():
+    """On a terminal the status overwrites itself in one line."""
+    main, side = pty.openpty()
+    words = [*COMMAND, "run", "--duration", "1.5", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
+    process = subprocess.Popen(words, stderr=side, stdout=side)
+    os.close(side)
+    shown = b""
+    try:
+        while chunk := os.read(main, 4096):
+            shown += chunk
+    except OSError:  # the terminal's other end has closed
+        pass
+    assert process.wait(60) == 0
+    os.close(main)
+    lines = [part for part in shown.split(b"\r\x1b[K") if b"Ctrl-C stops" in part]
+    assert len(lines) >= 2 and all(b"\n" not in line for line in lines)
+
+
+def test_bad_config_reports_all_errors_at_once(tmp_path):
+    """Several faults in one rig come out together: file, key, value, range, suggestion; exit code 2."""
+    rig = tmp_path / "bench.toml"
+    rig.write_text(
+        '[device]\ndriver = "replay"\nrecording = "tap"\n'
+        '[servo]\nrate_hz = 20000\nrealtime = "always"\n[guard]\nforce_max = 5.0\n'
+    )
+    done = run("run", "--rig", str(rig))
+    assert done.returncode == 2 and done.stdout == ""
+    for piece in ("bench.toml", "servo.rate_hz", "20000", "8000", "servo.realtime", "always", "force_max_n"):
+        assert piece in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "pieces"),
+    [
+        (["run", "--rate", "7"], 2, ["command line --rate", "7", "100"]),
+        (["run", "--scene", "moon"], 2, ["moon", "paper-plane"]),
+        (["run", "--recording", "nothing"], 3, ["nothing", "tap"]),
+        (["run", "--device", "omega"], 4, ["omega", "replay"]),
+        (["run", "--endpoint", "tcp://0.0.0.0:5555"], 2, ["0.0.0.0", "127.0.0.1"]),
+        (["run", "--duration", "-1"], 2, ["duration"]),
+        (["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", "x.doc"], 3, ["x.doc", ".csv", ".mcap"]),
+        (["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", "x.csv", "--method", "zxy"], 2, ["zxy", "euler_zxz"]),
+    ],
+)  # fmt: skip
+def test_bad_words_give_one_clear_error(words, code, pieces):
+    """A wrong value on the command line says what, where and what is allowed, without a traceback."""
+    done = run(*words)
+    assert done.returncode == code, done.stderr
+    assert all(piece in done.stderr for piece in pieces), done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_endpoint_in_use_has_its_own_exit_code():
+    """A second daemon on the same endpoint says so and ends with code 7."""
+    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
+        port = socket.bind_to_random_port("tcp://127.0.0.1")
+        done = run("run", "--endpoint", f"tcp://127.0.0.1:{port}", "--duration", "1")
+    assert done.returncode == 7 and str(port) in done.stderr
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
+def test_simulate_writes_every_format(ending, tmp_path):
+    """The same run reads back from every results format, column by column the same."""
+    out = tmp_path / f"out{ending}"
+    done = run("simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(out))
+    assert done.returncode == 0 and "3 touch" in done.stdout and "3 release" in done.stdout
+    records = read_results(out)
+    assert records.shape == (2281, len(columns()))  # 228 intervals of 10 ms, and the first sample
+    np.testing.assert_array_equal(records[:, 1], np.arange(2281))
+
+
+def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
+    """Two runs give the same bytes; another rate gives another number of ticks."""
+    for name in ("a.csv", "b.csv"):
+        assert run("simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(tmp_path / name)).returncode == 0
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    out = tmp_path / "fast.npz"
+    run("simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(out), "--rate", "4000")
+    assert len(read_results(out)) == 4 * 2280 + 1
+
+
+def test_output_into_a_closed_pipe_is_no_error():
+    """`softfinger schema | head -1` ends quietly."""
+    reader, writer = os.pipe()
+    process = subprocess.Popen([*COMMAND, "schema", "telemetry"], stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    os.close(reader)
+    time.sleep(0)
+    assert process.wait(60) == 0 and process.stderr.read() == ""
+    process.stderr.close()
+
+
+def test_warmup_leaves_nothing_to_compile(tmp_path):
+    """After `warmup SCENE` the kernels for that scene are in the cache directory it names."""
+    environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path)}
+    words = [*COMMAND, "warmup", "frictionless-plane"]
+    first = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    kernels = sorted(path for path in tmp_path.rglob("*.nbc"))
+    assert kernels and str(tmp_path) in first.stdout
+    subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    assert sorted(path for path in tmp_path.rglob("*.nbc")) == kernels
+
+
+@pytest.mark.parametrize("kind", ["step", "loop", "telemetry"])
+def test_bench_prints_json(kind, tmp_path):
+    """Every measurement can be read by a machine and drawn; the numbers are those of real runs."""
+    import json
+
+    words = {
+        "step": ["--blocks", "3"],
+        "loop": ["--seconds", "0.3", "--realtime", "off"],
+        "telemetry": ["--seconds", "0.5", "--subscribers", "2"],
+    }[kind]
+    plot = tmp_path / "plot.png"
+    done = run("bench", kind, "--json", "--plot", str(plot), *words)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    if kind == "step":
+        assert len(result["variants"]) == 5 and all(row["ns_per_step"] > 0 for row in result["variants"])
+        assert all(row["in_contact"] == 1.0 for row in result["variants"])
+    elif kind == "loop":
+        assert result["servo"]["ticks"] == 299 and set(result["servo"]["late"]["blocks"]) == {"p50", "p99", "p999", "max"}
+    else:
+        assert result["daemon"]["lost"] == 0 and result["daemon"]["messages"] > 0

@@ -1,0 +1,80 @@
+"""The parameter slot: ten million reads against a writer, none torn."""
+
+import threading
+
+import numpy as np
+
+from softfinger.proxy.kernels.atomics import load_relaxed, store_relaxed
+from softfinger.proxy.kernels.jit import entry
+from softfinger.server.seqlock import make_slot, publish, refresh
+
+READS = 10_000_000
+WIDTH = 64
+
+
+@entry
+def publish_on(slot, values, flag):
+    """Publish values of which every element is the same number, until the flag is set; returns how often."""
+    number = 0.0
+    while load_relaxed(flag, 0) == 0:
+        number += 1.0
+        for i in range(values.shape[0]):
+            values[i] = number
+        publish(slot, values)
+    return number
+
+
+@entry
+def read_on(slot, values, reads, flag):
+    """`reads` refreshes; returns torn copies, copies older than the one before, and new copies accepted."""
+    seen, torn, older, taken, last = -1, 0, 0, 0, -1.0
+    for _ in range(reads):
+        sequence = refresh(slot, seen, values)
+        if sequence != seen:
+            seen = sequence
+            taken += 1
+            for i in range(1, values.shape[0]):
+                if values[i] != values[0]:
+                    torn += 1
+                    break
+            if values[0] < last:
+                older += 1
+            last = values[0]
+    store_relaxed(flag, 0, 1)
+    return torn, older, taken
+
+
+def test_no_read_is_torn_in_ten_million():
+    """Whatever the writer does meanwhile, an accepted copy is one that was published whole, and never an older one."""
+    slot, flag = make_slot(np.zeros(WIDTH)), np.ones(1, np.int64)
+    publish_on(slot, np.zeros(WIDTH), flag)
+    read_on(slot, np.zeros(WIDTH), 0, flag)
+    flag[0] = 0
+    writer = threading.Thread(target=publish_on, args=(slot, np.zeros(WIDTH), flag))
+    writer.start()
+    torn, older, taken = read_on(slot, np.zeros(WIDTH), READS, flag)
+    writer.join()
+    assert (torn, older) == (0, 0)
+    assert taken > 1  # the two did run side by side
+
+
+def test_reader_keeps_what_it_has_while_a_write_is_under_way():
+    """A reader that meets an odd sequence returns at once, with the sequence it had."""
+    slot = make_slot(np.array([1.0]))
+    values = np.zeros(1)
+    seen = refresh(slot, -1, values)
+    slot.sequence[0] += 1
+    assert refresh(slot, seen, values) == seen
+    slot.sequence[0] += 1
+    assert refresh(slot, seen, values) == seen + 2
+
+
+def test_nothing_new_is_not_copied():
+    """Without a write in between, the second read leaves the copy alone."""
+    slot = make_slot(np.array([1.0]))
+    values = np.zeros(1)
+    seen = refresh(slot, -1, values)
+    values[0] = 5.0
+    assert refresh(slot, seen, values) == seen and values[0] == 5.0
+    publish(slot, np.array([2.0]))
+    assert refresh(slot, seen, values) != seen and values[0] == 2.0
