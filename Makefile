@@ -81,7 +81,7 @@ wheel: $(STAMP) ## Wheel and source archive into dist/
 
 constraints: $(STAMP) ## Resolve the newest allowed versions again and pin them with hashes
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(UV)"
-	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --extra dev --generate-hashes \
+	$(BIN)/uv pip compile --quiet --no-config --upgrade --universal --python-version 3.11 --extra dev --generate-hashes \
 	    --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o constraints.txt pyproject.toml
 
 docker-check: $(STAMP) ## Lint the Dockerfile and run its steps in a scratch folder, without Docker

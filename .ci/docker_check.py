@@ -69,8 +69,9 @@ class Image:
             value = re.sub(r"\$\{(\w+)\}", lambda match: (self.settings | self.env)[match.group(1)], value)
             self.env[name] = self.moved(value)
 
-    def run(self, command: list[str], timeout_s: float = 600.0) -> int:
-        return subprocess.run(command, cwd=self.workdir, env=self.env, timeout=timeout_s).returncode
+    def run(self, command: list[str], quiet: bool = False) -> int:
+        silent = subprocess.DEVNULL if quiet else None
+        return subprocess.run(command, cwd=self.workdir, env=self.env, stderr=silent, timeout=600.0).returncode
 
     def copy_from_builder(self, paths: list[str]) -> None:
         tar = ["tar", "--format=ustar", "-C", str(self.root)]
@@ -122,7 +123,7 @@ def check_command(image: Image, steps: list[tuple[str, str]]) -> None:
     last = dict(steps)
     command = json.loads(last["ENTRYPOINT"]) + json.loads(last["CMD"]) + ["--realtime", "off"]
     health = json.loads(last["HEALTHCHECK"].partition("CMD ")[2])
-    if image.run(health) == 0:
+    if image.run(health, quiet=True) == 0:
         raise SystemExit("docker-check: the health check passes with no daemon: is one running on this machine?")
     cache = image.root / "var/cache/softfinger"
     compiled = snapshot(cache)

@@ -12,7 +12,7 @@ from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.config.load import load_scene
 from softfinger.proxy.kernels.jit import entry
-from softfinger.proxy.kernels.model import START, Scene
+from softfinger.proxy.kernels.model import START, Contact, Scene
 from softfinger.proxy.kernels.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.record import write_contact
 from softfinger.proxy.kernels.rotations import normalize
@@ -48,7 +48,7 @@ class Step(NamedTuple):
 
 
 @entry
-def step_once(scene, values, state_values, pose, dt):  # type: ignore[no-untyped-def]
+def step_once(scene: Scene, values: Array, state_values: Array, pose: Array, dt: float) -> Contact:
     """One step with scene and state in flat arrays; returns the Contact."""
     parameters = unpack(scene, values)
     state = unpack(START, state_values)
@@ -59,7 +59,9 @@ def step_once(scene, values, state_values, pose, dt):  # type: ignore[no-untyped
 
 
 @entry
-def step_many(scene, values, state_values, poses, dt, first_tick, records):  # type: ignore[no-untyped-def]
+def step_many(
+    scene: Scene, values: Array, state_values: Array, poses: Array, dt: float, first_tick: int, records: Array
+) -> None:
     """One step for each row of `poses` (n, 7), leaving a record each in `records` (n, RECORD_SIZE)."""
     parameters = unpack(scene, values)
     state = unpack(START, state_values)

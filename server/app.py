@@ -147,7 +147,7 @@ class Daemon:
                     self.publisher.publish(batch[:count], self.servo.drops)
         except Exception as error:
             log.exception("the publisher failed; stopping")
-            self._fail(SafetyStop(f"telemetry cannot be published: {error}"))
+            self._fail(SafetyStop(f"telemetry cannot be published: {error}; nobody can see what is rendered"))
 
     def _supervise(self) -> None:
         """Zero the device when ticks stop coming though nobody asked them to."""
@@ -160,17 +160,16 @@ class Daemon:
             # The slowest loop ticks ten times between two looks. Before the first tick real-time settings are made.
             if idle >= STALL_POLLS and ticks > 0 and self.servo.running:
                 self.device.stop()
-                self._fail(
-                    SafetyStop(
-                        f"no tick for {idle * STALL_POLL_S:.2f} s after tick {ticks}: force was set to zero; "
-                        "the device's exchange hangs, or this machine starves the servo thread"
-                    )
+                stalled = SafetyStop(
+                    f"no tick for {idle * STALL_POLL_S:.2f} s after tick {ticks}: force was set to zero; "
+                    "the device's exchange hangs, or this machine starves the servo thread"
                 )
+                self._fail(stalled)
+                self.publisher.event("fault", "stalled", message=str(stalled))
                 return
 
     def _fail(self, error: HapticError) -> None:
         self._failure = error
-        self.publisher.event("fault", type(error).__name__, message=str(error))
         self.servo.stop()
 
 

@@ -2,7 +2,9 @@
 
 from typing import Final
 
+import numpy as np
 from numba import types
+from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit import jit
 
@@ -19,14 +21,14 @@ _clock_nanosleep = types.ExternalFunction(
 
 
 @jit
-def now_ns(timespec):
+def now_ns(timespec: NDArray[np.int64]) -> int:
     """Monotonic time in ns; `timespec` (2,) int64 is scratch."""
     _clock_gettime(CLOCK_MONOTONIC, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1]
 
 
 @jit
-def sleep_until(deadline_ns, timespec):
+def sleep_until(deadline_ns: int, timespec: NDArray[np.int64]) -> None:
     """Sleep until the monotonic clock shows `deadline_ns`; a signal does not end the sleep early."""
     timespec[0] = deadline_ns // NS_PER_S
     timespec[1] = deadline_ns % NS_PER_S

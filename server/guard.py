@@ -48,12 +48,12 @@ DISENGAGED: Final = Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 
 
 @jit
-def finite(v):
+def finite(v: Vec3) -> bool:
     return isfinite(v[0]) and isfinite(v[1]) and isfinite(v[2])
 
 
 @jit
-def clamp(v, largest):
+def clamp(v: Vec3, largest: float) -> tuple[Vec3, bool]:
     """`v` with its norm brought down to `largest`, and whether that was needed.
 
     The largest component is divided out first: the square of a huge force overflows.
@@ -69,7 +69,7 @@ def clamp(v, largest):
 
 
 @jit
-def slew(before, goal, largest):
+def slew(before: Vec3, goal: Vec3, largest: float) -> tuple[Vec3, bool]:
     """The point at most `largest` from `before` towards `goal`, and whether it falls short."""
     step, limited = clamp(vec3.sub(goal, before), largest)
     if limited:
@@ -78,7 +78,7 @@ def slew(before, goal, largest):
 
 
 @jit
-def guard_wrench(guard, guarded, force, torque, dt):
+def guard_wrench(guard: Guard, guarded: Guarded, force: Vec3, torque: Vec3, dt: float) -> tuple[Guarded, int]:
     """Make a wrench safe to command.
 
     force, torque  (3,) N, N m  as the contact step computed them

@@ -33,7 +33,8 @@ def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], No
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            print(f"\r\x1b[K{line()}" if terminal else line(), end="" if terminal else "\n", file=sys.stderr, flush=True)
+            shown, end = (f"\r\x1b[K{line()}", "") if terminal else (line(), "\n")
+            print(shown, end=end, file=sys.stderr, flush=True)
             wait = TERMINAL_PERIOD_S if terminal else PLAIN_PERIOD_S
         if terminal and wait != QUIET_S:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

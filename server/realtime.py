@@ -25,6 +25,7 @@ Mode = Literal["auto", "require", "off"]
 
 LATENCY_DEVICE: Final = "/dev/cpu_dma_latency"
 RT_RUNTIME: Final = "/proc/sys/kernel/sched_rt_runtime_us"
+RT_PERIOD: Final = "/proc/sys/kernel/sched_rt_period_us"
 
 REQUIRED: Final = ("sched_fifo", "mlockall", "affinity")
 """What mode `require` cannot do without: the two that bound the worst tick, and a processor asked for by number.
@@ -85,7 +86,7 @@ def apply(mode: Mode, priority: int, cpu: int | None) -> Applied:
     """
     applied = Applied([])
     if mode == "off":
-        applied.settings.append(Setting("off", True, "as asked: nothing is set, the servo is a thread like any other", ""))
+        applied.settings.append(Setting("off", True, "as asked: the servo is a thread like any other", ""))
         return applied
     if sys.platform != "linux":
         applied.settings.extend(refused_elsewhere(sys.platform, cpu))
@@ -138,7 +139,8 @@ def _set_fifo(applied: Applied, priority: int) -> Setting:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
-        return Setting("sched_fifo", False, f"{_reason(error.errno)} for priority {priority}", _fifo_advice(error.errno))
+        refusal = f"priority {priority}: {_reason(error.errno)}"
+        return Setting("sched_fifo", False, refusal, _fifo_advice(error.errno))
     applied._of_thread.append(lambda: os.sched_setscheduler(0, policy, parameters))
     return Setting("sched_fifo", True, f"priority {priority}{_throttle_note()}", "")
 
@@ -158,10 +160,9 @@ def _fifo_advice(number: int | None) -> str:
 
 
 def _throttle_note() -> str:
+    """What the kernel does to a thread that never sleeps; a servo that keeps its deadlines is not touched."""
     runtime = _read(RT_RUNTIME)
-    if runtime in ("", "-1"):
-        return ""
-    return f"; {RT_RUNTIME} = {runtime} pauses a thread that is busy for longer than that in its period (a paced servo is not)"
+    return "" if runtime in ("", "-1") else f", paused if ever busy for {runtime} us of {_read(RT_PERIOD)} us"
 
 
 def _lock_memory(applied: Applied) -> Setting:
@@ -198,7 +199,7 @@ def _hold_latency(applied: Applied) -> Setting:
         fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
     except OSError as error:
         advice = (
-            f"let the group realtime write it with the udev rule KERNEL==\"{name}\", GROUP=\"realtime\", MODE=\"0660\" "
+            f'let the group realtime write it with the udev rule KERNEL=="{name}", GROUP="realtime", MODE="0660" '
             f"in /etc/udev/rules.d/99-{name}.rules; in Docker --device={LATENCY_DEVICE} for a user that may write it"
         )
         return Setting(name, False, f"{LATENCY_DEVICE}: {_reason(error.errno)}", advice)
@@ -206,7 +207,8 @@ def _hold_latency(applied: Applied) -> Setting:
         os.write(fd, struct.pack("i", 0))
     except OSError as error:
         os.close(fd)
-        return Setting(name, False, f"writing {LATENCY_DEVICE}: {_reason(error.errno)}", "boot with cpuidle power management")
+        refusal = f"writing {LATENCY_DEVICE}: {_reason(error.errno)}"
+        return Setting(name, False, refusal, "see the kernel's log: the device is there and takes no value")
     applied._of_process.append(lambda: os.close(fd))
     return Setting(name, True, "0 us: processors stay out of deep sleep while the servo runs", "")
 
@@ -265,7 +267,7 @@ def _status(key: str) -> str:
 
 def _read(path: str) -> str:
     try:
-        with open(path, encoding="ascii") as file:
+        with open(path, encoding="utf-8") as file:
             return file.read().strip()
     except OSError:
         return ""

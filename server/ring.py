@@ -37,7 +37,7 @@ def make_ring(capacity: int, width: int) -> Ring:
 
 
 @jit
-def push(ring, record):
+def push(ring: Ring, record: NDArray[np.float64]) -> bool:
     """Copy `record` (width,) into the ring; False, and counted, when it is full."""
     head = load_relaxed(ring.head, 0)
     if head - load_acquire(ring.tail, 0) >= ring.slots.shape[0]:
@@ -51,7 +51,7 @@ def push(ring, record):
 
 
 @entry
-def take(ring, out):  # type: ignore[no-untyped-def]
+def take(ring: Ring, out: NDArray[np.float64]) -> int:
     """Move up to len(out) records into `out` (n, width), oldest first; returns how many."""
     tail = load_relaxed(ring.tail, 0)
     count = min(load_acquire(ring.head, 0) - tail, out.shape[0])

@@ -35,7 +35,7 @@ def make_slot(values: NDArray[np.float64]) -> Slot:
 
 
 @entry
-def publish(slot, values):  # type: ignore[no-untyped-def]
+def publish(slot: Slot, values: NDArray[np.float64]) -> None:
     """Replace the slot's values (n,). One thread only."""
     sequence = load_relaxed(slot.sequence, 0)
     store_relaxed(slot.sequence, 0, sequence + 1)
@@ -46,7 +46,7 @@ def publish(slot, values):  # type: ignore[no-untyped-def]
 
 
 @jit
-def refresh(slot, seen, values):
+def refresh(slot: Slot, seen: int, values: NDArray[np.float64]) -> int:
     """Copy the slot to `values` (n,) if it changed since sequence `seen`.
 
     returns  the sequence now held in `values`: `seen` when nothing is new or a write was under way, and

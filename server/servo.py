@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from softfinger.drivers.base import END, SAMPLE_BUTTONS, SAMPLE_SIZE, Device
 from softfinger.proxy.kernels.atomics import call_device, load_acquire, store_release
 from softfinger.proxy.kernels.jit import entry, jit
+from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.pack import flatten, unpack
 from softfinger.proxy.state import OFFSET, RECORD_SIZE
 from softfinger.server.clock import NS_PER_S, now_ns, period_ns, sleep_until
@@ -85,14 +86,14 @@ class Scratch(NamedTuple):
 
 
 @jit
-def put_wrench(wrench, force, torque):
+def put_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None:
     for i in range(3):
         wrench[i] = force[i]
         wrench[3 + i] = torque[i]
 
 
 @entry
-def servo_loop(tuning_like, io, pace, shared, scratch):  # type: ignore[no-untyped-def]
+def servo_loop(tuning_like: Tuning, io: Io, pace: Pace, shared: Shared, scratch: Scratch) -> tuple[int, int]:
     """Run ticks until told to stop; returns how it ended and the device's last status.
 
     Whatever the end, the last thing written to the device is zero.
@@ -234,7 +235,7 @@ class Servo:
                 undo = self._prepare()
             ending, status = servo_loop(*self._arguments)
             self._ended = Ended(ending, status)
-        except BaseException as error:  # noqa: BLE001  # whatever it was, the device must be zeroed and join() must learn of it
+        except BaseException as error:  # whatever it was, the device must be zeroed and join() must learn of it
             self._ended = Ended(CRASHED, 0, error)
         finally:
             self.device.stop()

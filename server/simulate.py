@@ -21,12 +21,16 @@ from softfinger.server.results import write_results
 from softfinger.server.tick import BEGIN, Tuning, tick
 from softfinger.server.tuning import make_tuning
 
+Array = NDArray[np.float64]
+
 CHUNK = 65536
 """Ticks between two reports of progress."""
 
 
 @entry
-def tick_many(tuning_like, values, memory_values, poses, dt, first, records):  # type: ignore[no-untyped-def]
+def tick_many(
+    tuning_like: Tuning, values: Array, memory_values: Array, poses: Array, dt: float, first: int, records: Array
+) -> None:
     """One tick for each row of `poses` (n, 7), leaving a record each in `records` (n, RECORD_SIZE)."""
     tuning = unpack(tuning_like, values)
     memory = unpack(BEGIN, memory_values)
@@ -36,7 +40,7 @@ def tick_many(tuning_like, values, memory_values, poses, dt, first, records):  #
     pack(memory_values, memory)
 
 
-def simulate(tuning: Tuning, poses: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
     """Records (n, RECORD_SIZE) of the poses (n, 7), one tick each, as the daemon computes them.
 
     The timestamp is the tick times dt, and the fields of servo timing and device are 0.
@@ -74,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def summary(records: NDArray[np.float64]) -> str:
+def summary(records: Array) -> str:
     """Modes, mode changes and largest force of a run, in a line."""
     mode, cause = records[:, OFFSET["contact.mode"]], records[:, OFFSET["contact.cause"]]
     modes = ", ".join(f"{name} {np.mean(mode == number):.1%}" for number, name in enumerate(MODE_NAMES))

@@ -6,6 +6,9 @@ The servo loop and `simulate` both run this, on the same poses to the same bits.
 from math import isfinite
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from softfinger.proxy.kernels.jit import jit
 from softfinger.proxy.kernels.model import START, Scene, State
 from softfinger.proxy.kernels.record import write_contact
@@ -37,7 +40,7 @@ BEGIN: Any = Memory(START, DISENGAGED)
 
 
 @jit
-def usable(sample):
+def usable(sample: NDArray[np.float64]) -> bool:
     """Whether a device sample holds a pose: finite, within reach, a quaternion that is about unit."""
     square = 0.0
     for i in range(3):
@@ -51,7 +54,14 @@ def usable(sample):
 
 
 @jit
-def tick(tuning, memory, sample, dt, number, record):
+def tick(
+    tuning: Tuning,
+    memory: Memory,
+    sample: NDArray[np.float64],
+    dt: float,
+    number: int,
+    record: NDArray[np.float64],
+) -> Memory:
     """Contact step and guard for one sample (position, quaternion, ...); fills the contact part of `record`.
 
     A sample without a usable pose ends the contact: force zero, and the ramp begins anew.

@@ -5,15 +5,16 @@ from __future__ import annotations
 import argparse
 import shutil
 import time
+from typing import Any
 
 import numba
 import numpy as np
 
+from softfinger.config import schema
 from softfinger.config.load import load_rig, load_scene, shipped
-from softfinger.config.schema import Scene
 from softfinger.proxy import engine
 from softfinger.proxy.kernels.jit import CACHE_DIR
-from softfinger.proxy.kernels.model import START
+from softfinger.proxy.kernels.model import START, Scene
 from softfinger.proxy.kernels.pack import flatten
 from softfinger.proxy.state import RECORD_SIZE
 from softfinger.server.app import open_device
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     if args.prune:
         prune()
     rig = load_rig("replay")
-    for name in args.scenes or shipped(Scene):
+    for name in args.scenes or shipped(schema.Scene):
         scene = load_scene(name)
         begun = time.monotonic()
         with progress(f"compiling for {name}"), open_device(rig.device, rig.servo.rate_hz) as device:
@@ -47,14 +48,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def compile_engine(scene: engine.Scene) -> None:
+def compile_engine(scene: Scene) -> None:
     """Compile the engine's two entries for a scene, without running them."""
     values, state = flatten(scene), flatten(START)
     pose, records = np.zeros(7), np.zeros((1, RECORD_SIZE))
-    for kernel, arguments in (
+    kernels: list[tuple[Any, tuple[Any, ...]]] = [
         (engine.step_once, (scene, values, state, pose, 0.0)),
         (engine.step_many, (scene, values, state, pose.reshape(1, 7), 0.0, 0, records)),
-    ):
+    ]
+    for kernel, arguments in kernels:
         kernel.compile(tuple(numba.typeof(argument) for argument in arguments))
 
 

@@ -121,7 +121,8 @@ def test_the_installed_wheel_says_its_version(installed: Path, tmp_path: Path) -
 def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
     """A second of the daemon on its shipped scene and recording, from a folder that holds nothing."""
     rig = tmp_path / "rig.toml"
-    rig.write_text(f'[device]\ndriver = "replay"\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n')
+    device = '[device]\ndriver = "replay"\nrecording = "press-roll-spin-drag"\n'
+    rig.write_text(f'{device}[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n')
     run(
         *(installed / "softfinger", "run", "--rig", rig, "--duration", "1", "--realtime", "off"),
         cwd=tmp_path,

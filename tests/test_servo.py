@@ -103,13 +103,12 @@ def test_changed_source_means_another_cache(tmp_path):
     source = Path(s.__file__).resolve().parents[1]
     for folder in ("config", "drivers", "proxy", "server", "tools"):
         shutil.copytree(source / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    code = "import sys; sys.path.insert(0, sys.argv[0]); from softfinger.proxy.kernels.jit import CACHE_DIR; print(CACHE_DIR)"
+    code = "from softfinger.proxy.kernels.jit import CACHE_DIR; print(CACHE_DIR)"
+    site = os.pathsep.join([str(tmp_path), *[path for path in sys.path if path.endswith("site-packages")]])
 
     def cache_dir() -> str:
-        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-        command = [sys.executable, "-S", "-c", code]
-        site = os.pathsep.join([str(tmp_path), *[path for path in sys.path if path.endswith("site-packages")]])
-        environment["PYTHONPATH"] = site
+        environment = os.environ | {"PYTHONPATH": site}
+        command = [sys.executable, "-S", "-c", code]  # without site: the installed package must not come first
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
     before = cache_dir()
@@ -201,7 +200,7 @@ def test_unusable_pose_means_zero_force_at_once(fault):
 @pytest.mark.parametrize("own_clock", [False, True])
 def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
     """After a stall the loop goes on along the same grid, one tick each, and the time step tells the truth."""
-    device, servo = make_servo(Options(fault="stall", at=50, stall_us=5500, own_clock=own_clock), 200)
+    _, servo = make_servo(Options(fault="stall", at=50, stall_us=5500, own_clock=own_clock), 200)
     _, records = finish(servo)
     ticks, missed, dt = (records[:, OFFSET[name]] for name in ("tick", "servo.missed", "dt"))
     assert ticks.tolist() == list(range(200))

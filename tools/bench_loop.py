@@ -147,7 +147,8 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
     block = round(rate_hz)
     result: dict[str, Any] = {"rate_hz": rate_hz}
     for name, values in figures.items():
-        result[name] = {"ticks": len(values), "late": quantiles(values[:, 0], block), "exec": quantiles(values[:, 1], block)}
+        late, execution = quantiles(values[:, 0], block), quantiles(values[:, 1], block)
+        result[name] = {"ticks": len(values), "late": late, "exec": execution}
         if values.shape[1] > 2:
             result[name]["busy"] = quantiles(values[:, 2], block)
             result[name]["missed"] = int(np.maximum(np.diff(values[:, 3], prepend=values[0, 3]), 0).sum())
@@ -171,8 +172,10 @@ def table(result: dict[str, Any]) -> list[str]:
             if found is not None:
                 cells = (f"{microseconds(found[q])} ({microseconds(found['blocks'][q])})" for q in found["blocks"])
                 lines.append(f"  {loop:<11}{what:<6}" + "".join(f"{cell:>22}" for cell in cells))
-    for loop in ("servo", "servo_busy"):
-        lines.append(f"  {loop}: {result[loop]['missed']} deadlines missed in {result[loop]['ticks']} ticks")
+    lines += [
+        f"  {loop}: {result[loop]['missed']} deadlines missed in {result[loop]['ticks']} ticks"
+        for loop in ("servo", "servo_busy")
+    ]
     for key, text in (("late_servo_over_c", "servo over C"), ("late_busy_over_quiet", "busy Python over quiet")):
         if key in result:
             lines.append(f"  lateness, {text}: p50 {result[key]['p50']:.2f}, p99 {result[key]['p99']:.2f} (blocks)")

@@ -27,7 +27,9 @@ REFERENCE_OPERATIONS: Final = 100
 
 
 @entry
-def time_steps(scene, values, state_values, poses, dt, timespec, block_ns):  # type: ignore[no-untyped-def]
+def time_steps(
+    scene: Any, values: Array, state_values: Array, poses: Array, dt: float, timespec: Any, block_ns: Any
+) -> tuple[float, int]:
     """Step through `poses` (n, 7) once for each block and note its time; returns a sum over all forces."""
     parameters, total, touching = unpack(scene, values), 0.0, 0
     state = unpack(START, state_values)
@@ -45,7 +47,7 @@ def time_steps(scene, values, state_values, poses, dt, timespec, block_ns):  # t
 
 
 @entry
-def time_reference(factor, count, timespec, block_ns):  # type: ignore[no-untyped-def]
+def time_reference(factor: float, count: int, timespec: Any, block_ns: Any) -> float:
     """The same number of chains of REFERENCE_OPERATIONS multiplications and additions, each waiting for the last."""
     x = 0.5
     for block in range(block_ns.shape[0]):
@@ -97,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     timespec, dt = np.zeros(2, np.int64), 0.001
     blocks = np.zeros(max(args.blocks, 1), np.int64)
     poses = touching_poses(scene.fingertip.radius_m, BLOCK)
-    rows = []
+    rows: list[dict[str, Any]] = []
     with progress("measuring the contact step"):
         time_reference(0.5, 1, timespec, blocks[:1])
         for name, variant in variants(scene):
@@ -120,8 +122,8 @@ def run(args: argparse.Namespace) -> int:
     text = f"a chain of {REFERENCE_OPERATIONS} dependent floating-point operations"
     lines = [f"contact step on {args.scene}, back to back; ratio to {text}"]
     for row in rows:
-        ratio = row["ns_per_step"] / row["reference_ns"]  # type: ignore[operator]
-        lines.append(f"  {row['variant']:<30} {row['ns_per_step']:8.1f} ns   {ratio:6.3f} of {row['reference_ns']:.0f} ns")
+        cost, unit = row["ns_per_step"], row["reference_ns"]
+        lines.append(f"  {row['variant']:<30} {cost:8.1f} ns   {cost / unit:6.3f} of {unit:.0f} ns")
     show(result, args.json, lines)
     if args.plot:
         drawing = figure(args.plot)

@@ -34,7 +34,8 @@ def by_type(declaration: Callable[..., Any]) -> Any:
     def of(kind: type | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
             kernels[kind] = kernel
-            return jit(kernel)
+            compiled: Callable[..., Any] = jit(kernel)
+            return compiled
 
         return register
 
@@ -42,6 +43,6 @@ def by_type(declaration: Callable[..., Any]) -> Any:
         return kernels.get(_kind_of(node))
 
     choose.__signature__ = inspect.signature(declaration)  # type: ignore[attr-defined]  # numba compares it with the kernel's
-    overload(call, jit_options=OPTIONS)(choose)
+    overload(call, jit_options=OPTIONS | {"forceinline": True})(choose)
     call.of = of  # type: ignore[attr-defined]
     return call

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.dispatch import by_type
 from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.model import Friction
+from softfinger.proxy.kernels.model import Coupling, Friction, Vec3
 from softfinger.proxy.state import (
     CAUSE_DRAG,
     CAUSE_NONE,
@@ -37,44 +37,44 @@ ROUNDING = 1e-9
 class Tick(NamedTuple):
     """Input of `hold`: see `State` for the names; `touched` is 1 on the tick of first contact."""
 
-    radius: Any
-    resolution: Any
-    dt: Any
-    touched: Any
-    mode: Any
-    deflection: Any
-    deflection_before: Any
-    rolled_part: Any
-    slip_speed: Any
-    slip_deflection: Any
-    normal_force: Any
+    radius: float
+    resolution: float
+    dt: float
+    touched: float
+    mode: float
+    deflection: Vec3
+    deflection_before: Vec3
+    rolled_part: Vec3
+    slip_speed: float
+    slip_deflection: float
+    normal_force: float
 
 
 class Hold(NamedTuple):
     """Output of `hold`: the new mode and why, the deflection kept, the tangential force on the hand."""
 
-    mode: Any
-    cause: Any
-    deflection: Any
-    rolled_part: Any
-    slip_speed: Any
-    slip_deflection: Any
-    force: Any
+    mode: float
+    cause: float
+    deflection: Vec3
+    rolled_part: Vec3
+    slip_speed: float
+    slip_deflection: float
+    force: Vec3
 
 
 @by_type
-def hold(friction, coupling, torque_stiffness, tick): ...
+def hold(friction: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Any: ...
 
 
 @hold.of(None)
-def slide_freely(friction, coupling, torque_stiffness, tick):
+def slide_freely(friction: None, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
     """Without friction the proxy is the foot of the probe: no deflection, no state machine."""
     zero = (0.0, 0.0, 0.0)
     return Hold(float(SLIDING), float(CAUSE_NONE), zero, zero, 0.0, 0.0, zero)
 
 
 @jit
-def split(deflection, rolled_part):
+def split(deflection: Vec3, rolled_part: Vec3) -> tuple[Vec3, Vec3]:
     """Shares of the deflection wound by dragging (l) and by rolling (p); opposite parts cancel.
 
     A finger that follows its roll drags back exactly what rolling winds, and then neither is left.
@@ -89,7 +89,7 @@ def split(deflection, rolled_part):
 
 
 @jit
-def limit_force(force, largest):
+def limit_force(force: Vec3, largest: float) -> Vec3:
     """`force` with its magnitude brought down to `largest`."""
     size = vec3.norm(force)
     if size > largest:
@@ -98,7 +98,7 @@ def limit_force(force, largest):
 
 
 @hold.of(Friction)
-def hold_coulomb(friction, coupling, torque_stiffness, tick):
+def hold_coulomb(friction: Friction, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
     """Coulomb friction with the rolling / sliding machine.
 
     Rolling ends when the load K_t l + k_tau p leaves the static cone, which is the paper's sign rule
@@ -145,9 +145,7 @@ def hold_coulomb(friction, coupling, torque_stiffness, tick):
             unwound = slip_deflection - length
             if not slips and slip_speed < STOP_SPEED_M_PER_S:
                 mode, cause, slip_speed = float(ROLLING), float(CAUSE_STOP), 0.0
-            elif not slips and unwound > max(
-                REVERSE_SHARE * slip_deflection, REVERSE_STEPS * tick.resolution
-            ):
+            elif not slips and unwound > max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * tick.resolution):
                 mode, cause, slip_speed = float(ROLLING), float(CAUSE_REVERSE), 0.0
 
     force = vec3.scale(stiffness, deflection)

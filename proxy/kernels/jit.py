@@ -17,10 +17,12 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import llvmlite.binding as llvm
 import numba
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _PACKAGE: Final = Path(__file__).resolve().parents[2]
 _SOURCE_FOLDERS: Final = ("config", "drivers", "proxy", "server", "tools")
@@ -49,8 +51,11 @@ OPTIONS: Final = {"error_model": "numpy", "nogil": True, "_nrt": False}
 """Without numba's runtime (`_nrt`) there is no allocator and no reference count: a kernel that would
 allocate does not compile."""
 
-jit = numba.njit(**OPTIONS)
-"""A kernel that is compiled into its callers."""
+
+def jit(function: Kernel) -> Kernel:
+    """Compile a kernel into its callers."""
+    compiled: Kernel = numba.njit(forceinline=True, **OPTIONS)(function)
+    return compiled
 
 
 def _cached(make: Callable[..., Any], *args: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -65,9 +70,10 @@ def _cached(make: Callable[..., Any], *args: Any, **options: Any) -> Callable[[C
     return decorate
 
 
-def entry(function: Callable[..., Any]) -> Any:
+def entry(function: Kernel) -> Kernel:
     """Compile a kernel that Python calls, and keep the result on disk."""
-    return _cached(numba.njit, **OPTIONS)(function)
+    compiled: Kernel = _cached(numba.njit, **OPTIONS)(function)
+    return compiled
 
 
 def c_function(signature: Any) -> Callable[[Callable[..., Any]], Any]:

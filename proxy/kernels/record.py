@@ -1,6 +1,9 @@
 """Writing the contact's part of a record: the layout of `softfinger.proxy.state`, compiled."""
 
+from typing import Any
+
 from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.model import Contact, Quaternion, Vec3
 from softfinger.proxy.state import OFFSET
 
 DT = OFFSET["dt"]
@@ -26,14 +29,23 @@ TANGENTIAL_FORCE = OFFSET["contact.tangential_force"]
 
 
 @jit
-def put3(row, at, v):
+def put3(row: Any, at: int, v: Vec3) -> None:
     row[at] = v[0]
     row[at + 1] = v[1]
     row[at + 2] = v[2]
 
 
 @jit
-def write_contact(row, tick, dt, position, orientation, contact, force, torque):
+def write_contact(
+    row: Any,
+    tick: int,
+    dt: float,
+    position: Vec3,
+    orientation: Quaternion,
+    contact: Contact,
+    force: Vec3,
+    torque: Vec3,
+) -> None:
     """Fill a record (RECORD_SIZE,) with one tick; the servo's and the device's fields are left as they are."""
     row[TICK] = tick
     row[DT] = dt

@@ -6,39 +6,45 @@
 frame, w >= 0). `motion` is the way the fingertip's centre rolled, (3,) m, tangent to the new normal.
 """
 
+from typing import Any
+
 from softfinger.proxy.kernels import rotations, vec3
 from softfinger.proxy.kernels.dispatch import by_type
-from softfinger.proxy.kernels.model import EulerZxz
+from softfinger.proxy.kernels.model import Coupling, EulerZxz, Quaternion, Vec3
 from softfinger.proxy.kernels.surfaces import closest, relative_curvature, transport
 
 
 @by_type
-def roll(method, shape, radius, center, normal, turn): ...
+def roll(method: Any, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Any: ...
 
 
 @by_type
-def torque_stiffness(method, coupling): ...
+def torque_stiffness(method: Any, coupling: Coupling) -> Any: ...
 
 
 @roll.of(None)
-def no_roll(method, shape, radius, center, normal, turn):
+def no_roll(
+    method: None, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
+) -> tuple[Vec3, Vec3, Vec3, float]:
     """The contact stays; it is only put back onto the surface, so that rounding does not add up."""
     _, point, normal = closest(shape, center)
     return vec3.add_scaled(point, radius, normal), normal, (0.0, 0.0, 0.0), 0.0
 
 
 @torque_stiffness.of(None)
-def no_torque_stiffness(method, coupling):
+def no_torque_stiffness(method: None, coupling: Coupling) -> float:
     return coupling.stiffness
 
 
 @torque_stiffness.of(EulerZxz)
-def torque_stiffness_of_euler_zxz(method, coupling):
+def torque_stiffness_of_euler_zxz(method: EulerZxz, coupling: Coupling) -> float:
     return method.torque_stiffness
 
 
 @roll.of(EulerZxz)
-def roll_euler_zxz(method, shape, radius, center, normal, turn):
+def roll_euler_zxz(
+    method: EulerZxz, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
+) -> tuple[Vec3, Vec3, Vec3, float]:
     """Rolling by the Euler angles of the step's rotation, read in the contact frame.
 
     The tilt theta turns the fingertip about an axis e of the tangent plane; the contact then travels

@@ -4,15 +4,16 @@ from math import atan2, sqrt
 
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 
 @jit
-def conjugate(q):
+def conjugate(q: Quaternion) -> Quaternion:
     return (q[0], -q[1], -q[2], -q[3])
 
 
 @jit
-def multiply(a, b):
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     """Hamilton product: `b` first, then `a`."""
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -23,7 +24,7 @@ def multiply(a, b):
 
 
 @jit
-def rotate(q, v):
+def rotate(q: Quaternion, v: Vec3) -> Vec3:
     """Coordinates of `v` after the rotation `q`: v + 2 w (u x v) + 2 u x (u x v), u the vector part."""
     u = (q[1], q[2], q[3])
     t = vec3.scale(2.0, vec3.cross(u, v))
@@ -31,14 +32,14 @@ def rotate(q, v):
 
 
 @jit
-def normalize(q):
+def normalize(q: Quaternion) -> Quaternion:
     """Unit quaternion along `q`; `q` must not be zero."""
     s = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (s * q[0], s * q[1], s * q[2], s * q[3])
 
 
 @jit
-def relative(q, q_before):
+def relative(q: Quaternion, q_before: Quaternion) -> Quaternion:
     """Rotation from `q_before` to `q` in world coordinates, dR = R R_before^T, the short way (w >= 0)."""
     d = multiply(q, conjugate(q_before))
     if d[0] < 0.0:
@@ -47,7 +48,7 @@ def relative(q, q_before):
 
 
 @jit
-def twist(q, n):
+def twist(q: Quaternion, n: Vec3) -> float:
     """Angle (rad, within +-pi) of the part of the rotation `q`, w >= 0, about the unit axis `n`.
 
     The sum phi + psi of the ZXZ Euler angles of `q` in any frame whose z axis is `n`.
@@ -56,7 +57,7 @@ def twist(q, n):
 
 
 @jit
-def tilt(q, n):
+def tilt(q: Quaternion, n: Vec3) -> tuple[float, Vec3]:
     """Roll of the rotation `q` (w >= 0) over a tangent plane.
 
     n        (3,)  1    unit normal of the tangent plane

@@ -3,7 +3,7 @@
 from softfinger.proxy.kernels import rotations, vec3
 from softfinger.proxy.kernels.friction import Tick, hold
 from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.model import Contact, State
+from softfinger.proxy.kernels.model import Contact, Quaternion, Scene, State, Vec3
 from softfinger.proxy.kernels.rolling import roll, torque_stiffness
 from softfinger.proxy.kernels.surfaces import closest, transport
 from softfinger.proxy.kernels.torsion import wind
@@ -11,7 +11,7 @@ from softfinger.proxy.state import CAUSE_NONE, CAUSE_RELEASE, CAUSE_TOUCH, FREE,
 
 
 @jit
-def filter_velocity(state, position, dt, time_constant):
+def filter_velocity(state: State, position: Vec3, dt: float, time_constant: float) -> Vec3:
     """Probe velocity (3,) m/s: backward difference through a first-order low-pass."""
     if state.started == 0.0 or dt <= 0.0:
         return state.velocity
@@ -21,7 +21,7 @@ def filter_velocity(state, position, dt, time_constant):
 
 
 @jit
-def out_of_contact(state, position, orientation, velocity):
+def out_of_contact(state: State, position: Vec3, orientation: Quaternion, velocity: Vec3) -> tuple[State, Contact]:
     """State and outcome in free space; leaving a contact is a release."""
     zero, cause = (0.0, 0.0, 0.0), float(CAUSE_NONE)
     if state.mode != FREE:
@@ -36,7 +36,7 @@ def out_of_contact(state, position, orientation, velocity):
 
 
 @jit
-def step(scene, state, position, orientation, dt):
+def step(scene: Scene, state: State, position: Vec3, orientation: Quaternion, dt: float) -> tuple[State, Contact]:
     """Advance the contact by one tick.
 
     scene        Scene   what is modelled, with its parameters
@@ -63,9 +63,7 @@ def step(scene, state, position, orientation, dt):
     else:
         turn = rotations.relative(orientation, state.orientation)
         twist = rotations.twist(turn, state.normal)
-        center, normal, motion, theta = roll(
-            scene.rolling, thing.shape, radius, state.center, state.normal, turn
-        )
+        center, normal, motion, theta = roll(scene.rolling, thing.shape, radius, state.center, state.normal, turn)
         rolled_part = vec3.add(transport(thing.shape, rolled_part, state.normal, normal), motion)
 
     behind = vec3.sub(center, position)
