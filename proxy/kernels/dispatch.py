@@ -23,6 +23,15 @@ def _kind_of(numba_type: types.Type) -> type | None:
     return getattr(numba_type, "instance_class", None) or type(numba_type)
 
 
+def _bare_signature(function: Callable[..., Any]) -> inspect.Signature:
+    # numba insists that a kernel has the signature of its declaration, annotations included; those differ.
+    plain = [
+        parameter.replace(annotation=inspect.Parameter.empty)
+        for parameter in inspect.signature(function).parameters.values()
+    ]
+    return inspect.Signature(plain)
+
+
 def by_type(declaration: Callable[..., Any]) -> Any:
     """Declare a kernel that each kind of node implements with `.of(Kind)`."""
     kernels: dict[type | None, Callable[..., Any]] = {}
@@ -34,6 +43,7 @@ def by_type(declaration: Callable[..., Any]) -> Any:
     def of(kind: type | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
             kernels[kind] = kernel
+            kernel.__signature__ = _bare_signature(kernel)  # type: ignore[attr-defined]
             compiled: Callable[..., Any] = jit(kernel)
             return compiled
 
@@ -42,7 +52,7 @@ def by_type(declaration: Callable[..., Any]) -> Any:
     def choose(node: types.Type, *rest: types.Type) -> Callable[..., Any] | None:
         return kernels.get(_kind_of(node))
 
-    choose.__signature__ = inspect.signature(declaration)  # type: ignore[attr-defined]  # numba compares it with the kernel's
+    choose.__signature__ = _bare_signature(declaration)  # type: ignore[attr-defined]
     overload(call, jit_options=OPTIONS | {"forceinline": True})(choose)
     call.of = of  # type: ignore[attr-defined]
     return call
