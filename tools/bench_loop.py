@@ -134,12 +134,12 @@ def compile_reference(folder: Path) -> Path | None:
 
 
 def run_reference(program: Path, rig: Rig, ticks: int) -> Array:
-    """One turn of the C loop; (n, 2) late, exec s."""
+    """One turn of the C loop; (n, 3) late, exec, busy s."""
     priority = 0 if rig.servo.realtime == "off" else rig.servo.priority
     out = program.with_suffix(".out")
     words = [str(program), repr(rig.servo.rate_hz), str(ticks), str(priority), str(RECORD_SIZE), str(out)]
     subprocess.run(words, check=True)
-    return np.fromfile(out).reshape(-1, 2)
+    return np.fromfile(out).reshape(-1, 3)
 
 
 def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
@@ -148,9 +148,9 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
     result: dict[str, Any] = {"rate_hz": rate_hz}
     for name, values in figures.items():
         late, execution = quantiles(values[:, 0], block), quantiles(values[:, 1], block)
-        result[name] = {"ticks": len(values), "late": late, "exec": execution}
-        if values.shape[1] > 2:
-            result[name]["busy"] = quantiles(values[:, 2], block)
+        busy = quantiles(values[:, 2], block)
+        result[name] = {"ticks": len(values), "late": late, "exec": execution, "busy": busy}
+        if name != "c":
             result[name]["missed"] = int(np.maximum(np.diff(values[:, 3], prepend=values[0, 3]), 0).sum())
 
     def ratio(above: str, below: str) -> dict[str, float]:
@@ -164,7 +164,10 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    lines = [f"servo loop at {result['rate_hz']:g} Hz, us; in brackets the median over blocks of 1 s"]
+    lines = [
+        f"servo loop at {result['rate_hz']:g} Hz, us; in brackets the median over blocks of 1 s",
+        "  late: wake-up after the deadline; exec: until the device write returned; busy: until it slept again",
+    ]
     lines.append(f"  {'':<11}{'':<6}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")))
     for loop in ("c", "servo", "servo_busy"):
         for what in ("late", "exec", "busy"):

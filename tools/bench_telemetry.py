@@ -115,19 +115,18 @@ def receive(endpoint: str, seconds: float, path: str) -> None:
     import msgpack
 
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-        socket.rcvhwm = 0
-        socket.linger = 0
+        socket.rcvhwm, socket.rcvtimeo, socket.linger = 0, 5000, 0
         socket.subscribe(b"contact")
         socket.connect(endpoint)
-        seen = []
+        seen: list[tuple[float, bytes]] = []
         end = time.monotonic() + seconds + 1.0
-        while time.monotonic() < end and socket.poll(1000):
+        while time.monotonic() < end:
             _, body = socket.recv_multipart()
-            message = msgpack.unpackb(body)
-            seen.append((message["tick"], time.time() - message["timestamp"]))
-    # The first second is the start of all the others.
-    figures = np.array(seen)
-    np.save(path, figures[len(figures) - int(len(figures) * seconds / (seconds + 1.0)) :])
+            seen.append((time.time(), body))
+    # Decoded afterwards: what a subscriber does with a message is its own affair. The first second is the
+    # start of all the others.
+    messages = [(at, msgpack.unpackb(body)) for at, body in seen if at > seen[0][0] + 1.0]
+    np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))
 
 
 def send(endpoint: str, rate_hz: float) -> None:

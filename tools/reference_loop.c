@@ -5,7 +5,8 @@
  *
  *     reference_loop RATE_HZ TICKS PRIORITY RECORD_SIZE OUT
  *
- * PRIORITY 0 asks for no real-time setting. OUT receives TICKS pairs of float64: lateness s, execution s.
+ * PRIORITY 0 asks for no real-time setting. OUT receives TICKS triples of float64: lateness,
+ * execution, and the whole tick until it sleeps again, s.
  */
 #define _GNU_SOURCE
 #include <errno.h>
@@ -93,11 +94,11 @@ int main(int count, char **words)
     int priority = atoi(words[3]);
     record_size = atol(words[4]);
     int64_t period = (int64_t)(1e9 / rate + 0.5);
-    double *figures = calloc(2 * ticks, sizeof(double));
+    double *figures = calloc(3 * ticks, sizeof(double));
     double *record = calloc(record_size, sizeof(double));
     ring = malloc(CAPACITY * record_size * sizeof(double));
     memset(ring, 0, CAPACITY * record_size * sizeof(double));
-    memset(figures, 1, 2 * ticks * sizeof(double));
+    memset(figures, 1, 3 * ticks * sizeof(double));
     wake_fd = eventfd(0, 0);
     pthread_t thread;
     pthread_create(&thread, NULL, reader, NULL);
@@ -121,10 +122,11 @@ int main(int count, char **words)
         memcpy(ring + (slot % CAPACITY) * record_size, record, record_size * sizeof(double));
         atomic_store_explicit(&head, slot + 1, memory_order_release);
         eventfd_write(wake_fd, 1);
-        figures[2 * tick] = (woke - deadline) / 1e9;
-        figures[2 * tick + 1] = (wrote - woke) / 1e9;
-        deadline += period;
         int64_t slept = now_ns();
+        figures[3 * tick] = (woke - deadline) / 1e9;
+        figures[3 * tick + 1] = (wrote - woke) / 1e9;
+        figures[3 * tick + 2] = (slept - woke) / 1e9;
+        deadline += period;
         if (slept > deadline)
             deadline += ((slept - deadline) / period + 1) * period;
     }
@@ -132,7 +134,7 @@ int main(int count, char **words)
     eventfd_write(wake_fd, 1);
     pthread_join(thread, NULL);
     FILE *out = fopen(words[5], "wb");
-    if (!out || fwrite(figures, 2 * sizeof(double), ticks, out) != (size_t)ticks)
+    if (!out || fwrite(figures, 3 * sizeof(double), ticks, out) != (size_t)ticks)
         return 1;
     return fclose(out);
 }
