@@ -49,7 +49,7 @@ $(STAMP): pyproject.toml constraints.txt
 	    echo "setup: 1/3 using $(VENV) with $$($(BIN)/python --version)"
 	fi
 	echo "setup: 2/3 installing the pinned packages (about 150 MB when nothing is cached)"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r constraints.txt
 	echo "setup: 3/3 installing softfinger itself, editable"
 	mkdir -p .dev/softfinger
 	for package in $(PACKAGES); do ln -sfn "../../$$package" ".dev/softfinger/$$package"; done

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.kernels import model, rotations
+from softfinger.proxy.kernels import model
 
 
 def build_scene(scene: schema.Scene) -> model.Scene:
@@ -28,7 +28,8 @@ def build_scene(scene: schema.Scene) -> model.Scene:
 
 
 def _object(thing: schema.Plane) -> model.Object:
-    normal = rotations.rotate(thing.orientation_wxyz, (0.0, 0.0, 1.0))
+    w, x, y, z = thing.orientation_wxyz
+    normal = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
     offset = sum(n * p for n, p in zip(normal, thing.position_m, strict=True))
     material = thing.material
     friction = material.friction and model.Friction(material.friction.static, material.friction.kinetic)
