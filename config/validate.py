@@ -209,9 +209,39 @@ def _tagged(structs: list[inspect.StructType], value: object, key: str, report: 
 def _struct(info: inspect.StructType, value: object, key: str, report: Report) -> Any:
     if info.tag_field:
         return _tagged([info], value, key, report)
+    library = getattr(info.cls, "library", None)
+    if library is not None:
+        value = _from_library(library(), value, key, report)
+        if value is UNSET:
+            return UNSET
     if not isinstance(value, Mapping):
         return report.add(key, f"{key or 'the whole'} = {shown(value)}: must be a table")
     return _fields(info, value, key, report)
+
+
+def _from_library(library: Mapping[str, Mapping[str, Any]], value: object, key: str, report: Report) -> Any:
+    """A table that names another one, with that one's values where it has none of its own."""
+    given = {"name": value} if isinstance(value, str) else value
+    if not isinstance(given, Mapping) or not isinstance(given.get("name"), str):
+        return given
+    name = given["name"]
+    if name in library:
+        return _over(library[name], given)
+    dotted = key if isinstance(value, str) else _join(key, "name")
+    choices = ", ".join(library)
+    return report.add(
+        dotted, f"{dotted} = {shown(name)}: not in the library{near(name, library)}; it has {choices}; or give numbers"
+    )
+
+
+def _over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `changes` put in, table by table."""
+    result = dict(base)
+    for key, value in changes.items():
+        below = base.get(key)
+        both = isinstance(below, Mapping) and isinstance(value, Mapping)
+        result[key] = _over(below, value) if both else value  # type: ignore[arg-type]
+    return result
 
 
 def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: Report) -> Any:
@@ -256,7 +286,7 @@ def _missing(info: inspect.Type, dotted: str, name: str) -> str:
     kind, extra = _unwrapped(info)
     if isinstance(kind, inspect.StructType):
         return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
-    if isinstance(kind, inspect.VarTupleType) and isinstance(kind.item_type, inspect.StructType):
+    if isinstance(kind, inspect.VarTupleType) and _is_table(kind.item_type):
         return f"{dotted} is missing: add at least one table [[{dotted}]]"
     text = f"{dotted} is missing: give {expected(info, name)}"
     meaning = f" ({extra['description']})" if "description" in extra else ""
@@ -285,7 +315,7 @@ def expected(info: inspect.Type, key: str) -> str:
             limits = span(each) if isinstance(each, inspect.FloatType | inspect.IntType) else ""
             return f"a list of {len(kind.item_types)} numbers{limits}{_unit(key)}"
         case inspect.VarTupleType() | inspect.ListType():
-            what = "tables" if isinstance(kind.item_type, inspect.StructType) else "values"
+            what = "tables" if _is_table(kind.item_type) else "values"
             return "a list" + (_length(kind, what) or f" of {what}")
         case inspect.UnionType():
             return " or ".join(expected(t, key) for t in kind.types if not isinstance(t, inspect.NoneType))
@@ -293,6 +323,13 @@ def expected(info: inspect.Type, key: str) -> str:
             return "left out"
         case _:
             return "a table"
+
+
+def _is_table(info: inspect.Type) -> bool:
+    """Whether values of this type are tables, of one kind or of several."""
+    kind, _ = _unwrapped(info)
+    options = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
+    return all(isinstance(_unwrapped(option)[0], inspect.StructType) for option in options)
 
 
 def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, what: str) -> str:

@@ -12,12 +12,12 @@ from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.config.load import load_scene
 from softfinger.proxy.kernels.jit import entry
-from softfinger.proxy.kernels.model import START, Contact, Scene
+from softfinger.proxy.kernels.model import Contact, Scene, State
 from softfinger.proxy.kernels.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.record import write_contact
 from softfinger.proxy.kernels.rotations import normalize
 from softfinger.proxy.kernels.step import step
-from softfinger.proxy.scene import build_scene
+from softfinger.proxy.scene import build_scene, start_state
 from softfinger.proxy.state import CAUSE_NAMES, RECORD_SIZE
 
 Array = NDArray[np.float64]
@@ -48,10 +48,12 @@ class Step(NamedTuple):
 
 
 @entry
-def step_once(scene: Scene, values: Array, state_values: Array, pose: Array, dt: float) -> Contact:
+def step_once(
+    scene: Scene, values: Array, start: State, state_values: Array, pose: Array, dt: float
+) -> Contact:
     """One step with scene and state in flat arrays; returns the Contact."""
     parameters = unpack(scene, values)
-    state = unpack(START, state_values)
+    state = unpack(start, state_values)
     position, orientation = (pose[0], pose[1], pose[2]), normalize((pose[3], pose[4], pose[5], pose[6]))
     state, contact = step(parameters, state, position, orientation, dt)
     pack(state_values, state)
@@ -60,11 +62,18 @@ def step_once(scene: Scene, values: Array, state_values: Array, pose: Array, dt:
 
 @entry
 def step_many(
-    scene: Scene, values: Array, state_values: Array, poses: Array, dt: float, first_tick: int, records: Array
+    scene: Scene,
+    values: Array,
+    start: State,
+    state_values: Array,
+    poses: Array,
+    dt: float,
+    first_tick: int,
+    records: Array,
 ) -> None:
     """One step for each row of `poses` (n, 7), leaving a record each in `records` (n, RECORD_SIZE)."""
     parameters = unpack(scene, values)
-    state = unpack(START, state_values)
+    state = unpack(start, state_values)
     for i in range(poses.shape[0]):
         pose = poses[i]
         position, orientation = (pose[0], pose[1], pose[2]), normalize((pose[3], pose[4], pose[5], pose[6]))
@@ -89,12 +98,13 @@ class Engine:
         self.scene: Scene = build_scene(config)
         self.dt = 1.0 / rate_hz
         self._values = flatten(self.scene)
-        self._state = flatten(START)
+        self._start = start_state(self.scene)
+        self._state = flatten(self._start)
         self._tick = 0
 
     def reset(self) -> None:
         """Forget the contact: the next step is the first."""
-        self._state = flatten(START)
+        self._state = flatten(self._start)
         self._tick = 0
 
     def step(self, position: ArrayLike, orientation: ArrayLike, dt: float | None = None) -> Step:
@@ -108,7 +118,7 @@ class Engine:
         """
         pose = np.concatenate([np.asarray(position, np.float64), np.asarray(orientation, np.float64)])
         poses = check_poses(pose.reshape(1, -1))
-        c = step_once(self.scene, self._values, self._state, poses[0], self._check_dt(dt))
+        c = step_once(self.scene, self._values, self._start, self._state, poses[0], self._check_dt(dt))
         self._tick += 1
         return Step(
             mode=int(c.mode),
@@ -136,7 +146,9 @@ class Engine:
         """
         checked = check_poses(np.asarray(poses, np.float64))
         records = np.zeros((len(checked), RECORD_SIZE))
-        step_many(self.scene, self._values, self._state, checked, self._check_dt(dt), self._tick, records)
+        step_many(
+            self.scene, self._values, self._start, self._state, checked, self._check_dt(dt), self._tick, records
+        )
         self._tick += len(checked)
         return records
 

@@ -26,7 +26,7 @@ from softfinger.proxy.state import OFFSET, RECORD_SIZE
 from softfinger.server.clock import NS_PER_S, now_ns, period_ns, sleep_until
 from softfinger.server.ring import Ring, make_ring, push, take
 from softfinger.server.seqlock import Slot, make_slot, publish, refresh
-from softfinger.server.tick import BEGIN, Tuning, tick
+from softfinger.server.tick import Memory, Tuning, begin, tick
 
 RING_SECONDS: Final = 8
 """How long the reader of records may be held up before any is lost."""
@@ -93,7 +93,7 @@ def put_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None:
 
 
 @entry
-def servo_loop(tuning_like: Tuning, io: Io, pace: Pace, shared: Shared, scratch: Scratch) -> tuple[int, int]:
+def servo_loop(tuning_like: Tuning, start: Memory, io: Io, pace: Pace, shared: Shared, scratch: Scratch) -> tuple[int, int]:
     """Run ticks until told to stop; returns how it ended and the device's last status.
 
     Whatever the end, the last thing written to the device is zero.
@@ -101,7 +101,7 @@ def servo_loop(tuning_like: Tuning, io: Io, pace: Pace, shared: Shared, scratch:
     timespec, sample, wrench, record = scratch.timespec, scratch.sample, scratch.wrench, scratch.record
     seen = refresh(shared.tuning, -1, scratch.values)
     tuning = unpack(tuning_like, scratch.values)
-    memory = BEGIN
+    memory = start
     nominal = pace.period_ns / NS_PER_S
     number, missed, skipped, busy, ending, status = 0, 0, 0, 0, STOPPED, 0
     deadline = now_ns(timespec) + pace.period_ns
@@ -122,7 +122,7 @@ def servo_loop(tuning_like: Tuning, io: Io, pace: Pace, shared: Shared, scratch:
             ending = FINISHED if status == END else READ_FAILED
             break
         dt = nominal if pace.own_clock else nominal * (1 + skipped)
-        memory = tick(tuning, memory, sample, dt, number, record)
+        memory = tick(tuning, start, memory, sample, dt, number, record)
         put_wrench(wrench, memory.guarded.force, memory.guarded.torque)
         status_out = call_device(io.write, io.handle, wrench)
         wrote = now_ns(timespec)
@@ -204,6 +204,7 @@ class Servo:
         # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset serves the whole run.
         self._arguments: tuple[Any, ...] = (
             tuning,
+            begin(tuning.scene),
             Io(io.read, io.write, io.handle, self._wake_fd),
             Pace(self.period_ns, _epoch_offset_ns(), -1 if ticks is None else ticks, int(device.info.own_clock)),
             self.shared,
@@ -218,7 +219,7 @@ class Servo:
         kernels: list[tuple[Any, tuple[Any, ...]]] = [
             (servo_loop, self._arguments),
             (take, (self.shared.ring, np.empty((1, RECORD_SIZE)))),
-            (publish, (self.shared.tuning, self._arguments[4].values)),
+            (publish, (self.shared.tuning, values)),
         ]
         for kernel, arguments in kernels:
             kernel.compile(tuple(numba.typeof(argument) for argument in arguments))

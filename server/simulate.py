@@ -18,7 +18,7 @@ from softfinger.proxy.state import CAUSE_NAMES, MODE_NAMES, OFFSET, RECORD_SIZE
 from softfinger.server.clock import NS_PER_S, period_ns
 from softfinger.server.progress import progress
 from softfinger.server.results import write_results
-from softfinger.server.tick import BEGIN, Tuning, tick
+from softfinger.server.tick import Memory, Tuning, begin, tick
 from softfinger.server.tuning import make_tuning
 
 Array = NDArray[np.float64]
@@ -29,13 +29,20 @@ CHUNK = 65536
 
 @entry
 def tick_many(
-    tuning_like: Tuning, values: Array, memory_values: Array, poses: Array, dt: float, first: int, records: Array
+    tuning_like: Tuning,
+    values: Array,
+    start: Memory,
+    memory_values: Array,
+    poses: Array,
+    dt: float,
+    first: int,
+    records: Array,
 ) -> None:
     """One tick for each row of `poses` (n, 7), leaving a record each in `records` (n, RECORD_SIZE)."""
     tuning = unpack(tuning_like, values)
-    memory = unpack(BEGIN, memory_values)
+    memory = unpack(start, memory_values)
     for i in range(poses.shape[0]):
-        memory = tick(tuning, memory, poses[i], dt, first + i, records[i])
+        memory = tick(tuning, start, memory, poses[i], dt, first + i, records[i])
         records[i, 0] = (first + i) * dt
     pack(memory_values, memory)
 
@@ -48,11 +55,12 @@ def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
     dt = period_ns(rate_hz) / NS_PER_S
     checked = check_poses(poses)
     records = np.zeros((len(checked), RECORD_SIZE))
-    values, memory = flatten(tuning), flatten(BEGIN)
+    start = begin(tuning.scene)
+    values, memory = flatten(tuning), flatten(start)
     with progress("simulating", len(checked)) as done:
         for first in range(0, len(checked), CHUNK):
             chunk = slice(first, first + CHUNK)
-            tick_many(tuning, values, memory, checked[chunk], dt, first, records[chunk])
+            tick_many(tuning, values, start, memory, checked[chunk], dt, first, records[chunk])
             done(min(first + CHUNK, len(checked)))
     return records
 

@@ -4,16 +4,17 @@ The servo loop and `simulate` both run this, on the same poses to the same bits.
 """
 
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.model import START, Scene, State
+from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.record import write_contact
 from softfinger.proxy.kernels.rotations import normalize
 from softfinger.proxy.kernels.step import out_of_contact, step
+from softfinger.proxy.scene import start_state
 from softfinger.proxy.state import OFFSET
 from softfinger.server.guard import DISENGAGED, POSE_REFUSED, Guard, Guarded, guard_wrench
 
@@ -36,7 +37,11 @@ class Memory(NamedTuple):
     guarded: Guarded
 
 
-BEGIN: Any = Memory(START, DISENGAGED)
+def begin(scene: Scene) -> Memory:
+    """Memory before the first tick."""
+    return Memory(start_state(scene), DISENGAGED)
+
+
 
 
 @jit
@@ -56,6 +61,7 @@ def usable(sample: NDArray[np.float64]) -> bool:
 @jit
 def tick(
     tuning: Tuning,
+    start: Memory,
     memory: Memory,
     sample: NDArray[np.float64],
     dt: float,
@@ -64,7 +70,7 @@ def tick(
 ) -> Memory:
     """Contact step and guard for one sample (position, quaternion, ...); fills the contact part of `record`.
 
-    A sample without a usable pose ends the contact: force zero, and the ramp begins anew.
+    A sample without a usable pose ends the contact: force zero, everything as at the `start`, the ramp anew.
     """
     if usable(sample):
         position = (sample[0], sample[1], sample[2])
@@ -73,8 +79,10 @@ def tick(
         guarded, bits = guard_wrench(tuning.guard, memory.guarded, contact.force, contact.torque, dt)
     else:
         position, orientation = memory.contact.position, memory.contact.orientation
-        _, contact = out_of_contact(memory.contact, position, orientation, (0.0, 0.0, 0.0))
-        state, guarded, bits = START, DISENGAGED, POSE_REFUSED
+        _, contact = out_of_contact(
+            tuning.scene, tuning.scene.objects, memory.contact, position, orientation, (0.0, 0.0, 0.0), 0.0
+        )
+        state, guarded, bits = start.contact, start.guarded, POSE_REFUSED
     write_contact(record, number, dt, position, orientation, contact, guarded.force, guarded.torque)
     record[GUARD] = bits
     return Memory(state, guarded)

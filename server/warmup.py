@@ -14,8 +14,9 @@ from softfinger.config import schema
 from softfinger.config.load import load_rig, load_scene, shipped
 from softfinger.proxy import engine
 from softfinger.proxy.kernels.jit import CACHE_DIR
-from softfinger.proxy.kernels.model import START, Scene
+from softfinger.proxy.kernels.model import Scene
 from softfinger.proxy.kernels.pack import flatten
+from softfinger.proxy.scene import start_state
 from softfinger.proxy.state import RECORD_SIZE
 from softfinger.server.app import open_device
 from softfinger.server.progress import progress
@@ -50,11 +51,12 @@ def run(args: argparse.Namespace) -> int:
 
 def compile_engine(scene: Scene) -> None:
     """Compile the engine's two entries for a scene, without running them."""
-    values, state = flatten(scene), flatten(START)
+    start = start_state(scene)
+    values, state = flatten(scene), flatten(start)
     pose, records = np.zeros(7), np.zeros((1, RECORD_SIZE))
     kernels: list[tuple[Any, tuple[Any, ...]]] = [
-        (engine.step_once, (scene, values, state, pose, 0.0)),
-        (engine.step_many, (scene, values, state, pose.reshape(1, 7), 0.0, 0, records)),
+        (engine.step_once, (scene, values, start, state, pose, 0.0)),
+        (engine.step_many, (scene, values, start, state, pose.reshape(1, 7), 0.0, 0, records)),
     ]
     for kernel, arguments in kernels:
         kernel.compile(tuple(numba.typeof(argument) for argument in arguments))

@@ -12,11 +12,14 @@ import pytest
 from conftest import SceneFactory
 from references.hand import Array
 from references.paper import published
-from references.rolling_reference import rolled_path, rolling_equation, zxz_roll
+from references.rolling_cases import METHODS
+from references.rolling_reference import rolled_path, rolling_equation, zxz_roll, zyx_roll
 from references.rotation import matrix, multiply, quaternion, rodrigues, tangent_frame
 
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels import model, rotations
+from softfinger.proxy.kernels.rolling import roll
 from softfinger.proxy.state import OFFSET, ROLLING
 
 R = 0.01
@@ -103,6 +106,50 @@ def test_paper_experiment_along_an_arc() -> None:
     # Printed to 0.001 mm: half a unit of the last place.
     assert largest[0] == pytest.approx(table["largest_difference_x"], abs=0.5e-6)
     assert largest[1] == pytest.approx(table["largest_difference_y"], abs=0.5e-6)
+
+
+TABLE = [
+    # motion, method, heading, largest differences along x and y in mm
+    ("arc", "euler_zxz", "phi", (0.00387, 0.00393)),
+    ("arc", "euler_zyx", "own", (0.34067, 0.57934)),
+    ("arc", "rotation_vector", "own", (0.27901, 0.33110)),
+    ("line", "euler_zxz", "own", (0.00208, 0.00313)),
+    ("line", "euler_zyx", "own", (0.76124, 0.49121)),
+    ("line", "rotation_vector", "own", (0.0, 0.0)),
+]
+
+
+@pytest.mark.parametrize(("motion", "method", "heading", "largest_mm"), TABLE)
+def test_both_motions_and_both_readings(
+    motion: str, method: str, heading: str, largest_mm: tuple[float, float]
+) -> None:
+    """Each method's distance from the integrated path, for both things the experiment may mean, to 1e-5 mm.
+
+    In an arc the step is the same in the contact frame at each tick, and that frame turns by the spin the method
+    finds. The kernel agrees with the angles taken from matrices.
+    """
+    w, normal, n = paper_step(), np.array([0.0, 0.0, 1.0]), 100
+
+    def turned(angle: float, v: Array) -> Array:
+        return rodrigues(angle * normal) @ v
+
+    arc = motion == "arc"
+    exact, _ = rolling_equation(lambda k: turned(k * w[2] if arc else 0.0, w), R, np.linspace(0.0, n, n + 1))
+    start, turn = (0.0, 0.0, R), rotations.exp(tuple(w.tolist()))
+    out = roll(METHODS[method], model.Plane((0.0, 0.0, 1.0), 0.0), R, start, (0.0, 0.0, 1.0), turn)
+    step = turned(out.spin / 2 if heading == "phi" else 0.0, np.array(out.motion))
+    path = np.vstack([np.zeros(3), np.cumsum([turned(k * out.spin if arc else 0.0, step) for k in range(n)], axis=0)])
+    # The numbers are given to 1e-5 mm.
+    assert np.abs(path - exact).max(axis=0) == pytest.approx([*(1e-3 * np.array(largest_mm)), 0.0], abs=0.6e-8)
+
+    if method == "rotation_vector":
+        by_hand, spin = R * np.cross(w, normal), w[2]
+    else:
+        rotation = rodrigues(w)
+        axis, _, spin = zyx_roll(rotation, normal) if method == "euler_zyx" else zxz_roll(rotation, normal)
+        by_hand = R * np.cross(axis, normal)
+    assert np.array(out.motion) == pytest.approx(by_hand, abs=1e-15)
+    assert out.spin == pytest.approx(spin, abs=1e-15)
 
 
 @pytest.mark.parametrize(

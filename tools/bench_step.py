@@ -12,10 +12,9 @@ import numpy as np
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.jit import entry
-from softfinger.proxy.kernels.model import START
 from softfinger.proxy.kernels.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.step import step
-from softfinger.proxy.scene import build_scene
+from softfinger.proxy.scene import build_scene, start_state
 from softfinger.proxy.state import FREE
 from softfinger.server.clock import now_ns
 from softfinger.server.progress import progress
@@ -28,11 +27,11 @@ REFERENCE_OPERATIONS: Final = 100
 
 @entry
 def time_steps(
-    scene: Any, values: Array, state_values: Array, poses: Array, dt: float, timespec: Any, block_ns: Any
+    scene: Any, values: Array, start: Any, state_values: Array, poses: Array, dt: float, timespec: Any, block_ns: Any
 ) -> tuple[float, int]:
     """Step through `poses` (n, 7) once for each block and note its time; returns a sum over all forces."""
     parameters, total, touching = unpack(scene, values), 0.0, 0
-    state = unpack(START, state_values)
+    state = unpack(start, state_values)
     for block in range(block_ns.shape[0]):
         begun = now_ns(timespec)
         for i in range(poses.shape[0]):
@@ -104,11 +103,12 @@ def run(args: argparse.Namespace) -> int:
         time_reference(0.5, 1, timespec, blocks[:1])
         for name, variant in variants(scene):
             tree = build_scene(variant)
-            values, state = flatten(tree), flatten(START)
-            time_steps(tree, values, state, poses, dt, timespec, blocks[:1].copy())
+            start = start_state(tree)
+            values, state = flatten(tree), flatten(start)
+            time_steps(tree, values, start, state, poses, dt, timespec, blocks[:1].copy())
             reference = np.zeros_like(blocks)
             time_reference(0.5, BLOCK // 100, timespec, reference)
-            _, touching = time_steps(tree, values, state, poses, dt, timespec, blocks)
+            _, touching = time_steps(tree, values, start, state, poses, dt, timespec, blocks)
             rows.append(
                 {
                     "variant": name,

@@ -34,13 +34,24 @@ def _bare_signature(function: Callable[..., Any]) -> inspect.Signature:
 
 def by_type(declaration: Callable[..., Any]) -> Any:
     """Declare a kernel that each kind of node implements with `.of(Kind)`."""
-    kernels: dict[type | None, Callable[..., Any]] = {}
+    return _declare(declaration, lambda node: None if node is None else type(node), _kind_of)
+
+
+def by_count(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel chosen by the length of a tuple: `.of(1)` for exactly one, `.of(2)` for two and more."""
+    return _declare(declaration, lambda nodes: min(len(nodes), 2), lambda nodes: min(len(nodes), 2))
+
+
+def _declare(
+    declaration: Callable[..., Any], key: Callable[[Any], Any], compiled_key: Callable[[types.Type], Any]
+) -> Any:
+    kernels: dict[Any, Callable[..., Any]] = {}
 
     @functools.wraps(declaration)
     def call(node: Any, *rest: Any) -> Any:
-        return kernels[None if node is None else type(node)](node, *rest)
+        return kernels[key(node)](node, *rest)
 
-    def of(kind: type | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    def of(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
             kernels[kind] = kernel
             kernel.__signature__ = _bare_signature(kernel)  # type: ignore[attr-defined]
@@ -50,7 +61,7 @@ def by_type(declaration: Callable[..., Any]) -> Any:
         return register
 
     def choose(node: types.Type, *rest: types.Type) -> Callable[..., Any] | None:
-        return kernels.get(_kind_of(node))
+        return kernels.get(compiled_key(node))
 
     choose.__signature__ = _bare_signature(declaration)  # type: ignore[attr-defined]
     overload(call, jit_options=OPTIONS | {"forceinline": True})(choose)

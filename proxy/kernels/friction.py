@@ -1,17 +1,31 @@
 """Rolling, sliding and the passage between them.
 
-    hold(friction, coupling, k_tau, tick) -> Hold
+    hold(law, torsion, coupling, k_tau, tick) -> Hold
 
-`tick` is what the contact brings into this tick: the tangential deflection e of the proxy from the
-probe, the share p of it that rolling has wound, the normal force, and what the last tick left.
+One call resolves friction and torsion: `tick` is what the contact brings into this tick, among it the
+tangential deflection e of the proxy from the probe, the share p of it that rolling has wound, the
+wind-up phi, the normal force, and what the last tick left.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from softfinger.proxy.kernels import vec3
+from softfinger.proxy.kernels.cones import cone, load_size
 from softfinger.proxy.kernels.dispatch import by_type
 from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.model import Coupling, Friction, Vec3
+from softfinger.proxy.kernels.limit_surface import room, slide
+from softfinger.proxy.kernels.model import (
+    Anisotropic,
+    Coupling,
+    Friction,
+    Hold,
+    PaperFriction,
+    SpeedFriction,
+    Tick,
+    Vec3,
+)
+from softfinger.proxy.kernels.paper_machine import hold_to_the_letter
+from softfinger.proxy.kernels.torsion import wind
 from softfinger.proxy.state import (
     CAUSE_DRAG,
     CAUSE_NONE,
@@ -31,46 +45,55 @@ REVERSE_SHARE = 0.1
 REVERSE_STEPS = 3.0
 """... and at least so many encoder steps, which a resting hand may flicker by."""
 ROUNDING = 1e-9
-"""Relative size of what is rounding and not motion: of the deflection for a slip, of the radius for a load."""
-
-
-class Tick(NamedTuple):
-    """Input of `hold`: see `State` for the names; `touched` is 1 on the tick of first contact."""
-
-    radius: float
-    resolution: float
-    dt: float
-    touched: float
-    mode: float
-    deflection: Vec3
-    deflection_before: Vec3
-    rolled_part: Vec3
-    slip_speed: float
-    slip_deflection: float
-    normal_force: float
-
-
-class Hold(NamedTuple):
-    """Output of `hold`: the new mode and why, the deflection kept, the tangential force on the hand."""
-
-    mode: float
-    cause: float
-    deflection: Vec3
-    rolled_part: Vec3
-    slip_speed: float
-    slip_deflection: float
-    force: Vec3
+"""Relative size of what is rounding and not motion: of the deflection for a slip, of the cone and of the
+radius for a load."""
 
 
 @by_type
-def hold(friction: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Any: ...
+def hold(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Any: ...
+
+
+@by_type
+def static_coefficient(law: Any) -> Any:
+    """mu_s, in a direction where the law's scale is 1; 0 without friction."""
 
 
 @hold.of(None)
-def slide_freely(friction: None, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
-    """Without friction the proxy is the foot of the probe: no deflection, no state machine."""
+def slide_freely(law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
+    """Without friction the proxy is the foot of the probe: no deflection, no state machine. It still winds."""
     zero = (0.0, 0.0, 0.0)
-    return Hold(float(SLIDING), float(CAUSE_NONE), zero, zero, 0.0, 0.0, zero)
+    wound = wind(
+        torsion, tick.spin, tick.twist, tick.normal_force, tick.spin_slip_speed, tick.spin_slip_angle, tick.dt
+    )
+    return Hold(
+        float(SLIDING), float(CAUSE_NONE), zero, zero, 0.0, 0.0,
+        wound.spin, wound.slip_speed, wound.slip_angle, zero, wound.moment,
+    )  # fmt: skip
+
+
+@static_coefficient.of(None)
+def no_static_coefficient(law: None) -> float:
+    return 0.0
+
+
+@static_coefficient.of(Friction)
+def static_coefficient_of_coulomb(law: Friction) -> float:
+    return law.static
+
+
+@static_coefficient.of(SpeedFriction)
+def static_coefficient_with_speed(law: SpeedFriction) -> float:
+    return law.static
+
+
+@static_coefficient.of(Anisotropic)
+def static_coefficient_of_anisotropic(law: Anisotropic) -> float:
+    return static_coefficient(law.law)
+
+
+@static_coefficient.of(PaperFriction)
+def static_coefficient_in_the_paper(law: PaperFriction) -> float:
+    return law.static
 
 
 @jit
@@ -89,68 +112,100 @@ def split(deflection: Vec3, rolled_part: Vec3) -> tuple[Vec3, Vec3]:
 
 
 @jit
-def limit_force(force: Vec3, largest: float) -> Vec3:
-    """`force` with its magnitude brought down to `largest`."""
-    size = vec3.norm(force)
+def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
+    """`force` with its magnitude, as the law measures it, brought down to `largest`."""
+    size = load_size(law, normal, force)
     if size > largest:
         return vec3.scale(largest / size, force)
     return force
 
 
-@hold.of(Friction)
-def hold_coulomb(friction: Friction, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
-    """Coulomb friction with the rolling / sliding machine.
+@jit
+def hold_by(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
+    """Friction with the rolling / sliding machine.
 
     Rolling ends when the load K_t l + k_tau p leaves the static cone, which is the paper's sign rule
     and its theta_max in one: a roll that the hand has not followed (p, theta = |p| / r) loads the cone
     like a drag in the same direction, and a roll that it has followed does not load it at all.
-    While sliding the deflection is cut back radially to mu_d f_N / K_t, never extended, so friction
-    opposes the true slip. Sliding ends when the slip has stopped or turned back.
+    While sliding the deflection is cut back to the kinetic cone, never extended, so friction opposes the
+    true slip. Sliding ends when the slip has stopped or turned back. With a limit surface the cone is
+    what the moment about the normal leaves of it, and a slip is one of both.
 
     Source: Salvietti et al. (2013), section 3.2, after Yin et al. (2005). Differs from its conditions
     read literally, which a counter-tilt of a microradian defeats; see docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
-    static_limit = friction.static * tick.normal_force
+    whole_limit, kinetic_limit = cone(law, tick.normal_force, tick.slip_speed)
+    static_limit = whole_limit * room(torsion, tick.spin + tick.twist, tick.normal_force)
     mode, cause = tick.mode, float(CAUSE_NONE)
-    deflection = tick.deflection
+    deflection, spin, twist = tick.deflection, tick.spin, tick.twist
     slip_speed, slip_deflection = tick.slip_speed, tick.slip_deflection
     dragged, rolled_part = split(deflection, tick.rolled_part)
 
-    limit = -1.0
+    limit, breaking = -1.0, 0.0
     if mode == ROLLING:
-        load = vec3.norm(vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part))
-        if load >= static_limit and load > ROUNDING * stiffness * tick.radius:
-            mode, limit = float(SLIDING), static_limit
+        wound = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
+        load = load_size(law, tick.normal, wound)
+        # More than rounding above the cone: a finger at rest on it, as after a slide with mu_d = mu_s, stays at rest.
+        if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * tick.radius:
+            mode, limit, breaking = float(SLIDING), whole_limit, 1.0
             by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
             cause = float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)
     else:
-        limit = friction.kinetic * tick.normal_force
+        limit = kinetic_limit
 
     if limit >= 0.0:
-        length, longest = vec3.norm(deflection), limit / stiffness
-        slip = max(length - longest, 0.0)
-        if slip > 0.0:
-            deflection = vec3.scale(longest / length, deflection)
-            length = longest
+        slid = slide(torsion, law, stiffness, limit, breaking, tick)
+        deflection, spin, twist, length = slid.deflection, slid.spin, slid.twist, slid.length
         rolled_part = (0.0, 0.0, 0.0)
-        slips = slip > ROUNDING * length
+        slips = slid.slip > ROUNDING * length
         if slips or cause != CAUSE_NONE:
             slip_deflection = length
-        speed = slip / tick.dt if tick.dt > 0.0 else 0.0
+        speed = slid.slip / tick.dt if tick.dt > 0.0 else 0.0
         if cause != CAUSE_NONE:
             slip_speed = speed
         else:
             slip_speed += (speed - slip_speed) * tick.dt / (SLIP_TIME_CONSTANT_S + tick.dt)
             unwound = slip_deflection - length
-            if not slips and slip_speed < STOP_SPEED_M_PER_S:
-                mode, cause, slip_speed = float(ROLLING), float(CAUSE_STOP), 0.0
-            elif not slips and unwound > max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * tick.resolution):
-                mode, cause, slip_speed = float(ROLLING), float(CAUSE_REVERSE), 0.0
+            stopped = slip_speed < STOP_SPEED_M_PER_S
+            reversed_ = unwound > max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * tick.resolution)
+            # With viscous friction a fast slip may hold more than the static cone does: it cannot stick yet.
+            if not slips and (stopped or reversed_) and (
+                load_size(law, tick.normal, vec3.scale(stiffness, deflection)) <= (1.0 + ROUNDING) * static_limit
+            ):
+                mode, slip_speed = float(ROLLING), 0.0
+                cause = float(CAUSE_STOP) if stopped else float(CAUSE_REVERSE)
 
     force = vec3.scale(stiffness, deflection)
-    if mode == ROLLING and tick.touched == 0.0 and tick.dt > 0.0:
+    if mode == ROLLING and tick.dt > 0.0:
         change = vec3.sub(deflection, tick.deflection_before)
         force = vec3.add_scaled(force, coupling.damping / tick.dt, change)
-    force = limit_force(force, static_limit)
-    return Hold(mode, cause, deflection, rolled_part, slip_speed, slip_deflection, force)
+    if mode == ROLLING or breaking != 0.0:
+        force = limit_force(law, tick.normal, force, whole_limit if breaking != 0.0 else static_limit)
+    now = wind(torsion, spin, twist, tick.normal_force, tick.spin_slip_speed, tick.spin_slip_angle, tick.dt)
+    return Hold(
+        mode, cause, deflection, rolled_part, slip_speed, slip_deflection,
+        now.spin, now.slip_speed, now.slip_angle, force, now.moment,
+    )  # fmt: skip
+
+
+@hold.of(Friction)
+def hold_coulomb(law: Friction, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
+    return hold_by(law, torsion, coupling, torque_stiffness, tick)
+
+
+@hold.of(SpeedFriction)
+def hold_with_speed(law: SpeedFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
+    return hold_by(law, torsion, coupling, torque_stiffness, tick)
+
+
+@hold.of(Anisotropic)
+def hold_anisotropic(law: Anisotropic, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
+    return hold_by(law, torsion, coupling, torque_stiffness, tick)
+
+
+@hold.of(PaperFriction)
+def hold_as_in_the_paper(
+    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick
+) -> Hold:
+    return hold_to_the_letter(law, torsion, coupling, torque_stiffness, tick)

@@ -1,6 +1,6 @@
 """Rotations as unit quaternions (w, x, y, z), body to world, and their split about an axis."""
 
-from math import atan2, sqrt
+from math import atan2, copysign, cos, hypot, sin, sqrt
 
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.jit import jit
@@ -77,3 +77,59 @@ def tilt(q: Quaternion, n: Vec3) -> tuple[float, Vec3]:
     if s > 0.0:
         return theta, vec3.scale(1.0 / s, t)
     return 0.0, (0.0, 0.0, 0.0)
+
+
+@jit
+def exp(w: Vec3) -> Quaternion:
+    """Unit quaternion of the rotation vector `w` (3,) rad."""
+    angle = vec3.norm(w)
+    # sin(x)/x is accurate down to the smallest angle whose square is not zero; below that it is 1.
+    s = sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    return (cos(0.5 * angle), s * w[0], s * w[1], s * w[2])
+
+
+@jit
+def log(q: Quaternion) -> Vec3:
+    """Rotation vector (3,) rad of the unit quaternion `q` with w >= 0; its length is at most pi."""
+    v = (q[1], q[2], q[3])
+    s = vec3.norm(v)
+    return vec3.scale(2.0 * atan2(s, q[0]) / s if s > 0.0 else 2.0, v)
+
+
+@jit
+def sinc(x: float) -> float:
+    """sin(x) / x, and 1 at 0."""
+    return sin(x) / x if x != 0.0 else 1.0
+
+
+@jit
+def tangent_frame(n: Vec3) -> tuple[Vec3, Vec3]:
+    """Unit vectors x, y with x, y, n right-handed; for n along +z the axes x and y themselves.
+
+    The world's axes turned with ez to n the short way; where n points down, the axes x, -y, -z turned with
+    -ez to n. Continuous in each half-space, with a jump at n_z = 0. Source: Duff et al. (2017), Building an
+    Orthonormal Basis, Revisited.
+    """
+    sign = copysign(1.0, n[2])
+    a = -1.0 / (sign + n[2])
+    b = n[0] * n[1] * a
+    return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
+
+
+@jit
+def euler_zyx(q: Quaternion) -> Vec3:
+    """Roll, pitch, yaw of the unit quaternion `q`: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    returns  (3,)  rad  (psi about x, theta about y within +-pi/2, phi about z)
+
+    At pitch +-pi/2 roll and yaw are one angle; all of it is then given to the roll.
+    """
+    w, x, y, z = q
+    r11, r21, r31 = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
+    r32, r33 = 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
+    cosine = hypot(r11, r21)
+    # Below rounding r11 and r21 are noise, and their direction would be a random yaw.
+    if cosine < 1e-15:
+        r12, r22 = 2.0 * (x * y - w * z), w * w - x * x + y * y - z * z
+        return (atan2(copysign(1.0, -r31) * r12, r22), atan2(-r31, 0.0), 0.0)
+    return (atan2(r32, r33), atan2(-r31, cosine), atan2(r21, r11))

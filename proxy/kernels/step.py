@@ -1,13 +1,18 @@
 """One tick of contact: probe pose in, force and torque out, in the order of the equations."""
 
+from typing import Any
+
 from softfinger.proxy.kernels import rotations, vec3
-from softfinger.proxy.kernels.friction import Tick, hold
+from softfinger.proxy.kernels.approach import has_ended, stay, touch
+from softfinger.proxy.kernels.bodies import apply_objects_effects, material_of, number_of, place_all, pose_of
+from softfinger.proxy.kernels.constraints import displacement
+from softfinger.proxy.kernels.contacts import NONE, load_of, settle, tangent_to_all
+from softfinger.proxy.kernels.effects import Moment, apply_effects
+from softfinger.proxy.kernels.friction import hold
 from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.model import Contact, Quaternion, Scene, State, Vec3
-from softfinger.proxy.kernels.rolling import roll, torque_stiffness
-from softfinger.proxy.kernels.surfaces import closest, transport
-from softfinger.proxy.kernels.torsion import wind
-from softfinger.proxy.state import CAUSE_NONE, CAUSE_RELEASE, CAUSE_TOUCH, FREE, ROLLING
+from softfinger.proxy.kernels.model import Contact, Pose, Quaternion, Scene, State, Tick, Vec3
+from softfinger.proxy.kernels.rolling import torque_stiffness
+from softfinger.proxy.state import CAUSE_NONE, CAUSE_RELEASE, FREE, SLIDING
 
 
 @jit
@@ -21,18 +26,50 @@ def filter_velocity(state: State, position: Vec3, dt: float, time_constant: floa
 
 
 @jit
-def out_of_contact(state: State, position: Vec3, orientation: Quaternion, velocity: Vec3) -> tuple[State, Contact]:
+def out_of_contact(
+    scene: Scene,
+    objects: Any,
+    state: State,
+    position: Vec3,
+    orientation: Quaternion,
+    velocity: Vec3,
+    dt: float,
+) -> tuple[State, Contact]:
     """State and outcome in free space; leaving a contact is a release."""
     zero, cause = (0.0, 0.0, 0.0), float(CAUSE_NONE)
     if state.mode != FREE:
         cause = float(CAUSE_RELEASE)
-    up = (0.0, 0.0, 1.0)
-    free = float(FREE)
-    after = State(1.0, position, orientation, velocity, free, position, up, zero, zero, 0.0, 0.0, 0.0, 0.0)
+    time = state.time + dt
+    up, free, still = (0.0, 0.0, 1.0), float(FREE), (1.0, 0.0, 0.0, 0.0)
+    force, states = all_effects(scene, objects, state, (NONE, NONE, NONE), position, velocity, velocity, dt)
+    after = State(
+        1.0, time, position, orientation, velocity, free, NONE, NONE, NONE, Pose(zero, still), position, up, zero, zero,
+        0.0, 0.0, 0.0, 0.0, 0.0, 0.0, states,
+    )  # fmt: skip
     contact = Contact(
-        free, -1.0, cause, velocity, position, 0.0, zero, zero, zero, 0.0, 0.0, 0.0, 0.0, zero, zero
+        free, -1.0, cause, velocity, position, 0.0, zero, zero, zero, 0.0, 0.0, 0.0, 0.0, force, zero
     )  # fmt: skip
     return after, contact
+
+
+@jit
+def all_effects(
+    scene: Scene,
+    objects: Any,
+    state: State,
+    holding: Vec3,
+    position: Vec3,
+    velocity: Vec3,
+    against: Vec3,
+    dt: float,
+) -> tuple[Vec3, Any]:
+    """Force of the workspace's and the objects' effects, and their states; `holding` are the objects touched."""
+    up, touched = (0.0, 0.0, 1.0), 0.0 if holding[0] < 0.0 else 1.0
+    around = Moment(position, velocity, dt, touched, 0.0, up, None)
+    force, states = apply_effects(scene.effects, state.effects[0], around)
+    contact = Moment(position, against, dt, 0.0, 0.0, up, None)
+    more, states_of_objects = apply_objects_effects(objects, state.effects[1], scene.radius, holding, 0.0, contact)
+    return vec3.add(force, more), (states, states_of_objects)
 
 
 @jit
@@ -46,59 +83,58 @@ def step(scene: Scene, state: State, position: Vec3, orientation: Quaternion, dt
     dt           s          time since the last tick; 0 freezes velocity and damping
     returns      State, Contact
     """
-    radius = scene.radius
-    thing = scene.objects[0]
     velocity = filter_velocity(state, position, dt, scene.velocity_time_constant)
-    gap, foot, normal = closest(thing.shape, position)
-
-    held = state.mode != FREE and vec3.dot(vec3.sub(state.center, position), state.normal) > 0.0
-    if gap >= radius and not held:
-        return out_of_contact(state, position, orientation, velocity)
-
-    mode, cause, touched = state.mode, float(CAUSE_NONE), 0.0
-    rolled_part, motion, theta, twist = state.rolled_part, (0.0, 0.0, 0.0), 0.0, 0.0
-    if mode == FREE:
-        mode, cause, touched = float(ROLLING), float(CAUSE_TOUCH), 1.0
-        center = vec3.add_scaled(foot, radius, normal)
+    objects = place_all(scene.objects, state.time + dt)
+    if state.mode == FREE:
+        comes = touch(scene, objects, state, position, velocity)
     else:
-        turn = rotations.relative(orientation, state.orientation)
-        twist = rotations.twist(turn, state.normal)
-        center, normal, motion, theta = roll(scene.rolling, thing.shape, radius, state.center, state.normal, turn)
-        rolled_part = vec3.add(transport(thing.shape, rolled_part, state.normal, normal), motion)
+        comes = stay(scene, objects, state, position, orientation, velocity, dt)
+    if has_ended(objects, scene.radius, position, comes.held):
+        return out_of_contact(scene, objects, state, position, orientation, velocity, dt)
 
-    behind = vec3.sub(center, position)
-    penetration = vec3.dot(behind, normal)
-    deflection = vec3.add_scaled(behind, -penetration, normal)
-    elastic = thing.stiffness * penetration
-    damped = elastic - thing.damping * vec3.dot(velocity, normal)
-    normal_force = min(max(damped, 0.0), max(2.0 * elastic, 0.0))
-
-    before = transport(thing.shape, state.deflection, state.normal, normal)
-    held_by = hold(
-        thing.friction,
+    load = load_of(objects, comes.held, comes.against)
+    material = material_of(objects, comes.held.first)
+    kept = hold(
+        material.friction,
+        material.torsion,
         scene.coupling,
         torque_stiffness(scene.rolling, scene.coupling),
         Tick(
-            radius, scene.position_resolution, dt, touched, mode, deflection, before, rolled_part,
-            state.slip_speed, state.slip_deflection, normal_force,
+            scene.radius, scene.position_resolution, dt, comes.mode, comes.held.n1, comes.deflection, comes.before,
+            comes.rolled_part, state.slip_speed, state.slip_deflection, state.spin, comes.twist,
+            state.spin_slip_speed, state.spin_slip_angle, load.friction,
         ),
     )  # fmt: skip
-    if held_by.cause != CAUSE_NONE:
-        cause = held_by.cause
-    center = vec3.add(position, vec3.add_scaled(held_by.deflection, penetration, normal))
-    spin, moment = wind(thing.torsion, state.spin, twist, normal_force)
+
+    # Where friction lets go the proxy follows, and the forces are those at its new place.
+    slips = kept.mode == SLIDING or kept.deflection != comes.deflection
+    center, rests, _ = settle(objects, scene.radius, position, comes.center, kept.deflection, comes.held, slips)
+    loads = load_of(objects, rests, comes.against)
+    tangential = tangent_to_all(rests, kept.force)
+    if load.friction > loads.friction:
+        tangential = vec3.scale(loads.friction / load.friction, tangential)
+    spin, moment, slip_speed, slip_angle = kept.spin, kept.moment, kept.spin_slip_speed, kept.spin_slip_angle
+    if rests.first != comes.held.first:  # another normal now: what was wound up about the old one is gone
+        spin, moment, slip_speed, slip_angle = 0.0, 0.0, 0.0, 0.0
 
     # A contact force f at -r n from the centre turns the hand by -r n x f; the normal part does not.
-    force = vec3.add_scaled(held_by.force, normal_force, normal)
-    torque = vec3.add_scaled(vec3.scale(moment, normal), -radius, vec3.cross(normal, held_by.force))
-    rolled = state.rolled + theta
+    normal, rolled = rests.n1, state.rolled + comes.theta
+    torque = vec3.add_scaled(vec3.scale(moment, normal), -scene.radius, vec3.cross(normal, tangential))
+    holding = (rests.first, rests.second, rests.third)
+    extra, states = all_effects(scene, objects, state, holding, position, velocity, comes.against, dt)
+    behind = vec3.sub(center, position)
     after = State(
-        1.0, position, orientation, velocity, held_by.mode, center, normal, held_by.deflection,
-        held_by.rolled_part, spin, held_by.slip_speed, held_by.slip_deflection, rolled,
+        1.0, state.time + dt, position, orientation, velocity, kept.mode, rests.first, rests.second, rests.third,
+        pose_of(objects, rests.first), center, normal,
+        vec3.sub(behind, displacement(rests.push, rests.n1, rests.n2, rests.n3)),
+        tangent_to_all(rests, kept.rolled_part), spin, kept.slip_speed, kept.slip_deflection, slip_speed, slip_angle,
+        rolled, states,
     )  # fmt: skip
     inward = rotations.rotate(rotations.conjugate(orientation), normal)
     contact = Contact(
-        held_by.mode, 0.0, cause, velocity, center, penetration, vec3.add_scaled(center, -radius, normal), normal,
-        vec3.scale(-radius, inward), rolled, spin, normal_force, vec3.norm(held_by.force), force, torque,
+        kept.mode, number_of(objects, rests.first), kept.cause if kept.cause != CAUSE_NONE else comes.cause, velocity,
+        center, vec3.dot(behind, normal), vec3.add_scaled(center, -scene.radius, normal), normal,
+        vec3.scale(-scene.radius, inward), rolled, spin, loads.total, vec3.norm(tangential),
+        vec3.add(vec3.add(loads.force, tangential), extra), torque,
     )  # fmt: skip
     return after, contact

@@ -1,0 +1,91 @@
+"""Effects and motions of a scene file as the named tuples their kernels take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import hypot
+from typing import Any
+
+from softfinger.config import schema
+from softfinger.proxy.kernels import model
+
+
+def kernel_effects(effects: Iterable[schema.Effect | schema.ObjectEffect]) -> tuple[Any, ...]:
+    """Kernel effects of the workspace or of one object, in the order of the file."""
+    return tuple(_effect(effect) for effect in effects)
+
+
+def _effect(effect: schema.Effect | schema.ObjectEffect) -> Any:
+    touching = model.Touching(1.0)
+    match effect:
+        case schema.Viscosity():
+            return model.Viscosity(effect.damping_ns_per_m, _region(effect.region))
+        case schema.ObjectViscosity():
+            return model.Viscosity(effect.damping_ns_per_m, touching)
+        case schema.ConstantForce():
+            return model.ConstantForce(effect.force_n, _region(effect.region))
+        case schema.ObjectForce():
+            return model.ConstantForce(effect.force_n, touching)
+        case schema.Spring():
+            return model.Spring(
+                effect.position_m,
+                effect.stiffness_n_per_m,
+                effect.rest_length_m,
+                effect.force_max_n,
+                _region(effect.region),
+            )
+        case schema.Vibration():
+            direction, region = _unit(effect.direction), _region(effect.region)
+            return model.Vibration(effect.amplitude_n, effect.frequency_hz, direction, region)
+        case schema.ObjectVibration():
+            if effect.direction is None:
+                return model.NormalVibration(effect.amplitude_n, effect.frequency_hz)
+            return model.Vibration(effect.amplitude_n, effect.frequency_hz, _unit(effect.direction), touching)
+        case schema.Boundary():
+            return _boundary(effect)
+        case schema.Magnet():
+            return model.Magnet(effect.force_n, effect.range_m, effect.exponent)
+        case schema.StickSlip():
+            return model.StickSlip(effect.stiffness_n_per_m, effect.force_max_n)
+    raise TypeError(f"{type(effect).__name__} is no effect of config.schema")
+
+
+def _boundary(effect: schema.Boundary) -> model.BoxBoundary | model.SphereBoundary:
+    spring = effect.stiffness_n_per_m, effect.damping_ns_per_m, effect.force_max_n
+    if effect.size_m is not None:
+        return model.BoxBoundary(effect.position_m, _halved(effect.size_m), *spring)
+    assert effect.radius_m is not None
+    return model.SphereBoundary(effect.position_m, effect.radius_m, *spring)
+
+
+def _region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegion | None:
+    if region is None:
+        return None
+    if region.size_m is not None:
+        return model.BoxRegion(region.position_m, _halved(region.size_m), region.edge_m)
+    assert region.radius_m is not None
+    return model.SphereRegion(region.position_m, region.radius_m, region.edge_m)
+
+
+def kernel_motion(motion: schema.Motion | None) -> model.Sinusoid | model.Turntable | model.Driven | None:
+    """Kernel motion of an object; None for one that stands still."""
+    match motion:
+        case schema.Sinusoid():
+            axis = _unit(motion.axis)
+            return model.Sinusoid(
+                motion.translation_m, axis, motion.rotation_rad, motion.frequency_hz, motion.phase_rad
+            )
+        case schema.Turntable():
+            return model.Turntable(_unit(motion.axis), motion.rate_rad_per_s, motion.pivot_m)
+        case schema.Driven():
+            return model.Driven()
+    return None
+
+
+def _unit(v: model.Vec3) -> model.Vec3:
+    length = hypot(*v)
+    return (v[0] / length, v[1] / length, v[2] / length)
+
+
+def _halved(v: model.Vec3) -> model.Vec3:
+    return (0.5 * v[0], 0.5 * v[1], 0.5 * v[2])

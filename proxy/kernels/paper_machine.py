@@ -1,0 +1,62 @@
+"""The paper's rolling / sliding machine, read to the letter. For study: docs/friction.md lists what fails.
+
+    hold_to_the_letter(law, torsion, coupling, k_tau, tick) -> Hold
+
+Contact breaking is the contact's own, not the paper's f_N = 0.
+"""
+
+from typing import Any
+
+from softfinger.proxy.kernels import vec3
+from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.model import Coupling, Hold, PaperFriction, Tick
+from softfinger.proxy.kernels.torsion import wind
+from softfinger.proxy.state import CAUSE_DRAG, CAUSE_NONE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
+
+
+@jit
+def hold_to_the_letter(
+    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick
+) -> Hold:
+    """One tick by the sentences of section 3.2.
+
+    rolling to sliding   the tangential force of the hand, -K e, is outside the static cone and has the sign of the
+                         displacement P that rolling has produced since it last began; or |P| / r > theta_max
+    sliding kept         at exactly mu_d f_N, no spring-damper: e is scaled to it, down and up
+    sliding to rolling   inside the kinetic cone and no tangential velocity
+
+    `rolled_part` holds P: the whole roll, followed by the hand or not.
+
+    Source: Salvietti, Malvezzi, Prattichizzo (2013), section 3.2. The sign of no displacement at all is taken to
+    agree with any force, so that a finger that has never rolled can be dragged.
+    """
+    stiffness = coupling.stiffness
+    static_limit, kinetic_limit = law.static * tick.normal_force, law.kinetic * tick.normal_force
+    mode, cause = tick.mode, float(CAUSE_NONE)
+    deflection, rolled = tick.deflection, tick.rolled_part
+    length = vec3.norm(deflection)
+    change = vec3.sub(deflection, tick.deflection_before)
+
+    if mode == ROLLING:
+        outside = stiffness * length >= static_limit and length > 0.0
+        if outside and -vec3.dot(deflection, rolled) >= 0.0:
+            mode, cause = float(SLIDING), float(CAUSE_DRAG)
+        elif torque_stiffness * vec3.norm(rolled) > static_limit:
+            mode, cause = float(SLIDING), float(CAUSE_THETA_MAX)
+    elif stiffness * length < kinetic_limit and vec3.dot(change, change) == 0.0:
+        mode, cause = float(ROLLING), float(CAUSE_STOP)
+
+    force = vec3.scale(stiffness, deflection)
+    if mode == SLIDING:
+        rolled = (0.0, 0.0, 0.0)
+        if length > 0.0:
+            deflection = vec3.scale(kinetic_limit / (stiffness * length), deflection)
+        force = vec3.scale(stiffness, deflection)
+    elif tick.dt > 0.0:
+        force = vec3.add_scaled(force, coupling.damping / tick.dt, change)
+    now = wind(
+        torsion, tick.spin, tick.twist, tick.normal_force, tick.spin_slip_speed, tick.spin_slip_angle, tick.dt
+    )
+    return Hold(
+        mode, cause, deflection, rolled, 0.0, 0.0, now.spin, now.slip_speed, now.slip_angle, force, now.moment
+    )  # fmt: skip
