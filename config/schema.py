@@ -126,6 +126,7 @@ class Rolling(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if known(self.method, self.tolerance) and self.tolerance is not None and self.method != "montana_rk45":
             yield "tolerance", self.tolerance, f"is for montana_rk45; {self.method} takes a fixed step: leave it out"
+
     state_machine: Annotated[
         StateMachine,
         said("when rolling passes to sliding; paper: the paper's rule to the letter, for study only", "default"),

@@ -48,9 +48,7 @@ class Step(NamedTuple):
 
 
 @entry
-def step_once(
-    scene: Scene, values: Array, start: State, state_values: Array, pose: Array, dt: float
-) -> Contact:
+def step_once(scene: Scene, values: Array, start: State, state_values: Array, pose: Array, dt: float) -> Contact:
     """One step with scene and state in flat arrays; returns the Contact."""
     parameters = unpack(scene, values)
     state = unpack(start, state_values)
@@ -146,9 +144,7 @@ class Engine:
         """
         checked = check_poses(np.asarray(poses, np.float64))
         records = np.zeros((len(checked), RECORD_SIZE))
-        step_many(
-            self.scene, self._values, self._start, self._state, checked, self._check_dt(dt), self._tick, records
-        )
+        step_many(self.scene, self._values, self._start, self._state, checked, self._check_dt(dt), self._tick, records)
         self._tick += len(checked)
         return records
 

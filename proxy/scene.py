@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from softfinger.config import schema
-from softfinger.config.errors import ConfigError
 from softfinger.proxy.actions import kernel_effects, kernel_motion
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects import start_states
@@ -69,7 +68,8 @@ def _placed(
 ) -> tuple[Any, Any]:
     """A shape and the least pose it needs: none for what stands still and can be given in the world."""
     turn = thing.orientation_wxyz  # parts are moved against their object, not turned
-    at = tuple(map(sum, zip(_rotated(thing.orientation_wxyz, position), thing.position_m, strict=True)))
+    moved = _rotated(thing.orientation_wxyz, position)
+    at = (moved[0] + thing.position_m[0], moved[1] + thing.position_m[1], moved[2] + thing.position_m[2])
     if motion is not None:
         return shape, model.Pose(at, turn)
     if isinstance(shape, model.Plane):

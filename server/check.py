@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from msgspec import Struct
+
 from softfinger.config.errors import ConfigError, DeviceError, HapticError
 from softfinger.config.load import FaultyConfig, build, describe, find, load_rig, load_scene, read_toml, shipped
-from softfinger.config.schema import Plane, Rig, Scene
+from softfinger.config.schema import Object, ObjectBase, Rig, Scene
 from softfinger.config.validate import near, shown
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
@@ -31,12 +33,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.description = "Check scene and rig files. Exit code 0: all are usable; 2: at least one is not."
     parser.add_argument("files", nargs="+", metavar="FILE", help="scene or rig, as a file or a shipped name")
+    parser.add_argument(
+        "--explain", action="store_true", help="compile each scene and measure what a tick and each part of it cost"
+    )
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Check every file and print what it is; returns 0, or ConfigError's exit code if any is faulty."""
     findings = [examine_file(file) for file in args.files]
+    if args.explain:
+        findings = [with_costs(finding) for finding in findings]
     if args.json:
         print(json.dumps([finding._asdict() | {"summary": dict(finding.summary)} for finding in findings], indent=2))
     else:
@@ -63,6 +70,27 @@ def examine_file(file: str) -> Finding:
     except (ConfigError, DeviceError) as error:
         return Finding(file, kind, [], [str(error)], {})
     return Finding(file, kind, summary, [], describe(config))
+
+
+def with_costs(finding: Finding) -> Finding:
+    """The finding of a usable scene with the measured cost of a tick and of each part; any other as it is."""
+    if finding.kind != "scene" or finding.errors:
+        return finding
+    from softfinger.server.cost import bare, measure, touching_poses, without_parts
+    from softfinger.server.progress import progress
+
+    scene = load_scene(_locate(finding.file))
+    parts = list(without_parts(scene))
+    with progress(f"compiling and measuring {finding.file}", len(parts) + 2) as done:
+        poses = touching_poses(scene)
+        whole = measure(scene, poses).median_ns
+        rows = [("cost of a tick", f"{whole:.0f} ns, back to back, pressed into the first object")]
+        done(1)
+        for number, (name, rest) in enumerate(parts):
+            rows.append((f"  {name}", f"{whole - measure(rest, poses).median_ns:+.0f} ns"))
+            done(number + 2)
+        rows.append(("  bare contact", f"{measure(bare(scene), poses).median_ns:.0f} ns"))
+    return finding._replace(summary=finding.summary + rows)
 
 
 def kind_of(mapping: dict[str, Any], where: str) -> str:
@@ -103,24 +131,39 @@ def scene_summary(scene: Scene) -> list[tuple[str, str]]:
     ]
     for item in scene.object:
         rows += _object_rows(item)
+    rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
     return rows
 
 
-def _object_rows(item: Plane) -> list[tuple[str, str]]:
+def _size(item: ObjectBase) -> str:
+    """The shape's own dimensions, as the file has them."""
+    own = [name for name in item.__struct_fields__ if name not in ObjectBase.__struct_fields__]
+    return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
+
+
+def _object_rows(item: Object) -> list[tuple[str, str]]:
     material = item.material
     friction, torsion = "left out: frictionless", "left out: no moment about the normal"
     if material.friction is not None:
-        friction = f"static {material.friction.static:g}, kinetic {material.friction.kinetic:g}"
+        friction = _values(material.friction)
     if material.torsion is not None:
-        part = material.torsion
-        torsion = f"{part.stiffness_nm_per_rad:g} N m/rad up to {part.friction_length_m:g} m times the normal force"
+        torsion = _values(material.torsion)
     place = ", ".join(f"{value:g}" for value in item.position_m)
     damping = f"{material.damping_ns_per_m:g} N s/m" if material.damping_ns_per_m else "undamped"
-    return [
-        (f"object '{item.name}'", f"{item.shape} at ({place}) m, {material.stiffness_n_per_m:g} N/m, {damping}"),
-        ("  friction", friction),
-        ("  torsion", torsion),
-    ]
+    what = f"{item.shape} at ({place}) m{_size(item)}, {material.stiffness_n_per_m:g} N/m, {damping}"
+    rows = [(f"object '{item.name}'", what), ("  friction", friction), ("  torsion", torsion)]
+    rows += [(f"  effect {effect.kind}", _values(effect)) for effect in item.effect]
+    if item.motion is not None:
+        rows.append((f"  motion {item.motion.kind}", _values(item.motion)))
+    return rows
+
+
+def _values(table: Struct) -> str:
+    """Keys and values of a table, without those left out and the tables in it."""
+    pairs = ((name, getattr(table, name)) for name in table.__struct_fields__)
+    return ", ".join(
+        f"{name} {shown(value)}" for name, value in pairs if value is not None and not isinstance(value, Struct)
+    )
 
 
 def rig_summary(rig: Rig) -> list[tuple[str, str]]:

@@ -13,6 +13,7 @@ import msgspec
 from msgspec import inspect
 
 from softfinger.config import validate
+from softfinger.config.materials import library
 from softfinger.config.schema import DeviceConfig, Rig, Scene, unit
 from softfinger.proxy.state import FIELDS
 
@@ -69,6 +70,12 @@ def json_schema(kind: str) -> dict[str, Any]:
     for table in schema["$defs"].values():
         for key, value in table["properties"].items():
             _as_toml(key, value)
+            if value == {"$ref": "#/$defs/Material"}:
+                table["properties"][key] = {"anyOf": [value, {"enum": sorted(library())}]}
+    material = schema["$defs"].get("Material")
+    if material is not None:
+        # A named material brings what is not said.
+        material["anyOf"] = [{"required": ["name"]}, {"required": material.pop("required")}]
     return {"$schema": _DIALECT, **schema}
 
 
@@ -107,7 +114,12 @@ def tables(struct_type: type[msgspec.Struct]) -> list[TableRows]:
     """Every TOML table of a scene or rig with its keys, in order."""
     info = inspect.type_info(struct_type)
     assert isinstance(info, inspect.StructType)
-    return [table for table in _tables(info, "") if table.rows]
+    found: dict[tuple[str, str], TableRows] = {}
+    for table in _tables(info, ""):
+        # A material is the same in every shape: listed where it first stands.
+        if table.rows:
+            found.setdefault((table.name, table.meaning), table)
+    return list(found.values())
 
 
 def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:

@@ -93,7 +93,9 @@ def put_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None:
 
 
 @entry
-def servo_loop(tuning_like: Tuning, start: Memory, io: Io, pace: Pace, shared: Shared, scratch: Scratch) -> tuple[int, int]:
+def servo_loop(
+    tuning_like: Tuning, start: Memory, io: Io, pace: Pace, shared: Shared, scratch: Scratch
+) -> tuple[int, int]:
     """Run ticks until told to stop; returns how it ended and the device's last status.
 
     Whatever the end, the last thing written to the device is zero.
@@ -219,7 +221,7 @@ class Servo:
         kernels: list[tuple[Any, tuple[Any, ...]]] = [
             (servo_loop, self._arguments),
             (take, (self.shared.ring, np.empty((1, RECORD_SIZE)))),
-            (publish, (self.shared.tuning, values)),
+            (publish, (self.shared.tuning, self.shared.tuning.values)),
         ]
         for kernel, arguments in kernels:
             kernel.compile(tuple(numba.typeof(argument) for argument in arguments))

@@ -42,8 +42,6 @@ def begin(scene: Scene) -> Memory:
     return Memory(start_state(scene), DISENGAGED)
 
 
-
-
 @jit
 def usable(sample: NDArray[np.float64]) -> bool:
     """Whether a device sample holds a pose: finite, within reach, a quaternion that is about unit."""

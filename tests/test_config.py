@@ -26,6 +26,9 @@ from softfinger.server import check, schema_verb
 ROOT = Path(__file__).resolve().parents[1]
 
 
+ANY_SHAPE = "one of 'plane', 'sphere', 'cylinder', 'capsule', 'box', 'ellipsoid', 'torus'"
+
+
 def scene() -> dict[str, Any]:
     """A small valid scene with every table, as a file would give it."""
     return {
@@ -197,10 +200,10 @@ SCENE_FAULTS = [
     ("object[0].material.friction.static", -1, ["object[0].material.friction.static = -1:", "from 0 to 1000"]),
     ("object[0].material.frictoin", {}, ["object[0].material.frictoin", "(did you mean 'friction'?)"]),
     ("object[0].material", ..., ["object[0].material is missing: add the table [object.material]"]),
-    ("object[0].shape", "plain", ["object[0].shape = 'plain': must be 'plane' (did you mean 'plane'?)"]),
-    ("object[0].shape", "sphere", ["object[0].shape = 'sphere': must be 'plane'"]),
-    ("object[0].shape", ["plane"], ["object[0].shape = ['plane']: must be 'plane'"]),
-    ("object[0].shape", ..., ["object[0].shape is missing: give 'plane', such as shape = 'plane'"]),
+    ("object[0].shape", "plain", [f"object[0].shape = 'plain': must be {ANY_SHAPE} (did you mean 'plane'?)"]),
+    ("object[0].shape", "cube", [f"object[0].shape = 'cube': must be {ANY_SHAPE}"]),
+    ("object[0].shape", ["plane"], [f"object[0].shape = ['plane']: must be {ANY_SHAPE}"]),
+    ("object[0].shape", ..., [f"object[0].shape is missing: give {ANY_SHAPE}, such as shape = 'plane'"]),
     ("object[0].radius_m", 1.0, ["object[0].radius_m is not a key here", "keys are shape, name, position_m"]),
     ("object[0].name", "", ["object[0].name = '': must be text of 1 to 64 characters"]),
     ("object[0].name", "a\nb", [r"object[0].name = 'a\nb': must have printable characters"]),

@@ -29,7 +29,8 @@ def test_the_contact_does_not_drift_off_the_object(method: str, name: str) -> No
     assert stretched < 1e-14
 
 
-@pytest.mark.parametrize("method", METHODS)
+# The fingertip's contact does not pass through the method: three of them, since each compiles a whole engine.
+@pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "montana_rk45"])
 def test_contact_on_the_fingertip_agrees_with_its_orientation(plane_scene: SceneFactory, method: str) -> None:
     """Turned back into the world, the contact point on the fingertip is the one on the object, to rounding."""
     options: dict[str, Any] = {"method": method} | ({"tolerance": 1e-12} if method == "montana_rk45" else {})

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import SceneFactory
 from references.rolling_cases import (
     METHODS,
     PIECED,
@@ -22,9 +23,11 @@ from references.rolling_cases import (
 )
 from references.surface_rolling import rolled
 
+from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model, rotations
 from softfinger.proxy.kernels.rolling import roll
 from softfinger.proxy.kernels.surfaces import closest
+from softfinger.proxy.scene import build_scene
 
 CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
 
@@ -205,3 +208,30 @@ def test_compiled_equals_plain_python(method: str, name: str) -> None:
     for a, b in zip(compiled, plain, strict=True):
         # No contraction, and the same library for sin and cos: not much more than the last bit may differ.
         assert a == pytest.approx(b, rel=1e-13, abs=1e-15)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_scene_selects_the_method(plane_scene: SceneFactory, method: str) -> None:
+    """The scene's method, k_tau and tolerance reach the kernels; k_tau is the coupling's unless the scene says less."""
+    built = build_scene(plane_scene(rolling={"method": method})).rolling
+    assert type(built) is type(METHODS[method])
+    assert built.torque_stiffness == 1000.0
+    limits = {"torque_stiffness_n_per_m": 250.0} | ({"tolerance": 1e-6} if method == "montana_rk45" else {})
+    assert build_scene(plane_scene(rolling={"method": method, **limits})).rolling == type(built)(*limits.values())
+
+
+@pytest.mark.parametrize(
+    ("table", "rolling", "message"),
+    [
+        ({"shape": "torus", "major_radius_m": 0.05, "minor_radius_m": 0.02}, {}, "torus: choose montana_rk4"),
+        ({"shape": "ellipsoid", "semi_axes_m": [0.05, 0.03, 0.02]}, {}, "ellipsoid: choose montana_rk4"),
+        ({}, {"tolerance": 1e-6}, "tolerance = 1e-06: is for montana_rk45"),
+        ({}, {"method": "montana_rk45", "tolerance": 1e-15}, "must be a number from 1e-13 to 0.001"),
+    ],
+)
+def test_a_scene_is_refused(
+    plane_scene: SceneFactory, table: dict[str, Any], rolling: dict[str, Any], message: str
+) -> None:
+    """Closed forms that do not exist, and options of another method, are faults that say what to do."""
+    with pytest.raises(ConfigError, match=message):
+        plane_scene(table=table, rolling={"method": "rotation_vector"} | rolling)

@@ -193,6 +193,22 @@ def test_ellipsoid_to_machine_precision(size: float, flat: float, needle: float,
         assert normal[i] == pytest.approx(float(expected_normal[i]), abs=1e-12)
 
 
+@pytest.mark.parametrize("off", [0.0, 1e-59, 1e-30, 1e-16, 1e-9])
+@pytest.mark.parametrize("thin", [0.9, 0.1, 1e-4, 1e-8])
+def test_ellipsoid_where_its_medial_surface_ends(thin: float, off: float) -> None:
+    """At the centre of curvature of the sharpest end, hardly off the plane of symmetry, the slowest to converge."""
+    for axes, x in (
+        ((1.0, thin, 1.0), (1.0 - thin * thin, off, 0.0)),
+        ((1.0, thin, thin), ((1.0 - thin * thin) * (1.0 - 1e-15), off, off)),
+        ((1.0, thin, 0.5), ((1.0 - thin * thin) * 0.6, off, (0.25 - thin * thin) / 0.5 * 0.8)),
+    ):
+        gap, point, normal = compiled_closest(model.Ellipsoid(axes, 1.0), x)
+        # The point itself is not defined better than to the root of rounding here; how far it is, and that it
+        # is the foot of x, are.
+        assert abs(gap - float(ellipsoid_foot(axes, x)[0])) <= 4 * EPS
+        assert np.linalg.norm(np.array(point) + gap * np.array(normal) - x) <= 1e-15 / thin
+
+
 @pytest.mark.parametrize("axes", [(0.9, 0.5, 0.7), (2.0, 0.3, 0.3), (1.0, 1.0, 0.05)])
 def test_ellipsoid_against_minimisation(axes: Triple) -> None:
     """No point that a general minimiser finds on the ellipsoid is nearer, and the best it finds is as near."""

@@ -157,15 +157,18 @@ def draw(rows: list[dict[str, Any]], path: Any) -> None:
     """Error against tick, a panel for each motion and shape."""
     drawing = figure(path, 3.2 * len(SHAPES), 6.4)
     panels = drawing.subplots(2, len(SHAPES), sharex=True, sharey=True, squeeze=False)
+    lines: dict[str, Any] = {}
     for row in rows:
         axes = panels[int(row["motion"] == "changing")][list(SHAPES).index(row["shape"])]
-        axes.loglog([1.0 / n for n in TICKS], np.maximum(row["error_m"], 1e-18), marker=".", label=row["method"])
+        colour = f"C{list(METHODS).index(row['method'])}"
+        line = axes.loglog([1.0 / n for n in TICKS], np.maximum(row["error_m"], 1e-18), color=colour, marker=".")
+        lines[row["method"]] = line[0]
         axes.set_title(f"{row['shape']}, {row['motion']} rate")
     for axes in panels[1]:
         axes.set_xlabel("tick, s")
-    for line in panels:
-        line[0].set_ylabel("error after 1 s, m")
-    panels[0][0].legend()
+    for first, *_ in panels:
+        first.set_ylabel("error after 1 s, m")
+    drawing.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=len(lines))
     drawing.savefig(path)
 
 

@@ -32,8 +32,8 @@ from softfinger.proxy.kernels.model import (
     Turntable,
     Vec3,
 )
-from softfinger.proxy.kernels.rolling import Roll, roll
 from softfinger.proxy.kernels.motion import pose_at
+from softfinger.proxy.kernels.rolling import Roll, roll
 from softfinger.proxy.kernels.surfaces import closest, transport
 
 NO_HIT = 2.0
@@ -157,8 +157,8 @@ def material_of(objects: Any, index: float) -> Material:
 
 @jit
 def number_of(objects: Any, index: float) -> float:
-    """Number in the scene file of the object with that place in the tuple: several bodies may make one object."""
-    found = 0.0
+    """Number in the scene file of the object with that place in the tuple, -1 for none; several may make one object."""
+    found = -1.0
     at = 0.0
     for body in literal_unroll(objects):
         if at == index:
@@ -401,52 +401,59 @@ def place_several(objects: Any, time: float) -> Any:
     return (place(objects[0], time),) + place_all(objects[1:], time)  # noqa: RUF005
 
 
+class Touched(NamedTuple):
+    """Numbers of the up to three objects that hold the proxy, -1 for none, and the normals there."""
+
+    first: float
+    second: float
+    third: float
+    n1: Vec3
+    n2: Vec3
+    n3: Vec3
+
+
 @by_count
-def apply_objects_effects(
-    objects: Any, states: Any, radius: float, holding: Vec3, at: float, contact: Moment
-) -> Any:
-    """Sum of the forces (3,) N of all objects' effects, and their states; `holding` are the objects touched."""
+def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Moment) -> Any:
+    """Sum of the forces (3,) N of all objects' effects, and their states."""
 
 
 @apply_objects_effects.of(1)
-def effects_of_one(
-    objects: Any, states: Any, radius: float, holding: Vec3, at: float, contact: Moment
-) -> Any:
-    force, state = effects_of(objects[0].effects, objects[0], states[0], radius, holding, at, contact)
+def effects_of_one(objects: Any, states: Any, radius: float, touched: Touched, contact: Moment) -> Any:
+    force, state = effects_of(objects[0].effects, objects[0], states[0], radius, touched, contact)
     return force, (state,)
 
 
 @apply_objects_effects.of(2)
-def effects_of_several(
-    objects: Any, states: Any, radius: float, holding: Vec3, at: float, contact: Moment
-) -> Any:
-    force, state = effects_of(objects[0].effects, objects[0], states[0], radius, holding, at, contact)
-    others, rest = apply_objects_effects(objects[1:], states[1:], radius, holding, at + 1.0, contact)
+def effects_of_several(objects: Any, states: Any, radius: float, touched: Touched, contact: Moment) -> Any:
+    force, state = effects_of(objects[0].effects, objects[0], states[0], radius, touched, contact)
+    others, rest = apply_objects_effects(objects[1:], states[1:], radius, touched, contact)
     return vec3.add(force, others), (state,) + rest  # noqa: RUF005  # see place_several
 
 
 @by_count
-def effects_of(
-    effects: Any, body: Any, states: Any, radius: float, holding: Vec3, at: float, contact: Moment
-) -> Any:
+def effects_of(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Moment) -> Any:
     """Force and states of one object's effects."""
 
 
 @effects_of.of(0)
-def effects_of_none(
-    effects: Any, body: Any, states: Any, radius: float, holding: Vec3, at: float, contact: Moment
-) -> Any:
-    return (0.0, 0.0, 0.0), ()
+def effects_of_none(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Moment) -> Any:
+    return (-0.0, -0.0, -0.0), ()  # see effects.apply_none
 
 
-def effects_of_some(
-    effects: Any, body: Any, states: Any, radius: float, holding: Vec3, at: float, contact: Moment
-) -> Any:
+def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Moment) -> Any:
     gap, _, normal = closest_on(body, contact.position)
-    touched = 1.0 if at == holding[0] or at == holding[1] or at == holding[2] else 0.0
-    moment = Moment(
-        contact.position, contact.velocity, contact.dt, touched, gap - radius, normal, carrier_of(body.motion, body.pose)
-    )
+    is_touched = 1.0
+    # The contact's normal, not that of the nearest surface point: the probe may be through a thin body.
+    if body.number == touched.first:
+        normal = touched.n1
+    elif body.number == touched.second:
+        normal = touched.n2
+    elif body.number == touched.third:
+        normal = touched.n3
+    else:
+        is_touched = 0.0
+    carrier = carrier_of(body.motion, body.pose)
+    moment = Moment(contact.position, contact.velocity, contact.dt, is_touched, gap - radius, normal, carrier)
     return apply_effects(effects, states, moment)
 
 

@@ -60,35 +60,9 @@ def smallest_push(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: float
     if count == 2:
         n3, b3 = n2, b2
     slack = SLACK * (abs(b1) + abs(b2) + abs(b3))
-    nothing = Push(0.0, 0.0, 0.0)
-    if not _misses(nothing, n1, n2, n3, b1, b2, b3, slack):
-        return nothing
-    if not _misses(single, n1, n2, n3, b1, b2, b3, slack):
-        return single
-    push = Push(0.0, max(b2, 0.0), 0.0)
-    if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
-        return push
-    c12 = vec3.dot(n1, n2)
-    if 1.0 - c12 * c12 > PARALLEL:
-        one, two = _pair(c12, b1, b2)
-        push = Push(one, two, 0.0)
-        if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
-            return push
+    # All of them together first: it is what holds a proxy that rests, and then nothing else has to be tried.
+    c12, c13, c23 = vec3.dot(n1, n2), vec3.dot(n1, n3), vec3.dot(n2, n3)
     if count == 3:
-        push = Push(0.0, 0.0, max(b3, 0.0))
-        if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
-            return push
-        c13, c23 = vec3.dot(n1, n3), vec3.dot(n2, n3)
-        if 1.0 - c13 * c13 > PARALLEL:
-            one, three = _pair(c13, b1, b3)
-            push = Push(one, 0.0, three)
-            if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
-                return push
-        if 1.0 - c23 * c23 > PARALLEL:
-            two, three = _pair(c23, b2, b3)
-            push = Push(0.0, two, three)
-            if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
-                return push
         # Cramer's rule on the Gram matrix.
         volume = 1.0 + 2.0 * c12 * c13 * c23 - c12 * c12 - c13 * c13 - c23 * c23
         if volume > PARALLEL:
@@ -100,6 +74,31 @@ def smallest_push(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: float
             )
             if push.first >= 0.0 and push.second >= 0.0 and push.third >= 0.0:
                 return push
+    if 1.0 - c12 * c12 > PARALLEL:
+        one, two = _pair(c12, b1, b2)
+        push = Push(one, two, 0.0)
+        if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
+            return push
+    if count == 3:
+        if 1.0 - c13 * c13 > PARALLEL:
+            one, three = _pair(c13, b1, b3)
+            push = Push(one, 0.0, three)
+            if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
+                return push
+        if 1.0 - c23 * c23 > PARALLEL:
+            two, three = _pair(c23, b2, b3)
+            push = Push(0.0, two, three)
+            if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
+                return push
+    if not _misses(single, n1, n2, n3, b1, b2, b3, slack):
+        return single
+    push = Push(0.0, max(b2, 0.0), 0.0)
+    if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
+        return push
+    if count == 3:
+        push = Push(0.0, 0.0, max(b3, 0.0))
+        if not _misses(push, n1, n2, n3, b1, b2, b3, slack):
+            return push
     if b2 > b1 and (count == 2 or b2 >= b3):
         return Push(0.0, max(b2, 0.0), 0.0)
     if count == 3 and b3 > b1:

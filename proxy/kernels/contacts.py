@@ -28,7 +28,7 @@ from softfinger.proxy.kernels.model import (
 
 ROUNDS = 10
 """Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""
-SLIDING_ROUNDS = 3
+SLIDING_ROUNDS = 2
 """The same for a proxy that slides: what is left is far below the slip of one tick, and the next tick takes it up."""
 SAME_SIDE = 0.5
 """Cosine between two normals of one side of an object, one tick apart: a fingertip does not turn round it in a tick."""
@@ -99,9 +99,7 @@ def find_second_and_third(objects: Any, radius: float, center: Vec3, held: Held)
 
 
 @by_count
-def settle(
-    objects: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, held: Held, slips: bool
-) -> Any:
+def settle(objects: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, held: Held, slips: bool) -> Any:
     """Bring the proxy to rest.
 
     center      (3,) m  where it was

@@ -298,7 +298,8 @@ def apply_effects(effects: Any, states: Any, moment: Moment) -> Any:
 
 @apply_effects.of(0)
 def apply_none(effects: Any, states: Any, moment: Moment) -> Any:
-    return (0.0, 0.0, 0.0), ()
+    # Negative zero: adding it changes no bit of any number, so the compiler leaves the addition out.
+    return (-0.0, -0.0, -0.0), ()
 
 
 @apply_effects.of(1)

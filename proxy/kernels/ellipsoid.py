@@ -16,7 +16,7 @@ ITERATIONS = 32
 CONVERGED = 4e-16
 """How far outside the surface, in semi-axes, is on it."""
 FARTHEST = 1e8
-"""Points farther out, in semi-axes, are first brought here: squares stay finite and the direction is all that counts."""
+"""Points farther out, in semi-axes, are brought here first: squares stay finite, and only the direction counts."""
 
 
 @jit

@@ -62,9 +62,7 @@ def static_coefficient(law: Any) -> Any:
 def slide_freely(law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, tick: Tick) -> Hold:
     """Without friction the proxy is the foot of the probe: no deflection, no state machine. It still winds."""
     zero = (0.0, 0.0, 0.0)
-    wound = wind(
-        torsion, tick.spin, tick.twist, tick.normal_force, tick.spin_slip_speed, tick.spin_slip_angle, tick.dt
-    )
+    wound = wind(torsion, tick.spin, tick.twist, tick.normal_force, tick.spin_slip_speed, tick.spin_slip_angle, tick.dt)
     return Hold(
         float(SLIDING), float(CAUSE_NONE), zero, zero, 0.0, 0.0,
         wound.spin, wound.slip_speed, wound.slip_angle, zero, wound.moment,
@@ -170,8 +168,10 @@ def hold_by(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float,
             stopped = slip_speed < STOP_SPEED_M_PER_S
             reversed_ = unwound > max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * tick.resolution)
             # With viscous friction a fast slip may hold more than the static cone does: it cannot stick yet.
-            if not slips and (stopped or reversed_) and (
-                load_size(law, tick.normal, vec3.scale(stiffness, deflection)) <= (1.0 + ROUNDING) * static_limit
+            if (
+                not slips
+                and (stopped or reversed_)
+                and (load_size(law, tick.normal, vec3.scale(stiffness, deflection)) <= (1.0 + ROUNDING) * static_limit)
             ):
                 mode, slip_speed = float(ROLLING), 0.0
                 cause = float(CAUSE_STOP) if stopped else float(CAUSE_REVERSE)

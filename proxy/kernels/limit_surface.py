@@ -1,7 +1,7 @@
 """Friction and torsion with one limit or with two: what a slip leaves of deflection and wind-up.
 
-    room(torsion, spin, normal_force) -> 1                  share of the static cone that torsion leaves
-    slide(torsion, law, stiffness, limit, breaking, tick) -> Slide
+room(torsion, spin, normal_force) -> 1                  share of the static cone that torsion leaves
+slide(torsion, law, stiffness, limit, breaking, tick) -> Slide
 """
 
 from math import sqrt

@@ -167,6 +167,7 @@ class Object(NamedTuple):
     number: float
     effects: Any
 
+
 class EulerZxz(NamedTuple):
     """Rolling by the ZXZ Euler angles of each tick's rotation; `torque_stiffness` is k_tau, N/m."""
 

@@ -54,9 +54,7 @@ def hold_to_the_letter(
         force = vec3.scale(stiffness, deflection)
     elif tick.dt > 0.0:
         force = vec3.add_scaled(force, coupling.damping / tick.dt, change)
-    now = wind(
-        torsion, tick.spin, tick.twist, tick.normal_force, tick.spin_slip_speed, tick.spin_slip_angle, tick.dt
-    )
+    now = wind(torsion, tick.spin, tick.twist, tick.normal_force, tick.spin_slip_speed, tick.spin_slip_angle, tick.dt)
     return Hold(
         mode, cause, deflection, rolled, 0.0, 0.0, now.spin, now.slip_speed, now.slip_angle, force, now.moment
     )  # fmt: skip

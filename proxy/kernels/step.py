@@ -4,9 +4,16 @@ from typing import Any
 
 from softfinger.proxy.kernels import rotations, vec3
 from softfinger.proxy.kernels.approach import has_ended, stay, touch
-from softfinger.proxy.kernels.bodies import apply_objects_effects, material_of, number_of, place_all, pose_of
+from softfinger.proxy.kernels.bodies import (
+    Touched,
+    apply_objects_effects,
+    material_of,
+    number_of,
+    place_all,
+    pose_of,
+)
 from softfinger.proxy.kernels.constraints import displacement
-from softfinger.proxy.kernels.contacts import NONE, load_of, settle, tangent_to_all
+from softfinger.proxy.kernels.contacts import NONE, Held, hold_by, load_of, settle, tangent_to_all
 from softfinger.proxy.kernels.effects import Moment, apply_effects
 from softfinger.proxy.kernels.friction import hold
 from softfinger.proxy.kernels.jit import jit
@@ -41,7 +48,7 @@ def out_of_contact(
         cause = float(CAUSE_RELEASE)
     time = state.time + dt
     up, free, still = (0.0, 0.0, 1.0), float(FREE), (1.0, 0.0, 0.0, 0.0)
-    force, states = all_effects(scene, objects, state, (NONE, NONE, NONE), position, velocity, velocity, dt)
+    force, states = all_effects(scene, objects, state, hold_by(NONE, up), position, velocity, velocity, dt)
     after = State(
         1.0, time, position, orientation, velocity, free, NONE, NONE, NONE, Pose(zero, still), position, up, zero, zero,
         0.0, 0.0, 0.0, 0.0, 0.0, 0.0, states,
@@ -57,18 +64,22 @@ def all_effects(
     scene: Scene,
     objects: Any,
     state: State,
-    holding: Vec3,
+    held: Held,
     position: Vec3,
     velocity: Vec3,
     against: Vec3,
     dt: float,
 ) -> tuple[Vec3, Any]:
-    """Force of the workspace's and the objects' effects, and their states; `holding` are the objects touched."""
-    up, touched = (0.0, 0.0, 1.0), 0.0 if holding[0] < 0.0 else 1.0
-    around = Moment(position, velocity, dt, touched, 0.0, up, None)
+    """Force of the workspace's and the objects' effects, and their states."""
+    up, in_contact = (0.0, 0.0, 1.0), 0.0 if held.first < 0.0 else 1.0
+    around = Moment(position, velocity, dt, in_contact, 0.0, up, None)
     force, states = apply_effects(scene.effects, state.effects[0], around)
     contact = Moment(position, against, dt, 0.0, 0.0, up, None)
-    more, states_of_objects = apply_objects_effects(objects, state.effects[1], scene.radius, holding, 0.0, contact)
+    touched = Touched(
+        number_of(objects, held.first), number_of(objects, held.second), number_of(objects, held.third),
+        held.n1, held.n2, held.n3,
+    )  # fmt: skip
+    more, states_of_objects = apply_objects_effects(objects, state.effects[1], scene.radius, touched, contact)
     return vec3.add(force, more), (states, states_of_objects)
 
 
@@ -120,8 +131,7 @@ def step(scene: Scene, state: State, position: Vec3, orientation: Quaternion, dt
     # A contact force f at -r n from the centre turns the hand by -r n x f; the normal part does not.
     normal, rolled = rests.n1, state.rolled + comes.theta
     torque = vec3.add_scaled(vec3.scale(moment, normal), -scene.radius, vec3.cross(normal, tangential))
-    holding = (rests.first, rests.second, rests.third)
-    extra, states = all_effects(scene, objects, state, holding, position, velocity, comes.against, dt)
+    extra, states = all_effects(scene, objects, state, rests, position, velocity, comes.against, dt)
     behind = vec3.sub(center, position)
     after = State(
         1.0, state.time + dt, position, orientation, velocity, kept.mode, rests.first, rests.second, rests.third,

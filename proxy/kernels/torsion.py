@@ -100,14 +100,26 @@ def wind_linear(
 
 @wind.of(PowerTorsion)
 def wind_power(
-    torsion: PowerTorsion, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
+    torsion: PowerTorsion,
+    spin: float,
+    turn: float,
+    normal_force: float,
+    slip_speed: float,
+    slip_angle: float,
+    dt: float,
 ) -> Wound:
     return clamped(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
 
 @wind.of(LimitSurface)
 def wind_limit_surface(
-    torsion: LimitSurface, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
+    torsion: LimitSurface,
+    spin: float,
+    turn: float,
+    normal_force: float,
+    slip_speed: float,
+    slip_angle: float,
+    dt: float,
 ) -> Wound:
     """Without a tangential load the limit surface is the torsional limit; with one, friction has cut phi before."""
     return clamped(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)

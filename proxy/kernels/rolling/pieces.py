@@ -15,9 +15,11 @@ from softfinger.proxy.kernels.rolling.closed import over_cylinder, over_sphere, 
 from softfinger.proxy.kernels.rolling.integrated import integrate
 from softfinger.proxy.kernels.surfaces import transport
 
-MAX_PIECES = 32
-"""Pieces of path in one tick. Half a turn over the smallest box crosses about six; a hollow capsule much
-narrower than its fingertip can ask for more, and what is then left of the tick is not rolled."""
+ToRim = tuple[float, Vec3, Vec3, float]
+
+MAX_PIECES = 256
+"""Pieces of path in one tick; what is left of the tick after so many is not rolled. Half a turn over a box takes
+nine at most. Only in a hollow capsule hardly wider than its fingertip, which winds round and round, are there more."""
 RIM_TOLERANCE = 1e-13
 """Of the integration around the rim of a capped cylinder, relative to the fingertip's radius."""
 NEVER = 2.0
@@ -72,6 +74,19 @@ def unit(v: Vec3, otherwise: Vec3) -> Vec3:
     return vec3.scale(1.0 / size, v) if size > 0.0 else otherwise
 
 
+@jit
+def leaving_barrel(
+    half_length: float, z: float, share: float, radius: float, normal: Vec3, w: Vec3
+) -> tuple[float, float]:
+    """When a path over a barrel about the z axis reaches an end of it, and which: +1 the upper, -1 the lower."""
+    slope = radius * vec3.cross(w, normal)[2]
+    bend = radius * share * vec3.cross(w, vec3.cross((0.0, 0.0, w[2]), normal))[2]
+    frequency = abs(share * w[2])
+    up = leaving_time(half_length - z, -slope, -bend, frequency)
+    down = leaving_time(half_length + z, slope, bend, frequency)
+    return (up, 1.0) if up < down else (down, -1.0)
+
+
 @unroll.of(Capsule)
 def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     """Barrel (a cylinder) and caps (spheres), touched from outside or inside."""
@@ -84,18 +99,13 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
         n = unit((n[0], n[1], 0.0), normal)
     motion, spin, left = (0.0, 0.0, 0.0), 0.0, 1.0
     for _ in range(MAX_PIECES):
-        slope = vec3.cross(w, n)
-        pivot = w if cap != 0.0 else (0.0, 0.0, w[2])
-        bend = vec3.cross(w, vec3.scale(share, vec3.cross(pivot, n)))
-        frequency = abs(share) * vec3.norm(pivot)
-        time, to = NEVER, 0.0
+        time, to = 0.0, 0.0
         if cap == 0.0:
-            up = leaving_time(shape.half_length - z, -radius * slope[2], -radius * bend[2], frequency)
-            down = leaving_time(shape.half_length + z, radius * slope[2], radius * bend[2], frequency)
-            time, to = (up, 1.0) if up < down else (down, -1.0)
+            time, to = leaving_barrel(shape.half_length, z, share, radius, n, w)
         else:
-            sign = cap * outward
-            time = leaving_time(sign * n[2], sign * share * slope[2], sign * share * bend[2], frequency)
+            sign, turning = cap * outward, vec3.cross(w, n)
+            bend = share * share * vec3.cross(w, turning)[2]
+            time = leaving_time(sign * n[2], sign * share * turning[2], sign * bend, abs(share) * vec3.norm(w))
         part = vec3.scale(min(time, left), w)
         before = n
         if cap == 0.0:
@@ -190,35 +200,41 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
     return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
 
 
+@jit
+def to_the_rim_by_barrel(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
+    """Share of the tick until a path on the barrel reaches the rim, at most 1, and centre, motion and spin by then."""
+    distance, n = radius + shape.radius, unit((normal[0], normal[1], 0.0), normal)
+    share = turning_share(radius, distance)
+    time = min(leaving_barrel(shape.half_length, center[2], share, radius, n, w)[0], 1.0)
+    n, motion, spin = over_cylinder(radius, share, (0.0, 0.0, 1.0), n, vec3.scale(time, w))
+    return time, (distance * n[0], distance * n[1], center[2] + motion[2]), motion, spin
+
+
+@jit
+def to_the_rim_by_end(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
+    """The same on one of the flat ends, where the square of the distance from the axis is a parabola."""
+    velocity = vec3.scale(radius, vec3.cross(w, normal))
+    room = shape.radius * shape.radius - center[0] * center[0] - center[1] * center[1]
+    closing = -2.0 * (center[0] * velocity[0] + center[1] * velocity[1])
+    time = min(leaving_time(room, closing, -2.0 * vec3.dot(velocity, velocity), 0.0), 1.0)
+    motion = vec3.scale(time, velocity)
+    return time, vec3.add(center, motion), motion, time * vec3.dot(w, normal)
+
+
 @unroll.of(CappedCylinder)
 def unroll_on_capped_cylinder(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
-    """Barrel (a cylinder) and flat caps (planes) in closed form; from the rim on, which has none, integrated."""
-    distance = radius + shape.radius
-    on_barrel = abs(center[2]) <= shape.half_length
-    outside = center[0] * center[0] + center[1] * center[1] > shape.radius * shape.radius
-    if on_barrel == outside:
-        if on_barrel:
-            n = unit((normal[0], normal[1], 0.0), normal)
-            share = turning_share(radius, distance)
-            slope, pivot = vec3.cross(w, n), (0.0, 0.0, w[2])
-            bend = vec3.cross(w, vec3.scale(share, vec3.cross(pivot, n)))
-            frequency = share * abs(w[2])
-            up = leaving_time(shape.half_length - center[2], -radius * slope[2], -radius * bend[2], frequency)
-            down = leaving_time(shape.half_length + center[2], radius * slope[2], radius * bend[2], frequency)
-            time = min(up, down, 1.0)
-            n, motion, spin = over_cylinder(radius, share, (0.0, 0.0, 1.0), n, vec3.scale(time, w))
-            end = (distance * n[0], distance * n[1], center[2] + motion[2])
-        else:
-            velocity = vec3.scale(radius, vec3.cross(w, normal))
-            inside = shape.radius * shape.radius - center[0] * center[0] - center[1] * center[1]
-            closing = -2.0 * (center[0] * velocity[0] + center[1] * velocity[1])
-            time = min(leaving_time(inside, closing, -2.0 * vec3.dot(velocity, velocity), 0.0), 1.0)
-            motion, spin = vec3.scale(time, velocity), time * vec3.dot(w, normal)
-            end = vec3.add(center, motion)
-        center, n = land(shape, radius, end)
-        if time >= 1.0:
-            return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
-        rest = integrate(shape, radius, center, n, vec3.scale(1.0 - time, w), RIM_TOLERANCE)
-        motion = vec3.add(transport(shape, motion, n, rest.normal), rest.motion)
-        return Roll(rest.center, rest.normal, motion, vec3.norm(motion) / radius, spin + rest.spin)
-    return integrate(shape, radius, center, normal, w, RIM_TOLERANCE)
+    """Barrel (a cylinder) and flat ends (planes) in closed form; from the rim on, which has none, integrated."""
+    over_barrel = abs(center[2]) <= shape.half_length
+    over_end = center[0] * center[0] + center[1] * center[1] <= shape.radius * shape.radius
+    if over_barrel == over_end:  # neither: over the rim; both: inside the solid
+        return integrate(shape, radius, center, normal, w, RIM_TOLERANCE)
+    if over_barrel:
+        time, end, motion, spin = to_the_rim_by_barrel(shape, radius, center, normal, w)
+    else:
+        time, end, motion, spin = to_the_rim_by_end(shape, radius, center, normal, w)
+    center, n = land(shape, radius, end)
+    if time >= 1.0:
+        return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
+    rest = integrate(shape, radius, center, n, vec3.scale(1.0 - time, w), RIM_TOLERANCE)
+    motion = vec3.add(transport(shape, motion, n, rest.normal), rest.motion)
+    return Roll(rest.center, rest.normal, motion, vec3.norm(motion) / radius, spin + rest.spin)

@@ -4,6 +4,6 @@ See `contract` for what a shape has to give.
 """
 
 from softfinger.proxy.kernels.surfaces import ellipsoid, plane, round, sharp, torus
-from softfinger.proxy.kernels.surfaces.contract import closest, curvature, relative_curvature, transport
+from softfinger.proxy.kernels.surfaces.contract import closest, curvature, transport
 
-__all__ = ["closest", "curvature", "ellipsoid", "plane", "relative_curvature", "round", "sharp", "torus", "transport"]
+__all__ = ["closest", "curvature", "ellipsoid", "plane", "round", "sharp", "torus", "transport"]

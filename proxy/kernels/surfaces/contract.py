@@ -36,10 +36,6 @@ def curvature(shape: Any, radius: float, point: Vec3, normal: Vec3) -> Any: ...
 
 
 @by_type
-def relative_curvature(shape: Any, radius: float, point: Vec3, normal: Vec3, direction: Vec3) -> Any: ...
-
-
-@by_type
 def transport(shape: Any, v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Any: ...
 
 

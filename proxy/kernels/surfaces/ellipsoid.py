@@ -28,14 +28,15 @@ from softfinger.proxy.kernels.surfaces.contract import (
     turn_along,
 )
 
-_STEPS = 64
-"""Close to the surface three or four are taken; the most seen, with axes 10^8 apart, is fifteen."""
+_STEPS = 128
+"""Close to the surface three or four are taken. The cap is for points where the medial surface ends, off it by the
+least there is: there s grows by half a step, from 1e-60 to 1e-40 at the worst."""
 
 _CONVERGED = 1e-8
 """Relative step after which the next would be below rounding: the convergence is quadratic."""
 
-_NOTHING = 1e-150
-"""A coordinate below this many shortest axes is on the plane of symmetry."""
+_NOTHING = 1e-60
+"""A coordinate below this many shortest axes is zero: it moves the point by its cube root at the most."""
 
 
 @jit
@@ -57,7 +58,7 @@ def inverses(w: Vec3, s: float, e: Vec3) -> Vec3:
 
 @jit
 def weight(ratio: float, x: float) -> float:
-    """ratio x, or nothing where x is so small that 1 / x could overflow."""
+    """ratio x, or nothing where x is next to nothing."""
     return ratio * x if x > _NOTHING else 0.0
 
 

@@ -2,7 +2,7 @@
 
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.model import Plane, Vec3
-from softfinger.proxy.kernels.surfaces.contract import any_tangent, closest, curvature, relative_curvature, transport
+from softfinger.proxy.kernels.surfaces.contract import any_tangent, closest, curvature, transport
 
 
 @closest.of(Plane)
@@ -14,11 +14,6 @@ def closest_on_plane(shape: Plane, x: Vec3) -> tuple[float, Vec3, Vec3]:
 @curvature.of(Plane)
 def curvature_of_plane(shape: Plane, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     return 0.0, 0.0, any_tangent(normal)
-
-
-@relative_curvature.of(Plane)
-def relative_curvature_of_plane(shape: Plane, radius: float, point: Vec3, normal: Vec3, direction: Vec3) -> float:
-    return 1.0 / radius
 
 
 @transport.of(Plane)

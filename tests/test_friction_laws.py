@@ -1,0 +1,321 @@
+"""Friction laws against their closed forms, and what must hold under any of them.
+
+The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, K = 1000 N/m, 1 kHz.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SceneFactory, paper_mapping
+from hypothesis import given, settings
+from references.hand import Hand, drive
+from references.laws import (
+    ANISOTROPIC,
+    LAWS,
+    SPEED,
+    Handling,
+    column,
+    handling,
+    rolling,
+    stored_energy,
+    work_of_the_hand,
+)
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels import model
+from softfinger.proxy.laws import friction_laws
+
+R = 0.01
+EXACT = 1e-12
+"""Rounding of some hundred additions of order 1e-2 m times 1000 N/m, N."""
+
+
+def pressed(depth: float = 0.001) -> Hand:
+    """A hand that was free on its first tick and is pressed in from its second."""
+    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
+
+
+# --- Coulomb ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("depth", [1e-4, 1e-3, 4e-3])
+@pytest.mark.parametrize("speed", [0.002, 0.05, 0.5])
+def test_ramp_peaks_at_static_and_slides_at_kinetic_friction(
+    plane_scene: SceneFactory, depth: float, speed: float
+) -> None:
+    """Dragged at any speed under any load the force peaks at mu_s f_N once and is mu_d f_N from the next tick on."""
+    ticks = int(np.ceil(3e-6 * 1000 / speed / 3e-3 * depth / 1e-3 * 1e3)) + 20
+    trace = drive(Engine(plane_scene()), pressed(depth).go(ticks, move=[ticks * speed / 1000, 0, 0]))
+    assert trace.causes == ["touch", "drag"]
+    slide, load = trace.events[1][0], 1000 * depth
+    # The contract is 0.1 %; only the rounding of z is left, 1e-18 m in 1e-4 m.
+    assert trace.tangential.max() == pytest.approx(0.6 * load, rel=1e-12)
+    assert trace.tangential[slide] == pytest.approx(0.6 * load, rel=1e-12)
+    assert len(trace.tangential) > slide + 3
+    assert trace.tangential[slide + 1 :] == pytest.approx(0.5 * load, rel=1e-12)
+
+
+@pytest.mark.parametrize("stiffness", [1e1, 1e3, 1e6])
+@pytest.mark.parametrize("depth", [1e-6, 1e-3])
+def test_no_length_biases_the_force(plane_scene: SceneFactory, stiffness: float, depth: float) -> None:
+    """No margin is added to a position: pressing, holding and sliding forces are K times depths to rounding."""
+    scene = plane_scene(
+        material={"stiffness_n_per_m": stiffness}, coupling={"stiffness_n_per_m": stiffness, "damping_ns_per_m": 0.0}
+    )
+    hand = pressed(depth).go(10, move=[0.3 * depth, 0, 0])
+    held = hand.at
+    trace = drive(Engine(scene), hand.go(70, move=[7 * depth, 0, 0]))
+    # Positions of 1e-2 m are rounded to 2e-18 m, ten times over.
+    rounding = stiffness * 2e-17
+    assert trace.normal_force[1:] == pytest.approx(stiffness * depth, abs=rounding)
+    assert trace.force[held, 0] == pytest.approx(-0.3 * stiffness * depth, abs=rounding)
+    assert trace.force[-1, 0] == pytest.approx(-0.5 * stiffness * depth, abs=rounding)
+
+
+@pytest.mark.parametrize("law", list(LAWS))
+def test_sliding_at_constant_speed_has_no_ripple(plane_scene: SceneFactory, law: str) -> None:
+    """Between ticks, and at half the tick rate, the tangential force of a steady slide does not change."""
+    hand = pressed().go(700, move=[0.035, 0.021, 0], turn=[0, 0, 0.7])
+    records = Engine(plane_scene(material=LAWS[law], rolling=rolling(law))).run(np.array(hand.poses))
+    # Low-passed speeds have settled to 1e-13 after thirty time constants.
+    steady = column(records, "force", 3)[-350:, :2]
+    assert np.abs(np.diff(steady, axis=0)).max() < 1e-11
+    assert np.abs(np.fft.rfft(steady - steady.mean(axis=0), axis=0))[-1].max() / len(steady) < 1e-11
+
+
+# --- with the speed --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [0.005, 0.05, 0.15, 0.4])
+@pytest.mark.parametrize(
+    ("friction", "coefficient"),
+    [
+        ({"stribeck_speed_m_per_s": 0.05}, lambda v: 0.5 + 0.1 * np.exp(-((v / 0.05) ** 2))),
+        ({"viscous_s_per_m": 0.5}, lambda v: 0.5 + 0.5 * v),
+        (SPEED, lambda v: 0.5 + 0.1 * np.exp(-((v / 0.05) ** 2)) + 0.5 * v),
+    ],
+    ids=["stribeck", "viscous", "both"],
+)
+def test_friction_follows_the_slip_speed(
+    plane_scene: SceneFactory, speed: float, friction: dict[str, float], coefficient: Any
+) -> None:
+    """A steady slide at v has mu_d + (mu_s - mu_d) exp(-(v / v_s)^2) + c v, after a peak of mu_s on breaking loose."""
+    ticks = int(2e-3 / speed * 1000) + 500
+    hand = pressed().go(ticks, move=[speed * ticks / 1000, 0, 0])
+    trace = drive(Engine(plane_scene(material={"friction": friction})), hand)
+    assert trace.causes == ["touch", "drag"]
+    assert trace.tangential[trace.events[1][0]] == pytest.approx(0.6, rel=EXACT)
+    # What is left of the start-up after fifty time constants of the speed's low-pass, at worst slowed by the curve.
+    assert trace.tangential[-1] == pytest.approx(coefficient(speed), rel=1e-8)
+
+
+def test_friction_follows_the_slip_and_not_the_hand(plane_scene: SceneFactory) -> None:
+    """A hand at rest whose finger turns on under it slips as fast as the skin goes: r omega counts as the speed."""
+    hand = pressed().go(800, turn=[0.8 * 4.0, 0, 0])
+    trace = drive(Engine(plane_scene(material={"friction": {"viscous_s_per_m": 0.5}})), hand)
+    assert trace.causes == ["touch", "theta_max"]
+    assert trace.tangential[-1] == pytest.approx(0.5 + 0.5 * 4.0 * R, rel=1e-8)
+
+
+def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(plane_scene: SceneFactory) -> None:
+    """Stopped from a slip that viscous friction made stronger than mu_s f_N, the finger sticks once it holds."""
+    hand = pressed().go(200, move=[0.2, 0, 0])
+    stop = hand.at
+    hand.go(300)
+    trace = drive(Engine(plane_scene(material={"friction": {"viscous_s_per_m": 1.0}})), hand)
+    assert trace.causes == ["touch", "drag", "stop"]
+    assert trace.tangential[stop] > 1.4
+    after = trace.events[2][0]
+    assert (trace.tangential[after:] <= 0.6 * (1 + EXACT)).all()
+    assert np.ptp(trace.tangential[after:]) < EXACT
+
+
+# --- anisotropic -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("heading", np.linspace(0, 2 * np.pi, 9)[:-1] + 0.1)
+def test_anisotropic_slide_dissipates_the_most(plane_scene: SceneFactory, heading: float) -> None:
+    """A steady slip along (x, y) has the force (a^2 x, b^2 y) / |(a x, b y)|: where it is normal to the ellipse."""
+    way = np.array([np.cos(heading), np.sin(heading)])
+    hand = pressed().go(600, move=[*(0.03 * way), 0])
+    trace = drive(Engine(plane_scene(material={"friction": ANISOTROPIC})), hand)
+    a, b = 0.5 * 0.9, 0.5 * 0.4
+    expected = -np.array([a**2 * way[0], b**2 * way[1]]) / np.hypot(a * way[0], b * way[1])
+    # The deflection turns to its final direction within a few of its own lengths of slip, here sixty.
+    assert trace.force[-1, :2] == pytest.approx(expected, abs=1e-9)
+    assert trace.causes == ["touch", "drag"]
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7, np.pi / 2, 4.0])
+def test_anisotropic_drag_breaks_loose_on_the_ellipse(plane_scene: SceneFactory, heading: float) -> None:
+    """The peak before sliding is mu_s f_N times the scale of its direction, and the slide starts just outside."""
+    way = np.array([np.cos(heading), np.sin(heading)])
+    hand = pressed().go(300, move=[*(0.0021 * way), 0])
+    trace = drive(Engine(plane_scene(material={"friction": ANISOTROPIC})), hand)
+    slide = trace.events[1][0]
+    size = np.hypot(trace.force[:, 0] / 1.0, trace.force[:, 1] / 0.5)
+    assert size[slide] == pytest.approx(0.6, rel=EXACT)
+    assert size.max() == pytest.approx(0.6, rel=EXACT)
+    assert slide == 1 + int(np.ceil(0.6e-3 / np.hypot(way[0], way[1] / 0.5) / 7e-6))
+
+
+def test_anisotropy_turns_with_the_object(plane_scene: SceneFactory) -> None:
+    """The direction is the object's: turn object and hand together and the force turns with them."""
+    half = 0.35
+    tilted = [np.cos(half) * 0.8, 0.6 * np.cos(half), 0.6 * np.sin(half) * 0, 0.0]
+    q = np.array(tilted) / np.linalg.norm(tilted)
+    yaw = np.array([np.cos(half), 0, 0, np.sin(half)])
+    from references.rotation import matrix, multiply
+
+    turn = multiply(q, yaw)
+    rotation = matrix(turn)
+    straight = pressed().go(300, move=[0.01, 0.006, 0])
+    turned = Hand(rotation @ straight.poses[0][:3])
+    turned.poses = [np.concatenate([rotation @ pose[:3], [1, 0, 0, 0]]) for pose in straight.poses]
+    material = {"friction": ANISOTROPIC}
+    first = drive(Engine(plane_scene(material=material)), straight)
+    second = drive(Engine(plane_scene(material=material, table={"orientation_wxyz": list(turn)})), turned)
+    assert second.force == pytest.approx(first.force @ rotation.T, abs=1e-11)
+    assert second.causes == first.causes
+
+
+def test_a_direction_along_the_normal_still_has_two_axes(plane_scene: SceneFactory) -> None:
+    """Where the given direction stands on the surface, along and across are two tangents at right angles."""
+    material = {"friction": {**ANISOTROPIC, "direction_x": [0.0, 0.0, 1.0]}}
+    trace = drive(Engine(plane_scene(material=material)), pressed().go(300, move=[0.02, 0, 0]))
+    assert np.isfinite(trace.force).all()
+    assert trace.tangential[-1] in (pytest.approx(0.45, rel=1e-9), pytest.approx(0.2, rel=1e-9))
+
+
+def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
+    """With both scales one the ellipse is the circle: the same forces as without a direction."""
+    hand = pressed().go(200, move=[0.004, 0.003, 0]).go(100, turn=[0.2, -0.1, 0]).go(200, move=[-0.004, 0.001, 0.0005])
+    plain = drive(Engine(plane_scene()), hand)
+    round_ = drive(Engine(plane_scene(material={"friction": {"direction_x": [0.3, 1.0, 0.0]}})), hand)
+    assert round_.force == pytest.approx(plain.force, abs=EXACT)
+    assert round_.events == plain.events
+
+
+# --- under any law ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", list(LAWS))
+def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
+    """Whatever the hand does, the force is inside the static cone, or inside the kinetic one where that is wider."""
+    engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
+    scale = np.array([1.0, 0.5]) if "anisotropic" in law else np.ones(2)
+    kinetic = np.array([0.9, 0.4]) if "anisotropic" in law else np.ones(2)
+
+    # 90 hands of some 130 ticks: 10^4 cases.
+    @settings(max_examples=90, deadline=None, derandomize=True)
+    @given(handling())
+    def check(hand: Handling) -> None:
+        engine.reset()
+        records = engine.run(hand.poses)
+        force, normal = column(records, "force", 3)[:, :2], column(records, "contact.normal_force")
+        assert np.isfinite(records).all()
+        assert (normal >= 0.0).all()
+        size = np.linalg.norm(force / scale, axis=1)
+        limit = 0.6 * normal
+        if "speed" in law:
+            # Slip is at most what the hand and the skin do together: 1.5 mm and 0.3 rad in a tick, both axes.
+            fastest = 0.6 + 0.5 * (np.sqrt(2) * 1.5 + 3.0)
+            size = np.minimum(size, np.linalg.norm(force / kinetic, axis=1))
+            limit = fastest * normal
+        assert (size <= limit * (1 + EXACT)).all()
+        # 1 N at a depth of 1 mm, and the torsional limits with it.
+        largest = 0.004 * normal * (normal**0.3 if "power" in law else 1.0)
+        assert (np.abs(column(records, "torque", 3)[:, 2]) <= largest * (1 + EXACT)).all()
+
+    check()
+
+
+@pytest.mark.parametrize("law", list(LAWS))
+def test_no_energy_comes_out_of_the_contact(plane_scene: SceneFactory, law: str) -> None:
+    """The hand has always put in at least what the springs store, so no closed cycle gives anything."""
+    engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
+
+    @settings(max_examples=90, deadline=None, derandomize=True)
+    @given(handling())
+    def check(hand: Handling) -> None:
+        engine.reset()
+        records = engine.run(hand.poses)
+        # Some hundred terms of up to 1e-2 J each.
+        assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
+
+    check()
+
+
+def test_the_account_of_energy_is_exact(plane_scene: SceneFactory) -> None:
+    """Wound by a drag, a roll and a spin in small steps without slipping, the work is what the springs store."""
+    hand = pressed().go(400, move=[2e-4, -1e-4, 0]).go(400, turn=[0.01, 0.02, 0]).go(400, turn=[0, 0, 0.05])
+    hand.go(400, move=[0, 0, -1e-3])
+    records = Engine(plane_scene()).run(np.array(hand.poses))
+    work, stored = work_of_the_hand(records), stored_energy(records)
+    # Each step counts K dx^2 / 2 too much, and the touch 0.5 K depth (2 height + depth).
+    surplus = work[-1] - work[1] - (stored[-1] - stored[1])
+    assert 0.0 < surplus < 4e-6
+    assert stored[-1] > 2e-3
+
+
+# --- the file --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("friction", "message"),
+    [
+        ({"static_scale": [1.0, 0.5]}, "needs direction_x"),
+        ({"direction_x": [0.0, 0.0, 0.0]}, "no direction"),
+        ({"direction_x": [1.0, 0.0, 0.0], "static_scale": [1.0, 0.5]}, "across, above the static 0.3"),
+        ({"direction_x": [1.0, 0.0, 0.0], "kinetic_scale": [0.0, 0.5]}, "from 0.001"),
+        ({"stribeck_speed_m_per_s": 0.0}, "from 1e-05 to 10 m/s"),
+        ({"viscous_s_per_m": -1.0}, "from 0 to 100 s/m"),
+    ],
+)
+def test_faulty_friction_is_refused(friction: dict[str, Any], message: str) -> None:
+    """A friction table that contradicts itself is refused with what to change."""
+    with pytest.raises(ConfigError, match=message):
+        build(Scene, paper_mapping(material={"friction": friction}), "test scene")
+
+
+def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
+    """The type of the law, which is what gets compiled, has the parts the scene names and no others."""
+    assert friction_laws(plane_scene(rolling=None, material={"friction": None})) == [None]
+    assert friction_laws(plane_scene()) == [model.Friction(0.6, 0.5)]
+    stribeck = plane_scene(material={"friction": {"stribeck_speed_m_per_s": 0.1}})
+    assert friction_laws(stribeck) == [model.SpeedFriction(0.6, 0.5, model.Stribeck(0.1), 0.0)]
+    viscous = plane_scene(material={"friction": {"viscous_s_per_m": 2.0}})
+    assert friction_laws(viscous) == [model.SpeedFriction(0.6, 0.5, None, 2.0)]
+    directed = plane_scene(material={"friction": {"direction_x": [0.0, 2.0, 0.0]}})
+    expected = model.Anisotropic(model.Friction(0.6, 0.5), (0.0, 1.0, 0.0), 1.0, 1.0, 1.0, 1.0)
+    assert friction_laws(directed) == [expected]
+
+
+def test_objects_of_a_scene_share_one_law() -> None:
+    """Beside an object with a richer law the others get its type, with nothing in what they do not have."""
+    mapping = paper_mapping()
+    table = mapping["object"][0]
+    rich = {**table["material"], "friction": {"static": 0.4, "kinetic": 0.3, **SPEED, "direction_x": [1.0, 0.0, 0.0]}}
+    smooth = {key: value for key, value in table["material"].items() if key != "friction"}
+    mapping["object"] = [
+        table,
+        {**table, "name": "rich", "material": rich},
+        {**table, "name": "smooth", "material": smooth},
+    ]
+    plain, richer, slick = friction_laws(build(Scene, mapping, "test scene"))
+    along = (1.0, 0.0, 0.0)
+    assert plain == model.Anisotropic(
+        model.SpeedFriction(0.6, 0.5, model.Stribeck(0.0), 0.0), along, 1.0, 1.0, 1.0, 1.0
+    )
+    assert richer == model.Anisotropic(
+        model.SpeedFriction(0.4, 0.3, model.Stribeck(0.05), 0.5), along, 1.0, 1.0, 1.0, 1.0
+    )
+    assert slick == model.Anisotropic(
+        model.SpeedFriction(0.0, 0.0, model.Stribeck(0.0), 0.0), along, 1.0, 1.0, 1.0, 1.0
+    )
