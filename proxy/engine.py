@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,9 +19,14 @@ from softfinger.proxy.kernels.record import write_contact
 from softfinger.proxy.kernels.rotations import normalize
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.scene import build_scene, start_state
-from softfinger.proxy.state import CAUSE_NAMES, RECORD_SIZE
+from softfinger.proxy.state import CAUSE_NAMES, POSITION_MAX_M, RECORD_SIZE
 
 Array = NDArray[np.float64]
+
+
+DT_MIN_S: Final = 1e-9
+DT_MAX_S: Final = 1e3
+"""Time steps far beyond any servo's; within them no quotient of the step overflows."""
 
 
 class PoseError(HapticError):
@@ -105,6 +111,13 @@ class Engine:
         self._state = flatten(self._start)
         self._tick = 0
 
+    def tune(self, scene: schema.Scene) -> None:
+        """Change parameters and keep the contact; ValueError if the scene has other parts than the compiled one."""
+        tree = build_scene(scene)
+        if numba.typeof(tree) != numba.typeof(self.scene):
+            raise ValueError("the new scene has other parts than the one compiled: make another engine")
+        self.scene, self._values = tree, flatten(tree)
+
     def step(self, position: ArrayLike, orientation: ArrayLike, dt: float | None = None) -> Step:
         """Advance by one pose.
 
@@ -112,7 +125,7 @@ class Engine:
         orientation  (4,) 1  quaternion w, x, y, z, fingertip to world; normalised here
         dt           s       time since the last pose, default the nominal one
 
-        Raises PoseError for a pose that is not finite, a zero quaternion, or a negative dt.
+        Raises PoseError for a pose that is not finite or out of range, and for a dt that no servo has.
         """
         pose = np.concatenate([np.asarray(position, np.float64), np.asarray(orientation, np.float64)])
         poses = check_poses(pose.reshape(1, -1))
@@ -151,8 +164,8 @@ class Engine:
     def _check_dt(self, dt: float | None) -> float:
         if dt is None:
             return self.dt
-        if not (np.isfinite(dt) and dt >= 0.0):
-            raise PoseError(f"dt = {dt}: a time step is finite and not negative, in seconds")
+        if not (dt == 0.0 or DT_MIN_S <= dt <= DT_MAX_S):
+            raise PoseError(f"dt = {dt}: a time step is 0 or from {DT_MIN_S:g} to {DT_MAX_S:g} s")
         return float(dt)
 
 
@@ -164,9 +177,13 @@ def check_poses(poses: Array) -> Array:
     if bad.any():
         row = int(bad.argmax())
         raise PoseError(f"pose {row} is {poses[row].tolist()}: every number must be finite")
-    norms = np.linalg.norm(poses[:, 3:], axis=1)
-    bad = norms < 1e-6
+    bad = (np.abs(poses[:, :3]) > POSITION_MAX_M).any(axis=1)
     if bad.any():
         row = int(bad.argmax())
-        raise PoseError(f"pose {row} has the quaternion {poses[row, 3:].tolist()}: its norm must not be zero")
+        raise PoseError(f"pose {row} is at {poses[row, :3].tolist()} m: a coordinate is at most {POSITION_MAX_M:g} m")
+    norms = np.linalg.norm(poses[:, 3:], axis=1)
+    bad = ~((norms >= 1e-6) & (norms <= 1e6))
+    if bad.any():
+        row = int(bad.argmax())
+        raise PoseError(f"pose {row} has the quaternion {poses[row, 3:].tolist()}: its norm must be from 1e-6 to 1e6")
     return np.ascontiguousarray(poses)

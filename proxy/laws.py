@@ -27,7 +27,7 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
     viscous = any(friction.viscous_s_per_m is not None for friction in present)
     directed = any(friction.direction_x is not None for friction in present)
     laws: list[FrictionLaw] = []
-    for thing, friction in zip(scene.object, given, strict=True):
+    for friction in given:
         f = friction or _SMOOTH
         if literal:
             laws.append(model.PaperFriction(f.static, f.kinetic))
@@ -36,7 +36,7 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
         if curved or viscous:
             stribeck = model.Stribeck(f.stribeck_speed_m_per_s or 0.0) if curved else None
             law = model.SpeedFriction(f.static, f.kinetic, stribeck, f.viscous_s_per_m or 0.0)
-        laws.append(_directed(law, f, thing.orientation_wxyz) if directed else law)
+        laws.append(_directed(law, f) if directed else law)
     return laws
 
 
@@ -65,23 +65,10 @@ def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
     return laws
 
 
-def _directed(
-    law: model.Friction | model.SpeedFriction, friction: schema.Friction, orientation: model.Quaternion
-) -> model.Anisotropic:
+def _directed(law: model.Friction | model.SpeedFriction, friction: schema.Friction) -> model.Anisotropic:
     direction = friction.direction_x or (1.0, 0.0, 0.0)
     static, kinetic = friction.static_scale or (1.0, 1.0), friction.kinetic_scale or (1.0, 1.0)
-    return model.Anisotropic(law, _unit(_rotated(orientation, direction)), *static, *kinetic)
-
-
-def _rotated(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
-    """`v` turned by the unit quaternion `q`; in Python, since compiling a kernel for it would delay the start."""
-    w, x, y, z = q
-    t = (2.0 * (y * v[2] - z * v[1]), 2.0 * (z * v[0] - x * v[2]), 2.0 * (x * v[1] - y * v[0]))
-    return (
-        v[0] + w * t[0] + y * t[2] - z * t[1],
-        v[1] + w * t[1] + z * t[0] - x * t[2],
-        v[2] + w * t[2] + x * t[1] - y * t[0],
-    )
+    return model.Anisotropic(law, _unit(direction), *static, *kinetic)
 
 
 def _unit(v: model.Vec3) -> model.Vec3:

@@ -22,7 +22,8 @@ def build_scene(scene: schema.Scene) -> model.Scene:
             shape, pose = _placed(shape, thing, position, orientation, motion)
             # Several walls of one object do together what the object does once.
             own = effects if part == 0 else ()
-            bodies.append(model.Object(shape, pose, motion, material, float(number), own))
+            made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
+            bodies.append(model.Object(shape, pose, motion, made_of, float(number), own))
     return model.Scene(
         radius=scene.fingertip.radius_m,
         objects=tuple(bodies),
@@ -90,6 +91,14 @@ def _rotated(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
     )
     a, b, c = (sum(r * e for r, e in zip(row, v, strict=True)) for row in rows)
     return (a, b, c)
+
+
+def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
+    """The material of a shape that is given in the world: its directions are given there too."""
+    law = material.friction
+    if not isinstance(law, model.Anisotropic):
+        return material
+    return material._replace(friction=law._replace(direction=_rotated(turn, law.direction)))
 
 
 def _materials(scene: schema.Scene) -> list[model.Material]:

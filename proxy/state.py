@@ -12,6 +12,9 @@ from typing import Final, Literal
 
 Kind = Literal["float", "int"]
 
+POSITION_MAX_M: Final = 1e6
+"""A coordinate beyond this is a broken sensor; its square is still far from overflow."""
+
 FREE: Final = 0
 ROLLING: Final = 1
 SLIDING: Final = 2

@@ -15,12 +15,10 @@ from softfinger.proxy.kernels.record import write_contact
 from softfinger.proxy.kernels.rotations import normalize
 from softfinger.proxy.kernels.step import out_of_contact, step
 from softfinger.proxy.scene import start_state
-from softfinger.proxy.state import OFFSET
+from softfinger.proxy.state import OFFSET, POSITION_MAX_M
 from softfinger.server.guard import DISENGAGED, POSE_REFUSED, Guard, Guarded, guard_wrench
 
 GUARD = OFFSET["servo.guard"]
-POSITION_MAX_M = 1e6
-"""A coordinate beyond this is a broken sensor; its square is still far from overflow."""
 
 
 class Tuning(NamedTuple):

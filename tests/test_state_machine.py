@@ -5,13 +5,19 @@ The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from conftest import SceneFactory
 from references.hand import Hand, drive
+from references.rotation import matrix
 
+from softfinger.config.errors import ConfigError
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.state import CAUSE_NAMES, FREE, ROLLING, SLIDING
+from softfinger.proxy.state import CAUSE_NAMES, FREE, OFFSET, ROLLING, SLIDING
 
 R = 0.01
 EXACT = 1e-12
@@ -214,7 +220,96 @@ def test_friction_opposes_the_slip_not_the_hand(plane_scene: SceneFactory) -> No
     assert trace.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
 
 
+# --- the rows of the paper's table -----------------------------------------------------------------
+# Its conditions are on the normal force f_N, the tangential force f_T of the hand and their cone, the
+# normal distance a_N and the tangential motion a_T, v_T. One tick under each condition, and the tick after.
+
+
+def test_paper_row_contact_is_broken(plane_scene: SceneFactory) -> None:
+    """f_N = 0 and a_N > 0, separating: rolling and sliding are both broken, on that tick."""
+    for drag in (0.0, 0.005):
+        hand = pressed().go(50, move=[drag, 0, 0])
+        trace = drive(Engine(plane_scene()), hand.go_to(7, [drag, 0, R + 1e-3]))
+        broken = next(tick for tick, cause in trace.events if cause == "release")
+        separating = (trace.normal_force == 0.0) & (np.diff(trace.poses[:, 2], prepend=R) > 0.0)
+        assert broken == int(np.flatnonzero(separating[2:])[0]) + 2
+        assert trace.mode[broken - 1] == (SLIDING if drag else ROLLING)
+        assert (trace.mode[broken:] == FREE).all()
+
+
+def test_paper_row_rolling_is_kept(plane_scene: SceneFactory) -> None:
+    """f_N > 0, mu^2 f_N^2 - f_T^2 > 0 and no slip: rolling is kept, under every load inside the cone."""
+    hand = pressed()
+    for angle in np.linspace(0, 2 * np.pi, 9):
+        hand.go_to(20, [0.59e-3 * np.cos(angle), 0.59e-3 * np.sin(angle), R - 0.001])
+    trace = drive(Engine(plane_scene()), hand)
+    assert ((0.6 * trace.normal_force[1:]) ** 2 - trace.tangential[1:] ** 2 > 0.0).all()
+    assert (trace.mode[1:] == ROLLING).all()
+    # No slip: the proxy stays where it touched.
+    assert trace.proxy[1:, :2] == pytest.approx(0.0, abs=1e-17)
+
+
+def test_paper_row_rolling_is_switched_to_sliding(plane_scene: SceneFactory) -> None:
+    """f_N > 0, mu^2 f_N^2 - f_T^2 = 0 and a_T not 0: rolling is switched to sliding, on that tick."""
+    trace = drive(Engine(plane_scene()), pressed().go(100, move=[100 * 7e-6, 0, 0]))
+    tick = trace.events[1][0]
+    assert trace.events[1:] == [(tick, "drag")]
+    assert (0.6 * trace.normal_force[tick]) ** 2 - trace.tangential[tick] ** 2 == pytest.approx(0.0, abs=EXACT)
+    assert ((0.6 * trace.normal_force[1:tick]) ** 2 > trace.tangential[1:tick] ** 2).all()
+    assert (trace.mode[1:tick] == ROLLING).all()
+    # a_T: the proxy moves on this tick and not before.
+    assert trace.proxy[tick, 0] > 1e-7
+    assert trace.proxy[1:tick, 0] == pytest.approx(0.0, abs=1e-17)
+
+
+def test_paper_row_sliding_is_kept(plane_scene: SceneFactory) -> None:
+    """f_N > 0 and mu_S^2 f_N^2 - f_T^2 = 0: sliding is kept, at any speed and under a changing load."""
+    hand = pressed().go(40, move=[0.002, 0, 0]).go(300, move=[0.002, 0.01, -0.001]).go(300, move=[-0.001, 0.03, 0.0015])
+    trace = drive(Engine(plane_scene()), hand)
+    assert trace.causes == ["touch", "drag"]
+    sliding = slice(trace.events[1][0] + 1, None)
+    assert trace.tangential[sliding] == pytest.approx(0.5 * trace.normal_force[sliding], rel=EXACT)
+    assert (trace.mode[sliding] == SLIDING).all()
+
+
+def test_paper_row_sliding_is_switched_to_rolling(plane_scene: SceneFactory) -> None:
+    """f_N > 0, mu_S^2 f_N^2 - f_T^2 > 0 and v_T = 0: sliding is switched to rolling, once the slip is over."""
+    hand = pressed().go(100, move=[0.005, 0, 0])
+    stop = hand.at
+    # Pressed deeper on the spot: the cone grows past the force, and nothing moves along the plane.
+    hand.go(200, move=[0, 0, -0.0005])
+    trace = drive(Engine(plane_scene()), hand)
+    assert trace.causes == ["touch", "drag", "stop"]
+    tick = trace.events[2][0]
+    assert (0.5 * trace.normal_force[tick]) ** 2 > trace.tangential[tick] ** 2
+    assert np.diff(trace.proxy[stop:, 0]) == pytest.approx(0.0, abs=1e-17)
+    assert (trace.mode[tick:] == ROLLING).all()
+
+
 # --- the paper's two failure modes -----------------------------------------------------------------
+
+
+def test_a_recorded_roll_does_not_slip(plane_scene: SceneFactory) -> None:
+    """The recording of a roll that the hand follows: the contact travels r theta on the plane, and nothing slips."""
+    records = Engine("paper-plane").run(resample(load_poses("roll-follow"), 1000.0))
+    rolled, point = records[:, OFFSET["contact.rolled"]], OFFSET["contact.point"]
+    touching = records[:, OFFSET["contact.mode"]] == ROLLING
+    assert SLIDING not in records[:, OFFSET["contact.mode"]]
+    assert rolled.max() == pytest.approx(1.0, abs=1e-6)
+    travelled = np.linalg.norm(np.diff(records[touching][:, point : point + 2], axis=0), axis=1).sum()
+    # Rolling without slip, there and back: as far on the plane as on the finger. The recording is rounded to 0.1 um.
+    assert travelled == pytest.approx(R * rolled[touching][-1], abs=1e-6)
+
+
+def test_rolling_is_detected_in_a_recorded_roll(plane_scene: SceneFactory) -> None:
+    """In the same recording dragged aside by 0.4 mm, with its tangential force, rolling is the mode all the way."""
+    poses = resample(load_poses("roll-follow"), 1000.0)
+    deep = np.flatnonzero(poses[:, 2] < R - 0.9e-3)
+    poses[deep[0] :, 0] += np.interp(np.arange(len(poses) - deep[0]), [0, 200], [0.0, 0.4e-3])
+    records = Engine(plane_scene()).run(poses)
+    force = records[deep[200:], OFFSET["contact.tangential_force"]]
+    assert force.min() > 0.39
+    assert (records[deep, OFFSET["contact.mode"]] == ROLLING).all()
 
 
 def test_rolling_moves_the_contact_on_the_object(plane_scene: SceneFactory) -> None:
@@ -249,6 +344,139 @@ def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: fl
         hand.go_to(1, [1e-5 * round(x / 1e-5) + noise, 0, R - depth])
     trace = drive(Engine(plane_scene(probe={"position_resolution_m": 1e-5})), hand)
     assert trace.causes == ["touch", "drag", "stop"]
+
+
+@pytest.mark.parametrize("kinetic", [0.5, 0.6])
+@pytest.mark.parametrize("resolution", [0.0, 1e-5])
+@pytest.mark.parametrize("slide", [0.0, 0.01])
+def test_standing_still_does_not_chatter(
+    plane_scene: SceneFactory, kinetic: float, resolution: float, slide: float
+) -> None:
+    """At rest under encoders that flicker by one step of 10 um, a finger sticks once for all, also with mu_d = mu_s."""
+    hand, rng = pressed(), np.random.default_rng(13)
+    hand.go(200, move=[slide, 0, 0])
+    rest, x = hand.at, hand.x.copy()
+    for _ in range(3000):
+        hand.go_to(1, x + 1e-5 * rng.integers(-1, 2, 3))
+    scene = plane_scene(material={"friction": {"kinetic": kinetic}}, probe={"position_resolution_m": resolution})
+    trace = drive(Engine(scene), hand)
+    assert trace.causes == (["touch", "drag", "stop"] if slide else ["touch"])
+    assert (trace.mode[rest + 500 :] == ROLLING).all()
+
+
+def test_the_stop_band_is_half_a_millimetre_a_second(plane_scene: SceneFactory) -> None:
+    """A slip of which the low-passed speed never falls into the band does not stop, one that does and rests does."""
+    # One tick of slip at 50 mm/s between pauses: each adds 4.5 mm/s to the low-passed speed, of which a pause of n
+    # ticks leaves the share 1.1^-n. That is in the band after 24 ticks at the earliest.
+    for pause, sticks in ((20, False), (80, True)):
+        hand = pressed().go(100, move=[0.005, 0, 0])
+        for _ in range(10):
+            hand.go(1, move=[50e-6, 0, 0]).go(pause)
+        trace = drive(Engine(plane_scene()), hand)
+        assert ("stop" in trace.causes) == sticks
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_touch_has_no_tangential_force_under_damping(plane_scene: SceneFactory, seed: int) -> None:
+    """On the tick of touch no deflection has been wound or was there before, so damping has nothing to act on."""
+    rng = np.random.default_rng(seed)
+    scene = plane_scene(
+        coupling={"damping_ns_per_m": 1e3},
+        material={"friction": {"static": 10.0, "kinetic": 10.0}},
+        table={"orientation_wxyz": list(rng.normal(size=4)), "position_m": list(rng.normal(0, 0.1, 3))},
+    )
+    normal = matrix(scene.object[0].orientation_wxyz)[:, 2]
+    origin = np.array(scene.object[0].position_m)
+    tangent = np.cross(normal, rng.normal(size=3))
+    engine = Engine(scene)
+    for _ in range(20):
+        engine.step(origin + 0.02 * normal + 0.1 * rng.normal() * tangent, [1, 0, 0, 0])
+        step = engine.step(origin + 0.009 * normal + 0.01 * rng.normal() * tangent, rng.normal(size=4))
+        assert step.cause == "touch"
+        # Rounding of positions of 0.1 m, 3e-17 m, under a damper of 1e6 N/m for this tick.
+        assert step.tangential_force < 1e-9
+        engine.step(origin + 0.02 * normal, [1, 0, 0, 0])
+
+
+# --- the paper's rule to the letter ----------------------------------------------------------------
+
+LETTER = {"rolling": {"state_machine": "paper"}}
+
+
+def test_letter_agrees_where_it_is_meant(plane_scene: SceneFactory) -> None:
+    """Held roll, theta_max and a plain drag: the literal rule switches where the default does."""
+    held = drive(Engine(plane_scene(**LETTER)), pressed().go(500, turn=[0.05, 0, 0]))
+    assert held.causes == ["touch"]
+    assert held.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
+    for motion, cause in (({"turn": [0.5, 0, 0]}, "theta_max"), ({"move": [0.01, 0, 0]}, "drag")):
+        letter = drive(Engine(plane_scene(**LETTER)), pressed().go(501, **motion))
+        default = drive(Engine(plane_scene()), pressed().go(501, **motion))
+        assert letter.causes == ["touch", cause]
+        assert letter.events == default.events
+        assert letter.tangential[-1] == pytest.approx(0.5, rel=EXACT)
+
+
+def test_letter_counter_tilt_disables_sliding(plane_scene: SceneFactory) -> None:
+    """A roll of one microradian against the drag, and no force is ever large enough: 25 N at f_N = 1 N."""
+    hand = pressed().go(1, turn=[0, 1e-6, 0]).go(500, move=[-0.025, 0, 0])
+    trace = drive(Engine(plane_scene(**LETTER)), hand)
+    assert trace.causes == ["touch"]
+    assert trace.tangential[-1] == pytest.approx(25.0, rel=1e-5)
+
+
+def test_letter_winds_up_without_end(plane_scene: SceneFactory) -> None:
+    """Dragging against a roll that stays under theta_max loads the coupling far outside the cone."""
+    hand = pressed().go(50, turn=[0.05, 0, 0]).go(500, move=[0, 0.01, 0])
+    trace = drive(Engine(plane_scene(**LETTER)), hand)
+    assert trace.causes == ["touch"]
+    assert trace.tangential[-1] == pytest.approx(10.5, rel=1e-9)
+
+
+def test_letter_slides_a_finger_that_follows(plane_scene: SceneFactory) -> None:
+    """Counting the whole roll, a finger that follows its roll perfectly is made to slide at theta_max."""
+    hand = pressed().go(1001, move=[0, -R, 0], turn=[1, 0, 0])
+    trace = drive(Engine(plane_scene(**LETTER)), hand)
+    assert trace.events[1] == (1 + int(np.ceil(0.06 * 1001)), "theta_max")
+
+
+def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
+    """Held at exactly mu_d f_N, friction drives a hand that turns back: energy out of nothing."""
+    hand = pressed().go(200, move=[0.01, 0, 0])
+    turn = hand.at
+    hand.go(200, move=[-0.01, 0, 0])
+    trace = drive(Engine(plane_scene(**LETTER)), hand)
+    assert trace.force[turn:, 0] == pytest.approx(-0.5, rel=EXACT)
+    work = -np.sum(trace.force[turn + 1 :, 0] * np.diff(trace.poses[turn:, 0]))
+    assert work == pytest.approx(-0.5 * 0.01, rel=1e-9)
+
+
+def test_letter_never_sticks_after_an_exact_stop(plane_scene: SceneFactory) -> None:
+    """Kept on the cone, the force is never inside it, so a finger at rest goes on sliding for good."""
+    trace = drive(Engine(plane_scene(**LETTER)), pressed().go(200, move=[0.01, 0, 0]).go(2000))
+    assert trace.causes == ["touch", "drag"]
+    assert (trace.mode[-1900:] == SLIDING).all()
+
+
+def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -> None:
+    """Its one way back: at rest along the plane, and pressed deeper."""
+    hand = pressed().go(200, move=[0.01, 0, 0])
+    stop = hand.at
+    trace = drive(Engine(plane_scene(**LETTER)), hand.go(1).go(10, move=[0, 0, -0.0001]))
+    assert trace.events[2:] == [(stop + 2, "stop")]
+
+
+@pytest.mark.parametrize(
+    ("material", "message"),
+    [
+        ({"friction": {"viscous_s_per_m": 0.1}}, "has Coulomb friction only"),
+        ({"friction": {"direction_x": [1.0, 0.0, 0.0]}}, "has Coulomb friction only"),
+        ({"torsion": {"model": "limit_surface"}}, "has independent limits only"),
+    ],
+)
+def test_letter_knows_coulomb_only(plane_scene: SceneFactory, material: dict[str, Any], message: str) -> None:
+    """The paper's rule beside a law the paper does not have is refused when the scene is read."""
+    with pytest.raises(ConfigError, match=message):
+        plane_scene(material=material, **LETTER)
 
 
 def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory) -> None:

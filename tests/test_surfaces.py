@@ -119,7 +119,7 @@ def near_or_far(shape: Any, rng: np.random.Generator) -> Array:
 # --- distance, point and normal ------------------------------------------------------------------
 
 
-@settings(max_examples=1250, deadline=None)
+@settings(derandomize=True, max_examples=1250, deadline=None)
 @given(kind=st.sampled_from(EXPLICIT), size=scales, seed=seeds)
 def test_gap_is_the_signed_distance(kind: type, size: float, seed: int) -> None:
     """Against formulas that need no nearest point, for any proportions and size, in and out."""
@@ -133,7 +133,7 @@ def test_gap_is_the_signed_distance(kind: type, size: float, seed: int) -> None:
         assert abs(gap - expected) <= 8 * EPS * max(size_of(shape), float(np.linalg.norm(x)))
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(derandomize=True, max_examples=1500, deadline=None)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_the_way_to_the_nearest_point_is_along_the_normal(kind: type, size: float, seed: int) -> None:
     """x = point + gap normal with a unit normal, and the point itself is on the surface."""
@@ -154,7 +154,7 @@ def test_the_way_to_the_nearest_point_is_along_the_normal(kind: type, size: floa
     assert np.linalg.norm(away) <= rounding * sharp
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(derandomize=True, max_examples=1500, deadline=None)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_a_fingertip_put_on_the_surface_is_found_there(kind: type, size: float, seed: int) -> None:
     """From a surface point r along its normal, over faces, edges and corners alike, the nearest is that point, at r."""
@@ -172,7 +172,7 @@ def test_a_fingertip_put_on_the_surface_is_found_there(kind: type, size: float, 
         assert np.linalg.norm(n - normal) <= rounding * max(1.0, extent / r)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(derandomize=True, max_examples=400, deadline=None)
 @given(size=scales, flat=st.floats(0.0, 8.0), needle=st.floats(0.0, 8.0), seed=seeds)
 def test_ellipsoid_to_machine_precision(size: float, flat: float, needle: float, seed: int) -> None:
     """Against 60 digits, with axes up to 10^8 apart, or equal, in planes of symmetry, at the centre, close and far."""
@@ -283,7 +283,7 @@ def test_where_many_points_are_nearest_one_is_chosen(
     assert compiled_closest(shape, x) == (gap, point, normal)
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(derandomize=True, max_examples=1500, deadline=None)
 @given(kind=kinds, size=scales, seed=seeds, x=st.tuples(*[st.floats(-1e100, 1e100)] * 3))
 def test_any_place_gives_finite_numbers(kind: type, size: float, seed: int, x: Triple) -> None:
     """From 1e-308 to 1e100 m, gap and point are finite, the normal is a unit vector, and curvatures are finite."""
@@ -313,7 +313,7 @@ def test_the_smallest_numbers_do_no_harm(shape: Any, x: Triple) -> None:
 # --- curvature -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(derandomize=True, max_examples=1000, deadline=None)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_curvature_of_the_offset_surface(kind: type, size: float, seed: int) -> None:
     """Against the closed forms k / (1 + r k), an edge's 1 / r included, and fundamental forms for the ellipsoid."""
@@ -400,12 +400,12 @@ def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
 # --- transport -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=500, deadline=None)
+@settings(derandomize=True, max_examples=500, deadline=None)
 @given(seed=seeds, nearness=st.floats(-17.0, 0.0), opposite=st.booleans())
 def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite: bool) -> None:
     """The old normal goes to the new one, the axis across both stays, lengths are kept, close to opposite too."""
     rng = np.random.default_rng(seed)
-    before, v = unit(rng), rng.normal(size=3)
+    before, v = unit(rng), unit(rng)
     after = (-before if opposite else before) + 10.0**nearness * unit(rng)
     after /= np.linalg.norm(after)
     across = np.cross(before, after)
@@ -415,12 +415,12 @@ def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite
         return np.array(compiled_transport(SHAPES[1], triple(w), triple(before), triple(after)))
 
     tangent = v - (v @ before) * before
-    assert np.linalg.norm(carried(tangent)) == pytest.approx(np.linalg.norm(tangent), rel=16 * EPS)
-    # Close to opposite the half-way plane is known as well as the sum of the normals is long.
-    slack = 16 * EPS * (1.0 / max(float(np.linalg.norm(before + after)), 1e-14) if opposite else 1.0)
+    # The half-way plane is known as well as the sum of the normals is long.
+    slack = 16 * EPS / max(float(np.linalg.norm(before + after)), 1e-14)
     assume(slack < 0.1)
+    assert abs(np.linalg.norm(carried(tangent)) - np.linalg.norm(tangent)) <= 16 * EPS
     assert np.linalg.norm(carried(before) - after) <= slack
-    assert abs(carried(tangent) @ after) <= slack * np.linalg.norm(tangent)
+    assert abs(carried(tangent) @ after) <= slack
     if sine > 1e-8:
         axis = across / sine
         assert np.linalg.norm(carried(axis) - axis) <= slack + 16 * EPS / sine

@@ -144,8 +144,10 @@ def rest_on_curved(
         _, point, foot_normal = closest_on(body, probe)
         if vec3.dot(foot_normal, normal) > SAME_SIDE:
             return vec3.add_scaled(point, radius, foot_normal), foot_normal
-    near = (SETTLED * radius) ** 2
-    for _ in range(SLIDING_ROUNDS):
+    near, rounds = (SETTLED * radius) ** 2, SLIDING_ROUNDS
+    if deflection == (0.0, 0.0, 0.0):
+        rounds = ROUNDS
+    for _ in range(rounds):
         depth = vec3.dot(vec3.sub(center, probe), normal)
         goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
         _, point, normal = closest_on(body, goal)

@@ -93,7 +93,8 @@ class Anisotropic(NamedTuple):
     """A friction law whose coefficients are scaled along a direction of the surface and across it.
 
     law        Friction or SpeedFriction
-    direction  (3,)  in the world, for the object where it was put; its part tangent to the surface counts
+    direction  (3,)  in the frame of the object's pose, where that turns it, else in the world; its part tangent
+                     to the surface counts
     """
 
     law: Any

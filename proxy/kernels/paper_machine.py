@@ -13,6 +13,9 @@ from softfinger.proxy.kernels.model import Coupling, Hold, PaperFriction, Tick
 from softfinger.proxy.kernels.torsion import wind
 from softfinger.proxy.state import CAUSE_DRAG, CAUSE_NONE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
 
+ROUNDING = 1e-9
+"""Relative size of what is rounding: the letter's equalities are meant up to it."""
+
 
 @jit
 def hold_to_the_letter(
@@ -43,7 +46,7 @@ def hold_to_the_letter(
             mode, cause = float(SLIDING), float(CAUSE_DRAG)
         elif torque_stiffness * vec3.norm(rolled) > static_limit:
             mode, cause = float(SLIDING), float(CAUSE_THETA_MAX)
-    elif stiffness * length < kinetic_limit and vec3.dot(change, change) == 0.0:
+    elif stiffness * length < (1.0 - ROUNDING) * kinetic_limit and vec3.norm(change) <= ROUNDING * length:
         mode, cause = float(ROLLING), float(CAUSE_STOP)
 
     force = vec3.scale(stiffness, deflection)

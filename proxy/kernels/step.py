@@ -12,6 +12,7 @@ from softfinger.proxy.kernels.bodies import (
     place_all,
     pose_of,
 )
+from softfinger.proxy.kernels.cones import turned
 from softfinger.proxy.kernels.constraints import displacement
 from softfinger.proxy.kernels.contacts import NONE, Held, hold_by, load_of, settle, tangent_to_all
 from softfinger.proxy.kernels.effects import Moment, apply_effects
@@ -106,7 +107,7 @@ def step(scene: Scene, state: State, position: Vec3, orientation: Quaternion, dt
     load = load_of(objects, comes.held, comes.against)
     material = material_of(objects, comes.held.first)
     kept = hold(
-        material.friction,
+        turned(material.friction, pose_of(objects, comes.held.first).orientation),
         material.torsion,
         scene.coupling,
         torque_stiffness(scene.rolling, scene.coupling),
@@ -122,9 +123,11 @@ def step(scene: Scene, state: State, position: Vec3, orientation: Quaternion, dt
     center, rests, _ = settle(objects, scene.radius, position, comes.center, kept.deflection, comes.held, slips)
     loads = load_of(objects, rests, comes.against)
     tangential = tangent_to_all(rests, kept.force)
-    if load.friction > loads.friction:
-        tangential = vec3.scale(loads.friction / load.friction, tangential)
     spin, moment, slip_speed, slip_angle = kept.spin, kept.moment, kept.spin_slip_speed, kept.spin_slip_angle
+    if load.friction > loads.friction:
+        # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
+        ease = loads.friction / load.friction
+        tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
     if rests.first != comes.held.first:  # another normal now: what was wound up about the old one is gone
         spin, moment, slip_speed, slip_angle = 0.0, 0.0, 0.0, 0.0
 

@@ -1,0 +1,223 @@
+"""The moment about the normal: its limits, and the proxy that turns.
+
+The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, k_z = 0.05 N m/rad, mu_t = 4 mm, 1 kHz.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SceneFactory, paper_mapping
+from hypothesis import given, settings
+from references.hand import Hand, drive
+from references.laws import Handling, column, handling
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels import model
+from softfinger.proxy.laws import torsion_laws
+
+R = 0.01
+EXACT = 1e-14
+"""Rounding of some hundred additions of angles of 0.1 rad times 0.05 N m/rad, N m."""
+
+PROXY = {"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003}
+
+
+def pressed(depth: float = 0.001) -> Hand:
+    """A hand that was free on its first tick and is pressed in from its second."""
+    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
+
+
+# --- limits ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("depth", [2e-4, 1e-3, 3e-3])
+@pytest.mark.parametrize("exponent", [None, 0.0, 0.2, 1.0 / 3.0])
+def test_moment_saturates_at_the_torsional_limit(
+    plane_scene: SceneFactory, depth: float, exponent: float | None
+) -> None:
+    """The moment grows as k_z phi up to mu_t f_N, or mu_t f_N (f_N / 1 N)^gamma, either way round."""
+    load = 1000 * depth
+    limit = 0.004 * load ** (1 + (exponent or 0.0))
+    for sign in (1, -1):
+        engine = Engine(plane_scene(material={"torsion": {"exponent": exponent}}))
+        trace = drive(engine, pressed(depth).go(700, turn=[0, 0, sign * 0.7]))
+        expected = -sign * np.minimum(0.05 * np.linspace(0, 0.7, 701), limit)
+        assert trace.torque[1:, 2] == pytest.approx(expected, abs=EXACT)
+        assert trace.causes == ["touch"]
+
+
+def test_exponent_of_zero_is_the_linear_limit(plane_scene: SceneFactory) -> None:
+    """f_N^(1 + 0) is f_N, to the last bit."""
+    hand = pressed().go(50, turn=[0, 0, 0.3]).go(50, move=[0, 0, -0.0007]).go(50, turn=[0, 0, -0.5])
+    linear = drive(Engine(plane_scene()), hand)
+    power = drive(Engine(plane_scene(material={"torsion": {"exponent": 0.0}})), hand)
+    assert (linear.torque == power.torque).all()
+
+
+@pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
+def test_lifting_lets_the_anchor_slip(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
+    """A wound finger that is lifted unwinds with its limit, and pressing again does not bring the moment back."""
+    hand = pressed(0.002).go(100, turn=[0, 0, 0.1])
+    wound = hand.at
+    hand.go(100, move=[0, 0, 0.0018])
+    lifted = hand.at
+    hand.go(100, move=[0, 0, -0.0018])
+    trace = drive(Engine(plane_scene(material={"torsion": torsion})), hand)
+    assert trace.torque[wound, 2] == pytest.approx(-0.005, abs=EXACT)
+    limit = 0.004 * 0.2 ** (1 + torsion.get("exponent", 0.0)) * (0.75 if torsion is PROXY else 1.0)
+    assert trace.torque[lifted, 2] == pytest.approx(-limit, rel=1e-12)
+    assert trace.torque[-1, 2] == pytest.approx(-limit, rel=1e-12)
+
+
+@pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
+def test_a_frictionless_finger_still_winds(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
+    """Without friction the tangential force is none, and the moment is that of the same torsion with friction."""
+    hand = pressed(0.0015).go(300, turn=[0, 0, 0.3]).go(300, move=[0.01, 0, 0.0005], turn=[0, 0, -0.2])
+    smooth = drive(Engine(plane_scene(rolling=None, material={"friction": None, "torsion": torsion})), hand)
+    rough = drive(Engine(plane_scene(material={"torsion": torsion})), hand)
+    assert smooth.tangential.max() == 0.0
+    assert np.abs(smooth.torque[:, :2]).max() == 0.0
+    # Of a moment that turns about z as the finger does, the same bits.
+    assert (smooth.torque[:, 2] == rough.torque[:, 2]).all()
+
+
+# --- the proxy with four degrees of freedom --------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, sign: int) -> None:
+    """The moment peaks at the static torsional limit, slips at the kinetic one, is kept by a stop, and peaks again."""
+    hand = pressed().go(499, turn=[0, 0, sign * 0.5])
+    stop = hand.at
+    hand.go(200)
+    again = hand.at
+    hand.go(300, turn=[0, 0, sign * 0.3])
+    trace = drive(Engine(plane_scene(material={"torsion": PROXY})), hand)
+    moment = -sign * trace.torque[:, 2]
+    # 499 ticks for 0.5 rad: 0.08 rad falls between two ticks.
+    peak = int(moment[:stop].argmax())
+    assert peak == 1 + int(np.ceil(0.08 / 0.5 * 499))
+    assert moment[peak] == pytest.approx(0.004, rel=1e-12)
+    assert moment[1:peak] == pytest.approx(0.05 * 0.5 / 499 * np.arange(peak - 1), abs=EXACT)
+    assert moment[peak + 1 : again + 1] == pytest.approx(0.003, rel=1e-12)
+    assert moment[again:].max() == pytest.approx(0.004, rel=1e-12)
+    assert moment[-1] == pytest.approx(0.003, rel=1e-12)
+    # The proxy turns after the probe by all that is not wound.
+    assert abs(trace.steps[-1].spin) == pytest.approx(0.06, rel=1e-12)
+    assert trace.causes == ["touch"]
+
+
+def test_turning_proxy_sticks_on_a_reversal(plane_scene: SceneFactory) -> None:
+    """Turned back, the proxy stays until the moment has reached the static limit the other way."""
+    hand = pressed().go(300, turn=[0, 0, 0.3])
+    turn = hand.at
+    hand.go(300, turn=[0, 0, -0.3])
+    trace = drive(Engine(plane_scene(material={"torsion": PROXY})), hand)
+    back = trace.torque[turn:, 2]
+    assert back.max() == pytest.approx(0.004, rel=1e-12)
+    assert back[-1] == pytest.approx(0.003, rel=1e-12)
+    peak = int(back.argmax())
+    assert np.diff(back[:peak]) == pytest.approx(0.05 * 1e-3, abs=EXACT)
+
+
+def test_the_two_cones_know_nothing_of_each_other(plane_scene: SceneFactory) -> None:
+    """Dragging and spinning at once, the proxy slides at mu_d f_N and turns at its own kinetic limit."""
+    trace = drive(
+        Engine(plane_scene(material={"torsion": PROXY})), pressed().go(400, move=[0.02, 0, 0], turn=[0, 0, 0.8])
+    )
+    assert trace.tangential.max() == pytest.approx(0.6, rel=1e-12)
+    assert trace.tangential[-1] == pytest.approx(0.5, rel=1e-12)
+    assert trace.torque[:, 2].min() == pytest.approx(-0.004, rel=1e-12)
+    assert trace.torque[-1, 2] == pytest.approx(-0.003, rel=1e-12)
+
+
+def test_a_proxy_without_a_drop_is_the_independent_model(plane_scene: SceneFactory) -> None:
+    """With the kinetic limit left out it is the static one, and every tick is that of the independent model."""
+    independent = Engine(plane_scene())
+    proxy = Engine(plane_scene(material={"torsion": {"model": "soft_finger_proxy"}}))
+
+    @settings(max_examples=50, deadline=None, derandomize=True)
+    @given(handling())
+    def check(hand: Handling) -> None:
+        independent.reset()
+        proxy.reset()
+        assert (independent.run(hand.poses) == proxy.run(hand.poses)).all()
+
+    check()
+
+
+@pytest.mark.parametrize("kinetic", [0.003, 0.004])
+def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, kinetic: float) -> None:
+    """Held at rest after a spin, through encoders that flicker by one step of 1 mrad, it stays stuck."""
+    hand, rng = pressed().go(300, turn=[0, 0, 0.3]), np.random.default_rng(3)
+    rest = hand.at
+    flicker = 1e-3 * rng.integers(-1, 2, 3000)
+    for change in np.diff(flicker, prepend=0.0):
+        hand.go(1, turn=[0, 0, change])
+    engine = Engine(plane_scene(material={"torsion": {**PROXY, "kinetic_friction_length_m": kinetic}}))
+    records = engine.run(np.array(hand.poses))
+    spin = column(records, "contact.spin")[rest + 200 :]
+    # Stuck, the wind-up follows the flicker and nothing is lost: what it is above the flicker is constant.
+    anchor = spin - flicker[199:]
+    assert np.ptp(anchor) < 1e-12
+
+
+# --- the file --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("torsion", "message"),
+    [
+        ({"kinetic_friction_length_m": 0.003}, 'belongs to model = "soft_finger_proxy"'),
+        ({**PROXY, "kinetic_friction_length_m": 0.005}, "at most friction_length_m = 0.004"),
+        ({"exponent": 0.5}, "from 0 to 0.333333"),
+        ({"model": "soft_finger"}, "did you mean 'soft_finger_proxy'"),
+    ],
+)
+def test_faulty_torsion_is_refused(torsion: dict[str, Any], message: str) -> None:
+    """A torsion table that contradicts itself is refused with what to change."""
+    with pytest.raises(ConfigError, match=message):
+        build(Scene, paper_mapping(material={"torsion": torsion}), "test scene")
+
+
+def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
+    """The type of the law, which is what gets compiled, has the parts the scene names and no others."""
+    linear, power = model.Torsion(0.05, 0.004), model.PowerTorsion(0.05, 0.004, 0.2)
+    for torsion, law in [
+        (None, None),
+        ({}, linear),
+        ({"exponent": 0.2}, power),
+        ({"model": "limit_surface"}, model.LimitSurface(linear)),
+        ({"model": "limit_surface", "exponent": 0.2}, model.LimitSurface(power)),
+        (PROXY, model.SoftFingerProxy(linear, 0.75)),
+        ({**PROXY, "exponent": 0.2}, model.SoftFingerProxy(power, 0.75)),
+    ]:
+        assert torsion_laws(plane_scene(material={"torsion": torsion})) == [law]
+
+
+def test_objects_of_a_scene_share_one_law() -> None:
+    """Beside a turning proxy the other objects get its type, with one limit for sticking and slipping, or with none."""
+    mapping = paper_mapping()
+    table = mapping["object"][0]
+    turning = {**table["material"], "torsion": {**table["material"]["torsion"], **PROXY}}
+    limp = {key: value for key, value in table["material"].items() if key != "torsion"}
+    mapping["object"] = [
+        table,
+        {**table, "name": "turning", "material": turning},
+        {**table, "name": "limp", "material": limp},
+    ]
+    assert torsion_laws(build(Scene, mapping, "test scene")) == [
+        model.SoftFingerProxy(model.Torsion(0.05, 0.004), 1.0),
+        model.SoftFingerProxy(model.Torsion(0.05, 0.004), 0.75),
+        model.SoftFingerProxy(model.Torsion(1.0, 0.0), 1.0),
+    ]
+    coupled = {**table["material"], "torsion": {**table["material"]["torsion"], "model": "limit_surface"}}
+    mapping["object"][1] = {**table, "name": "coupled", "material": coupled}
+    with pytest.raises(ConfigError, match="all objects with torsion have the model limit_surface, or none has"):
+        build(Scene, mapping, "test scene")
