@@ -60,7 +60,6 @@ def examine_file(file: str) -> Finding:
         kind = kind_of(read_toml(path, file), file)
         config = load_scene(path) if kind == "scene" else load_rig(path)
         if isinstance(config, Scene):
-            _check_rendered(config, file)
             summary = scene_summary(config)
         else:
             _check_driver(config, file)
@@ -189,18 +188,6 @@ def _locate(file: str) -> Path:
             "a file of your own is named with its ending .toml"
         )
     return find(file, Rig if file in shipped(Rig) else Scene)
-
-
-def _check_rendered(scene: Scene, file: str) -> None:
-    """Raise ConfigError for what a valid scene asks and this version does not render."""
-    from softfinger.proxy.scene import build_scene
-
-    try:
-        build_scene(scene)
-    except FaultyConfig:
-        raise
-    except ConfigError as error:
-        raise ConfigError(f"{file}: {error}") from error
 
 
 def _check_driver(rig: Rig, file: str) -> None:

@@ -161,7 +161,11 @@ def test_results_do_not_depend_on_the_world_frame(q, moved, steps):
         orientation = product(turn(small), orientation)
         one = here.step(position, orientation)
         other = there.step(matrix @ position + center, product(turned, orientation))
-        assert one.mode == other.mode
+        if one.mode != other.mode:
+            # Only where a threshold is met to the last digit: that of touching, or that of the friction cone.
+            touching = abs(np.linalg.norm(position) - 0.03) < 1e-9
+            assert touching or abs(one.tangential_force - 0.6 * one.normal_force) < 1e-9
+            return
         # Rounding of coordinates up to 1 m against a radius of 10 mm, through a few ticks, times 1000 N/m.
         np.testing.assert_allclose(other.force, matrix @ one.force, atol=1e-9)
         np.testing.assert_allclose(other.torque, matrix @ one.torque, atol=1e-9)
