@@ -114,7 +114,7 @@ def test_changed_source_means_another_cache(tmp_path):
     before = cache_dir()
     assert cache_dir() == before
     kernel = package / "proxy" / "kernels" / "torsion.py"
-    kernel.write_text(kernel.read_text().replace("-torsion.stiffness", "-2.0 * torsion.stiffness"))
+    kernel.write_text(kernel.read_text() + "\nTWICE = 2.0\n")
     assert cache_dir() != before
 
 
@@ -305,7 +305,8 @@ def test_parameters_change_without_stopping():
     device, servo = make_servo(Options(), None)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     thing = tuning.scene.objects[0]
-    slippery = thing._replace(friction=thing.friction._replace(static=0.1, kinetic=0.1))
+    friction = thing.material.friction._replace(static=0.1, kinetic=0.1)
+    slippery = thing._replace(material=thing.material._replace(friction=friction))
     servo.start()
     while servo.ticks < 1000:
         servo.wait_record()
