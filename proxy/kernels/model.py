@@ -223,13 +223,6 @@ class Pose(NamedTuple):
     orientation: Quaternion
 
 
-class PoseRate(NamedTuple):
-    """How a pose changes: velocity of the origin, m/s, and angular velocity, rad/s, both in the world."""
-
-    velocity: Vec3
-    angular_velocity: Vec3
-
-
 class Sinusoid(NamedTuple):
     """Motion to and fro, in the object's frame at rest: amplitude (3,) m, and rad about a unit axis; Hz, rad."""
 

@@ -1,7 +1,6 @@
-"""Objects that move by themselves: their pose and its rate, in closed form of the time.
+"""Objects that move by themselves: their pose, in closed form of the time.
 
     pose_at(motion, pose, time) -> Pose       where the object is; `pose` is where it rests
-    rate_at(motion, pose, time) -> PoseRate   how fast its origin moves and it turns
 
 A motion is given in the object's own frame at rest: pose(t) = pose * motion(t). Changing the pose of
 rest while running carries the motion along. Without a motion (None), and for an object driven from
@@ -14,7 +13,7 @@ from typing import Any
 from softfinger.proxy.kernels import rotations, vec3
 from softfinger.proxy.kernels.dispatch import by_type
 from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.model import Driven, Pose, PoseRate, Quaternion, Sinusoid, Turntable, Vec3
+from softfinger.proxy.kernels.model import Driven, Pose, Quaternion, Sinusoid, Turntable, Vec3
 
 TURNS_CEILING = 1e15
 """Past this many turns float64 has no fraction of a turn left."""
@@ -22,10 +21,6 @@ TURNS_CEILING = 1e15
 
 @by_type
 def pose_at(motion: Any, pose: Pose, time: float) -> Any: ...
-
-
-@by_type
-def rate_at(motion: Any, pose: Pose, time: float) -> Any: ...
 
 
 @jit
@@ -49,12 +44,6 @@ def carried(pose: Pose, position: Vec3, turn: Quaternion) -> Pose:
     return Pose(moved, rotations.multiply(pose.orientation, turn))
 
 
-@jit
-def seen_from_world(pose: Pose, velocity: Vec3, angular_velocity: Vec3) -> PoseRate:
-    q = pose.orientation
-    return PoseRate(rotations.rotate(q, velocity), rotations.rotate(q, angular_velocity))
-
-
 @pose_at.of(None)
 def pose_at_rest(motion: None, pose: Pose, time: float) -> Pose:
     return pose
@@ -66,11 +55,6 @@ def pose_of_driven(motion: Driven, pose: Pose, time: float) -> Pose:
     return pose
 
 
-@rate_at.of(None)
-def no_rate(motion: None, pose: Pose, time: float) -> PoseRate:
-    return PoseRate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
 @pose_at.of(Sinusoid)
 def pose_of_sinusoid(motion: Sinusoid, pose: Pose, time: float) -> Pose:
     """To and fro by s = sin(2 pi f t + phase): s A along, s alpha about the axis through the origin."""
@@ -78,22 +62,8 @@ def pose_of_sinusoid(motion: Sinusoid, pose: Pose, time: float) -> Pose:
     return carried(pose, vec3.scale(s, motion.translation), turned(motion.axis, s * motion.angle))
 
 
-@rate_at.of(Sinusoid)
-def rate_of_sinusoid(motion: Sinusoid, pose: Pose, time: float) -> PoseRate:
-    speed = 2.0 * pi * motion.frequency * cos(angle_after(motion.frequency * time) + motion.phase)
-    return seen_from_world(pose, vec3.scale(speed, motion.translation), vec3.scale(speed * motion.angle, motion.axis))
-
-
 @pose_at.of(Turntable)
 def pose_of_turntable(motion: Turntable, pose: Pose, time: float) -> Pose:
     """Turned by rate * t about the axis through the pivot, a point of the object that stays."""
     turn = turned(motion.axis, angle_after(motion.rate * time / (2.0 * pi)))
     return carried(pose, vec3.sub(motion.pivot, rotations.rotate(turn, motion.pivot)), turn)
-
-
-@rate_at.of(Turntable)
-def rate_of_turntable(motion: Turntable, pose: Pose, time: float) -> PoseRate:
-    turn = turned(motion.axis, angle_after(motion.rate * time / (2.0 * pi)))
-    angular_velocity = vec3.scale(motion.rate, motion.axis)
-    arm = rotations.rotate(turn, vec3.scale(-1.0, motion.pivot))
-    return seen_from_world(pose, vec3.cross(angular_velocity, arm), angular_velocity)
