@@ -60,6 +60,7 @@ class Daemon:
         self._report = report
         self._rig = rig
         self._failure: HapticError | None = None
+        self._started = False
         self.publisher = Publisher(rig.telemetry.endpoint, rig.telemetry.every, guard_names=GUARD_NAMES)
         try:
             self.device = open_device(rig.device, rig.servo.rate_hz)
@@ -84,6 +85,7 @@ class Daemon:
         self.publisher.event("lifecycle", "started", device=self.device.info.name)
         for thread in self._threads:
             thread.start()
+        self._started = True
         self.servo.start()
 
     def stop(self) -> None:
@@ -110,7 +112,8 @@ class Daemon:
     def close(self) -> None:
         """Stop the servo, release the device, send what is left. Any number of times."""
         self.servo.stop()
-        if self._threads[0].is_alive():
+        if self._started:
+            self._started = False
             # A servo that does not answer within this is stuck in its device; the device is stopped regardless.
             self.servo.join(timeout_s=2.0)
             for thread in self._threads:

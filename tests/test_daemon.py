@@ -5,6 +5,8 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,7 +34,9 @@ COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 def daemon(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """`softfinger run` on an endpoint of its own, killed in the end if it still runs."""
     with zmq.Context() as context, context.socket(zmq.PUB) as probe:
-        endpoint = f"tcp://127.0.0.1:{probe.bind_to_random_port('tcp://127.0.0.1')}"
+        # Below the ports that the system gives to clients: there, one that connects early may meet itself.
+        port = probe.bind_to_random_port("tcp://127.0.0.1", min_port=20_000, max_port=32_000)
+        endpoint = f"tcp://127.0.0.1:{port}"
     process = subprocess.Popen([*COMMAND, "run", "--endpoint", endpoint, *words], stderr=subprocess.PIPE, text=True)
     try:
         yield process, endpoint
@@ -119,6 +123,23 @@ def test_events_tell_every_transition(tmp_path):
     assert [event["tick"] for event in seen] == expected
     assert seen[0]["cause"] == "touch" and seen[-1]["cause"] == "release"
     assert all(len(event["force"]) == 3 and event["normal_force"] >= 0.0 for event in seen)
+
+
+def test_stopped_is_told_however_late_the_close():
+    """The last event leaves even when the publisher thread ended long before the daemon is closed."""
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane"), 2000) as running:
+        with subscribed(running.publisher.endpoint, "event", "contact") as socket:
+            running.start()
+            assert socket.recv_multipart()  # subscribed
+            running.wait(60.0)
+            while any(thread.name == "publisher" for thread in threading.enumerate()):
+                time.sleep(0.01)
+            running.close()
+            socket.rcvtimeo = 5000
+            last = None
+            while last != "stopped":
+                last = msgpack.unpackb(socket.recv_multipart()[1]).get("name")
 
 
 class FaultyDriver:
