@@ -117,7 +117,7 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
 
 
 def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(scheduler: str, tmp_path: Path) -> None:
-    """Half of the cases done by threads into a file, the rest by workers elsewhere: the results are those of one run."""
+    """Half of the cases by threads into a file, the rest by workers elsewhere: the results of one run."""
     results = tmp_path / "cases.mcap"
     run_cases(roots, CASES[::2], label="test", results=results)
     computed.clear()

@@ -16,6 +16,7 @@ you trust.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -68,7 +69,7 @@ def run_cases(
         if todo:
             finished = len(keys) - len(todo)
             with _workers(scheduler) as workers, progress(label, len(keys)) as done:
-                size = block or max(1, min(BLOCK_MAX, len(todo) // (BLOCKS_PER_WORKER * workers.count)))
+                size = block or max(1, min(BLOCK_MAX, len(todo) // (BLOCKS_PER_WORKER * workers.number)))
                 for block_keys, found in _in_blocks(workers, function, todo, size):
                     decoded = map(msgspec.msgpack.decode, found)
                     rows.append((key, todo[key], one) for key, one in zip(block_keys, decoded, strict=True))
@@ -97,7 +98,7 @@ def _compute(sources: str, function: Compute, cases: Sequence[Any]) -> list[byte
 class _Workers(NamedTuple):
     """How many compute at once, how to hand out a call, and how to take its future when it is finished."""
 
-    count: int
+    number: int
     submit: Callable[..., Any]
     completed: Callable[[Iterable[Any]], Iterable[Any]]
 
@@ -127,13 +128,12 @@ def _workers(scheduler: str | None) -> Iterator[_Workers]:
             pool.shutdown(cancel_futures=True)
         return
     try:
-        import distributed
+        distributed: Any = importlib.import_module("distributed")
     except ImportError as error:
         raise ConfigError(f"--scheduler {scheduler}: dask is not installed: pip install 'softfinger[sweep]'") from error
     with ExitStack() as opened:
         if scheduler == "local":
-            cluster = distributed.LocalCluster(here, threads_per_worker=1, dashboard_address=None)
-            address = opened.enter_context(cluster)
+            address = opened.enter_context(distributed.LocalCluster(here, threads_per_worker=1, dashboard_address=None))
         elif "://" in scheduler:
             address = scheduler
         else:
@@ -148,9 +148,9 @@ def _workers(scheduler: str | None) -> Iterator[_Workers]:
             raise ConfigError(
                 f"--scheduler {scheduler}: no dask scheduler there ({reason}): start one with `dask scheduler`"
             ) from error
-        count = len(client.scheduler_info(n_workers=-1)["workers"])
-        if not count:
+        number = len(client.scheduler_info(n_workers=-1)["workers"])
+        if not number:
             raise ConfigError(f"--scheduler {scheduler}: it has no workers: start one with `dask worker {scheduler}`")
         # Not pure: dask would look for equal calls by hashing the arguments, which the keys have done already.
         completed = partial(distributed.as_completed, loop=client.loop)
-        yield _Workers(count, partial(client.submit, pure=False), completed)
+        yield _Workers(number, partial(client.submit, pure=False), completed)

@@ -1,0 +1,96 @@
+"""Random closed-loop runs, many at once: how fast they go, and that no passive wall lets a knock grow.
+
+A device is drawn for every hundred runs, its wall anew for each. A run is short, so its only verdict is
+whether the swing after a knock has grown out of reach; that a passive wall lets that happen would be a
+defect of this program.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from softfinger.tools.predicted import passive_limit
+from softfinger.tools.stability_limit import Case, loop_of, run_rows
+from softfinger.tools.sweep import run_cases
+
+RUNS_PER_DEVICE: Final = 100
+"""Making the exact matrices of a device costs as much as about three runs of 1000 ticks."""
+RUNS_PER_BLOCK: Final = 1000
+SENSIBLE: Final = (1_000_000, 1000)
+"""Runs and ticks of the study whose time is told."""
+
+
+class Block(msgspec.Struct, frozen=True):
+    """Some of the runs: which, how many, how long, and the seed of the whole."""
+
+    number: int
+    runs: int
+    ticks: int
+    seed: int
+
+
+def random_device(random: np.random.Generator) -> Case:
+    """A desktop device at some rate, with up to two ticks of delay."""
+    mass, damping, rate = np.exp(random.uniform(np.log([0.05, 0.1, 500.0]), np.log([1.0, 10.0, 8000.0]))).tolist()
+    return Case(mass_kg=mass, damping_ns_per_m=damping, rate_hz=rate, delay_ticks=int(random.integers(3)))
+
+
+def run_blocks(blocks: Sequence[Block]) -> list[dict[str, int]]:
+    """For each block: runs, ticks done, how many swings grew out of reach, walls that were passive and grew so."""
+    return [_run_block(block) for block in blocks]
+
+
+def _run_block(block: Block) -> dict[str, int]:
+    random = np.random.default_rng([block.seed, block.number])
+    loops, plants, passive = [], [], []
+    for run in range(block.runs):
+        if run % RUNS_PER_DEVICE == 0:
+            device = random_device(random)
+            plant, bare = device.plant(), passive_limit(device.linear())
+        # Walls from a tenth to ten times what the device alone keeps passive, damped by up to twice its damping.
+        stiffness = bare * 10.0 ** random.uniform(-1.0, 1.0)
+        case = msgspec.structs.replace(
+            device, wall_damping_ns_per_m=device.damping_ns_per_m * max(0.0, random.uniform(-1.0, 2.0))
+        )
+        loops.append(loop_of(case, stiffness, block.ticks))
+        plants.append(plant)
+        passive.append(stiffness <= passive_limit(case.linear()))
+    out = run_rows(loops, plants)
+    left = out[:, 2] < block.ticks
+    return {
+        "runs": block.runs,
+        "ticks": int(out[:, 2].sum()),
+        "left": int(left.sum()),
+        "passive": int(np.sum(passive)),
+        "passive_left": int(np.sum(left & passive)),
+    }
+
+
+def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Path | None) -> dict[str, Any]:
+    """So many random runs of so many ticks: sums over their blocks, time, rate, and the time of SENSIBLE."""
+    blocks = [
+        Block(number, min(RUNS_PER_BLOCK, runs - first), ticks, seed)
+        for number, first in enumerate(range(0, runs, RUNS_PER_BLOCK))
+    ]
+    run_blocks([Block(0, 1, 1, seed)])  # compiles
+    begun = time.perf_counter()
+    found = run_cases(run_blocks, blocks, label="random runs", scheduler=scheduler, results=results, block=1)
+    seconds = time.perf_counter() - begun
+    sums = {name: sum(part[name] for part in found) for name in found[0]}
+    rate = sums["ticks"] / seconds
+    return {**sums, "seconds": seconds, "ticks_per_s": rate, "million_runs_s": SENSIBLE[0] * SENSIBLE[1] / rate}
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    return [
+        f"{result['runs']} random closed-loop runs, {result['ticks']} ticks in {result['seconds']:.1f} s: "
+        f"{result['ticks_per_s'] / 1e6:.2f} million ticks a second",
+        f"  {result['left']} swings grew out of reach; of {result['passive']} passive walls {result['passive_left']}",
+        f"  a million runs of 1000 ticks at this rate: {result['million_runs_s']:.0f} s",
+    ]
