@@ -32,11 +32,16 @@ Array = NDArray[np.float64]
 
 RADIUS_M: Final = 0.01
 KNOCK_M: Final = 1e-4
-"""Swing that the knock gives an undamped handle: ten steps of a coarse encoder, and less than a hand can see."""
+"""Swing that the knock gives an undamped handle, m."""
+KNOCK_STEPS: Final = 20.0
+"""The same in encoder steps, at least: what they add is then small beside it."""
 REACH: Final = 30.0
 """A swing grown by this factor has decided: the wall is unstable."""
 DEAD: Final = 1e-9
 """Share of the knock's speed below which nothing is left of it; rounding is at 1e-13."""
+LIMIT_CYCLE: Final = 1.0
+"""The same with encoder steps: a swing among a few steps never ends, and is no instability until it outgrows the
+knock."""
 DEPTH: Final = 100.0
 """Depth of the equilibrium in knocks, at least: a swing of REACH stays in contact."""
 COARSE: Final = 16.0
@@ -112,8 +117,11 @@ class Loop(NamedTuple):
     damping, velocity_time_constant  N s/m, s
     period                           s
     mass, hand_stiffness             kg, N/m   device and hand
+    knock                            m         swing that the knock gives an undamped handle
+    floor                                      share of the knock's speed below which a swing is over
     first                            N/m       stiffness the search begins with
-    ticks                                      0 to search; else one trial of so many ticks at the first stiffness
+    ticks                                      0 to search; else one trial at the first stiffness, of so many ticks
+                                               or with -1 of FINE swings
     """
 
     damping: float
@@ -121,6 +129,8 @@ class Loop(NamedTuple):
     period: float
     mass: float
     hand_stiffness: float
+    knock: float
+    floor: float
     first: float
     ticks: float
 
@@ -142,19 +152,19 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
     The squared velocity is summed over the second and the third third of the trial under a window that
     is 0 and flat at its ends, (u (1 - u))^2: cut so, a swing that neither grows nor decays gives equal
     sums to about 1e-6 whatever its phase. The first third lets go what dies out fast. A swing that has
-    come down to DEAD is over: what is left of it is rounding, which grows and decays as it likes.
+    come down to `loop.floor` is over: what is left then is rounding, or the encoder's own limit cycle.
     """
     # The frequency at which the handle swings on the wall, rad a tick, at most an eighth of a turn.
     own = min(sqrt((stiffness + loop.hand_stiffness) / loop.mass) * loop.period, 0.25 * pi)
     ticks = loop.ticks if loop.ticks > 0.0 else max(TICKS_MIN, min(TICKS_MAX, swings * 2.0 * pi / own)) // 1.0
     # v_k T is at most 2 REACH knocks: so the damper's force stays below K delta, and f_N between 0 and 2 K delta.
-    depth = KNOCK_M * max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
+    depth = loop.knock * max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
     tuning = pressed_wall(stiffness, loop.damping, loop.velocity_time_constant, depth)
     zero, upright = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
-    state = PlantState(zero, (0.0, 0.0, KNOCK_M * own / loop.period), zero, zero, upright, 0.0)
+    state = PlantState(zero, (0.0, 0.0, loop.knock * own / loop.period), zero, zero, upright, 0.0)
     memory, third = start, ticks / 3.0
-    # The window's square integrates to 1 / 630.
-    dead = (DEAD * KNOCK_M * own / loop.period) ** 2 * third / 630.0
+    # What a steady swing sums to: half its squared speed, times the integral 1 / 630 of the window squared.
+    over = 0.5 * (loop.floor * loop.knock * own / loop.period) ** 2 * third / 630.0
     before, after = 0.0, 0.0
     for i in range(line.shape[0]):
         line[i] = 0.0
@@ -163,7 +173,7 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
         sample: Any = (x, y, z, 1.0, 0.0, 0.0, 0.0)
         memory = tick(tuning, start, memory, sample, loop.period, k, NOWHERE)
         state = advance(plant, state, memory.guarded.force, zero, upright, line)
-        if not abs(state.position[2]) < REACH * KNOCK_M:
+        if not abs(state.position[2]) < REACH * loop.knock:
             return True, k + 1.0
         u = (k + 0.5) / third - 1.0
         speed = state.velocity[2]
@@ -172,7 +182,7 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
             after += (u * (1.0 - u) * speed) ** 2
         elif u >= 0.0:
             before += (u * (1.0 - u) * speed) ** 2
-    return not after <= max(before, dead), ticks
+    return not after <= max(before, over), ticks
 
 
 @jit
@@ -187,14 +197,14 @@ def first_limit(loop: Loop, start: Memory, plant: Plant, line: Array) -> tuple[f
     """
     low, high, stiffness, trials, total = 0.0, inf, loop.first, 0.0, 0.0
     while True:
-        swings = COARSE if low == 0.0 or high == inf else FINE
+        swings = COARSE if loop.ticks == 0.0 and (low == 0.0 or high == inf) else FINE
         unstable, ticks = grows(loop, start, plant, stiffness, swings, line)
         trials, total = trials + 1.0, total + ticks
         if unstable:
             high = stiffness
         else:
             low = stiffness
-        if loop.ticks > 0.0:
+        if loop.ticks != 0.0:
             return low, trials, total
         if low == 0.0:
             stiffness = high / 2.0
@@ -215,7 +225,7 @@ def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Ar
     """`first_limit` of each row of `loops` (n, len(Loop)) and `plants` (n, leaves of Plant) into `out` (n, 3)."""
     for i in range(loops.shape[0]):
         row = loops[i]
-        loop = Loop(row[0], row[1], row[2], row[3], row[4], row[5], row[6])
+        loop = Loop(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
         out[i, 0], out[i, 1], out[i, 2] = first_limit(loop, start, unpack(like, plants[i]), line)
 
 
@@ -240,10 +250,12 @@ def run_rows(loops: Sequence[Loop], plants: Sequence[Plant]) -> Array:
 
 
 def loop_of(case: Case, first: float, ticks: int = 0) -> Loop:
-    """The kernel's row for a case: a search from stiffness `first` (N/m), or with `ticks` one trial at it."""
+    """The kernel's row for a case: a search from stiffness `first` (N/m), or one trial at it (see Loop.ticks)."""
+    over = LIMIT_CYCLE if case.resolution_m > 0.0 else DEAD
     return Loop(
         case.wall_damping_ns_per_m, case.velocity_time_constant_s, case.period_s,
-        case.mass_kg + case.hand_mass_kg, case.hand_stiffness_n_per_m, first, float(ticks),
+        case.mass_kg + case.hand_mass_kg, case.hand_stiffness_n_per_m,
+        max(KNOCK_M, KNOCK_STEPS * case.resolution_m), over, first, float(ticks),
     )  # fmt: skip
 
 
@@ -266,6 +278,6 @@ def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
     ]
 
 
-def grows_at(case: Case, stiffness: float, ticks: int) -> bool:
-    """Whether a knock grows on a wall of one stiffness, N/m, in so many ticks: the trial of which a search is made."""
-    return bool(run_rows([loop_of(case, stiffness, ticks)], [case.plant()])[0, 0] == 0.0)
+def grows_at(case: Case, stiffness: float) -> bool:
+    """Whether a knock grows on a wall of one stiffness, N/m: the trial of which a search is made."""
+    return bool(run_rows([loop_of(case, stiffness, -1)], [case.plant()])[0, 0] == 0.0)

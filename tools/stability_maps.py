@@ -21,7 +21,7 @@ LINE_POINTS: Final = 120
 
 
 class Map(NamedTuple):
-    """Key of the case that is varied, the axis's label, and whether the axes are logarithmic."""
+    """Key of the case that is varied, the axis's label, and whether it is logarithmic."""
 
     key: str
     label: str
@@ -29,7 +29,7 @@ class Map(NamedTuple):
 
 
 MAPS: Final[Mapping[str, Map]] = {
-    "zwidth": Map("wall_damping_ns_per_m", "wall damping B, N s/m", False),
+    "zwidth": Map("wall_damping_ns_per_m", "wall damping B, N s/m", True),
     "rate": Map("rate_hz", "servo rate, Hz", True),
     "delay": Map("delay_ticks", "delay, ticks", False),
 }
@@ -67,7 +67,9 @@ def varied(case: Case, key: str, value: float) -> Case:
 def axis(name: str, case: Case, points: int) -> Array:
     """Values along the axis of a map."""
     if name == "zwidth":
-        return np.linspace(0.0, damping_limit(case), points)
+        # From far below the device's own damping, past which no damped wall is passive.
+        top = damping_limit(case)
+        return np.geomspace(min(0.1 * case.damping_ns_per_m or 1.0, 1e-3 * top), top, points)
     if name == "rate":
         return np.geomspace(250.0, 16_000.0, points)
     return np.arange(9.0)
@@ -89,8 +91,7 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
     for name, axes in zip(names, drawing.subplots(1, len(names), squeeze=False)[0], strict=True):
         key, label, log = MAPS[name]
         scale = 1e-3  # N/m to N/mm
-        if log:
-            axes.set(xscale="log", yscale="log")
+        axes.set(xscale="log" if log else "linear", yscale="log")
         for number, variant in enumerate(variants):
             here = [row for row in rows if row["map"] == name and row["variant"] == variant]
             x = [row[key] for row in here]
@@ -103,6 +104,8 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
         (lines[f"{variants[0]}: exact linear limit"],) = axes.plot(x, exact, "-", color="C0", linewidth=1.0)
         (lines["passive below"],) = axes.plot(x, passive, "--", color="0.4", linewidth=1.0)
         axes.fill_between(x, passive, color="0.9")
+        # A wall that is hardly one says nothing, and 0 has no place on a logarithmic axis.
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-3 * axes.get_ylim()[1]))
         axes.set_xlabel(label)
         axes.grid(True, alpha=0.3)
     drawing.axes[0].set_ylabel("stiffest stable wall, N/mm")
