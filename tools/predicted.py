@@ -21,9 +21,11 @@ from softfinger.tools.measure import Array
 RADIUS_TOLERANCE: Final = 1e-12
 """A spectral radius above 1 by less is rounding: single eigenvalues near 1 are found to about 1e-15 times the
 condition of a matrix of a few rows."""
-GRID: Final = 400
-LOWEST: Final = 1e-6
-"""The first stiffness tried, as a share of the scale 8 (m / T^2 + b / T), beyond which no wall is stable."""
+RATIO: Final = 1.05
+"""Of one stiffness of the grid to the next."""
+LOWEST: Final = 1e-3
+"""The first stiffness tried, as a share of what all damping together would make stable in a slow loop; without
+damping, its square as a share of the scale above which no wall is stable."""
 
 
 class LinearLoop(NamedTuple):
@@ -100,11 +102,15 @@ def linear_limit(loop: LinearLoop) -> float:
 
     The first crossing is meant: with a hand, with delay or with much wall damping the stable stiffnesses
     need not be one interval, and a wall that is stable again further up cannot be reached by stiffening it.
-    It is looked for on a grid of ratio 1.04 and then bisected to the last digit; a window of instability
+    It is looked for on a grid of ratio RATIO and then bisected to the last digit; a window of instability
     narrower than a step of the grid, followed by stability, would be passed over.
     """
-    top = 8.0 * (loop.mass / loop.period**2 + (loop.damping + loop.hand_damping) / loop.period) + loop.hand_stiffness
-    grid = np.geomspace(LOWEST * top, top, GRID)
+    damping, period = loop.damping + loop.hand_damping, loop.period
+    top = 8.0 * (loop.mass / period**2 + damping / period) + loop.hand_stiffness
+    # A slow loop turns unstable at K (T / 2 + d T) = b + B.
+    slow = (damping + loop.wall_damping) / ((loop.delay + 0.5) * period)
+    bottom = min(LOWEST * slow if slow > 0.0 else top, LOWEST**2 * top)
+    grid = np.geomspace(bottom, top, 1 + int(np.log(top / bottom) / np.log(RATIO)))
     unstable = spectral_radius(loop, grid) > 1.0 + RADIUS_TOLERANCE
     if not unstable.any():
         raise ArithmeticError(f"no wall up to {top:g} N/m is unstable: {loop}")

@@ -44,11 +44,13 @@ LIMIT_CYCLE: Final = 1.0
 knock."""
 DEPTH: Final = 100.0
 """Depth of the equilibrium in knocks, at least: a swing of REACH stays in contact."""
+WEIGHT_MAX_N: Final = 1e5
+"""Heaviest weight that presses the wall; where more were needed the knock is smaller. Effects end at 1e6 N."""
 COARSE: Final = 16.0
 FINE: Final = 64.0
 """Swings of the handle that a trial lasts: while the stiffness is only raised, and while it is bisected."""
 TICKS_MIN: Final = 2_000.0
-TICKS_MAX: Final = 200_000.0
+TICKS_MAX: Final = 1_000_000.0
 SCAN: Final = 1.3
 """Factor by which the wall is stiffened until it is unstable for the first time."""
 PRECISION: Final = 1e-4
@@ -158,13 +160,15 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
     own = min(sqrt((stiffness + loop.hand_stiffness) / loop.mass) * loop.period, 0.25 * pi)
     ticks = loop.ticks if loop.ticks > 0.0 else max(TICKS_MIN, min(TICKS_MAX, swings * 2.0 * pi / own)) // 1.0
     # v_k T is at most 2 REACH knocks: so the damper's force stays below K delta, and f_N between 0 and 2 K delta.
-    depth = loop.knock * max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
+    deep = max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
+    knock = min(loop.knock, WEIGHT_MAX_N / (stiffness * deep))
+    depth = knock * deep
     tuning = pressed_wall(stiffness, loop.damping, loop.velocity_time_constant, depth)
     zero, upright = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
-    state = PlantState(zero, (0.0, 0.0, loop.knock * own / loop.period), zero, zero, upright, 0.0)
+    state = PlantState(zero, (0.0, 0.0, knock * own / loop.period), zero, zero, upright, 0.0)
     memory, third = start, ticks / 3.0
     # What a steady swing sums to: half its squared speed, times the integral 1 / 630 of the window squared.
-    over = 0.5 * (loop.floor * loop.knock * own / loop.period) ** 2 * third / 630.0
+    over = 0.5 * (loop.floor * knock * own / loop.period) ** 2 * third / 630.0
     before, after = 0.0, 0.0
     for i in range(line.shape[0]):
         line[i] = 0.0
@@ -173,7 +177,7 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
         sample: Any = (x, y, z, 1.0, 0.0, 0.0, 0.0)
         memory = tick(tuning, start, memory, sample, loop.period, k, NOWHERE)
         state = advance(plant, state, memory.guarded.force, zero, upright, line)
-        if not abs(state.position[2]) < REACH * loop.knock:
+        if not abs(state.position[2]) < REACH * knock:
             return True, k + 1.0
         u = (k + 0.5) / third - 1.0
         speed = state.velocity[2]

@@ -17,7 +17,7 @@ from softfinger.tools.predicted import linear_limit, passive_limit
 from softfinger.tools.stability_limit import Case
 
 POINTS: Final = 24
-LINE_POINTS: Final = 120
+LINE_POINTS: Final = 80
 
 
 class Map(NamedTuple):
@@ -97,8 +97,8 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
             x = [row[key] for row in here]
             y = [scale * row["limit_n_per_m"] for row in here]
             (lines[f"{variant}: found"],) = axes.plot(x, y, "o" if number == 0 else ".-", color=f"C{number}")
-        fine = [c.linear() for c in cases_of(name, case, LINE_POINTS)]
-        x = [getattr(c, key) for c in cases_of(name, case, LINE_POINTS)]
+        line = cases_of(name, case, LINE_POINTS)
+        x, fine = [getattr(point, key) for point in line], [point.linear() for point in line]
         exact = [scale * linear_limit(loop) for loop in fine]
         passive = [scale * passive_limit(loop) for loop in fine]
         (lines[f"{variants[0]}: exact linear limit"],) = axes.plot(x, exact, "-", color="C0", linewidth=1.0)
