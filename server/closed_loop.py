@@ -24,14 +24,13 @@ from softfinger.drivers.plant import (
     goal_at,
     sense,
 )
-from softfinger.drivers.simulated import Simulation
+from softfinger.drivers.simulation import Simulation
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.jit import OPTIONS, entry, jit
 from softfinger.proxy.kernels.pack import flatten, pack, unpack
 from softfinger.proxy.state import RECORD_SIZE
 from softfinger.server.clock import NS_PER_S, period_ns
-from softfinger.server.progress import progress
-from softfinger.server.simulate import CHUNK
+from softfinger.server.progress import CHUNK, progress
 from softfinger.server.tick import Memory, Tuning, begin, tick
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ from scipy.signal import cont2discrete
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Scene
 from softfinger.drivers.plant import LINE_SIZE, Intention, at_rest, make_plant
-from softfinger.drivers.simulated import Options, Simulation, open_device, simulation
+from softfinger.drivers.simulated import open_device
+from softfinger.drivers.simulation import Options, Simulation, simulation
 from softfinger.proxy.kernels.jit import entry
 from softfinger.proxy.kernels.pack import flatten
 from softfinger.proxy.scene import build_scene

@@ -172,6 +172,49 @@ def test_stick_and_slip_agree_with_a_high_order_integration(name, period):
         np.testing.assert_allclose(got, want, atol=1e-9 * np.abs(want).max())
 
 
+def test_nothing_gains_energy_without_a_command():
+    """Kinetic and spring energy together never rise while nothing pushes and the hand's goal stands still."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        m, k, c = rng.uniform(0.05, 1.0), 10.0 ** rng.uniform(1, 4), rng.uniform(0.0, 5.0)
+        friction, lag = rng.choice([0.0, 0.2]), rng.choice([0.0, 0.002])
+        plant = make_plant(
+            T, (m,) * 3, (rng.uniform(0.0, 2.0),) * 3, (friction,) * 3, lag, hand_damping=c, hand_stiffness=k
+        )
+        start = at_rest((0.0, 0.0, 0.0))._replace(position=(0.001, -0.01, 0.02), velocity=(0.3, 0.0, -0.1))
+        trip = Journey(plant, np.zeros((800, 3)), start=start)
+        energy = 0.5 * m * trip.v**2 + 0.5 * k * trip.x**2
+        # Where nothing is lost, rounding alone moves it: some ulps of each tick.
+        assert (np.diff(energy, axis=0) <= 1e-14 * energy[0]).all()
+        assert (energy[-1] < energy[0]).all()
+
+
+def test_orientation_follows_directly_or_with_its_lag():
+    """Without lag it is the hand's to the bit; with one, the angle to a goal at rest falls as exp(-t / tau)."""
+    angle, tau = 1.2, 0.02
+    turned = (np.cos(angle / 2.0), 0.0, np.sin(angle / 2.0), 0.0)
+    turns = np.array([STILL] + [turned] * 100)
+    direct = Journey(make_plant(T, (0.2,) * 3), np.zeros((100, 3)), turns=turns)
+    assert direct.q.tolist() == [list(turned)] * 100
+    lagging = Journey(make_plant(T, (0.2,) * 3, orientation_lag=tau), np.zeros((100, 3)), turns=turns)
+    left = angle - 2.0 * np.arctan2(lagging.q[:, 2], lagging.q[:, 0])
+    np.testing.assert_allclose(left, angle * np.exp(-T * np.arange(1, 101) / tau), rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(lagging.q, axis=1), 1.0, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"period": 0.0}, {"mass": (0.0, 1.0, 1.0)}, {"delay": DELAY_MAX + 1}, {"delay": -1}, {"lag": -1.0},
+        {"friction": (0.0, -1.0, 0.0)}, {"hand_stiffness": -1.0}, {"resolution": -1e-6},
+    ],
+)  # fmt: skip
+def test_impossible_numbers_are_refused(numbers):
+    """A plant of no mass, of no period or with negative parts is a ValueError, not a kernel full of nan."""
+    with pytest.raises(ValueError, match="must"):
+        make_plant(**({"period": T, "mass": (0.2,) * 3} | numbers))
+
+
 def test_matrix_exponential_agrees_with_scipy():
     """For matrices of any size of entries, growing, decaying, turning and nilpotent."""
     rng = np.random.default_rng(1)
