@@ -13,8 +13,7 @@ from softfinger.proxy.kernels.bodies import (
     pose_of,
 )
 from softfinger.proxy.kernels.cones import turned
-from softfinger.proxy.kernels.constraints import displacement
-from softfinger.proxy.kernels.contacts import NONE, Held, hold_by, load_of, settle, tangent_to_all
+from softfinger.proxy.kernels.contacts import NONE, Held, displacement_by, hold_by, load_of, settle, tangent_to_all
 from softfinger.proxy.kernels.effects import Moment, apply_effects
 from softfinger.proxy.kernels.friction import hold
 from softfinger.proxy.kernels.jit import jit
@@ -139,7 +138,7 @@ def step(scene: Scene, state: State, position: Vec3, orientation: Quaternion, dt
     after = State(
         1.0, state.time + dt, position, orientation, velocity, kept.mode, rests.first, rests.second, rests.third,
         pose_of(objects, rests.first), center, normal,
-        vec3.sub(behind, displacement(rests.push, rests.n1, rests.n2, rests.n3)),
+        vec3.sub(behind, displacement_by(objects, rests)),
         tangent_to_all(rests, kept.rolled_part), spin, kept.slip_speed, kept.slip_deflection, slip_speed, slip_angle,
         rolled, states,
     )  # fmt: skip
