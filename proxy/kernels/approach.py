@@ -3,20 +3,12 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels import rotations, vec3
-from softfinger.proxy.kernels.bodies import (
-    carried_direction,
-    carried_point,
-    carry,
-    closest_to,
-    deepest,
-    first_hit,
-    roll_on,
-    transport_on,
-    turn_against,
-)
+from softfinger.proxy.kernels.bodies import closest_to, deepest, roll_on, transport_on
+from softfinger.proxy.kernels.carry import carried_direction, carried_point, carry, turn_against
 from softfinger.proxy.kernels.contacts import NONE, Held, displacement_by, find_others, hold_again, hold_by, pressed
 from softfinger.proxy.kernels.jit import jit
 from softfinger.proxy.kernels.model import Quaternion, Scene, State, Vec3
+from softfinger.proxy.kernels.sweep import first_hit
 from softfinger.proxy.state import CAUSE_NONE, CAUSE_TOUCH, ROLLING
 
 

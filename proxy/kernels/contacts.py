@@ -9,7 +9,7 @@ smallest push that satisfies them all is found, until nothing changes.
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels import vec3
-from softfinger.proxy.kernels.bodies import closest_on, closest_to, deepest, first_hit, material_of
+from softfinger.proxy.kernels.bodies import closest_on, closest_to, deepest, material_of
 from softfinger.proxy.kernels.constraints import Push, displacement, smallest_push
 from softfinger.proxy.kernels.dispatch import by_count, by_type
 from softfinger.proxy.kernels.friction import static_coefficient
@@ -26,6 +26,7 @@ from softfinger.proxy.kernels.model import (
     Torus,
     Vec3,
 )
+from softfinger.proxy.kernels.sweep import first_hit
 
 ROUNDS = 10
 """Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""
