@@ -6,6 +6,7 @@ from softfinger.proxy.kernels import rotations, vec3
 from softfinger.proxy.kernels.bodies import closest_to, deepest, roll_on, transport_on
 from softfinger.proxy.kernels.carry import carried_direction, carried_point, carry, turn_against
 from softfinger.proxy.kernels.contacts import NONE, Held, displacement_by, find_others, hold_again, hold_by, pressed
+from softfinger.proxy.kernels.dispatch import by_count
 from softfinger.proxy.kernels.jit import jit
 from softfinger.proxy.kernels.model import Quaternion, Scene, State, Vec3
 from softfinger.proxy.kernels.sweep import first_hit
@@ -32,6 +33,22 @@ class Approach(NamedTuple):
     against: Vec3
 
 
+@by_count
+def start_of(objects: Any, position: Vec3, met: Vec3, held: Held) -> Any:
+    """Where the proxy (3,) m of a contact begins that was met at `met`."""
+
+
+@start_of.of(1)
+def start_over_the_probe(objects: Any, position: Vec3, met: Vec3, held: Held) -> Vec3:
+    return vec3.add(position, displacement_by(objects, held))
+
+
+@start_of.of(2)
+def start_where_it_met(objects: Any, position: Vec3, met: Vec3, held: Held) -> Vec3:
+    """Over the probe there may be another object: `settle` finds its way there."""
+    return met
+
+
 @jit
 def touch(scene: Scene, objects: Any, state: State, position: Vec3, velocity: Vec3) -> Approach:
     """First contact on the way from the last probe position to this one.
@@ -53,7 +70,7 @@ def touch(scene: Scene, objects: Any, state: State, position: Vec3, velocity: Ve
         _, point, normal = closest_to(objects, index, met)
         center = vec3.add_scaled(point, radius, normal)
         held = pressed(hold_by(index, normal), vec3.sub(center, position))
-        center = vec3.add(position, displacement_by(objects, held))
+        center = start_of(objects, position, center, held)
     return Approach(
         float(ROLLING), float(CAUSE_TOUCH), center, held, zero, zero, zero, 0.0, 0.0, velocity
     )  # fmt: skip
