@@ -8,7 +8,16 @@ A struct may have `faults()`, for what concerns several of its fields. `load.bui
 struct as far as it could be read: a field with an unusable value holds `UNSET`, hence `known`.
 """
 
-from softfinger.config.schema.contact import Coupling, Fingertip, Probe, Rolling, RollingMethod, StateMachine
+from softfinger.config.schema.contact import (
+    Coupling,
+    Fingertip,
+    Passivity,
+    PassivityMode,
+    Probe,
+    Rolling,
+    RollingMethod,
+    StateMachine,
+)
 from softfinger.config.schema.effects import (
     Boundary,
     ConstantForce,
@@ -81,6 +90,8 @@ __all__ = [
     "ObjectForce",
     "ObjectVibration",
     "ObjectViscosity",
+    "Passivity",
+    "PassivityMode",
     "Plane",
     "Probe",
     "RealtimeMode",

@@ -10,6 +10,7 @@ from softfinger.config.schema.fields import Complaint, Table, known, said, withi
 
 RollingMethod = Literal["euler_zxz", "euler_zyx", "rotation_vector", "midpoint", "montana_rk4", "montana_rk45"]
 StateMachine = Literal["default", "paper"]
+PassivityMode = Literal["observe", "control"]
 
 
 class Fingertip(Table, frozen=True, kw_only=True):
@@ -73,3 +74,23 @@ class Probe(Table, frozen=True, kw_only=True):
     position_resolution_m: Annotated[
         float, within(limits.RESOLUTION_M, "step of the device's encoders, below which a motion is noise", 1e-5)
     ] = 0.0
+
+
+class Passivity(Table, frozen=True, kw_only=True):
+    """Watch over the energy that the rendering gives to the hand; without this table nobody does."""
+
+    mode: Annotated[
+        PassivityMode, said("observe: tell it in the telemetry; control: also damp what is owed", "control")
+    ]
+    damping_max_ns_per_m: (
+        Annotated[
+            float,
+            within(limits.DAMPING_NS_PER_M, "largest damping the controller may add; control only, which has 20", 20.0),
+        ]
+        | None
+    ) = None
+
+    def faults(self) -> Iterator[Complaint]:
+        given = self.damping_max_ns_per_m
+        if known(self.mode, given) and given is not None and self.mode != "control":
+            yield "damping_max_ns_per_m", given, 'is for mode = "control": leave it out'

@@ -8,7 +8,7 @@ from typing import Annotated, Final
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.schema.contact import Coupling, Fingertip, Probe, Rolling
+from softfinger.config.schema.contact import Coupling, Fingertip, Passivity, Probe, Rolling
 from softfinger.config.schema.effects import Effect
 from softfinger.config.schema.fields import Complaint, Table, known, sized
 from softfinger.config.schema.shapes import Object
@@ -21,6 +21,7 @@ class Scene(Table, frozen=True, kw_only=True):
     rolling: Rolling | None = None
     coupling: Coupling = Coupling()
     probe: Probe = Probe()
+    passivity: Passivity | None = None
     object: Annotated[tuple[Object, ...], sized(limits.OBJECTS, "what can be touched")]
     effect: Annotated[tuple[Effect, ...], sized(limits.EFFECTS, "what the workspace does to the hand")] = ()
 
