@@ -112,28 +112,30 @@ def measure(case: Case, args: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The limits, one case a line; the columns of a case are those that differ between the rows."""
-    keys = [key for key in FLAGS.values() if len({row[key] for row in rows}) > 1]
+    """The limits, a case a line: of a map with the value that is varied, else with all values that are not 0."""
     lines = ["stiffest stable wall, N/m: found on the servo step, exact limit of the linear loop, passive below"]
-    if len(rows) == 1:
-        keys = [key for key in FLAGS.values() if rows[0][key]]
-    heads = [_head(key) for key in keys]
-    lines.append("  " + "".join(f"{head:>22}" for head in heads) + f"{'found':>14}{'linear':>14}{'passive':>14}")
-    before = None
+    section = None
     for row in rows:
-        section = row.get("map"), row.get("variant")
-        if section != before and "map" in row:
-            lines.append(f"  {row['map']}, {row['variant']}")
-        before = section
-        cells = "".join(f"{row[key]:>22.6g}" for key in keys)
-        limits = "".join(f"{row[key]:>14.2f}" for key in ("limit_n_per_m", "predicted_n_per_m", "passive_n_per_m"))
-        lines.append(f"  {cells}{limits}")
+        keys = [MAPS[row["map"]].key] if "map" in row else [key for key in FLAGS.values() if row[key]]
+        if section != (row.get("map"), row.get("variant")):
+            section = row.get("map"), row.get("variant")
+            if "map" in row:
+                lines.append(f"{row['map']}, {row['variant']}")
+            heads = [*map(_head, keys), "found", "linear", "passive"]
+            lines.append("  " + "".join(f"{head:>{_width(head)}}" for head in heads))
+        cells = [f"{row[key]:>{_width(_head(key))}.6g}" for key in keys]
+        cells += [f"{row[key]:>14.2f}" for key in ("limit_n_per_m", "predicted_n_per_m", "passive_n_per_m")]
+        lines.append("  " + "".join(cells))
     return lines
 
 
 def _head(key: str) -> str:
     flag = next(flag for flag, name in FLAGS.items() if name == key)
     return f"{flag}, {unit(key)}" if unit(key) else flag
+
+
+def _width(head: str) -> int:
+    return max(14, len(head) + 2)
 
 
 def draw_radius(path: Path, case: Case, row: Mapping[str, Any]) -> None:

@@ -144,7 +144,7 @@ def pressed_wall(stiffness: float, damping: float, velocity_time_constant: float
     wall = Object(Plane((0.0, 0.0, 1.0), depth - RADIUS_M), None, None, material, 0.0, ())
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
     scene = Scene(RADIUS_M, (wall,), None, Coupling(1.0, 0.0), velocity_time_constant, 0.0, (weight,))
-    return Tuning(scene, Guard(inf, inf, inf, inf, 0.0, 1.0))
+    return Tuning(scene, Guard(inf, inf, inf, inf, 0.0, 1.0), None)
 
 
 @jit

@@ -86,7 +86,7 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
     """A panel for each map: what was found for each variant as marks, theory of the first one as lines."""
     names = list(dict.fromkeys(row["map"] for row in rows))
     variants = list(dict.fromkeys(row["variant"] for row in rows))
-    drawing = figure(path, 1.0 + 5.0 * len(names), 4.5)
+    drawing = figure(path, 3.0 + 5.0 * len(names), 5.0)
     lines: dict[str, Any] = {}
     for name, axes in zip(names, drawing.subplots(1, len(names), squeeze=False)[0], strict=True):
         key, label, log = MAPS[name]
@@ -109,5 +109,5 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
         axes.set_xlabel(label)
         axes.grid(True, alpha=0.3)
     drawing.axes[0].set_ylabel("stiffest stable wall, N/mm")
-    drawing.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=min(4, len(lines)))
+    drawing.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=2 + len(names))
     save(drawing, path)
