@@ -244,12 +244,10 @@ def first_stiffness(case: Case) -> float:
     return damping / (4.0 * (2 * case.delay_ticks + 1) * case.period_s)
 
 
-def run_rows(loops: Sequence[Loop], plants: Sequence[Plant]) -> Array:
-    """`first_limit` of each loop with its plant: (n, 3)."""
+def run_rows(loops: Array, plants: Array, like: Plant) -> Array:
+    """`first_limit` of each row of `loops` (n, len(Loop)) with the plant of leaves `plants` (n, ...): (n, 3)."""
     out = np.zeros((len(loops), 3))
-    first_limits(
-        START, np.array(loops), np.array([flatten(plant) for plant in plants]), plants[0], np.zeros(LINE_SIZE), out
-    )
+    first_limits(START, loops, plants, like, np.zeros(LINE_SIZE), out)
     return out
 
 
@@ -268,7 +266,9 @@ def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
 
     `limit_n_per_m` on the real step; `predicted_n_per_m` of the linear part, exact; `passive_n_per_m`.
     """
-    out = run_rows([loop_of(case, first_stiffness(case)) for case in cases], [case.plant() for case in cases])
+    loops = np.array([loop_of(case, first_stiffness(case)) for case in cases])
+    plants = [case.plant() for case in cases]
+    out = run_rows(loops, np.array([flatten(plant) for plant in plants]), plants[0])
     return [
         {
             **msgspec.structs.asdict(case),
@@ -284,4 +284,5 @@ def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
 
 def grows_at(case: Case, stiffness: float) -> bool:
     """Whether a knock grows on a wall of one stiffness, N/m: the trial of which a search is made."""
-    return bool(run_rows([loop_of(case, stiffness, -1)], [case.plant()])[0, 0] == 0.0)
+    plant = case.plant()
+    return bool(run_rows(np.array([loop_of(case, stiffness, -1)]), flatten(plant).reshape(1, -1), plant)[0, 0] == 0.0)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -131,9 +132,12 @@ def _workers(scheduler: str | None) -> Iterator[_Workers]:
         distributed: Any = importlib.import_module("distributed")
     except ImportError as error:
         raise ConfigError(f"--scheduler {scheduler}: dask is not installed: pip install 'softfinger[sweep]'") from error
+    logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
     with ExitStack() as opened:
         if scheduler == "local":
-            address = opened.enter_context(distributed.LocalCluster(here, threads_per_worker=1, dashboard_address=None))
+            address = opened.enter_context(
+                distributed.LocalCluster(here, threads_per_worker=1, dashboard_address="127.0.0.1:0")
+            )
         elif "://" in scheduler:
             address = scheduler
         else:
