@@ -38,6 +38,7 @@ class Axis(NamedTuple):
     lag_rate                           1/s             of the motors, 0 without lag
     period                             s
     substep                            s               longest piece that the Taylor series takes
+    slow                               s               the same without the motors' lag
     """
 
     x_z: float
@@ -60,6 +61,7 @@ class Axis(NamedTuple):
     lag_rate: float
     period: float
     substep: float
+    slow: float
 
 
 @jit
@@ -91,6 +93,17 @@ def dips(way: float, h: float, v0: float, c0: float, v1: float, c1: float) -> bo
 
 
 @jit
+def slowing(axis: Axis, way: float, behind: float, behind1: float, c0: float, c1: float) -> float:
+    """Strongest acceleration against `way` within a tick, m/s^2, 0 or below: never too small in magnitude.
+
+    behind, behind1  N  what the motors' force lacks at both ends, c0 and c1 the acceleration there. The motors' part
+    decays, however fast; the rest changes slowly, and is at most half as much again as at the ends.
+    """
+    rest0, rest1 = way * (c0 - axis.mobility * behind), way * (c1 - axis.mobility * behind1)
+    return 1.5 * min(rest0, rest1, 0.0) + min(way * axis.mobility * behind, 0.0)
+
+
+@jit
 def move(axis: Axis, x: float, v: float, a: float, a1: float, u: float, p: float, w: float) -> tuple[float, float]:
     """One tick: position (m) and velocity (m/s) after it.
 
@@ -101,26 +114,27 @@ def move(axis: Axis, x: float, v: float, a: float, a1: float, u: float, p: float
     """
     if axis.friction == 0.0:
         return glide(axis, x, v, a, u, p, w, 0.0)
-    h = axis.period
+    h, limit = axis.period, axis.friction * axis.mobility
     began = u if axis.lag_rate == 0.0 else a
-    if h <= axis.substep:
-        if v != 0.0:
-            way = copysign(1.0, v)
-            f = -way * axis.friction
-            x1, v1 = glide(axis, x, v, a, u, p, w, f)
-            if way * v1 > 0.0:
-                c0 = acceleration(axis, x, v, began, p, w, f)
-                c1 = acceleration(axis, x1, v1, a1, p + w * h, w, f)
+    if v == 0.0:
+        c0 = acceleration(axis, x, 0.0, began, p, w, 0.0)
+        c1 = acceleration(axis, x, 0.0, a1, p + w * h, w, 0.0)
+        turn0 = axis.mobility * axis.lag_rate * (u - a) + axis.stiffness * w
+        turn1 = axis.mobility * axis.lag_rate * (u - a1) + axis.stiffness * w
+        if abs(c0) <= limit and abs(c1) <= limit and turn0 * turn1 >= 0.0:
+            return x, 0.0
+    elif h <= axis.slow:
+        way = copysign(1.0, v)
+        f = -way * axis.friction
+        x1, v1 = glide(axis, x, v, a, u, p, w, f)
+        if way * v1 > 0.0:
+            c0 = acceleration(axis, x, v, began, p, w, f)
+            c1 = acceleration(axis, x1, v1, a1, p + w * h, w, f)
+            if h <= axis.substep:
                 if not dips(way, h, v, c0, v1, c1):
                     return x1, v1
-        else:
-            limit = axis.friction * axis.mobility
-            c0 = acceleration(axis, x, 0.0, began, p, w, 0.0)
-            c1 = acceleration(axis, x, 0.0, a1, p + w * h, w, 0.0)
-            turn0 = axis.mobility * axis.lag_rate * (u - a) + axis.stiffness * w
-            turn1 = axis.mobility * axis.lag_rate * (u - a1) + axis.stiffness * w
-            if abs(c0) <= limit and abs(c1) <= limit and turn0 * turn1 >= 0.0:
-                return x, 0.0
+            elif way * v + h * slowing(axis, way, began - u, a1 - u, c0, c1) > 0.0:
+                return x1, v1
     return move_in_pieces(axis, x, v, began, u, p, w)
 
 

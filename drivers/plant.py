@@ -172,14 +172,15 @@ def _axis(
         change[1, 4] = push
     after = expm(change)
     x, v = after[0], after[1] / period
-    fastest = max(damping / mass, sqrt(stiffness / mass), 1.0 / lag if lag else 0.0)
-    substep = SUBSTEP / fastest if fastest else inf
+    hand = max(damping / mass, sqrt(stiffness / mass))
+    fastest = max(hand, 1.0 / lag) if lag else hand
+    substep, slow = SUBSTEP / fastest if fastest else inf, SUBSTEP / hand if hand else inf
     # x = p needs no force, so the column of p is what x - p does, with the other sign and all its digits.
     coefficients = (
         -x[3], x[1] * period, x[2], x[4], x[5], x[6],
         -v[3], v[1] * period, v[2], v[4], v[5], v[6],
         friction, 1.0 / mass, damping / mass, stiffness / mass, hand_damping / mass, 1.0 / lag if lag else 0.0,
-        period, substep,
+        period, substep, slow,
     )  # fmt: skip
     return Axis(*map(float, coefficients))
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from math import inf
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,17 +14,21 @@ from scipy.signal import cont2discrete
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Scene
 from softfinger.drivers.plant import LINE_SIZE, Intention, at_rest, make_plant
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated import open_device
 from softfinger.drivers.simulation import Options, Simulation, simulation
 from softfinger.proxy.kernels.jit import entry
 from softfinger.proxy.kernels.pack import flatten
 from softfinger.proxy.scene import build_scene
 from softfinger.proxy.state import OFFSET
+from softfinger.server import cli
 from softfinger.server.closed_loop import FIGURES, close_loop, close_many, run_closed_loop
 from softfinger.server.guard import Guard
 from softfinger.server.servo import FINISHED, Servo
 from softfinger.server.tick import Tuning, begin
 from softfinger.server.tuning import make_tuning
+from softfinger.tools import bench_closed_loop
 
 OPEN_GUARD = Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0)
 ALOFT = Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
@@ -58,6 +64,49 @@ def test_servo_and_closed_loop_are_bit_identical() -> None:
     assert written.read[:ticks].tolist() == list(range(ticks))
     assert written.wrench[:ticks, :3].tobytes() == records[:, FORCE].tobytes()
     assert not written.wrench[ticks:].any() and len(written.wrench) > ticks
+
+
+def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`simulate --device simulated` writes the records of the rig's device; a recording played once ends the run."""
+    words = ["simulate", "--scene", "paper-plane", "--device", "simulated", "--out", str(tmp_path / "out.npz")]
+    assert cli.main([*words, "--duration", "2"]) == 0
+    assert "2000 ticks at 1000 Hz" in capsys.readouterr().out
+    options = build(Options, load_rig("simulated").device.options, "rig")
+    with open_device(options, 1000.0) as device:
+        tuning = make_tuning(load_scene("paper-plane"), load_rig("simulated").guard, device.info)
+        records = run_closed_loop(tuning, device.simulation, 1000.0, 2000)
+    with np.load(tmp_path / "out.npz") as saved:
+        np.testing.assert_array_equal(saved["force"], records[:, FORCE])
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[device]\ndriver = "simulated"\nrecording = "tap"\nloop = false\n')
+    assert cli.main([*words, "--duration", "60", "--rig", str(rig)]) == 0
+    assert f"{len(resample(load_poses('tap'), 1000.0))} ticks" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--device", "replay", "--rig", "replay"], "'replay' cannot be run without a clock"),
+        (["--poses", "tap", "--duration", "1"], "--duration goes with --device"),
+    ],
+)
+def test_simulate_verb_says_what_cannot_be(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A device that is not computed, and a duration for poses, are refused with the way out."""
+    assert cli.main(["simulate", "--scene", "paper-plane", "--out", str(tmp_path / "o.csv"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each plant presses, and its cost, rate and ratio are numbers that belong together."""
+    assert cli.main(["bench", "closed-loop", "--blocks", "3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [row["plant"] for row in result["plants"]] == list(bench_closed_loop.PARTS)
+    for row in result["plants"]:
+        assert row["largest_force_n"] > 0.1
+        assert row["ticks_per_s"] == pytest.approx(1e9 / row["ns_per_tick"])
+        assert row["ratio"] == pytest.approx(row["ns_per_tick"] / row["reference_ns"])
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2])

@@ -142,34 +142,52 @@ CASES = {
     "drag": Handle(0.2, 1.0, 0.4),
     "lag": Handle(0.2, 1.0, 0.4, lag=0.003),
     "hand": Handle(0.3, 3.0, 0.3, hand_damping=2.0, stiffness=300.0),
+    "fast lag": Handle(0.4, 9.0, 0.8, lag=0.0005, hand_damping=8.0, stiffness=1000.0),
     "all": Handle(0.3, 3.0, 0.3, lag=0.002, hand_damping=2.0, stiffness=800.0),
     "stiff": Handle(0.05, 0.5, 0.2, lag=0.001, hand_damping=0.1, stiffness=20000.0),
     "linear": Handle(0.3, 3.0, 0.0, lag=0.002, hand_damping=2.0, stiffness=800.0),
 }
 
 
-@pytest.mark.parametrize("name", list(CASES))
-@pytest.mark.parametrize("period", [0.001, 0.01])
-def test_stick_and_slip_agree_with_a_high_order_integration(name, period):
-    """Forces and goals that wander, with stops, holds and reversals inside ticks: equal to 1e-9 of the motion."""
-    h = CASES[name]
-    rng = np.random.default_rng(5)
-    n = 120
+def wander(h: Handle, period: float, n: int, seed: int):
+    """Places and speeds of the plant and of the reference, under forces and goals that wander; both (n, 2)."""
+    rng = np.random.default_rng(seed)
     commands = 0.6 * np.sin(0.21 * np.arange(n)) + 0.4 * rng.normal(size=n)
     goals = 0.002 * np.sin(0.1 * np.arange(n + 1)) + 0.0002 * rng.normal(size=n + 1)
     goals *= 800.0 / max(800.0, h.stiffness)  # a spring that outdoes friction in every tick would never stick
     goals[0] = 0.0
-    expected = integrate(h, period, commands, goals, 0.0)
     plant = make_plant(
         period, (h.mass,) * 3, (h.damping,) * 3, (h.friction,) * 3, h.lag,
         hand_damping=h.hand_damping, hand_stiffness=h.stiffness,
     )  # fmt: skip
     trip = Journey(plant, along_z(commands), along_z(goals))
-    if h.friction:
-        assert (expected[1:, 1] == 0.0).any() and (expected[1:, 1] != 0.0).any()  # it is held, and it moves
-        assert np.array_equal(trip.v[:, 2] == 0.0, expected[1:, 1] == 0.0)
-    for got, want in ((trip.x[:, 2], expected[1:, 0]), (trip.v[:, 2], expected[1:, 1])):
-        np.testing.assert_allclose(got, want, atol=1e-9 * np.abs(want).max())
+    return np.column_stack([trip.x[:, 2], trip.v[:, 2]]), integrate(h, period, commands, goals, 0.0)[1:]
+
+
+def assert_close(got, want):
+    assert np.array_equal(got[:, 1] == 0.0, want[:, 1] == 0.0)  # held at the same ticks
+    np.testing.assert_allclose(got, want, atol=1e-9 * np.abs(want).max(axis=0).min(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", list(CASES))
+@pytest.mark.parametrize("period", [0.001, 0.01])
+def test_stick_and_slip_agree_with_a_high_order_integration(name, period):
+    """Forces and goals that wander, with stops, holds and reversals inside ticks: equal to 1e-9 of the motion."""
+    got, want = wander(CASES[name], period, 120, seed=5)
+    if CASES[name].friction:
+        assert (want[:, 1] == 0.0).any() and (want[:, 1] != 0.0).any()  # it is held, and it moves
+    assert_close(got, want)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_handles_agree_with_a_high_order_integration(seed):
+    """Masses, frictions, lags and hands over their usual ranges, 8 kHz to 100 Hz: equal to 1e-9 of the motion."""
+    rng = np.random.default_rng(seed)
+    h = Handle(
+        10.0 ** rng.uniform(-1.5, 0.5), 10.0 ** rng.uniform(-1, 1), rng.uniform(0.05, 1.0),
+        rng.choice([0.0, 10.0 ** rng.uniform(-3.5, -2)]), rng.choice([0.0, 5.0]), 10.0 ** rng.uniform(0, 4),
+    )  # fmt: skip
+    assert_close(*wander(h, 1.0 / rng.choice([8000.0, 1000.0, 300.0, 100.0]), 60, seed))
 
 
 def test_nothing_gains_energy_without_a_command():
@@ -186,7 +204,7 @@ def test_nothing_gains_energy_without_a_command():
         energy = 0.5 * m * trip.v**2 + 0.5 * k * trip.x**2
         # Where nothing is lost, rounding alone moves it: some ulps of each tick.
         assert (np.diff(energy, axis=0) <= 1e-14 * energy[0]).all()
-        assert (energy[-1] < energy[0]).all()
+        assert energy[-1, 0] < energy[0, 0]  # the axis that was thrown; another may be held where it is
 
 
 def test_orientation_follows_directly_or_with_its_lag():

@@ -56,17 +56,22 @@ def _tick(
 
         return f
 
+    # It breaks away a rounding late, or it would be found to stop again at once.
+    limit = h.friction * (1.0 + 1e-12)
     t, way = 0.0, float(np.sign(v))
-    if way == 0.0 and abs(applied(0.0, x, a)) > h.friction:
+    if way == 0.0 and abs(applied(0.0, x, a)) > limit:
         way = float(np.sign(applied(0.0, x, a)))
-    while t < period:
+    for _ in range(50):
+        if t >= period:
+            return x, v, a
         events = []
         if h.friction > 0.0:
             if way:
-                events = [lambda t, y, way=way: way * y[1]]
+                # A start from rest is no stop: the event is found a rounding late.
+                events = [lambda t, y, way=way: way * y[1] + 1e-15]
                 events[0].direction = -1.0
             else:
-                events = [lambda t, y: abs(applied(t, y[0], y[2])) - h.friction]
+                events = [lambda t, y: abs(applied(t, y[0], y[2])) - limit]
                 events[0].direction = 1.0
             events[0].terminal = True
         found = solve_ivp(
@@ -77,7 +82,7 @@ def _tick(
             force = applied(t, x, a)
             if way:
                 v = 0.0
-                way = float(np.sign(force)) if abs(force) > h.friction else 0.0
+                way = float(np.sign(force)) if abs(force) > limit else 0.0
             else:
                 way = float(np.sign(force))
-    return x, v, a
+    raise RuntimeError(f"the integrator does not get past {t} s of a tick: {h}")
