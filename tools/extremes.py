@@ -190,7 +190,7 @@ def cases() -> Iterator[Case]:
     yield Case("friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even(TICKS), expects=never_slides)
     for rate in (8000.0, 50.0):
         yield Case("period", f"T = 1/{rate:g} s", scene(), poses, even(TICKS, 1.0 / rate), expects=slides)
-    missed: Array = 0.001 * np.random.default_rng(1).integers(1, 100, TICKS)
+    missed = np.asarray(0.001 * np.random.default_rng(1).integers(1, 100, TICKS), np.float64)
     yield Case("missed ticks", "1 to 99 at a time", scene(), poses, missed, expects=touches_and_leaves)
     yield Case("no time passes", "dt = 0", scene(), poses, even(TICKS, 0.0), expects=touches_and_leaves)
     jumps: Array = 10.0 ** np.random.default_rng(2).uniform(-9.0, 3.0, TICKS)
