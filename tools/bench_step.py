@@ -22,7 +22,7 @@ from softfinger.tools.measure import add_output_options, figure, show
 REFERENCE_OPERATIONS: Final = 100
 CORNER: Final = "corner"
 """Shipped scene of three walls: its poses press into all of them at once."""
-ROUNDS: Final = 5
+ROUNDS: Final = 20
 """Turns that a scene with a feature and the one without take, so that a slower moment of the machine hits both."""
 
 
@@ -120,11 +120,11 @@ def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
     """Medians over ROUNDS turns of `blocks` blocks. Where the feature changes the touched surface the poses do, too."""
     scenes = feature.without, feature.having
     if feature.poses is not None:
-        poses = [feature.poses()] * 2
+        poses = feature.poses()
     elif bare(feature.without).object[0] == bare(feature.having).object[0]:
-        poses = [touching_poses(feature.without)] * 2
+        poses = (touching_poses(feature.without),) * 2
     else:
-        poses = [touching_poses(scene) for scene in scenes]
+        poses = touching_poses(feature.without), touching_poses(feature.having)
     pairs = list(zip(scenes, poses, strict=True))
     units, costs = [], []
     for _ in range(ROUNDS):

@@ -13,7 +13,7 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.load import build
-from softfinger.server.cost import BLOCK, Array
+from softfinger.server.cost import BLOCK, Array, touching_poses
 
 Table = dict[str, Any]
 
@@ -78,13 +78,13 @@ WALLS: Final[list[Table]] = [
 
 
 class Feature(NamedTuple):
-    """A feature: scenes with and without it, what they have in common, and poses for both if they need their own."""
+    """A feature: scenes without and with it, what they have in common, and poses for each if they need their own."""
 
     name: str
     base: str
     without: schema.Scene
     having: schema.Scene
-    poses: Callable[[], Array] | None = None
+    poses: Callable[[], tuple[Array, Array]] | None = None
 
 
 def corner_poses(count: int = BLOCK) -> Array:
@@ -95,6 +95,17 @@ def corner_poses(count: int = BLOCK) -> Array:
     poses[:, 3], poses[:, 4], poses[:, 6] = 1.0, 0.02 * np.sin(5.0 * t), 0.05 * np.sin(t)
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
     return poses
+
+
+def _carried(here: schema.Scene, there: schema.Scene) -> tuple[Array, Array]:
+    """Poses (n, 7) that touch the object of `here`, and the same on it where it is in `there`."""
+    poses = touching_poses(here)
+    w, *v = there.object[0].orientation_wxyz
+    position, scalar, vector = poses[:, :3], poses[:, 3:4], poses[:, 4:]
+    across = np.cross(v, position)
+    position = position + 2.0 * (w * across + np.cross(v, across)) + there.object[0].position_m
+    orientation = w * scalar - vector @ np.array([v]).T, w * vector + scalar * v + np.cross(v, vector)
+    return poses, np.hstack([position, *orientation])
 
 
 def all_features() -> list[Feature]:
@@ -150,18 +161,21 @@ def _shapes() -> Iterator[Feature]:
     for name in SHAPES:
         if name != "plane":
             yield Feature(f"inside {name}, for outside", f"bare {name}", _scene(name), _scene(name, object_inside=True))
-    bare = _scene("ellipsoid")
-    yield Feature("object moved", "bare ellipsoid", bare, _scene("ellipsoid", object_position_m=[0.01, 0.02, 0.03]))
-    turned = _scene("ellipsoid", object_orientation_wxyz=[0.8, 0.36, 0.48, 0.0])
-    yield Feature("object turned", "bare ellipsoid", bare, turned)
+    bare, place, turn = _scene("ellipsoid"), [0.01, 0.02, 0.03], [0.8, 0.36, 0.48, 0.0]
+    moved, turned = _scene("ellipsoid", object_position_m=place), _scene("ellipsoid", object_orientation_wxyz=turn)
+    yield Feature("object moved", "bare ellipsoid", bare, moved, lambda: _carried(bare, moved))
+    yield Feature("object turned", "bare ellipsoid", bare, turned, lambda: _carried(bare, turned))
 
 
 def _several() -> Iterator[Feature]:
     apart = {"name": "far below", "shape": "plane", "position_m": [0.0, 0.0, -1.0]}
     yield Feature("second object, apart", "bare plane", _scene(), _scene(others=[apart]))
+    yield Feature(
+        "second object, apart from a sphere", "bare sphere", _scene("sphere"), _scene("sphere", others=[apart])
+    )
     two, three = _scene(others=WALLS[:1]), _scene(others=WALLS)
-    yield Feature("second object, touched too", "bare plane", _scene(), two, corner_poses)
-    yield Feature("third object, touched too", "two bare planes", two, three, corner_poses)
+    yield Feature("second object, touched too", "bare plane", _scene(), two, lambda: (corner_poses(), corner_poses()))
+    yield Feature("third object, touched too", "two bare planes", two, three, lambda: (corner_poses(), corner_poses()))
 
 
 def _motions() -> Iterator[Feature]:
