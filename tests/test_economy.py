@@ -122,7 +122,7 @@ import sys
 import numba
 from typing import NamedTuple
 from softfinger.proxy.kernels import vec3
-from softfinger.proxy.kernels.bodies import travel, travel_to_shape
+from softfinger.proxy.kernels.sweep import travel, travel_to_shape
 from softfinger.proxy.kernels.contacts import rest_on, rest_on_curved
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.rolling.euler import ahead, round_ahead
