@@ -21,7 +21,7 @@ from references.rolling_cases import (
     rotation,
     touching,
 )
-from references.surface_rolling import rolled
+from softfinger.tools.accuracy_reference import rolled
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model, rotations

@@ -21,7 +21,9 @@ QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 def add_output_options(parser: argparse.ArgumentParser) -> None:
     """`--json` and `--plot`, which every measurement has."""
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the result (needs the [plots] extra)")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE.png", help="draw the result, as .png or .svg (needs the [plots] extra)"
+    )
 
 
 def quantiles(values: Array, block: int) -> dict[str, Any]:
@@ -48,6 +50,15 @@ def figure(path: Path, width: float = 8.0, height: float = 4.5) -> Any:
     except ImportError as error:
         raise ConfigError(f"--plot {path}: matplotlib is not installed: pip install 'softfinger[plots]'") from error
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def save(drawing: Any, path: Path) -> None:
+    """Write a figure in the format its name says; an SVG is the same to the byte for the same data, its text text."""
+    from matplotlib import rc_context
+
+    svg = path.suffix == ".svg"
+    with rc_context({"svg.hashsalt": "softfinger", "svg.fonttype": "none"}):
+        drawing.savefig(path, metadata={"Date": None} if svg else None)
 
 
 def microseconds(seconds: float) -> str:
