@@ -23,7 +23,10 @@ MAX_ANGLE_RAD: Final = 20.0
 MIN_TICKS: Final = 4
 TILT_RAD: Final = 1.2
 SPIN_RAD: Final = 0.8
+SWAY_RAD: Final = 0.4
 """Amplitudes of the changing motion; its rates are reached by its frequencies."""
+CHANGING_STEP_RAD: Final = 1.0
+"""Longest step of a changing motion that is measured: longer ones skip over its changes."""
 TRAVEL: Final = (0.5, 0.3, 0.8)
 """The finger sets off along this direction's part in the tangent plane: not along an axis of any surface."""
 
@@ -171,8 +174,11 @@ def angular_velocity(path: Path, normal: model.Vec3) -> Callable[[float], Array]
     a, b, across = roll_rate / TILT_RAD, spin_rate / SPIN_RAD, np.cross(n, e)
 
     def changing(t: float) -> Array:
-        spin = SPIN_RAD * sin(b * t)
-        return spin_rate * cos(b * t) * n + roll_rate * cos(a * t) * (cos(spin) * e + sin(spin) * across)
+        sway, spin = SWAY_RAD * (1.0 - cos(a * t)), SPIN_RAD * sin(b * t)
+        turned = roll_rate * cos(a * t) * (cos(spin) * e + sin(spin) * across) + spin_rate * cos(b * t) * n
+        along = np.dot(turned, across) * across
+        swayed = cos(sway) * (turned - along) + sin(sway) * np.cross(across, turned) + along
+        return np.asarray(swayed + SWAY_RAD * a * sin(a * t) * across)
 
     return changing
 
@@ -186,28 +192,37 @@ def rates(path: Path) -> tuple[float, float]:
 def orientations(path: Path, normal: model.Vec3, times: Array) -> Array:
     """Orientations (n, 4) of the fingertip at `times` (n,) s.
 
-    "constant" turns at one angular velocity. "changing" tilts to and fro about a tangent axis, and turns all that to
-    and fro about the first normal, each as a sine that begins at its full rate: two poses do not tell all of it.
+    "constant" turns at one angular velocity. "changing" tilts to and fro about a tangent axis; turns all that to and
+    fro about the first normal; and sways all that about the other tangent axis. Tilt and spin begin at their full
+    rate, sway at rest. Two poses do not tell all of it.
     """
     n, e = np.array(normal), rolling_axis(normal)
     roll_rate, spin_rate = rates(path)
     if path.motion == "constant":
         w = roll_rate * e + spin_rate * n
-        size = np.linalg.norm(w)
-        half = size * times / 2
-        return np.column_stack([np.cos(half), np.sin(half)[:, None] * (w / size)])
-    tilt = TILT_RAD * np.sin(roll_rate / TILT_RAD * times) / 2
-    spin = SPIN_RAD * np.sin(spin_rate / SPIN_RAD * times) / 2
-    c = np.cos(spin)[:, None] * e + np.sin(spin)[:, None] * np.cross(n, e)
-    vector = np.sin(tilt)[:, None] * c + (np.cos(tilt) * np.sin(spin))[:, None] * n
-    return np.column_stack([np.cos(spin) * np.cos(tilt), vector])
+        size = float(np.linalg.norm(w))
+        return about(w / size, size * times)
+    a, b = roll_rate / TILT_RAD, spin_rate / SPIN_RAD
+    tilt, spin = about(e, TILT_RAD * np.sin(a * times)), about(n, SPIN_RAD * np.sin(b * times))
+    sway = about(np.cross(n, e), SWAY_RAD * (1.0 - np.cos(a * times)))
+    return product(sway, product(spin, tilt))
+
+
+def about(axis: Array, angles: Array) -> Array:
+    """Quaternions (n, 4) of the rotations by `angles` (n,) rad about a unit axis (3,)."""
+    return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * axis])
+
+
+def product(p: Array, q: Array) -> Array:
+    """Quaternion products (n, 4): rotate by q, then by p."""
+    (a, u), (b, v) = (p[:, :1], p[:, 1:]), (q[:, :1], q[:, 1:])
+    return np.hstack([a * b - np.sum(u * v, axis=1, keepdims=True), a * v + b * u + np.cross(u, v)])
 
 
 def turns(q: Array) -> Array:
     """Rotations (n - 1, 4) from each of the orientations `q` (n, 4) to the next, the short way."""
-    (a, u), (b, v) = (q[1:, :1], q[1:, 1:]), (q[:-1, :1], -q[:-1, 1:])
-    out = np.hstack([a * b - np.sum(u * v, axis=1, keepdims=True), a * v + b * u + np.cross(u, v)])
-    return np.asarray(np.ascontiguousarray(np.where(out[:, :1] < 0.0, -out, out)))
+    steps = product(q[1:], q[:-1] * (1.0, -1.0, -1.0, -1.0))
+    return np.ascontiguousarray(np.where(steps[:, :1] < 0.0, -steps, steps))
 
 
 class Sweep(NamedTuple):
@@ -229,8 +244,8 @@ class Sweep(NamedTuple):
 def cases(sweep: Sweep) -> list[Case]:
     """The cases in an order that asks for each reference path once in a row.
 
-    Left out are steps of half a turn and more, of which two poses do not tell the sense, and curvature ratios at which
-    the fingertip does not fit.
+    Left out are steps of half a turn and more, of which two poses do not tell the sense, a changing motion in steps of
+    more than CHANGING_STEP_RAD, and curvature ratios at which the fingertip does not fit.
     """
     turn, spin, at = sweep.turn_rates[0], sweep.spin_ratios[0], sweep.sweep_rate_hz
     found = []
@@ -242,7 +257,7 @@ def cases(sweep: Sweep) -> list[Case]:
         variants += [(at, turn, None, other) for other in sweep.spin_ratios[1:]]
         for motion in sweep.motions:
             for rate, turn_rate, ratio, spin_ratio in variants:
-                if turn_rate / rate >= pi:
+                if turn_rate / rate >= (pi if motion == "constant" else CHANGING_STEP_RAD):
                     continue
                 found += [
                     Case(surface, m, motion, rate, turn_rate, ratio, spin_ratio, sweep.tolerance, sweep.passes)

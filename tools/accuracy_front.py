@@ -18,7 +18,7 @@ Row = dict[str, Any]
 
 def standard(rows: Iterable[Row]) -> list[Row]:
     """The rows of the ladder of rates: the surface's own size, and the rotation rate and spin ratio that come first."""
-    own = [row for row in rows if row["own_size"]]
+    own = [row for row in rows if row["given_ratio"] is None]
     if not own:
         return []
     first = own[0]

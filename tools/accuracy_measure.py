@@ -110,7 +110,7 @@ def run_case(case: Case) -> dict[str, Any]:
         "turn_rate_rad_per_s": case.turn_rate,
         "step_angle_rad": case.turn_rate / case.rate_hz,
         "curvature_ratio": ratio_of(case.surface, case.curvature_ratio),
-        "own_size": case.curvature_ratio is None,
+        "given_ratio": case.curvature_ratio,
         "spin_ratio": case.spin_ratio,
         "steps": count,
         "max_error_m": float(np.linalg.norm(found.points - points, axis=1).max()),

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from softfinger.proxy.kernels import model, rotations
+from softfinger.proxy.kernels import model, rotations, vec3
 from softfinger.proxy.kernels.montana import Coordinates
 from softfinger.proxy.kernels.rolling import roll
 from softfinger.tools.accuracy_cases import METHODS, RADIUS_M, Array
@@ -120,7 +120,7 @@ def speed(tolerance: float, blocks: int = 50) -> dict[str, Any]:
     a step, and two calls for the whole second, which know the rate of all of it ahead.
     """
     # Halves, since a rotation of 6.2 rad cannot be told from one of 0.1.
-    dq, halves = steps(), np.array([rotations.exp(tuple(STEPS * w / 2.0 for w in TURN_RAD))] * 2)
+    dq, halves = steps(), np.array([rotations.exp(vec3.scale(STEPS / 2, TURN_RAD))] * 2)
     taken: dict[str, list[float]] = {name: [] for name in (*METHODS, "classical", "free", "ahead", "reference")}
     counts: dict[str, int] = {}
     for _ in range(ROUNDS):

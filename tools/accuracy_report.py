@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from softfinger.tools.accuracy_front import Row, grouped, standard
+from softfinger.tools.accuracy_front import grouped, standard
 
 RATE_HZ: Final = 1000.0
 """Servo rate that the recommendations are printed for, where it was measured; else the highest."""
+WIDTH: Final = 120
+"""Of what is not a terminal, characters."""
 
 
 def print_report(result: dict[str, Any]) -> None:
@@ -16,6 +18,8 @@ def print_report(result: dict[str, Any]) -> None:
     from rich.console import Console
 
     console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = WIDTH
     for part in (paper_table, speed_table, orders_table, front_table, sweep_table, drift_table):
         console.print(part(result))
     for line in advice(result):
@@ -23,13 +27,13 @@ def print_report(result: dict[str, Any]) -> None:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> Any:
-    """A table whose first `left` columns are words and whose others are numbers."""
+    """A table whose first `left` columns are words and whose others are numbers; long names are broken at `_`."""
     from rich import box
     from rich.table import Table
 
-    made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    made = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for number, name in enumerate(columns):
-        made.add_column(name, justify="left" if number < left else "right", no_wrap=True)
+        made.add_column(name.replace("_", "\n"), justify="left" if number < left else "right", no_wrap=True)
     for row in rows:
         made.add_row(*row)
     return made
@@ -52,7 +56,7 @@ def speed_table(result: dict[str, Any]) -> Any:
     ]
     zxz, unit = times["euler_zxz_ns_per_step"], times["reference_ns"]
     rows = [(name, f"{ns:.1f}", f"{ns / zxz:.2f}", f"{ns / unit:.3f}") for name, ns in named]
-    head = ("method", "ns a step", "over euler_zxz", f"of {unit:.0f} ns, 100 operations")
+    head = ("method", "ns a step", "over_euler zxz", f"over {unit:.0f} ns of_100 operations")
     return table("its time, world axes", head, rows, 1)
 
 
@@ -66,29 +70,36 @@ def orders_table(result: dict[str, Any]) -> Any:
 
 
 def front_table(result: dict[str, Any]) -> Any:
+    """The fronts of the changing motion, where it was measured: those of the constant one end in rounding."""
+    motions = {row["motion"] for row in result["pareto"]}
+    shown = "changing" if "changing" in motions else "constant"
     rows = [
         (
-            row["surface"], row["motion"], row["method"], f"{row['rate_hz']:g}", f"{row['ns_per_step']:.0f}",
+            row["surface"], row["method"], f"{row['rate_hz']:g}", f"{row['ns_per_step']:.0f}",
             f"{row['ns_per_step'] / row['step_s'] * 1e-9:.1e}", f"{row['max_error_m']:.1e}",
             f"{row['spin_error_rad']:.1e}",
         )
         for row in result["pareto"]
+        if row["motion"] == shown
     ]  # fmt: skip
-    head = ("surface", "rate", "method", "Hz", "ns a step", "s per s", "error, m", "spin, rad")
-    return table("Pareto front: computing time against error", head, rows, 3)
+    head = ("surface", "method", "Hz", "ns a step", "s per s", "error, m", "spin, rad")
+    return table(f"Pareto front: computing time against error, {shown} rate", head, rows, 2)
 
 
 def sweep_table(result: dict[str, Any]) -> Any:
-    """What was varied at one servo rate: the rows that are not part of the ladder."""
+    """What was varied at one servo rate, the rows that are not part of the ladder: the worst of all surfaces."""
     ladder = {id(row) for row in standard(result["trade"])}
-    keys = ("surface", "motion", "turn_rate_rad_per_s", "curvature_ratio", "spin_ratio", "rate_hz")
+    keys = ("motion", "turn_rate_rad_per_s", "given_ratio", "spin_ratio", "rate_hz")
     methods = list(dict.fromkeys(row["method"] for row in result["trade"]))
     rows = []
     for key, group in grouped((row for row in result["trade"] if id(row) not in ladder), *keys):
-        found = {row["method"]: f"{row['max_error_m']:.0e}" for row in group}
-        rows.append((*key[:2], *(f"{value:.3g}" for value in key[2:]), *(found.get(method, "") for method in methods)))
-    head = ("surface", "rate", "rad/s", "r/R", "spin/roll", "Hz", *methods)
-    return table("largest error, m", head, rows, 2)
+        worst: dict[str, float] = {}
+        for row in group:
+            worst[row["method"]] = max(worst.get(row["method"], 0.0), row["max_error_m"])
+        values = ("own" if value is None else f"{value:g}" for value in key[1:])
+        rows.append((key[0], *values, *(f"{worst[m]:.0e}" if m in worst else "" for m in methods)))
+    head = ("rate", "rad/s", "r/R", "spin/roll", "Hz", *methods)
+    return table("largest error on any surface, m", head, rows, 1)
 
 
 def drift_table(result: dict[str, Any]) -> Any:
@@ -101,8 +112,12 @@ def drift_table(result: dict[str, Any]) -> Any:
 
 
 def advice(result: dict[str, Any]) -> list[str]:
-    """The recommendations for RATE_HZ."""
-    found: list[Row] = result["recommendations"]
-    rates = {row["rate_hz"] for row in found}
+    """The recommendations for RATE_HZ; of errors that ask for the same method only the smallest."""
+    rates = {row["rate_hz"] for row in result["recommendations"]}
     rate = RATE_HZ if RATE_HZ in rates else max(rates)
-    return [row["sentence"] for row in found if row["rate_hz"] == rate]
+    at_rate = [row for row in result["recommendations"] if row["rate_hz"] == rate]
+    found = []
+    for _, group in grouped(at_rate, "surface", "motion", "method"):
+        pick = min if group[0]["method"] else max
+        found.append(pick(group, key=lambda row: row["error_below_m"])["sentence"])
+    return [str(sentence) for sentence in found]
