@@ -60,7 +60,7 @@ SURFACES: Final[dict[str, Surface]] = {
     "capped-cylinder": Surface(model.CappedCylinder(0.02, 0.01), 0.02, (0.03, 0.01, 0.004), _ANY),
     "capsule": Surface(model.Capsule(0.02, 0.01, 1.0), 0.02, (0.03, 0.01, 0.004), _ANY),
     "capsule-inside": Surface(model.Capsule(0.03, 0.01, -1.0), 0.03, (0.02, 0.01, 0.004), 1.0),
-    "box": Surface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.012, 0.002, 0.03), _ANY),
+    "box": Surface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.015, 0.002, 0.03), _ANY),
     "ellipsoid": Surface(model.Ellipsoid((0.05, 0.03, 0.02), 1.0), 0.008, (0.04, 0.02, 0.03), _ANY),
     "ellipsoid-inside": Surface(
         model.Ellipsoid((0.06, 0.05, 0.04), -1.0), 0.04**2 / 0.06, (0.02, 0.01, 0.015), 1.0
@@ -108,7 +108,7 @@ class Case(NamedTuple):
     passes: int
 
 
-class Path(NamedTuple):
+class Track(NamedTuple):
     """What the reference path of a case depends on."""
 
     surface: str
@@ -124,8 +124,8 @@ def ticks(case: Case) -> int:
     return max(MIN_TICKS, round(case.rate_hz * min(DURATION_S, MAX_ANGLE_RAD / case.turn_rate)))
 
 
-def path_of(case: Case) -> Path:
-    return Path(
+def track_of(case: Case) -> Track:
+    return Track(
         case.surface, case.motion, case.turn_rate, case.curvature_ratio, case.spin_ratio, ticks(case) / case.rate_hz
     )
 
@@ -164,11 +164,11 @@ def rolling_axis(normal: model.Vec3) -> Array:
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def angular_velocity(path: Path, normal: model.Vec3) -> Callable[[float], Array]:
+def angular_velocity(track: Track, normal: model.Vec3) -> Callable[[float], Array]:
     """w(t) (3,) rad/s in the object's frame; see `orientations` for the motion."""
     n, e = np.array(normal), rolling_axis(normal)
-    roll_rate, spin_rate = rates(path)
-    if path.motion == "constant":
+    roll_rate, spin_rate = rates(track)
+    if track.motion == "constant":
         w = roll_rate * e + spin_rate * n
         return lambda _: w
     a, b, across = roll_rate / TILT_RAD, spin_rate / SPIN_RAD, np.cross(n, e)
@@ -183,13 +183,13 @@ def angular_velocity(path: Path, normal: model.Vec3) -> Callable[[float], Array]
     return changing
 
 
-def rates(path: Path) -> tuple[float, float]:
+def rates(track: Track) -> tuple[float, float]:
     """Rates of roll and spin at the start, rad/s, of the given size and ratio."""
-    angle = atan(path.spin_ratio)
-    return path.turn_rate * cos(angle), path.turn_rate * sin(angle)
+    angle = atan(track.spin_ratio)
+    return track.turn_rate * cos(angle), track.turn_rate * sin(angle)
 
 
-def orientations(path: Path, normal: model.Vec3, times: Array) -> Array:
+def orientations(track: Track, normal: model.Vec3, times: Array) -> Array:
     """Orientations (n, 4) of the fingertip at `times` (n,) s.
 
     "constant" turns at one angular velocity. "changing" tilts to and fro about a tangent axis; turns all that to and
@@ -197,8 +197,8 @@ def orientations(path: Path, normal: model.Vec3, times: Array) -> Array:
     rate, sway at rest. Two poses do not tell all of it.
     """
     n, e = np.array(normal), rolling_axis(normal)
-    roll_rate, spin_rate = rates(path)
-    if path.motion == "constant":
+    roll_rate, spin_rate = rates(track)
+    if track.motion == "constant":
         w = roll_rate * e + spin_rate * n
         size = float(np.linalg.norm(w))
         return about(w / size, size * times)

@@ -15,14 +15,13 @@ from softfinger.server.clock import now_ns
 from softfinger.tools.accuracy_cases import (
     METHODS,
     RADIUS_M,
-    SURFACES,
     Array,
     Case,
-    Path,
+    Track,
     angular_velocity,
     contact,
     orientations,
-    path_of,
+    track_of,
     ratio_of,
     ticks,
     turns,
@@ -77,28 +76,28 @@ def rolled(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes:
 
 
 @lru_cache(maxsize=16)
-def reference(path: Path, count: int) -> tuple[Array, Array]:
+def reference(track: Track, count: int) -> tuple[Array, Array]:
     """Contact points (count, 3) m and spins (count,) rad of the reference after each of `count` steps."""
-    points, _, spins = _reference_path(path).at(np.linspace(0.0, path.duration_s, count + 1)[1:])
+    points, _, spins = _reference_path(track).at(np.linspace(0.0, track.duration_s, count + 1)[1:])
     return points, spins
 
 
 @lru_cache(maxsize=4)
-def _reference_path(path: Path) -> Any:
-    shape, center, normal = contact(path.surface, path.curvature_ratio)
+def _reference_path(track: Track) -> Any:
+    shape, center, normal = contact(track.surface, track.curvature_ratio)
     # The normal turns with the finger at r / (r + R) of its rate; where it nearly fills a hollow, much faster.
-    ratio = ratio_of(path.surface, path.curvature_ratio)
+    ratio = ratio_of(track.surface, track.curvature_ratio)
     faster = ratio / (1.0 - ratio) if getattr(shape, "side", 1.0) < 0.0 else 0.0
-    steps = ceil(40.0 * path.turn_rate * path.duration_s * max(1.0, faster))
-    return roll_path(shape, RADIUS_M, center, normal, angular_velocity(path, normal), path.duration_s, steps)
+    steps = ceil(40.0 * track.turn_rate * track.duration_s * max(1.0, faster))
+    return roll_path(shape, RADIUS_M, center, normal, angular_velocity(track, normal), track.duration_s, steps)
 
 
 def run_case(case: Case) -> dict[str, Any]:
     """A row of the table: the case, its errors and its time."""
-    path, count = path_of(case), ticks(case)
+    track, count = track_of(case), ticks(case)
     shape, center, normal = contact(case.surface, case.curvature_ratio)
-    dq = turns(orientations(path, normal, np.linspace(0.0, path.duration_s, count + 1)))
-    points, spins = reference(path, count)
+    dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
+    points, spins = reference(track, count)
     unit = reference_ns()
     found = rolled(METHODS[case.method](case.tolerance), shape, center, normal, dq, case.passes)
     return {
@@ -139,12 +138,11 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
     t = 2.0 * np.pi * (np.arange(DRIFT_BLOCK) + 0.5) / DRIFT_BLOCK
     half = 0.5 * DRIFT_STEP_RAD * np.column_stack([np.cos(t), np.sin(t), 0.5 * np.cos(2.0 * t)])
     dq = np.column_stack([np.sqrt(1.0 - np.sum(half * half, axis=1)), half])
-    method, off = METHODS[case.method](case.tolerance), 0.0
-    for _ in range(case.steps // DRIFT_BLOCK):
+    method, off, blocks = METHODS[case.method](case.tolerance), 0.0, case.steps // DRIFT_BLOCK
+    for _ in range(blocks):
         out = rolled(method, shape, center, normal, dq)
         point, n = out.points[-1].tolist(), out.normals[-1].tolist()
         off = max(off, abs(float(closest(shape, tuple(point))[0])))
         normal = (n[0], n[1], n[2])
         center = (point[0] + RADIUS_M * n[0], point[1] + RADIUS_M * n[1], point[2] + RADIUS_M * n[2])
-    size = SURFACES[case.surface].size
-    return {"surface": case.surface, "method": case.method, "steps": case.steps, "drift_m": off, "size_m": size}
+    return {"surface": case.surface, "method": case.method, "steps": blocks * DRIFT_BLOCK, "drift_m": off}

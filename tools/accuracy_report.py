@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Any, Final
 
 from softfinger.tools.accuracy_front import grouped, standard
@@ -70,20 +71,24 @@ def orders_table(result: dict[str, Any]) -> Any:
 
 
 def front_table(result: dict[str, Any]) -> Any:
-    """The fronts of the changing motion, where it was measured: those of the constant one end in rounding."""
-    motions = {row["motion"] for row in result["pareto"]}
-    shown = "changing" if "changing" in motions else "constant"
-    rows = [
-        (
-            row["surface"], row["method"], f"{row['rate_hz']:g}", f"{row['ns_per_step']:.0f}",
-            f"{row['ns_per_step'] / row['step_s'] * 1e-9:.1e}", f"{row['max_error_m']:.1e}",
-            f"{row['spin_error_rad']:.1e}",
-        )
-        for row in result["pareto"]
-        if row["motion"] == shown
-    ]  # fmt: skip
-    head = ("surface", "method", "Hz", "ns a step", "s per s", "error, m", "spin, rad")
-    return table(f"Pareto front: computing time against error, {shown} rate", head, rows, 2)
+    """A line for each stretch of a front that is one method's, over a range of servo rates."""
+    rows = []
+    for (surface, motion), group in grouped(result["pareto"], "surface", "motion"):
+        for method, run in groupby(group, key=lambda row: row["method"]):
+            stretch = list(run)
+            rates, ns, error = ([row[key] for row in stretch] for key in ("rate_hz", "ns_per_step", "max_error_m"))
+            load = [row["ns_per_step"] / row["step_s"] * 1e-9 for row in stretch]
+            rows.append(
+                (surface, motion, method, span(rates, "g"), span(ns, ".0f"), span(load, ".0e"), span(error, ".0e"))
+            )
+    head = ("surface", "rate", "method", "Hz", "ns a step", "s per s", "error, m")
+    return table("Pareto front: computing time per second of motion against error", head, rows, 3)
+
+
+def span(values: Sequence[float], form: str) -> str:
+    """First and last of the values, or the one if they look alike."""
+    first, last = format(values[0], form), format(values[-1], form)
+    return first if first == last else f"{first} .. {last}"
 
 
 def sweep_table(result: dict[str, Any]) -> Any:

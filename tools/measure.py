@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -53,12 +55,19 @@ def figure(path: Path, width: float = 8.0, height: float = 4.5) -> Any:
 
 
 def save(drawing: Any, path: Path) -> None:
-    """Write a figure in the format its name says; an SVG is the same to the byte for the same data, its text text."""
+    """Write a figure in the format its name says.
+
+    An SVG is the same for the same data, to be kept beside text: no date, words as words, coordinates to a hundredth.
+    """
+    if path.suffix != ".svg":
+        drawing.savefig(path)
+        return
     from matplotlib import rc_context
 
-    svg = path.suffix == ".svg"
+    text = io.StringIO()
     with rc_context({"svg.hashsalt": "softfinger", "svg.fonttype": "none"}):
-        drawing.savefig(path, metadata={"Date": None} if svg else None)
+        drawing.savefig(text, format="svg", metadata={"Date": None, "Creator": "softfinger"})
+    path.write_text(re.sub(r"(\.\d\d)\d+|^ +| +$", r"\1", text.getvalue(), flags=re.MULTILINE), encoding="utf-8")
 
 
 def microseconds(seconds: float) -> str:
