@@ -21,9 +21,9 @@ from softfinger.tools.accuracy_cases import (
     angular_velocity,
     contact,
     orientations,
-    track_of,
     ratio_of,
     ticks,
+    track_of,
     turns,
 )
 from softfinger.tools.accuracy_reference import roll_path
