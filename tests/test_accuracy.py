@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import io
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from softfinger.server.cli import main
 from softfinger.tools import accuracy, accuracy_cases, accuracy_figures, accuracy_front, accuracy_paper
 from softfinger.tools.accuracy_classical import MAX_STEP_SHARE, roll_classical
 from softfinger.tools.accuracy_reference import roll_path
+from softfinger.tools.accuracy_report import write_report
 
 R = accuracy_cases.RADIUS_M
 W, SPIN = 2.0, 0.5
@@ -301,6 +303,7 @@ def test_recommendations() -> None:
         (["--drift-steps", "10"], r"--drift-steps 10: must be from 1000"),
         (["--tolerance", "1"], r"--tolerance 1: must be from 1e-13 to 0.01"),
         (["--turn-rate", "100", "--rate", "10"], r"--turn-rate 100 at --rate 10: .* raise --rate above 31.83"),
+        (["--plot", "front.txt"], r"--plot front.txt: a figure is .png or .svg"),
         (["--surface", "torus", "--method", "rotation_vector"], r"rotation_vector is there for shapes with a closed"),
     ],
 )
@@ -308,6 +311,21 @@ def test_bad_values_are_named(words: list[str], message: str) -> None:
     """A value that cannot be used gets one error, with the option, the value and the range."""
     with pytest.raises(ConfigError, match=message):
         accuracy.run(options(*words))
+
+
+def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without scipy the error says what to install."""
+    monkeypatch.setitem(sys.modules, "scipy.integrate", None)
+    with pytest.raises(ConfigError, match=r"pip install 'softfinger\[accuracy\]'"):
+        accuracy_paper.exact_path("world")
+
+
+def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    """A surface that does not exist ends with exit code 2 and the list of those that do."""
+    with pytest.raises(SystemExit) as stop:
+        main(["accuracy", "--surface", "cone"])
+    assert stop.value.code == 2
+    assert "'cone' (choose from" in capsys.readouterr().err
 
 
 def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) -> None:
@@ -322,13 +340,12 @@ def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) 
     assert (tmp_path / name).read_text(encoding="utf-8") == drawn[name]
 
 
-def test_terminal_report_has_every_section(result: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
-    """What people read has the paper's numbers, the front and the recommendations."""
-    from softfinger.tools.accuracy_report import print_report
-
-    print_report(result)
-    text = capsys.readouterr().out
+def test_report_has_every_section(result: dict[str, Any], tmp_path: Path) -> None:
+    """What people read has the machine, the paper's numbers, the front and the recommendations."""
+    write_report(result, tmp_path / "report.txt")
+    text = (tmp_path / "report.txt").read_text(encoding="utf-8")
     assert "0.00387   0.00393" in text
     for heading in ("the paper's experiment", "its time", "measured order", "Pareto front", "drift off the surface"):
-        assert heading in text
+        assert f"\n{heading}" in text
+    assert f"measured on {result['machine']['processor']}" in text
     assert "plane, constant rate: for an error below 1 pm at 1000 Hz use " in text

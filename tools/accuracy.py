@@ -24,8 +24,8 @@ from softfinger.tools.accuracy_figures import FIGURES, draw_fronts
 from softfinger.tools.accuracy_front import fronts, orders, recommendations
 from softfinger.tools.accuracy_measure import DRIFT_BLOCK, DriftCase, run_case, run_drift
 from softfinger.tools.accuracy_paper import experiment, speed
-from softfinger.tools.accuracy_report import print_report
-from softfinger.tools.measure import add_output_options, show
+from softfinger.tools.accuracy_report import print_report, write_report
+from softfinger.tools.measure import add_output_options, check_figure, show
 
 AnyCase = TypeVar("AnyCase")
 
@@ -35,6 +35,7 @@ TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
 CURVATURE_RATIOS: Final = (0.01, 0.1, 0.9, 10.0, 100.0)
 SPIN_RATIOS: Final = (0.5, 0.0, 0.1, 10.0)
 SWEEP_RATE_HZ: Final = 1000.0
+REPORT: Final = "accuracy.txt"
 TARGETS_M: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-12)
 PASSES: Final = 20
 DRIFT_STEPS: Final = 1_000_000
@@ -54,31 +55,30 @@ LIMITS: Final = {
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    number, many = float, "+"
-    parser.add_argument("--surface", nargs=many, choices=SURFACES, metavar="S", help=f"of {', '.join(SURFACES)} (all)")
-    parser.add_argument("--method", nargs=many, choices=METHODS, metavar="M", help=f"of {', '.join(METHODS)} (all)")
-    parser.add_argument("--motion", nargs=many, choices=MOTIONS, metavar="K", help=f"of {', '.join(MOTIONS)} (both)")
-    parser.add_argument("--rate", nargs=many, type=number, metavar="HZ", help="servo rates (4 to 8000)")
+    parser.add_argument("--surface", nargs="+", choices=SURFACES, metavar="S", help=f"of {', '.join(SURFACES)} (all)")
+    parser.add_argument("--method", nargs="+", choices=METHODS, metavar="M", help=f"of {', '.join(METHODS)} (all)")
+    parser.add_argument("--motion", nargs="+", choices=MOTIONS, metavar="K", help=f"of {', '.join(MOTIONS)} (both)")
+    parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (4 to 8000)")
     parser.add_argument(
-        "--turn-rate", nargs=many, type=number, metavar="RAD_S", default=TURN_RATES,
+        "--turn-rate", nargs="+", type=float, metavar="RAD_S", default=TURN_RATES,
         help="rotation rates; the first with every servo rate, the others at 1 kHz (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--curvature-ratio", nargs="*", type=number, metavar="R", default=CURVATURE_RATIOS,
+        "--curvature-ratio", nargs="*", type=float, metavar="R", default=CURVATURE_RATIOS,
         help="radius of the fingertip over that of the surface, beside the surfaces' own, at 1 kHz (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--spin-ratio", nargs=many, type=number, metavar="R", default=SPIN_RATIOS,
+        "--spin-ratio", nargs="+", type=float, metavar="R", default=SPIN_RATIOS,
         help="spin over roll; the first with every servo rate, the others at 1 kHz (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--error-below", nargs=many, type=number, metavar="M", default=TARGETS_M, help="errors to recommend for, m"
+        "--error-below", nargs="+", type=float, metavar="M", default=TARGETS_M, help="errors to recommend for, m"
     )
-    parser.add_argument("--tolerance", type=number, default=1e-9, help="of montana_rk45 (default: %(default)s)")
+    parser.add_argument("--tolerance", type=float, default=1e-9, help="of montana_rk45 (default: %(default)s)")
     parser.add_argument("--drift-steps", type=int, metavar="N", help=f"steps of the drift test ({DRIFT_STEPS})")
     parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
     add_output_options(parser)
-    parser.add_argument("--figures", type=Path, metavar="DIR", help=f"write {', '.join(FIGURES)} there")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help=f"write {', '.join((*FIGURES, REPORT))} there")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -111,6 +111,7 @@ def run(args: argparse.Namespace) -> int:
         args.figures.mkdir(parents=True, exist_ok=True)
         for name, draw in FIGURES.items():
             draw(result, args.figures / name)
+        write_report(result, args.figures / REPORT)
     return 0
 
 
@@ -132,6 +133,8 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
             if value is not None and not (isfinite(value) and low <= value <= high):
                 option = f"--{name.replace('_', '-')}"
                 raise ConfigError(f"{option} {value:g}: must be from {low:g} to {high:g} {unit}".rstrip())
+    for path in filter(None, (args.plot, args.figures and args.figures / next(iter(FIGURES)))):
+        check_figure(path)  # before the work, not after it
     surfaces, methods = args.surface or list(SURFACES), args.method or list(METHODS)
     rates = tuple(args.rate or (QUICK_RATES_HZ if args.quick else RATES_HZ))
     turn = args.turn_rate[0]

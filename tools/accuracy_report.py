@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from itertools import groupby
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, TextIO
 
 from softfinger.tools.accuracy_front import grouped, standard
 
@@ -14,17 +16,27 @@ WIDTH: Final = 120
 """Of what is not a terminal, characters."""
 
 
-def print_report(result: dict[str, Any]) -> None:
-    """All sections as tables."""
+def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
+    """All sections as tables, to the terminal or to a file."""
     from rich.console import Console
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, file=file)
     if not console.is_terminal:
         console.width = WIDTH
+    on = result["machine"]
+    words = f"{on['processor']}, {on['processors']} processors, {on['system']}, Python {on['python']}"
+    console.print(f"softfinger accuracy: fingertip {1e3 * result['radius_m']:g} mm; measured on {words}\n")
     for part in (paper_table, speed_table, orders_table, front_table, sweep_table, drift_table):
         console.print(part(result))
     for line in advice(result):
         console.print(line, soft_wrap=True)
+
+
+def write_report(result: dict[str, Any], path: Path) -> None:
+    """The same as a text file."""
+    text = io.StringIO()
+    print_report(result, text)
+    path.write_text("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()), encoding="utf-8")
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> Any:

@@ -17,6 +17,7 @@ from softfinger.config.errors import ConfigError
 
 Array = NDArray[np.float64]
 
+FORMATS: Final = (".png", ".svg")
 QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
@@ -52,6 +53,13 @@ def figure(path: Path, width: float = 8.0, height: float = 4.5) -> Any:
     except ImportError as error:
         raise ConfigError(f"--plot {path}: matplotlib is not installed: pip install 'softfinger[plots]'") from error
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def check_figure(path: Path) -> None:
+    """ConfigError where a figure could not be saved as `path`."""
+    figure(path)
+    if path.suffix not in FORMATS:
+        raise ConfigError(f"--plot {path}: a figure is {' or '.join(FORMATS)} by its file name")
 
 
 def save(drawing: Any, path: Path) -> None:
