@@ -302,7 +302,11 @@ def test_recommendations() -> None:
         (["--turn-rate", "-2"], r"--turn-rate -2: must be"),
         (["--drift-steps", "10"], r"--drift-steps 10: must be from 1000"),
         (["--tolerance", "1"], r"--tolerance 1: must be from 1e-13 to 0.01"),
-        (["--turn-rate", "100", "--rate", "10"], r"--turn-rate 100 at --rate 10: .* raise --rate above 31.83"),
+        (["--turn-rate", "50", "--rate", "10", "90"], r"--turn-rate 50 at --rate 10: .* raise --rate above 50,"),
+        (
+            ["--turn-rate", "50", "--rate", "10", "--motion", "constant"],
+            r"a step of 5 rad, .* raise --rate above 15.92",
+        ),
         (["--plot", "front.txt"], r"--plot front.txt: a figure is .png or .svg"),
         (["--surface", "torus", "--method", "rotation_vector"], r"rotation_vector is there for shapes with a closed"),
     ],

@@ -11,7 +11,7 @@ import argparse
 import os
 import platform
 from collections.abc import Callable, Sequence
-from math import isfinite, pi
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -19,7 +19,7 @@ import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.progress import progress
-from softfinger.tools.accuracy_cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method
+from softfinger.tools.accuracy_cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
 from softfinger.tools.accuracy_figures import FIGURES, draw_fronts
 from softfinger.tools.accuracy_front import fronts, orders, recommendations
 from softfinger.tools.accuracy_measure import DRIFT_BLOCK, DriftCase, run_case, run_drift
@@ -137,11 +137,13 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
         check_figure(path)  # before the work, not after it
     surfaces, methods = args.surface or list(SURFACES), args.method or list(METHODS)
     rates = tuple(args.rate or (QUICK_RATES_HZ if args.quick else RATES_HZ))
-    turn = args.turn_rate[0]
-    if turn >= pi * min(rates):
+    motions, turn = args.motion or MOTIONS, args.turn_rate[0]
+    longest = longest_step(motions)
+    if turn >= longest * min(rates):
         raise ConfigError(
-            f"--turn-rate {turn:g} at --rate {min(rates):g}: a step of {turn / min(rates):.3g} rad. Two poses tell a "
-            f"rotation below half a turn: raise --rate above {turn / pi:.4g}, or lower --turn-rate"
+            f"--turn-rate {turn:g} at --rate {min(rates):g}: a step of {turn / min(rates):.3g} rad; with a "
+            f"{' and a '.join(motions)} rate it must be below {longest:.3g}: raise --rate above {turn / longest:.4g}, "
+            "or lower --turn-rate"
         )
     pairs = [(s, m) for s in surfaces for m in methods if has_method(s, m)]
     if not pairs:
@@ -152,7 +154,7 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
     sweep = Sweep(
         surfaces=surfaces,
         methods=methods,
-        motions=args.motion or MOTIONS,
+        motions=motions,
         rates_hz=rates,
         turn_rates=args.turn_rate[:1] if args.quick else args.turn_rate,
         curvature_ratios=() if args.quick else args.curvature_ratio,

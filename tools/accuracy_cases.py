@@ -241,11 +241,15 @@ class Sweep(NamedTuple):
     sweep_rate_hz: float
 
 
+def longest_step(motions: Sequence[Motion]) -> float:
+    """Angle, rad, that steps must stay below: two poses do not tell the sense of half a turn, nor what changes fast."""
+    return CHANGING_STEP_RAD if "changing" in motions else pi
+
+
 def cases(sweep: Sweep) -> list[Case]:
     """The cases in an order that asks for each reference path once in a row.
 
-    Left out are steps of half a turn and more, of which two poses do not tell the sense, a changing motion in steps of
-    more than CHANGING_STEP_RAD, and curvature ratios at which the fingertip does not fit.
+    Left out are steps of `longest_step` and more, and curvature ratios at which the fingertip does not fit.
     """
     turn, spin, at = sweep.turn_rates[0], sweep.spin_ratios[0], sweep.sweep_rate_hz
     found = []
@@ -257,7 +261,7 @@ def cases(sweep: Sweep) -> list[Case]:
         variants += [(at, turn, None, other) for other in sweep.spin_ratios[1:]]
         for motion in sweep.motions:
             for rate, turn_rate, ratio, spin_ratio in variants:
-                if turn_rate / rate >= (pi if motion == "constant" else CHANGING_STEP_RAD):
+                if turn_rate / rate >= longest_step([motion]):
                     continue
                 found += [
                     Case(surface, m, motion, rate, turn_rate, ratio, spin_ratio, sweep.tolerance, sweep.passes)

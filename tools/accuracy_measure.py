@@ -88,7 +88,7 @@ def _reference_path(track: Track) -> Any:
     # The normal turns with the finger at r / (r + R) of its rate; where it nearly fills a hollow, much faster.
     ratio = ratio_of(track.surface, track.curvature_ratio)
     faster = ratio / (1.0 - ratio) if getattr(shape, "side", 1.0) < 0.0 else 0.0
-    steps = ceil(40.0 * track.turn_rate * track.duration_s * max(1.0, faster))
+    steps = ceil(20.0 * track.turn_rate * track.duration_s * max(1.0, faster))
     return roll_path(shape, RADIUS_M, center, normal, angular_velocity(track, normal), track.duration_s, steps)
 
 

@@ -139,7 +139,7 @@ def roll_path(
     rate           rad/s  angular velocity (3,) of the fingertip against the object at a time, in the object's frame
     duration       s
     steps                 least number of steps. Between steps the path is interpolated to the seventh order, without
-                          error control: a fortieth of a radian a step leaves 1e-15 of the radius
+                          error control: a twentieth of a radian a step leaves 1e-15 of the radius
     """
     n, c = np.asarray(normal, float), np.asarray(center, float)
     if type(shape) not in GRADIENTS:
