@@ -305,7 +305,7 @@ def test_recommendations() -> None:
         (["--turn-rate", "50", "--rate", "10", "90"], r"--turn-rate 50 at --rate 10: .* raise --rate above 50,"),
         (
             ["--turn-rate", "50", "--rate", "10", "--motion", "constant"],
-            r"a step of 5 rad, .* raise --rate above 15.92",
+            r"a step of 5 rad; .* raise --rate above 15.92",
         ),
         (["--plot", "front.txt"], r"--plot front.txt: a figure is .png or .svg"),
         (["--surface", "torus", "--method", "rotation_vector"], r"rotation_vector is there for shapes with a closed"),
