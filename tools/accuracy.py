@@ -83,6 +83,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     sweep, drift_cases = plan(args)
+    prepare_figures(args.plot, args.figures)
     with progress("the paper's experiment"):
         paper, times = experiment(sweep.tolerance), speed(sweep.tolerance)
     trade = measured(run_case, cases(sweep), "speed and accuracy")
@@ -108,11 +109,22 @@ def run(args: argparse.Namespace) -> int:
     if args.plot:
         draw_fronts(result, args.plot)
     if args.figures:
-        args.figures.mkdir(parents=True, exist_ok=True)
         for name, draw in FIGURES.items():
             draw(result, args.figures / name)
         write_report(result, args.figures / REPORT)
     return 0
+
+
+def prepare_figures(plot: Path | None, folder: Path | None) -> None:
+    """Make the folder of the figures; ConfigError, before the work and not after it, where one could not be saved."""
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--figures {folder}: {error.strerror}: name a folder that can be written") from error
+    for path in (plot, folder and folder / next(iter(FIGURES))):
+        if path is not None:
+            check_figure(path)
 
 
 def measured(function: Callable[[AnyCase], dict[str, Any]], todo: Sequence[AnyCase], what: str) -> list[dict[str, Any]]:
@@ -133,8 +145,6 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
             if value is not None and not (isfinite(value) and low <= value <= high):
                 option = f"--{name.replace('_', '-')}"
                 raise ConfigError(f"{option} {value:g}: must be from {low:g} to {high:g} {unit}".rstrip())
-    for path in filter(None, (args.plot, args.figures and args.figures / next(iter(FIGURES)))):
-        check_figure(path)  # before the work, not after it
     surfaces, methods = args.surface or list(SURFACES), args.method or list(METHODS)
     rates = tuple(args.rate or (QUICK_RATES_HZ if args.quick else RATES_HZ))
     motions, turn = args.motion or MOTIONS, args.turn_rate[0]

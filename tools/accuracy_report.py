@@ -27,7 +27,9 @@ def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
     words = f"{on['processor']}, {on['processors']} processors, {on['system']}, Python {on['python']}"
     console.print(f"softfinger accuracy: fingertip {1e3 * result['radius_m']:g} mm; measured on {words}\n")
     for part in (paper_table, speed_table, orders_table, front_table, sweep_table, drift_table):
-        console.print(part(result))
+        made = part(result)
+        if made.rows:
+            console.print(made)
     for line in advice(result):
         console.print(line, soft_wrap=True)
 

@@ -60,6 +60,8 @@ def check_figure(path: Path) -> None:
     figure(path)
     if path.suffix not in FORMATS:
         raise ConfigError(f"--plot {path}: a figure is {' or '.join(FORMATS)} by its file name")
+    if not path.parent.is_dir():
+        raise ConfigError(f"--plot {path}: there is no folder {path.parent}: create it or name another")
 
 
 def save(drawing: Any, path: Path) -> None:
