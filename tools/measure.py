@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +17,7 @@ from softfinger.config.errors import ConfigError
 
 Array = NDArray[np.float64]
 
+FORMATS: Final = (".png", ".svg")
 QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
@@ -52,13 +55,29 @@ def figure(path: Path, width: float = 8.0, height: float = 4.5) -> Any:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def check_figure(path: Path) -> None:
+    """ConfigError where a figure could not be saved as `path`."""
+    figure(path)
+    if path.suffix not in FORMATS:
+        raise ConfigError(f"--plot {path}: a figure is {' or '.join(FORMATS)} by its file name")
+    if not path.parent.is_dir():
+        raise ConfigError(f"--plot {path}: there is no folder {path.parent}: create it or name another")
+
+
 def save(drawing: Any, path: Path) -> None:
-    """Write a figure in the format its name says; an SVG is the same to the byte for the same data, its text text."""
+    """Write a figure in the format its name says.
+
+    An SVG is the same for the same data, to be kept beside text: no date, words as words, coordinates to a hundredth.
+    """
+    if path.suffix != ".svg":
+        drawing.savefig(path)
+        return
     from matplotlib import rc_context
 
-    svg = path.suffix == ".svg"
+    text = io.StringIO()
     with rc_context({"svg.hashsalt": "softfinger", "svg.fonttype": "none"}):
-        drawing.savefig(path, metadata={"Date": None} if svg else None)
+        drawing.savefig(text, format="svg", metadata={"Date": None, "Creator": "softfinger"})
+    path.write_text(re.sub(r"(\.\d\d)\d+|^ +| +$", r"\1", text.getvalue(), flags=re.MULTILINE), encoding="utf-8")
 
 
 def microseconds(seconds: float) -> str:

@@ -20,7 +20,7 @@ from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import unit
 from softfinger.config.validate import examine
 from softfinger.tools import stability_runs
-from softfinger.tools.measure import add_output_options, figure, save, show
+from softfinger.tools.measure import add_output_options, check_figure, figure, save, show
 from softfinger.tools.predicted import spectral_radius
 from softfinger.tools.stability_limit import Case, find_limits
 from softfinger.tools.stability_maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
@@ -70,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
         value = getattr(args, flag)
         if value is not None and value < low:
             raise ConfigError(f"command line --{flag}: {value}: must be a whole number of at least {low}")
+    if args.plot:
+        check_figure(args.plot)
     if args.cases is not None:
         if args.plot:
             raise ConfigError("command line --plot: random runs have no plot: leave out --plot or --cases")
