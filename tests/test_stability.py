@@ -18,12 +18,14 @@ from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.pack import flatten
 from softfinger.proxy.scene import build_scene
-from softfinger.server.cli import main
+from softfinger.server.cli import main, make_parser
 from softfinger.tools.predicted import LinearLoop, linear_limit, passive_limit, spectral_radius
 from softfinger.tools.stability_limit import Case, find_limits, grows_at, pressed_wall
 from softfinger.tools.stability_maps import VARIANTS
 from softfinger.tools.stability_runs import Block, run_blocks
 from softfinger.tools.sweep import run_cases
+
+ROOT = Path(__file__).resolve().parents[1]
 
 FOUND = 1e-3
 """Relative error of a limit that is found: the bisection ends at 1e-4, the rest is room for slow growth."""
@@ -287,3 +289,15 @@ def test_bad_command_lines_say_what_to_give(words: list[str], message: str, caps
     """One message with the flag, the value and the range."""
     assert main(["stability", *words]) == 2
     assert re.search(message, capsys.readouterr().err)
+
+
+def test_the_page_shows_what_its_commands_draw() -> None:
+    """Every command of docs/stability.md is one, and every figure has the command that made it; small and undated."""
+    page = (ROOT / "docs" / "stability.md").read_text()
+    commands = re.findall(r"^    softfinger (stability[^#\n]*)", page, re.MULTILINE)
+    plots = {str(make_parser(["stability"]).parse_args(command.split()).plot) for command in commands}
+    figures = re.findall(r"\]\((figures/stability-[a-z]+\.svg)\)", page)
+    assert len(figures) == 4 and {f"docs/{name}" for name in figures} <= plots
+    for name in figures:
+        text = (ROOT / "docs" / name).read_text()
+        assert len(text) < 80_000 and "dc:date" not in text
