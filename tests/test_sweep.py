@@ -8,6 +8,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -72,8 +73,8 @@ def test_a_local_cluster_gives_the_same_bits() -> None:
 
 
 @pytest.fixture
-def scheduler(tmp_path: Path) -> Iterator[str]:
-    """Address of a dask scheduler with two workers, all processes of their own."""
+def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Address and process of a dask scheduler with two workers, all processes of their own."""
     where = tmp_path / "scheduler.json"
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     common = [sys.executable, "-m", "dask"]
@@ -109,15 +110,21 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
 
         with Client(address, set_as_default=False) as client:
             client.wait_for_workers(2, timeout=60.0)
-        yield address
+        yield address, processes[0]
     finally:
         for process in processes:  # not asked to end: a worker may wait for its scheduler for ever
             process.kill()
             process.wait()
 
 
-def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(scheduler: str, tmp_path: Path) -> None:
-    """Half of the cases by threads into a file, the rest by workers elsewhere: the results of one run."""
+def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(
+    cluster: tuple[str, subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of the cases by threads into a file, the rest by workers elsewhere: the results of one run.
+
+    Then the scheduler dies under a longer run: the message says how to go on.
+    """
+    scheduler, process = cluster
     results = tmp_path / "cases.mcap"
     run_cases(roots, CASES[::2], label="test", results=results)
     computed.clear()
@@ -127,6 +134,11 @@ def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(sche
     computed.clear()
     assert bits(run_cases(roots, CASES, label="test", results=results)) == bits(found)
     assert not computed
+
+    monkeypatch.setattr(sweep, "CONNECT_S", 1.0)
+    threading.Timer(1.0, process.kill).start()
+    with pytest.raises(ConfigError, match=f"--scheduler {scheduler}: lost while it computed.*--results FILE goes on"):
+        run_cases(roots, [{"x": 2.0, "n": 13, "number": n} for n in range(200)], label="t", scheduler=scheduler)
 
 
 def test_finished_blocks_outlive_an_error(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ import importlib
 import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -61,7 +61,7 @@ def run_cases(
     results    MCAP file that keeps finished cases: those in it are not computed again
     block      cases handed out at once; by default as many as keep the workers evenly busy
 
-    Raises ConfigError when the scheduler cannot be used or runs another version of this program, and
+    Raises ConfigError when the scheduler cannot be used, runs another version of this program or is lost, and
     RecordingError when the file cannot be; what `function` raises comes through, finished blocks are kept.
     """
     keys = [case_key(function, case) for case in cases]
@@ -157,4 +157,11 @@ def _workers(scheduler: str | None) -> Iterator[_Workers]:
             raise ConfigError(f"--scheduler {scheduler}: it has no workers: start one with `dask worker {scheduler}`")
         # Not pure: dask would look for equal calls by hashing the arguments, which the keys have done already.
         completed = partial(distributed.as_completed, loop=client.loop)
-        yield _Workers(number, partial(client.submit, pure=False), completed)
+        try:
+            yield _Workers(number, partial(client.submit, pure=False), completed)
+        except (CancelledError, distributed.KilledWorker) as error:
+            reason = str(error).partition("\n")[0]
+            raise ConfigError(
+                f"--scheduler {scheduler}: lost while it computed ({reason}): see its log; the same command with "
+                "--results FILE goes on where it ended"
+            ) from error
