@@ -190,7 +190,6 @@ def test_bench_prints_json(kind, tmp_path):
         (feature,) = result["features"]
         assert feature["feature"] == "torsion linear" and feature["in_contact"] == 1.0
         assert feature["reference_ns"] > 0.0 and {"ns_per_step", "marginal_ns"} <= feature.keys()
-
     elif kind == "loop":
         assert result["servo"]["ticks"] == 299 and set(result["servo"]["late"]["blocks"]) == {
             "p50",
