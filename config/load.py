@@ -18,7 +18,8 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.validate import Fault, examine, near, shown
+from softfinger.config.validate import Fault, examine
+from softfinger.config.words import near, shown
 
 T = TypeVar("T", bound=msgspec.Struct)
 

@@ -7,22 +7,18 @@ fault, puts `UNSET` in its place and goes on.
 
 from __future__ import annotations
 
-import difflib
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 from msgspec import UNSET, Struct, inspect
 
-from softfinger.config.schema import unit
+from softfinger.config.typeinfo import described, options, unwrapped
+from softfinger.config.words import either, expected, missing, near, shown
 
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_INDEX: Final = re.compile(r"\[\d+\]")
-_SHOWN: Final = 60
 
 
 class Fault(NamedTuple):
@@ -58,23 +54,15 @@ def examine(
 ) -> tuple[Any, list[Fault]]:
     """The struct as far as `mapping` gives it (unusable fields hold UNSET), and all faults."""
     report = Report(where, sources or {})
-    value = _struct(_described(struct_type), mapping, "", report)
+    value = _struct(described(struct_type), mapping, "", report)
     return value, report.faults
-
-
-@lru_cache(maxsize=32)
-def _described(struct_type: type[Struct]) -> inspect.StructType:
-    info = inspect.type_info(struct_type)
-    if not isinstance(info, inspect.StructType):
-        raise TypeError(f"{struct_type!r} is not a msgspec Struct")
-    return info
 
 
 # --- one value -----------------------------------------------------------------------------------
 
 
 def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
-    kind, extra = _unwrapped(info)
+    kind, extra = unwrapped(info)
     match kind:
         case inspect.UnionType():
             return _one_of(kind, value, key, report)
@@ -104,32 +92,22 @@ def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
     return value if usable else report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
 
 
-def _unwrapped(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
-    """The bare type, and what its Meta said besides the range: description, examples, reason."""
-    extra: dict[str, Any] = {}
-    while isinstance(info, inspect.Metadata):
-        extra |= (info.extra_json_schema or {}) | (info.extra or {})
-        info = info.type
-    return info, extra
-
-
 def _one_of(kind: inspect.UnionType, value: object, key: str, report: Report) -> Any:
     """Optional values, and structs told apart by their tag."""
-    bare = [_unwrapped(option)[0] for option in kind.types]
-    if value is None and any(isinstance(option, inspect.NoneType) for option in bare):
+    members = options(kind)
+    if value is None and len(members) < len(kind.types):
         return None
-    options = [option for option in kind.types if not isinstance(option, inspect.NoneType)]
-    if len(options) == 1:
-        return _value(options[0], value, key, report)
-    structs = [option for option in bare if isinstance(option, inspect.StructType) and option.tag_field]
-    if len(structs) == len(options):
+    if len(members) == 1:
+        return _value(members[0], value, key, report)
+    structs = [bare for bare, _ in map(unwrapped, members) if isinstance(bare, inspect.StructType) and bare.tag_field]
+    if len(structs) == len(members):
         return _tagged(structs, value, key, report)
-    for option in options:
+    for option in members:
         attempt = Report("", {})
         result = _value(option, value, key, attempt)
         if not attempt.faults:
             return result
-    choices = " or ".join(expected(option, key) for option in options)
+    choices = " or ".join(expected(option, key) for option in members)
     return report.add(key, f"{key} = {shown(value)}: must be {choices}")
 
 
@@ -196,7 +174,7 @@ def _tagged(structs: list[inspect.StructType], value: object, key: str, report: 
     if not isinstance(value, Mapping):
         return report.add(key, f"{key} = {shown(value)}: must be a table")
     dotted, tags = _join(key, tag_field), [struct.tag for struct in structs]
-    allowed = _either(tags)
+    allowed = either(tags)
     if tag_field not in value:
         return report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {shown(tags[0])}")
     tag = value[tag_field]
@@ -264,7 +242,7 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
         if f.encode_name in value:
             values[f.name] = _value(f.type, value[f.encode_name], dotted, report)
         elif f.required:
-            values[f.name] = report.add(dotted, _missing(f.type, dotted, f.encode_name))
+            values[f.name] = report.add(dotted, missing(f.type, dotted, f.encode_name))
     return _made(info.cls, values, key, report, start)
 
 
@@ -280,115 +258,6 @@ def _made(cls: type[Struct], values: dict[str, Any], key: str, report: Report, s
         dotted = f"{key}.{name}" if key else name
         report.add(dotted, f"{dotted}: {text}" if seen is UNSET else f"{dotted} = {shown(seen)}: {text}")
     return struct
-
-
-def _missing(info: inspect.Type, dotted: str, name: str) -> str:
-    kind, extra = _unwrapped(info)
-    if isinstance(kind, inspect.StructType):
-        return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
-    if isinstance(kind, inspect.VarTupleType) and _is_table(kind.item_type):
-        return f"{dotted} is missing: add at least one table [[{dotted}]]"
-    text = f"{dotted} is missing: give {expected(info, name)}"
-    meaning = f" ({extra['description']})" if "description" in extra else ""
-    example = f", such as {name} = {toml(extra['examples'][0])}" if extra.get("examples") else ""
-    return text + meaning + example
-
-
-# --- words ---------------------------------------------------------------------------------------
-
-
-def expected(info: inspect.Type, key: str) -> str:
-    """What a value has to be, in words: `a number from 0 to 40 N`."""
-    kind, _ = _unwrapped(info)
-    match kind:
-        case inspect.FloatType() | inspect.IntType():
-            noun = "a whole number" if isinstance(kind, inspect.IntType) else "a number"
-            return f"{noun}{span(kind)}{_unit(key)}"
-        case inspect.StrType():
-            return "text" + _length(kind, "characters") + (f" like {kind.pattern}" if kind.pattern else "")
-        case inspect.LiteralType():
-            return _either(kind.values)
-        case inspect.BoolType():
-            return "true or false"
-        case inspect.TupleType():
-            each, _ = _unwrapped(kind.item_types[0])
-            limits = span(each) if isinstance(each, inspect.FloatType | inspect.IntType) else ""
-            return f"a list of {len(kind.item_types)} numbers{limits}{_unit(key)}"
-        case inspect.VarTupleType() | inspect.ListType():
-            what = "tables" if _is_table(kind.item_type) else "values"
-            return "a list" + (_length(kind, what) or f" of {what}")
-        case inspect.UnionType():
-            return " or ".join(expected(t, key) for t in kind.types if not isinstance(t, inspect.NoneType))
-        case inspect.NoneType():
-            return "left out"
-        case _:
-            return "a table"
-
-
-def _is_table(info: inspect.Type) -> bool:
-    """Whether values of this type are tables, of one kind or of several."""
-    kind, _ = _unwrapped(info)
-    options = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
-    return all(isinstance(_unwrapped(option)[0], inspect.StructType) for option in options)
-
-
-def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, what: str) -> str:
-    """` of 1 to 64 characters`, or nothing where any length will do."""
-    low, high = kind.min_length or 0, kind.max_length
-    return f" of {low} to {high} {what}" if high is not None else f" of at least {low} {what}" if low else ""
-
-
-def span(kind: inspect.FloatType | inspect.IntType) -> str:
-    """Range of a number: ` from 0 to 40`, ` above 0`, or nothing."""
-    low = f"{kind.ge:g}" if kind.ge is not None else f"above {kind.gt:g}" if kind.gt is not None else ""
-    high = f"{kind.le:g}" if kind.le is not None else f"below {kind.lt:g}" if kind.lt is not None else ""
-    if low and high:
-        return f" from {low} to {high}"
-    if low:
-        return f" {low}" if kind.ge is None else f" of at least {low}"
-    return f" {high}" if kind.lt is not None else f" of at most {high}" if high else ""
-
-
-def shown(value: object) -> str:
-    """A value as a message may carry it: one line, bounded, never an error itself."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return repr(value if len(value) <= _SHOWN else value[:_SHOWN] + "...")
-    if isinstance(value, int):
-        return str(value) if value.bit_length() <= 64 else f"a whole number of {value.bit_length()} bits"
-    if isinstance(value, float):
-        return repr(float(value))
-    if isinstance(value, Mapping):
-        return "a table"
-    if isinstance(value, list | tuple):
-        flat = len(value) <= 6 and all(isinstance(v, int | float | str) for v in value)
-        return f"[{', '.join(shown(v) for v in value)}]" if flat else f"a list of {len(value)} values"
-    return "nothing" if value is None else f"a {type(value).__name__}"
-
-
-def toml(value: object) -> str:
-    """An example as one would write it in a file."""
-    return json.dumps(value)
-
-
-def near(given: object, allowed: Iterable[object]) -> str:
-    """` (did you mean 'plane'?)` where one of the allowed names is close."""
-    # An endless key would keep difflib busy, and nothing is close to it anyway.
-    if not isinstance(given, str) or len(given) > 64:
-        return ""
-    close = difflib.get_close_matches(given.lower(), [name for name in allowed if isinstance(name, str)], n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""
-
-
-def _either(names: Iterable[object]) -> str:
-    listed = [shown(name) for name in names]
-    return listed[0] if len(listed) == 1 else f"one of {', '.join(listed)}"
-
-
-def _unit(key: str) -> str:
-    name = unit(_INDEX.sub("", key))
-    return f" {name}" if name else ""
 
 
 def _join(key: str, name: object) -> str:

@@ -185,6 +185,7 @@ def explain(scene: schema.Scene) -> str:
         "rolling" if scene.rolling is None else f"rolling ({scene.rolling.method})": scene.rolling is not None,
         "friction": any(material.friction is not None for material in materials),
         "torsion": any(material.torsion is not None for material in materials),
+        "passivity" if scene.passivity is None else f"passivity ({scene.passivity.mode})": scene.passivity is not None,
     }
     shapes = ", ".join(thing.shape for thing in scene.object)
     have = ", ".join(name for name, present in parts.items() if present)

@@ -69,6 +69,8 @@ FIELDS: Final = (
     Field("contact.tangential_force", 1, "float", "N", "", "magnitude of the tangential force before the guard"),
     Field("servo.guard", 1, "int", "bits", "", "what the guard changed in this tick"),
     Field("servo.busy", 1, "float", "s", "", "the previous tick from wake-up until it slept again"),
+    Field("passivity.energy", 1, "float", "J", "", "work taken from the hand in this contact, less than 0 if owed"),
+    Field("passivity.damping", 1, "float", "N s/m", "", "damping added because of what is owed"),
     Field("servo.device", 1, "int", "1", "", "status of this tick's device read and write"),
 )
 

@@ -13,7 +13,7 @@ from msgspec import Struct
 from softfinger.config.errors import ConfigError, DeviceError, HapticError
 from softfinger.config.load import FaultyConfig, build, describe, find, load_rig, load_scene, read_toml, shipped
 from softfinger.config.schema import Object, ObjectBase, Rig, Scene
-from softfinger.config.validate import near, shown
+from softfinger.config.words import near, shown
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)

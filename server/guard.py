@@ -44,6 +44,9 @@ class Guarded(NamedTuple):
     gain: float
 
 
+NO_DIRECTION: Final = 1e-300
+"""Largest component, N or N m, below which a vector cannot be divided by it."""
+
 DISENGAGED: Final = Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 
 
@@ -59,8 +62,10 @@ def clamp(v: Vec3, largest: float) -> tuple[Vec3, bool]:
     The largest component is divided out first: the square of a huge force overflows.
     """
     peak = max(abs(v[0]), abs(v[1]), abs(v[2]))
-    if peak <= 0.0:
+    if peak <= 0.5 * largest:  # the norm is at most sqrt(3) times the peak
         return v, False
+    if peak < NO_DIRECTION:
+        return (0.0, 0.0, 0.0), True
     unit = vec3.scale(1.0 / peak, v)
     size = peak * vec3.norm(unit)
     if size <= largest:

@@ -97,6 +97,8 @@ HEALTH_KEYS: Final = (
     Key("guarded", "int", "1", "", "ticks in which the guard changed the output"),
     Key("energy", "float", "J", "", "work the hand did on the virtual object"),
     Key("energy_total", "float", "J", "", "the same, since the servo started"),
+    Key("passivity.owed", "float", "J", "", "most energy the rendering gave beyond what it took in a contact"),
+    Key("passivity.damped", "int", "1", "", "ticks in which damping was added because of that"),
     Key("modes.free", "int", "1", "", "ticks in mode free"),
     Key("modes.rolling", "int", "1", "", "ticks in mode rolling"),
     Key("modes.sliding", "int", "1", "", "ticks in mode sliding"),

@@ -12,9 +12,10 @@ from typing import Any, Final, NamedTuple
 import msgspec
 from msgspec import inspect
 
-from softfinger.config import validate
 from softfinger.config.materials import library
 from softfinger.config.schema import DeviceConfig, Rig, Scene, unit
+from softfinger.config.typeinfo import described, options, unwrapped
+from softfinger.config.words import expected, toml
 from softfinger.proxy.state import FIELDS
 
 KINDS: Final = ("scene", "rig", "telemetry")
@@ -112,10 +113,8 @@ def _grid(head: list[str], lines: list[list[str]]) -> str:
 
 def tables(struct_type: type[msgspec.Struct]) -> list[TableRows]:
     """Every TOML table of a scene or rig with its keys, in order."""
-    info = inspect.type_info(struct_type)
-    assert isinstance(info, inspect.StructType)
     found: dict[tuple[str, str], TableRows] = {}
-    for table in _tables(info, ""):
+    for table in _tables(described(struct_type), ""):
         # A material is the same in every shape: listed where it first stands.
         if table.rows:
             found.setdefault((table.name, table.meaning), table)
@@ -147,21 +146,18 @@ def _path(name: str, field: inspect.Field) -> tuple[str, bool]:
 
 def _row(field: inspect.Field) -> Row:
     kind, extra = _bare(field.type)
-    allowed = re.sub(r"'([^']*)'", r'`"\1"`', validate.expected(kind, "").removeprefix("one of "))
+    allowed = re.sub(r"'([^']*)'", r'`"\1"`', expected(kind, "").removeprefix("one of "))
     if field.required or field.default is None:
         default = "required" if field.required else "left out"
     else:
-        default = f"`{validate.toml(field.default)}`"
+        default = f"`{toml(field.default)}`"
     return Row(field.encode_name, unit(field.encode_name), allowed, default, extra.get("description", ""))
 
 
 def _bare(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
     """The type without its Meta and without `| None`, and what the Meta said."""
-    if isinstance(info, inspect.UnionType):
-        (info,) = (option for option in info.types if not isinstance(option, inspect.NoneType))
-    if isinstance(info, inspect.Metadata):
-        return info.type, dict(info.extra_json_schema or {})
-    return info, {}
+    (only,) = options(info)
+    return unwrapped(only)
 
 
 def _structs(info: inspect.Type) -> Iterator[inspect.StructType]:

@@ -255,6 +255,8 @@ class Health:
             "guarded": int(np.count_nonzero(counted[:, OFFSET["servo.guard"]])),
             "energy": energy,
             "energy_total": self._energy_total,
+            "passivity.owed": max(0.0, -float(counted[:, OFFSET["passivity.energy"]].min(initial=0.0))),
+            "passivity.damped": int(np.count_nonzero(counted[:, OFFSET["passivity.damping"]])),
         }
         for name in ("late", "exec"):
             values = counted[:, OFFSET[f"servo.{name}"]]

@@ -9,9 +9,13 @@ from softfinger.config import schema
 from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.scene import build_scene
 from softfinger.server.guard import Guard
+from softfinger.server.passivity import Passivity
 from softfinger.server.tick import Tuning
 
 log: Final = logging.getLogger(__name__)
+
+DAMPING_MAX_NS_PER_M: Final = 20.0
+"""Of the passivity controller, where the scene gives none: at 1 kHz a device of 20 g still bears it."""
 
 
 def make_tuning(scene: schema.Scene, guard: schema.Guard, device: DeviceInfo | None = None) -> Tuning:
@@ -24,4 +28,13 @@ def make_tuning(scene: schema.Scene, guard: schema.Guard, device: DeviceInfo | N
         log.warning("guard.torque_max_nm = %g N m is lowered to the device's %g N m", torque, device.torque_max_nm)
         torque = device.torque_max_nm
     limits = Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
-    return Tuning(build_scene(scene), limits)
+    return Tuning(build_scene(scene), limits, _passivity(scene.passivity))
+
+
+def _passivity(wanted: schema.Passivity | None) -> Passivity | None:
+    if wanted is None:
+        return None
+    if wanted.mode == "observe":
+        return Passivity(0.0)
+    given = wanted.damping_max_ns_per_m
+    return Passivity(DAMPING_MAX_NS_PER_M if given is None else given)

@@ -128,18 +128,20 @@ def test_events_tell_every_transition(tmp_path):
 def test_stopped_is_told_however_late_the_close():
     """The last event leaves even when the publisher thread ended long before the daemon is closed."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane"), 2000) as running:
-        with subscribed(running.publisher.endpoint, "event", "contact") as socket:
-            running.start()
-            assert socket.recv_multipart()  # subscribed
-            running.wait(60.0)
-            while any(thread.name == "publisher" for thread in threading.enumerate()):
-                time.sleep(0.01)
-            running.close()
-            socket.rcvtimeo = 5000
-            last = None
-            while last != "stopped":
-                last = msgpack.unpackb(socket.recv_multipart()[1]).get("name")
+    with (
+        Daemon(rig, load_scene("paper-plane"), 2000) as running,
+        subscribed(running.publisher.endpoint, "event", "contact") as socket,
+    ):
+        running.start()
+        assert socket.recv_multipart()  # subscribed
+        running.wait(60.0)
+        while any(thread.name == "publisher" for thread in threading.enumerate()):
+            time.sleep(0.01)
+        running.close()
+        socket.rcvtimeo = 5000
+        last = None
+        while last != "stopped":
+            last = msgpack.unpackb(socket.recv_multipart()[1]).get("name")
 
 
 class FaultyDriver:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from references.rolling_cases import METHODS, RADIUS, rolled_by
-from references.surface_rolling import normal_and_curvature, rolled
 
 from softfinger.proxy.kernels import model, montana, rotations
+from softfinger.tools.accuracy_reference import normal_and_curvature, rolled
 
 SHAPES: dict[str, Any] = {
     "plane": model.Plane((0.6, 0.0, -0.8), 0.01),

@@ -14,8 +14,8 @@ WIDTH = 64
 
 @entry
 def publish_on(slot, values, flag):
-    """Publish values of which every element is the same number, until the flag is set; returns how often."""
-    number = 0.0
+    """Publish values of which every element is the same number, counting on, until the flag is set."""
+    number = slot.values[0]
     while load_relaxed(flag, 0) == 0:
         number += 1.0
         for i in range(values.shape[0]):

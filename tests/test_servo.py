@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compiled_code import called_in, functions
 from faulty_device import FaultyDevice, Options
 
 from softfinger.config.load import load_rig, load_scene
@@ -46,15 +47,6 @@ def run_python(code: str, cache: Path, **options: object) -> subprocess.Complete
     )
 
 
-def functions(ir: str) -> dict[str, str]:
-    """Bodies of the functions an LLVM module defines, without the wrappers numba puts around the kernel for Python."""
-    found = {}
-    for match in re.finditer(r'^define [^\n]*?@"?([^"(\s]+)"?\(.*?^}', ir, re.MULTILINE | re.DOTALL):
-        if not match[1].startswith(("_ZN7cpython", "cfunc.")):
-            found[match[1]] = match[0]
-    return found
-
-
 @pytest.fixture(scope="module")
 def fresh_cache(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A cache directory filled by a fresh compile in a process of its own, and the IR of that compile."""
@@ -68,7 +60,7 @@ def test_loop_calls_only_what_is_listed(fresh_cache):
     """A fresh compile of the loop and all it calls names no allocator, no reference count, no interpreter."""
     bodies = functions(fresh_cache[1])
     assert any("servo_loop" in name for name in bodies)
-    called = {name for body in bodies.values() for name in re.findall(r'call [^@\n]*@"?([^"(\s]+)"?\(', body)}
+    called = {name for body in bodies.values() for name in called_in(body)}
     outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
     assert outside == MAY_CALL
     # Beside the named ones only the device is called, through its two addresses: read, write, and the last zero.

@@ -14,10 +14,8 @@ from references.hand import Hand, drive
 from references.rotation import matrix
 
 from softfinger.config.errors import ConfigError
-from softfinger.drivers.poses import load_poses
-from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.state import CAUSE_NAMES, FREE, OFFSET, ROLLING, SLIDING
+from softfinger.proxy.state import CAUSE_NAMES, FREE, ROLLING, SLIDING
 
 R = 0.01
 EXACT = 1e-12
@@ -286,30 +284,7 @@ def test_paper_row_sliding_is_switched_to_rolling(plane_scene: SceneFactory) -> 
     assert (trace.mode[tick:] == ROLLING).all()
 
 
-# --- the paper's two failure modes -----------------------------------------------------------------
-
-
-def test_a_recorded_roll_does_not_slip(plane_scene: SceneFactory) -> None:
-    """The recording of a roll that the hand follows: the contact travels r theta on the plane, and nothing slips."""
-    records = Engine("paper-plane").run(resample(load_poses("roll-follow"), 1000.0))
-    rolled, point = records[:, OFFSET["contact.rolled"]], OFFSET["contact.point"]
-    touching = records[:, OFFSET["contact.mode"]] == ROLLING
-    assert SLIDING not in records[:, OFFSET["contact.mode"]]
-    assert rolled.max() == pytest.approx(1.0, abs=1e-6)
-    travelled = np.linalg.norm(np.diff(records[touching][:, point : point + 2], axis=0), axis=1).sum()
-    # Rolling without slip, there and back: as far on the plane as on the finger. The recording is rounded to 0.1 um.
-    assert travelled == pytest.approx(R * rolled[touching][-1], abs=1e-6)
-
-
-def test_rolling_is_detected_in_a_recorded_roll(plane_scene: SceneFactory) -> None:
-    """In the same recording dragged aside by 0.4 mm, with its tangential force, rolling is the mode all the way."""
-    poses = resample(load_poses("roll-follow"), 1000.0)
-    deep = np.flatnonzero(poses[:, 2] < R - 0.9e-3)
-    poses[deep[0] :, 0] += np.interp(np.arange(len(poses) - deep[0]), [0, 200], [0.0, 0.4e-3])
-    records = Engine(plane_scene()).run(poses)
-    force = records[deep[200:], OFFSET["contact.tangential_force"]]
-    assert force.min() > 0.39
-    assert (records[deep, OFFSET["contact.mode"]] == ROLLING).all()
+# --- the paper's two failure modes; in a recorded roll: test_recordings.py --------------------------
 
 
 def test_rolling_moves_the_contact_on_the_object(plane_scene: SceneFactory) -> None:

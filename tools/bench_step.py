@@ -1,23 +1,29 @@
-"""`bench step`: cost of the contact step on scenes, and of each scene without one part after the other."""
+"""`bench step`: cost of the contact step on scenes, of each scene without its parts, and of every feature there is."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from fnmatch import fnmatch
 from typing import Any, Final
 
 import numpy as np
 
+from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene, shipped
 from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.jit import entry
 from softfinger.server.clock import now_ns
-from softfinger.server.cost import BLOCK, Array, bare, measure, touching_poses, without_parts
+from softfinger.server.cost import BLOCK, bare, measure, touching_poses, without_parts
 from softfinger.server.progress import progress
+from softfinger.tools.features import Feature, all_features, corner_poses
 from softfinger.tools.measure import add_output_options, figure, show
 
 REFERENCE_OPERATIONS: Final = 100
 CORNER: Final = "corner"
 """Shipped scene of three walls: its poses press into all of them at once."""
+ROUNDS: Final = 20
+"""Turns that a scene with a feature and the one without take, so that a slower moment of the machine hits both."""
 
 
 @entry
@@ -40,24 +46,22 @@ def reference_ns() -> float:
     return float(np.median(blocks)) / count
 
 
-def corner_poses(count: int = BLOCK) -> Array:
-    """Poses (count, 7) pressed 1 mm and a little into three walls at right angles, turning; radius 10 mm."""
-    poses = np.zeros((count, 7))
-    t = 2.0 * np.pi * np.arange(count) / count
-    poses[:, :3] = 0.009 + 0.0005 * np.stack([np.sin(3.0 * t), np.sin(2.0 * t), np.sin(5.0 * t)], axis=1)
-    poses[:, 3], poses[:, 4], poses[:, 6] = 1.0, 0.02 * np.sin(5.0 * t), 0.05 * np.sin(t)
-    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
-    return poses
-
-
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", nargs="*", default=["paper-plane"], help="scene files or names (%(default)s)")
     parser.add_argument("--all", action="store_true", help="every shipped scene")
+    parser.add_argument(
+        "--features",
+        nargs="*",
+        metavar="PATTERN",
+        help="also what every feature of the scene format adds to a scene without it, or those whose names match, such "
+        "as 'torsion*'; each compiles a scene or two, 6 to 10 s, so all of them take some ten minutes the first time",
+    )
     parser.add_argument("--blocks", type=int, default=100, help=f"blocks of {BLOCK} steps (default: %(default)s)")
     add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
+    chosen = [] if args.features is None else select(all_features(), args.features)
     names = shipped(Scene) if args.all else args.scene
     blocks = max(args.blocks, 1)
     scenes = []
@@ -65,29 +69,27 @@ def run(args: argparse.Namespace) -> int:
         for number, name in enumerate(names):
             scenes.append({"scene": name, "variants": variants(name, load_scene(name), blocks)})
             done(number + 1)
-    result = {"steps": BLOCK * blocks, "scenes": scenes, **scenes[0]}
-    lines = [f"contact step, back to back; ratio to a chain of {REFERENCE_OPERATIONS} dependent operations"]
-    for found in scenes:
-        lines.append(str(found["scene"]))
-        for row in found["variants"]:
-            cost, unit = row["ns_per_step"], row["reference_ns"]
-            marginal = f"{row['marginal_ns']:+8.1f} ns" if "marginal_ns" in row else ""
-            lines.append(f"  {row['variant']:<46}{cost:8.1f} ns {cost / unit:7.3f} of {unit:.0f} ns {marginal}")
-    show(result, args.json, lines)
+    result = {"steps": BLOCK * blocks, "scenes": scenes} | (scenes[0] if scenes else {})
+    if chosen:
+        result["features"] = features(chosen, blocks)
+    show(result, args.json, table(result))
     if args.plot:
-        drawing = figure(args.plot, height=1.0 + 0.3 * sum(len(found["variants"]) for found in scenes))
-        axes = drawing.add_subplot()
-        rows = [
-            (f"{found['scene']}: {row['variant']}", row["ns_per_step"]) for found in scenes for row in found["variants"]
-        ]
-        axes.barh([label for label, _ in rows][::-1], [cost for _, cost in rows][::-1])
-        axes.set_xlabel("ns per step, back to back")
-        drawing.savefig(args.plot)
+        draw(result, args)
     return 0
 
 
+def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]:
+    """The features whose names match one of the patterns, all without any; ConfigError for a pattern that none does."""
+    for pattern in patterns:
+        if not any(fnmatch(feature.name, pattern) for feature in offered):
+            raise ConfigError(
+                f"--features {pattern!r}: no feature has such a name; there are "
+                + "; ".join(feature.name for feature in offered)
+            )
+    return [f for f in offered if not patterns or any(fnmatch(f.name, pattern) for pattern in patterns)]
+
+
 def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
-    """Cost of a scene whole, without each part, and bare."""
     poses = corner_poses() if name == CORNER else touching_poses(scene)
     rows: list[dict[str, Any]] = []
     for label, part in [
@@ -102,3 +104,71 @@ def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
             row["marginal_ns"] = rows[0]["ns_per_step"] - cost.median_ns
         rows.append(row)
     return rows
+
+
+def features(chosen: Sequence[Feature], blocks: int) -> list[dict[str, Any]]:
+    """Cost of each feature: of a scene with it, and the difference from the scene without it, in ns."""
+    rows = []
+    with progress("compiling and measuring features", len(chosen)) as done:
+        for number, feature in enumerate(chosen):
+            rows.append(cost_of(feature, max(blocks // ROUNDS, 1)))
+            done(number + 1)
+    return rows
+
+
+def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
+    """Medians over ROUNDS turns of `blocks` blocks. Where the feature changes the touched surface the poses do, too."""
+    scenes = feature.without, feature.having
+    if feature.poses is not None:
+        poses = feature.poses()
+    elif bare(feature.without).object[0] == bare(feature.having).object[0]:
+        poses = (touching_poses(feature.without),) * 2
+    else:
+        poses = touching_poses(feature.without), touching_poses(feature.having)
+    pairs = list(zip(scenes, poses, strict=True))
+    units, costs = [], []
+    for _ in range(ROUNDS):
+        units.append(reference_ns())
+        costs.append([measure(scene, path, blocks) for scene, path in pairs])
+    without, having = np.array([[cost.median_ns for cost in turn] for turn in costs]).T
+    return {
+        "feature": feature.name,
+        "base": feature.base,
+        "ns_per_step": float(np.median(having)),
+        "base_ns_per_step": float(np.median(without)),
+        "marginal_ns": float(np.median(having - without)),
+        "reference_ns": float(np.median(units)),
+        "in_contact": costs[0][1].in_contact,
+    }
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    lines = [f"contact step, back to back; ratio to a chain of {REFERENCE_OPERATIONS} dependent operations"]
+    for found in result["scenes"]:
+        lines.append(str(found["scene"]))
+        for row in found["variants"]:
+            cost, unit = row["ns_per_step"], row["reference_ns"]
+            marginal = f"{row['marginal_ns']:+8.1f} ns" if "marginal_ns" in row else ""
+            lines.append(f"  {row['variant']:<46}{cost:8.1f} ns {cost / unit:7.3f} of {unit:.0f} ns {marginal}")
+    if "features" in result:
+        lines.append("what a feature adds, and to what")
+        for row in result["features"]:
+            cost, unit = row["ns_per_step"], row["reference_ns"]
+            lines.append(
+                f"  {row['feature']:<46}{cost:8.1f} ns {cost / unit:7.3f} of {unit:.0f} ns "
+                f"{row['marginal_ns']:+8.1f} ns  {row['base']}"
+            )
+    return lines
+
+
+def draw(result: dict[str, Any], args: argparse.Namespace) -> None:
+    """The scenes' variants, and below them what each feature adds."""
+    steps = [(f"{s['scene']}: {row['variant']}", row["ns_per_step"]) for s in result["scenes"] for row in s["variants"]]
+    added = [(row["feature"], row["marginal_ns"]) for row in result.get("features", [])]
+    parts = [(rows, axis) for rows, axis in ((steps, "ns per step, back to back"), (added, "ns added")) if rows]
+    drawing = figure(args.plot, height=len(parts) + 0.3 * (len(steps) + len(added)))
+    grid = drawing.subplots(len(parts), 1, squeeze=False, height_ratios=[1 + len(rows) for rows, _ in parts])
+    for axes, (rows, axis) in zip(grid[:, 0], parts, strict=True):
+        axes.barh([label for label, _ in rows][::-1], [cost for _, cost in rows][::-1])
+        axes.set_xlabel(axis)
+    drawing.savefig(args.plot)

@@ -3,21 +3,13 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels import rotations, vec3
-from softfinger.proxy.kernels.bodies import (
-    carried_direction,
-    carried_point,
-    carry,
-    closest_to,
-    deepest,
-    first_hit,
-    roll_on,
-    transport_on,
-    turn_against,
-)
-from softfinger.proxy.kernels.constraints import Push, displacement
-from softfinger.proxy.kernels.contacts import NONE, Held, find_others, hold_by, pressed
+from softfinger.proxy.kernels.bodies import closest_to, deepest, roll_on, transport_on
+from softfinger.proxy.kernels.carry import carried_direction, carried_point, carry, turn_against
+from softfinger.proxy.kernels.contacts import NONE, Held, displacement_by, find_others, hold_again, hold_by, pressed
+from softfinger.proxy.kernels.dispatch import by_count
 from softfinger.proxy.kernels.jit import jit
 from softfinger.proxy.kernels.model import Quaternion, Scene, State, Vec3
+from softfinger.proxy.kernels.sweep import first_hit
 from softfinger.proxy.state import CAUSE_NONE, CAUSE_TOUCH, ROLLING
 
 
@@ -41,6 +33,22 @@ class Approach(NamedTuple):
     against: Vec3
 
 
+@by_count
+def start_of(objects: Any, position: Vec3, met: Vec3, held: Held) -> Any:
+    """Where the proxy (3,) m of a contact begins that was met at `met`."""
+
+
+@start_of.of(1)
+def start_over_the_probe(objects: Any, position: Vec3, met: Vec3, held: Held) -> Vec3:
+    return vec3.add(position, displacement_by(objects, held))
+
+
+@start_of.of(2)
+def start_where_it_met(objects: Any, position: Vec3, met: Vec3, held: Held) -> Vec3:
+    """Over the probe there may be another object: `settle` finds its way there."""
+    return met
+
+
 @jit
 def touch(scene: Scene, objects: Any, state: State, position: Vec3, velocity: Vec3) -> Approach:
     """First contact on the way from the last probe position to this one.
@@ -62,7 +70,7 @@ def touch(scene: Scene, objects: Any, state: State, position: Vec3, velocity: Ve
         _, point, normal = closest_to(objects, index, met)
         center = vec3.add_scaled(point, radius, normal)
         held = pressed(hold_by(index, normal), vec3.sub(center, position))
-        center = vec3.add(position, displacement(held.push, held.n1, held.n2, held.n3))
+        center = start_of(objects, position, center, held)
     return Approach(
         float(ROLLING), float(CAUSE_TOUCH), center, held, zero, zero, zero, 0.0, 0.0, velocity
     )  # fmt: skip
@@ -73,7 +81,8 @@ def stay(
     scene: Scene, objects: Any, state: State, position: Vec3, orientation: Quaternion, velocity: Vec3, dt: float
 ) -> Approach:
     """The contact goes with its object and rolls by what the fingertip turned against it."""
-    radius, index, against = scene.radius, state.first, velocity
+    radius, against = scene.radius, velocity
+    index = hold_again(objects, state, state.normal).first
     carried = carry(objects, index, state.object)
     old_normal, moved = carried_direction(carried, state.normal), carried_point(carried, state.center)
     if dt > 0.0:
@@ -83,10 +92,9 @@ def stay(
     center, normal = rolled.center, rolled.normal
     rolled_part = transport_on(objects, index, carried_direction(carried, state.rolled_part), old_normal, normal)
     before = transport_on(objects, index, carried_direction(carried, state.deflection), old_normal, normal)
-    held = Held(index, state.second, state.third, normal, normal, normal, Push(0.0, 0.0, 0.0))
     behind = vec3.sub(center, position)
-    held = pressed(find_others(objects, radius, center, held), behind)
-    deflection = vec3.sub(behind, displacement(held.push, held.n1, held.n2, held.n3))
+    held = pressed(find_others(objects, radius, center, hold_again(objects, state, normal)), behind)
+    deflection = vec3.sub(behind, displacement_by(objects, held))
     return Approach(
         state.mode, float(CAUSE_NONE), center, held, deflection, before, vec3.add(rolled_part, rolled.motion),
         rolled.theta, rolled.spin, against,

@@ -9,7 +9,7 @@ smallest push that satisfies them all is found, until nothing changes.
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels import vec3
-from softfinger.proxy.kernels.bodies import closest_on, closest_to, deepest, first_hit, material_of
+from softfinger.proxy.kernels.bodies import closest_on, closest_to, deepest, material_of
 from softfinger.proxy.kernels.constraints import Push, displacement, smallest_push
 from softfinger.proxy.kernels.dispatch import by_count, by_type
 from softfinger.proxy.kernels.friction import static_coefficient
@@ -22,9 +22,11 @@ from softfinger.proxy.kernels.model import (
     Ellipsoid,
     Plane,
     Sphere,
+    State,
     Torus,
     Vec3,
 )
+from softfinger.proxy.kernels.sweep import first_hit
 
 ROUNDS = 10
 """Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""
@@ -62,6 +64,21 @@ def hold_by(first: float, normal: Vec3) -> Held:
     return Held(first, NONE, NONE, normal, normal, normal, Push(0.0, 0.0, 0.0))
 
 
+@by_count
+def hold_again(objects: Any, state: State, normal: Vec3) -> Any:
+    """Held by what held at the last tick, by the first of them with `normal`; not yet pressed."""
+
+
+@hold_again.of(1)
+def hold_by_the_only_one(objects: Any, state: State, normal: Vec3) -> Held:
+    return hold_by(0.0, normal)
+
+
+@hold_again.of(2)
+def hold_by_several(objects: Any, state: State, normal: Vec3) -> Held:
+    return Held(state.first, state.second, state.third, normal, normal, normal, Push(0.0, 0.0, 0.0))
+
+
 @jit
 def count_of(held: Held) -> int:
     if held.second < 0.0:
@@ -76,6 +93,21 @@ def pressed(held: Held, behind: Vec3) -> Held:
     demands = vec3.dot(behind, n1), vec3.dot(behind, n2), vec3.dot(behind, n3)
     push = smallest_push(count_of(held), n1, n2, n3, demands[0], demands[1], demands[2])
     return Held(held.first, held.second, held.third, n1, n2, n3, push)
+
+
+@by_count
+def displacement_by(objects: Any, held: Held) -> Any:
+    """How far (3,) m what holds the proxy keeps it from where the probe and friction would have it."""
+
+
+@displacement_by.of(1)
+def displacement_by_one(objects: Any, held: Held) -> Vec3:
+    return vec3.scale(held.push.first, held.n1)
+
+
+@displacement_by.of(2)
+def displacement_by_several(objects: Any, held: Held) -> Vec3:
+    return displacement(held.push, held.n1, held.n2, held.n3)
 
 
 @by_count
@@ -128,8 +160,9 @@ def rest_on(shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, def
 def rest_on_plane(
     shape: Plane, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3]:
-    depth = vec3.dot(vec3.sub(center, probe), normal)
-    return vec3.add(probe, vec3.add_scaled(deflection, depth, normal)), normal
+    """Found from the probe alone, so that a tick does not wait for the last one's proxy."""
+    gap, _, normal = closest_on(body, probe)
+    return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal
 
 
 def rest_on_curved(

@@ -12,8 +12,9 @@ Finite input gives finite force, however far out or fast: the products are kept 
 from math import floor, pi, sin
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels import rotations, vec3
+from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.dispatch import by_count, by_type
+from softfinger.proxy.kernels.frames import into, out_of
 from softfinger.proxy.kernels.jit import jit
 from softfinger.proxy.kernels.model import (
     Anchor,
@@ -23,7 +24,6 @@ from softfinger.proxy.kernels.model import (
     Magnet,
     NormalVibration,
     Phase,
-    Pose,
     SphereBoundary,
     SphereRegion,
     Spring,
@@ -69,14 +69,6 @@ def effect_force(effect: Any, state: Any, moment: Moment) -> Any: ...
 
 @by_type
 def reach(region: Any, moment: Moment) -> Any: ...
-
-
-@by_type
-def to_body(carrier: Any, x: Vec3) -> Any: ...
-
-
-@by_type
-def to_world(carrier: Any, x: Vec3) -> Any: ...
 
 
 # --- where an effect acts ------------------------------------------------------------------------
@@ -246,27 +238,6 @@ def magnet_force(effect: Magnet, state: None, moment: Moment) -> tuple[Vec3, Non
     return times(-effect.force * (1.0 - gap / effect.range) ** effect.exponent, moment.normal), None
 
 
-@to_body.of(None)
-def to_body_at_rest(carrier: None, x: Vec3) -> Vec3:
-    return x
-
-
-@to_body.of(Pose)
-def to_body_of_pose(carrier: Pose, x: Vec3) -> Vec3:
-    """World point (3,) in the frame of a moving object."""
-    return rotations.rotate(rotations.conjugate(carrier.orientation), vec3.sub(x, carrier.position))
-
-
-@to_world.of(None)
-def to_world_at_rest(carrier: None, x: Vec3) -> Vec3:
-    return x
-
-
-@to_world.of(Pose)
-def to_world_of_pose(carrier: Pose, x: Vec3) -> Vec3:
-    return vec3.add(carrier.position, rotations.rotate(carrier.orientation, x))
-
-
 @effect_force.of(StickSlip)
 def stick_slip_force(effect: StickSlip, state: Anchor, moment: Moment) -> tuple[Vec3, Anchor]:
     """A spring along the surface to a point that sticks to the object, until it would pull too hard.
@@ -278,10 +249,10 @@ def stick_slip_force(effect: StickSlip, state: Anchor, moment: Moment) -> tuple[
     zero = (0.0, 0.0, 0.0)
     if moment.touched == 0.0:
         return zero, Anchor(zero, 0.0)
-    here = Anchor(to_body(moment.carrier, moment.position), 1.0)
+    here = Anchor(into(moment.carrier, moment.position), 1.0)
     if state.held == 0.0:
         return zero, here
-    stretched = vec3.sub(to_world(moment.carrier, state.point), moment.position)
+    stretched = vec3.sub(out_of(moment.carrier, state.point), moment.position)
     pull = vec3.scale(effect.stiffness, vec3.reject(stretched, moment.normal))
     if vec3.norm(pull) <= effect.force_max:
         return pull, state

@@ -6,6 +6,30 @@ from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.jit import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
+SMALL = 0.1
+"""Below this a tangent or an angle (rad) is put into a power series, a fifth of the time of the library's call. The
+first term left out is below 1e-17 of the sum; the rotation of one tick is hardly ever larger."""
+
+
+@jit
+def sinc(x: float) -> float:
+    """sin(x) / x, and 1 at 0."""
+    if abs(x) < SMALL:
+        y = x * x
+        return 1.0 - y * (1.0 / 6.0 - y * (1.0 / 120.0 - y * (1.0 / 5040.0 - y * (1.0 / 362880.0))))
+    return sin(x) / x
+
+
+@jit
+def angle_of(s: float, c: float) -> float:
+    """Angle (rad) of a rotation from the sine and the cosine of its half: 2 atan2(s, c), for c >= 0."""
+    if abs(s) < SMALL * c:
+        t = s / c
+        y = t * t
+        series = 1.0 / 7.0 - y * (1.0 / 9.0 - y * (1.0 / 11.0 - y * (1.0 / 13.0 - y * (1.0 / 15.0))))
+        return 2.0 * t * (1.0 - y * (1.0 / 3.0 - y * (1.0 / 5.0 - y * series)))
+    return 2.0 * atan2(s, c)
+
 
 @jit
 def conjugate(q: Quaternion) -> Quaternion:
@@ -53,7 +77,7 @@ def twist(q: Quaternion, n: Vec3) -> float:
 
     The sum phi + psi of the ZXZ Euler angles of `q` in any frame whose z axis is `n`.
     """
-    return 2.0 * atan2(q[1] * n[0] + q[2] * n[1] + q[3] * n[2], q[0])
+    return angle_of(q[1] * n[0] + q[2] * n[1] + q[3] * n[2], q[0])
 
 
 @jit
@@ -73,7 +97,7 @@ def tilt(q: Quaternion, n: Vec3) -> tuple[float, Vec3]:
     z = vec3.dot(v, n)
     t = vec3.add_scaled(v, -z, n)
     s = vec3.norm(t)
-    theta = 2.0 * atan2(s, sqrt(q[0] * q[0] + z * z))
+    theta = angle_of(s, sqrt(q[0] * q[0] + z * z))
     if s > 0.0:
         return theta, vec3.scale(1.0 / s, t)
     return 0.0, (0.0, 0.0, 0.0)
@@ -82,10 +106,9 @@ def tilt(q: Quaternion, n: Vec3) -> tuple[float, Vec3]:
 @jit
 def exp(w: Vec3) -> Quaternion:
     """Unit quaternion of the rotation vector `w` (3,) rad."""
-    angle = vec3.norm(w)
-    # sin(x)/x is accurate down to the smallest angle whose square is not zero; below that it is 1.
-    s = sin(0.5 * angle) / angle if angle > 0.0 else 0.5
-    return (cos(0.5 * angle), s * w[0], s * w[1], s * w[2])
+    half = 0.5 * vec3.norm(w)
+    s = 0.5 * sinc(half)
+    return (cos(half), s * w[0], s * w[1], s * w[2])
 
 
 @jit
@@ -93,13 +116,7 @@ def log(q: Quaternion) -> Vec3:
     """Rotation vector (3,) rad of the unit quaternion `q` with w >= 0; its length is at most pi."""
     v = (q[1], q[2], q[3])
     s = vec3.norm(v)
-    return vec3.scale(2.0 * atan2(s, q[0]) / s if s > 0.0 else 2.0, v)
-
-
-@jit
-def sinc(x: float) -> float:
-    """sin(x) / x, and 1 at 0."""
-    return sin(x) / x if x != 0.0 else 1.0
+    return vec3.scale(angle_of(s, q[0]) / s if s > 0.0 else 2.0, v)
 
 
 @jit

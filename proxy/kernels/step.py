@@ -4,21 +4,14 @@ from typing import Any
 
 from softfinger.proxy.kernels import rotations, vec3
 from softfinger.proxy.kernels.approach import has_ended, stay, touch
-from softfinger.proxy.kernels.bodies import (
-    Touched,
-    apply_objects_effects,
-    material_of,
-    number_of,
-    place_all,
-    pose_of,
-)
+from softfinger.proxy.kernels.bodies import material_of, number_of, place_all, pose_of
 from softfinger.proxy.kernels.cones import turned
-from softfinger.proxy.kernels.constraints import displacement
-from softfinger.proxy.kernels.contacts import NONE, Held, hold_by, load_of, settle, tangent_to_all
+from softfinger.proxy.kernels.contacts import NONE, Held, displacement_by, hold_by, load_of, settle, tangent_to_all
 from softfinger.proxy.kernels.effects import Moment, apply_effects
 from softfinger.proxy.kernels.friction import hold
 from softfinger.proxy.kernels.jit import jit
 from softfinger.proxy.kernels.model import Contact, Pose, Quaternion, Scene, State, Tick, Vec3
+from softfinger.proxy.kernels.object_effects import Touched, apply_objects_effects
 from softfinger.proxy.kernels.rolling import torque_stiffness
 from softfinger.proxy.state import CAUSE_NONE, CAUSE_RELEASE, FREE, SLIDING
 
@@ -139,7 +132,7 @@ def step(scene: Scene, state: State, position: Vec3, orientation: Quaternion, dt
     after = State(
         1.0, state.time + dt, position, orientation, velocity, kept.mode, rests.first, rests.second, rests.third,
         pose_of(objects, rests.first), center, normal,
-        vec3.sub(behind, displacement(rests.push, rests.n1, rests.n2, rests.n3)),
+        vec3.sub(behind, displacement_by(objects, rests)),
         tangent_to_all(rests, kept.rolled_part), spin, kept.slip_speed, kept.slip_deflection, slip_speed, slip_angle,
         rolled, states,
     )  # fmt: skip

@@ -8,7 +8,7 @@ spin is exact on planes, on spheres and across edges; with spin the paths stray,
 Source: Salvietti, Malvezzi, Prattichizzo (2013), Algorithm 1 and eqs. 2-7.
 """
 
-from math import sin, sqrt
+from math import sqrt
 from typing import Any
 
 from softfinger.proxy.kernels import rotations, vec3
@@ -47,8 +47,9 @@ def round_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, along: Ve
     k1, k2, d1 = curvature(shape, radius, vec3.add_scaled(center, -radius, normal), normal)
     c, s = vec3.dot(along, d1), vec3.dot(along, vec3.cross(normal, d1))
     half = 0.5 * (k1 * c * c + k2 * s * s) * length
+    chord = rotations.sinc(half)
     moved = vec3.add_scaled(center, length * rotations.sinc(2.0 * half), along)
-    return vec3.add_scaled(moved, -length * rotations.sinc(half) * sin(half), normal)
+    return vec3.add_scaled(moved, -length * half * chord * chord, normal)
 
 
 for _shape in (Sphere, Cylinder, CappedCylinder, Capsule, Box, Ellipsoid, Torus):

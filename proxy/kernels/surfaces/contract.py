@@ -93,5 +93,6 @@ def turn_along(v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
     square = vec3.dot(middle, middle)
     if square < 1e-28:
         middle, square = any_tangent(normal_from), 1.0
-    flipped = vec3.add_scaled(v, -2.0 * vec3.dot(middle, v) / square, middle)
+    # One division for all vectors that are carried between the same two normals.
+    flipped = vec3.add_scaled(v, (-2.0 / square) * vec3.dot(middle, v), middle)
     return vec3.add_scaled(flipped, 2.0 * vec3.dot(normal_from, v), normal_to)

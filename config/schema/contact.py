@@ -1,0 +1,96 @@
+"""How the fingertip follows the hand: its sphere, its rolling, its coupling to the probe, the probe itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from softfinger.config import limits
+from softfinger.config.schema.fields import Complaint, Table, known, said, within
+
+RollingMethod = Literal["euler_zxz", "euler_zyx", "rotation_vector", "midpoint", "montana_rk4", "montana_rk45"]
+StateMachine = Literal["default", "paper"]
+PassivityMode = Literal["observe", "control"]
+
+
+class Fingertip(Table, frozen=True, kw_only=True):
+    """The rigid sphere carried by the probe."""
+
+    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the fingertip sphere", 0.01)]
+
+
+class Rolling(Table, frozen=True, kw_only=True):
+    """Rolling of the fingertip over the object; without this table it does not roll."""
+
+    method: Annotated[RollingMethod, said("how a rotation between two ticks is turned into a roll", "euler_zxz")]
+    torque_stiffness_n_per_m: (
+        Annotated[
+            float,
+            within(
+                limits.STIFFNESS_N_PER_M,
+                "force per length of roll the hand has not followed (k_tau); at most the coupling stiffness, which is "
+                "its default and its only conservative value",
+                1000.0,
+            ),
+        ]
+        | None
+    ) = None
+    tolerance: (
+        Annotated[
+            float,
+            within(
+                limits.ROLL_TOLERANCE,
+                "error of a sub-step relative to the fingertip's radius; montana_rk45 only, which has 1e-9 without it",
+                1e-9,
+            ),
+        ]
+        | None
+    ) = None
+    state_machine: Annotated[
+        StateMachine,
+        said("when rolling passes to sliding; paper: the paper's rule to the letter, for study only", "default"),
+    ] = "default"
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.method, self.tolerance) and self.tolerance is not None and self.method != "montana_rk45":
+            yield "tolerance", self.tolerance, f"is for montana_rk45; {self.method} takes a fixed step: leave it out"
+
+
+class Coupling(Table, frozen=True, kw_only=True):
+    """Tangential spring and damper between the proxy and the probe."""
+
+    stiffness_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "tangential stiffness (K_t)", 1000.0)] = 1000.0
+    damping_ns_per_m: Annotated[
+        float, within(limits.DAMPING_NS_PER_M, "tangential damping (B), acting while rolling only", 1.0)
+    ] = 1.0
+
+
+class Probe(Table, frozen=True, kw_only=True):
+    """How the measured pose is taken."""
+
+    velocity_time_constant_s: Annotated[
+        float, within(limits.TIME_CONSTANT_S, "low-pass of the probe velocity; 0 is the plain difference", 0.002)
+    ] = 0.002
+    position_resolution_m: Annotated[
+        float, within(limits.RESOLUTION_M, "step of the device's encoders, below which a motion is noise", 1e-5)
+    ] = 0.0
+
+
+class Passivity(Table, frozen=True, kw_only=True):
+    """Watch over the energy that the rendering gives to the hand; without this table nobody does."""
+
+    mode: Annotated[
+        PassivityMode, said("observe: tell it in the telemetry; control: also damp what is owed", "control")
+    ]
+    damping_max_ns_per_m: (
+        Annotated[
+            float,
+            within(limits.DAMPING_NS_PER_M, "largest damping the controller may add; control only, which has 20", 20.0),
+        ]
+        | None
+    ) = None
+
+    def faults(self) -> Iterator[Complaint]:
+        given = self.damping_max_ns_per_m
+        if known(self.mode, given) and given is not None and self.mode != "control":
+            yield "damping_max_ns_per_m", given, 'is for mode = "control": leave it out'

@@ -1,0 +1,79 @@
+"""What the fields of the structs are made of: numbers with range, unit, meaning and example.
+
+For the structs of this package and for the options of drivers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Final
+
+import msgspec
+from msgspec import Meta, Struct
+
+from softfinger.config import limits
+
+Complaint = tuple[str, Any, str]
+"""Key within the struct, the value seen (UNSET: a whole table), and what is wrong with it."""
+
+
+class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Common options of all tables."""
+
+
+def known(*values: object) -> bool:
+    """Whether none of these fields was unusable in the file."""
+    return not any(value is msgspec.UNSET for value in values)
+
+
+def within(span: limits.Range, meaning: str, example: Any = None) -> Meta:
+    """Range, meaning and example of a number; for the structs here and the drivers' options."""
+    examples = None if example is None else [example]
+    return Meta(ge=span.low, le=span.high, description=meaning, examples=examples, extra={"reason": span.reason})
+
+
+def sized(span: limits.Range, meaning: str, example: Any = None) -> Meta:
+    """Length, meaning and example of a text or a list."""
+    examples = None if example is None else [example]
+    return Meta(min_length=int(span.low), max_length=int(span.high), description=meaning, examples=examples)
+
+
+def said(meaning: str, example: Any = None) -> Meta:
+    """Meaning and example of a field that is not a single number."""
+    return Meta(description=meaning, examples=None if example is None else [example])
+
+
+_UNITS: Final = {
+    "_rad_per_s": "rad/s",
+    "_nm_per_rad": "N m/rad",
+    "_nm_per_s": "N m/s",
+    "_ns_per_m": "N s/m",
+    "_n_per_m": "N/m",
+    "_n_per_s": "N/s",
+    "_m_per_s": "m/s",
+    "_s_per_m": "s/m",
+    "_hz": "Hz",
+    "_nm": "N m",
+    "_rad": "rad",
+    "_kg": "kg",
+    "_ticks": "ticks",
+    "_m": "m",
+    "_n": "N",
+    "_s": "s",
+}
+
+
+def unit(key: str) -> str:
+    """Unit that the end of a key says, longest ending first; empty for a plain number or a text."""
+    return next((name for suffix, name in _UNITS.items() if key.endswith(suffix)), "")
+
+
+Coordinate = Annotated[float, Meta(ge=limits.COORDINATE_M.low, le=limits.COORDINATE_M.high)]
+Length = Annotated[float, Meta(ge=limits.LENGTH_M.low, le=limits.LENGTH_M.high)]
+Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION.high)]
+
+
+def direction_faults(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:
+    """A direction of all zeros; one left out is none of this field's faults."""
+    if known(direction) and direction is not None and not any(direction):
+        yield key, direction, "all zero is no direction: [0, 0, 1] is the z axis"

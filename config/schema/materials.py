@@ -1,0 +1,160 @@
+"""What an object feels like: its stiffness, its friction, its torsion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from msgspec import Meta
+
+from softfinger.config import limits, materials
+from softfinger.config.schema.fields import Complaint, Component, Table, known, said, sized, within
+
+TorsionModel = Literal["independent", "limit_surface", "soft_finger_proxy"]
+Scale = Annotated[float, Meta(ge=limits.FRICTION_SCALE.low, le=limits.FRICTION_SCALE.high)]
+
+
+class Friction(Table, frozen=True, kw_only=True):
+    """Coulomb friction, and what may be added to it; without this table the object is frictionless."""
+
+    static: Annotated[float, within(limits.FRICTION, "coefficient of static friction (mu_s)", 0.6)]
+    kinetic: Annotated[float, within(limits.FRICTION, "coefficient of kinetic friction (mu_d), at most static", 0.5)]
+    stribeck_speed_m_per_s: (
+        Annotated[
+            float,
+            within(
+                limits.STRIBECK_SPEED_M_PER_S,
+                "slip speed (v_s) over which friction falls from static to kinetic; absent: it falls at once",
+                0.02,
+            ),
+        ]
+        | None
+    ) = None
+    viscous_s_per_m: (
+        Annotated[float, within(limits.VISCOUS_S_PER_M, "rise of the coefficient with the slip speed", 0.5)] | None
+    ) = None
+    direction_x: (
+        Annotated[
+            tuple[Component, Component, Component],
+            said(
+                "the direction called along, in the object's frame, laid onto the surface; absent: alike in all "
+                "directions",
+                [1.0, 0.0, 0.0],
+            ),
+        ]
+        | None
+    ) = None
+    static_scale: (
+        Annotated[tuple[Scale, Scale], said("factors of static friction along and across", [1.0, 0.5])] | None
+    ) = None
+    kinetic_scale: (
+        Annotated[tuple[Scale, Scale], said("factors of kinetic friction along and across", [1.0, 0.5])] | None
+    ) = None
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.static, self.kinetic) and self.kinetic > self.static:
+            yield "kinetic", self.kinetic, f"must be at most static = {self.static:g}, the friction before it slides"
+        if not known(self.direction_x, self.static_scale, self.kinetic_scale):
+            return
+        if self.direction_x is None:
+            for key in ("static_scale", "kinetic_scale"):
+                if getattr(self, key) is not None:
+                    yield key, getattr(self, key), "needs direction_x, the direction that its first factor is for"
+            return
+        if not any(self.direction_x):
+            yield "direction_x", self.direction_x, "all zero is no direction: [1, 0, 0] is the object's x axis"
+        if known(self.static, self.kinetic) and self.kinetic <= self.static:
+            static, kinetic = self.static_scale or (1.0, 1.0), self.kinetic_scale or (1.0, 1.0)
+            for way, before, after in zip(("along", "across"), static, kinetic, strict=True):
+                if self.kinetic * after > self.static * before:
+                    yield (
+                        "kinetic_scale",
+                        kinetic,
+                        f"makes kinetic friction {self.kinetic * after:g} {way}, above the static "
+                        f"{self.static * before:g}: lower it, or raise static_scale",
+                    )
+
+
+class Torsion(Table, frozen=True, kw_only=True):
+    """Moment of a soft finger about the contact normal; without this table there is none."""
+
+    stiffness_nm_per_rad: Annotated[float, within(limits.TORSION_NM_PER_RAD, "moment per angle of spin (k_z)", 0.05)]
+    friction_length_m: Annotated[
+        float,
+        within(limits.FRICTION_LENGTH_M, "largest moment per normal force (mu_t); beyond it the contact spins", 0.004),
+    ]
+    exponent: (
+        Annotated[
+            float,
+            within(
+                limits.TORSION_EXPONENT,
+                "growth of the contact patch (gamma): the largest moment is friction_length_m f_N (f_N / 1 N)^gamma",
+                0.333,
+            ),
+        ]
+        | None
+    ) = None
+    model: Annotated[
+        TorsionModel,
+        said(
+            "independent: of the tangential force; limit_surface: both share one limit; soft_finger_proxy: static and "
+            "kinetic torsional friction",
+            "independent",
+        ),
+    ] = "independent"
+    kinetic_friction_length_m: (
+        Annotated[
+            float,
+            within(
+                limits.FRICTION_LENGTH_M,
+                "the same once it spins, for the model soft_finger_proxy; at most friction_length_m, its default",
+                0.003,
+            ),
+        ]
+        | None
+    ) = None
+
+    def faults(self) -> Iterator[Complaint]:
+        kinetic = self.kinetic_friction_length_m
+        if not known(kinetic) or kinetic is None:
+            return
+        if known(self.model) and self.model != "soft_finger_proxy":
+            yield (
+                "kinetic_friction_length_m",
+                kinetic,
+                f'belongs to model = "soft_finger_proxy", this is "{self.model}": change the model or leave it out',
+            )
+        elif known(self.friction_length_m) and kinetic > self.friction_length_m:
+            yield (
+                "kinetic_friction_length_m",
+                kinetic,
+                f"must be at most friction_length_m = {self.friction_length_m:g} m, the limit before it spins",
+            )
+
+
+class Material(Table, frozen=True, kw_only=True):
+    """What an object feels like."""
+
+    library: ClassVar[Callable[[], Mapping[str, Mapping[str, Any]]]] = staticmethod(materials.library)
+    """Materials that a scene may name; the values of the named one stand wherever it says nothing itself."""
+
+    name: (
+        Annotated[
+            str, sized(limits.NAME_LENGTH, "a material of the library, whose other keys may be changed", "rubber")
+        ]
+        | None
+    ) = None
+    stiffness_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "normal stiffness (K_n)", 1000.0)]
+    damping_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "normal damping", 0.0)] = 0.0
+    friction: Friction | None = None
+    torsion: Torsion | None = None
+
+    def faults(self) -> Iterator[Complaint]:
+        if not known(self.friction, self.torsion) or self.torsion is None:
+            return
+        if self.torsion.model == "limit_surface" and self.friction is None:
+            yield (
+                "torsion.model",
+                self.torsion.model,
+                "needs friction to share its limit with: give the material `friction`, or take the model independent",
+            )

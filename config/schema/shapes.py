@@ -1,0 +1,167 @@
+"""Objects: what all of them have, and the dimensions of each shape."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, ClassVar
+
+import msgspec
+
+from softfinger.config import limits
+from softfinger.config.schema.effects import ObjectEffect
+from softfinger.config.schema.fields import Complaint, Component, Coordinate, Length, Table, known, said, sized, within
+from softfinger.config.schema.materials import Material
+from softfinger.config.schema.motions import Motion
+
+Inside = Annotated[bool, said("touched from inside: a hollow, and the fingertip in it", False)]
+
+
+class ObjectBase(Table, frozen=True, kw_only=True):
+    """What every object has, whatever its shape. A shape adds its own dimensions and its tag."""
+
+    shape: ClassVar[str]
+
+    name: Annotated[str, sized(limits.NAME_LENGTH, "name of the object, unlike any other in the scene", "table")]
+    position_m: Annotated[
+        tuple[Coordinate, Coordinate, Coordinate], said("origin of the object's frame in the world", [0.0, 0.0, 0.0])
+    ] = (0.0, 0.0, 0.0)
+    orientation_wxyz: Annotated[
+        tuple[Component, Component, Component, Component],
+        said("quaternion w, x, y, z, object to world; normalised on load", [1.0, 0.0, 0.0, 0.0]),
+    ] = (1.0, 0.0, 0.0, 0.0)
+    material: Material
+    effect: Annotated[tuple[ObjectEffect, ...], sized(limits.EFFECTS, "what it does to the hand besides")] = ()
+    motion: Annotated[Motion | None, said("how it moves by itself; without this table it stands still")] = None
+
+    def __post_init__(self) -> None:
+        if not known(self.orientation_wxyz):
+            return
+        norm = math.hypot(*self.orientation_wxyz)
+        # A quaternion that is unit to the last bits stays as it is, so that a scene survives a round trip.
+        if norm > 0.0 and math.isfinite(norm) and abs(norm - 1.0) > 1e-15:
+            w, x, y, z = self.orientation_wxyz
+            msgspec.structs.force_setattr(self, "orientation_wxyz", (w / norm, x / norm, y / norm, z / norm))
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.orientation_wxyz) and not any(self.orientation_wxyz):
+            zero = self.orientation_wxyz
+            yield "orientation_wxyz", zero, "all zero is no orientation: [1, 0, 0, 0] leaves the object unturned"
+        if known(self.name) and not (self.name.isprintable() and self.name.strip()):
+            yield "name", self.name, "must have printable characters only, and not blanks alone"
+
+    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+        """What leaves no room for a fingertip of this radius, m, on the side that is touched."""
+        yield from ()
+
+
+class Plane(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="plane"):
+    """A half-space: the plane through the object's origin, outward normal its z axis."""
+
+    shape: ClassVar[str] = "plane"
+
+
+class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphere"):
+    """A sphere about the object's origin."""
+
+    shape: ClassVar[str] = "sphere"
+    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the sphere", 0.05)]
+    inside: Inside = False
+
+    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+        if known(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
+            yield "radius_m", self.radius_m, _too_tight(fingertip_m)
+
+
+class Cylinder(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cylinder"):
+    """A cylinder about the object's z axis, centred on its origin, with flat ends or without ends."""
+
+    shape: ClassVar[str] = "cylinder"
+    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the cylinder", 0.05)]
+    length_m: Annotated[float, within(limits.LENGTH_M, "from end to end; absent: no ends", 0.2)] | None = None
+    inside: Inside = False
+
+    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+        if not known(self.inside) or not self.inside:
+            return
+        if known(self.radius_m) and self.radius_m <= fingertip_m:
+            yield "radius_m", self.radius_m, _too_tight(fingertip_m)
+        if known(self.length_m) and self.length_m is not None and self.length_m <= 2.0 * fingertip_m:
+            yield "length_m", self.length_m, _too_tight(2.0 * fingertip_m, "diameter")
+
+
+class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="capsule"):
+    """A cylinder about the object's z axis with round ends, centred on its origin."""
+
+    shape: ClassVar[str] = "capsule"
+    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the cylinder and of its ends", 0.02)]
+    length_m: Annotated[float, within(limits.LENGTH_M, "between the centres of the ends", 0.1)]
+    inside: Inside = False
+
+    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+        if known(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
+            yield "radius_m", self.radius_m, _too_tight(fingertip_m)
+
+
+class Box(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="box"):
+    """A box along the object's axes, centred on its origin."""
+
+    shape: ClassVar[str] = "box"
+    size_m: Annotated[tuple[Length, Length, Length], said("full lengths of the edges along x, y, z", [0.1, 0.1, 0.04])]
+    inside: Inside = False
+
+    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+        if known(self.size_m, self.inside) and self.inside and min(self.size_m) <= 2.0 * fingertip_m:
+            yield "size_m", self.size_m, _too_tight(2.0 * fingertip_m, "diameter", "every edge")
+
+
+class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="ellipsoid"):
+    """An ellipsoid along the object's axes, centred on its origin."""
+
+    shape: ClassVar[str] = "ellipsoid"
+    semi_axes_m: Annotated[tuple[Length, Length, Length], said("half lengths along x, y, z", [0.06, 0.04, 0.03])]
+    inside: Inside = False
+
+    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+        if not known(self.semi_axes_m, self.inside) or not self.inside:
+            return
+        sharpest = min(self.semi_axes_m) ** 2 / max(self.semi_axes_m)
+        if sharpest <= fingertip_m:
+            seen = f"the smallest radius of curvature, shortest^2 / longest = {sharpest:g} m,"
+            yield "semi_axes_m", self.semi_axes_m, _too_tight(fingertip_m, "radius", seen)
+
+
+class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus"):
+    """A ring about the object's z axis, centred on its origin."""
+
+    shape: ClassVar[str] = "torus"
+    major_radius_m: Annotated[float, within(limits.LENGTH_M, "from the centre to the middle of the tube", 0.06)]
+    minor_radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the tube; below major_radius_m", 0.02)]
+    inside: Inside = False
+
+    def faults(self) -> Iterator[Complaint]:
+        yield from super().faults()
+        major, minor = self.major_radius_m, self.minor_radius_m
+        if known(major, minor) and minor >= major:
+            yield "minor_radius_m", minor, f"must be below major_radius_m = {major:g} m, or the ring has no hole"
+
+    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+        major, minor = self.major_radius_m, self.minor_radius_m
+        if not known(major, minor, self.inside):
+            return
+        if self.inside and minor <= fingertip_m:
+            yield "minor_radius_m", minor, _too_tight(fingertip_m)
+        # A fingertip stuck in the hole would touch a whole circle of points at once.
+        if not self.inside and minor < major <= minor + fingertip_m:
+            hole = f"major_radius_m - minor_radius_m = {major - minor:g} m, the radius of the hole,"
+            yield "major_radius_m", major, _too_tight(fingertip_m, "radius", hole)
+
+
+def _too_tight(least_m: float, measure: str = "radius", what: str = "") -> str:
+    """Why the fingertip does not fit; `least_m` is its radius or diameter."""
+    room = f"must be above {least_m:g} m, the {measure} of the fingertip that has to fit in"
+    return f"{what} {room}".strip() + ": widen it, or take a smaller fingertip.radius_m"
+
+
+Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus
+"""Any object: the key `shape` tells them apart."""

@@ -1,0 +1,125 @@
+"""What messages and reference tables say of a field and of a value."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from msgspec import inspect
+
+from softfinger.config.schema import unit
+from softfinger.config.typeinfo import options, unwrapped
+
+_INDEX: Final = re.compile(r"\[\d+\]")
+_SHOWN: Final = 60
+
+
+def expected(info: inspect.Type, key: str) -> str:
+    """What a value has to be, in words: `a number from 0 to 40 N`."""
+    kind, _ = unwrapped(info)
+    match kind:
+        case inspect.FloatType() | inspect.IntType():
+            noun = "a whole number" if isinstance(kind, inspect.IntType) else "a number"
+            return f"{noun}{_span(kind)}{_unit(key)}"
+        case inspect.StrType():
+            return "text" + _length(kind, "characters") + (f" like {kind.pattern}" if kind.pattern else "")
+        case inspect.LiteralType():
+            return either(kind.values)
+        case inspect.BoolType():
+            return "true or false"
+        case inspect.TupleType():
+            each, _ = unwrapped(kind.item_types[0])
+            limits = _span(each) if isinstance(each, inspect.FloatType | inspect.IntType) else ""
+            return f"a list of {len(kind.item_types)} numbers{limits}{_unit(key)}"
+        case inspect.VarTupleType() | inspect.ListType():
+            what = "tables" if _is_table(kind.item_type) else "values"
+            return "a list" + (_length(kind, what) or f" of {what}")
+        case inspect.UnionType():
+            return " or ".join(expected(option, key) for option in options(kind))
+        case inspect.NoneType():
+            return "left out"
+        case _:
+            return "a table"
+
+
+def missing(info: inspect.Type, dotted: str, name: str) -> str:
+    """What to add where a required field is left out."""
+    kind, extra = unwrapped(info)
+    if isinstance(kind, inspect.StructType):
+        return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
+    if isinstance(kind, inspect.VarTupleType) and _is_table(kind.item_type):
+        return f"{dotted} is missing: add at least one table [[{dotted}]]"
+    text = f"{dotted} is missing: give {expected(info, name)}"
+    meaning = f" ({extra['description']})" if "description" in extra else ""
+    example = f", such as {name} = {toml(extra['examples'][0])}" if extra.get("examples") else ""
+    return text + meaning + example
+
+
+def _is_table(info: inspect.Type) -> bool:
+    """Whether values of this type are tables, of one kind or of several."""
+    kind, _ = unwrapped(info)
+    members = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
+    return all(isinstance(unwrapped(member)[0], inspect.StructType) for member in members)
+
+
+def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, what: str) -> str:
+    """` of 1 to 64 characters`, or nothing where any length will do."""
+    low, high = kind.min_length or 0, kind.max_length
+    return f" of {low} to {high} {what}" if high is not None else f" of at least {low} {what}" if low else ""
+
+
+def _span(kind: inspect.FloatType | inspect.IntType) -> str:
+    """Range of a number: ` from 0 to 40`, ` above 0`, or nothing."""
+    low = f"{kind.ge:g}" if kind.ge is not None else f"above {kind.gt:g}" if kind.gt is not None else ""
+    high = f"{kind.le:g}" if kind.le is not None else f"below {kind.lt:g}" if kind.lt is not None else ""
+    if low and high:
+        return f" from {low} to {high}"
+    if low:
+        return f" {low}" if kind.ge is None else f" of at least {low}"
+    return f" {high}" if kind.lt is not None else f" of at most {high}" if high else ""
+
+
+def shown(value: object) -> str:
+    """A value as a message may carry it: one line, bounded, never an error itself."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return repr(value if len(value) <= _SHOWN else value[:_SHOWN] + "...")
+    if isinstance(value, int):
+        return str(value) if value.bit_length() <= 64 else f"a whole number of {value.bit_length()} bits"
+    if isinstance(value, float):
+        return repr(float(value))
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list | tuple):
+        flat = len(value) <= 6 and all(isinstance(v, int | float | str) for v in value)
+        return f"[{', '.join(shown(v) for v in value)}]" if flat else f"a list of {len(value)} values"
+    return "nothing" if value is None else f"a {type(value).__name__}"
+
+
+def toml(value: object) -> str:
+    """An example as one would write it in a file."""
+    return json.dumps(value)
+
+
+def near(given: object, allowed: Iterable[object]) -> str:
+    """` (did you mean 'plane'?)` where one of the allowed names is close."""
+    # An endless key would keep difflib busy, and nothing is close to it anyway.
+    if not isinstance(given, str) or len(given) > 64:
+        return ""
+    close = difflib.get_close_matches(given.lower(), [name for name in allowed if isinstance(name, str)], n=1)
+    return f" (did you mean '{close[0]}'?)" if close else ""
+
+
+def either(names: Iterable[object]) -> str:
+    """`one of 'a', 'b'`, or the only name."""
+    listed = [shown(name) for name in names]
+    return listed[0] if len(listed) == 1 else f"one of {', '.join(listed)}"
+
+
+def _unit(key: str) -> str:
+    name = unit(_INDEX.sub("", key))
+    return f" {name}" if name else ""

@@ -1,0 +1,187 @@
+"""`accuracy`: what each rolling method costs and how far it strays, on every surface.
+
+First the paper's experiment, then the trade of speed against accuracy: largest error of the contact's path against an
+independent eighth-order reference, error of the spin, drift off the surface, and time of a step, over the servo rate,
+the rotation rate, the curvature ratio and the ratio of spin to roll.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+from collections.abc import Callable, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import llvmlite.binding as llvm
+
+from softfinger.config.errors import ConfigError
+from softfinger.server.progress import progress
+from softfinger.tools.accuracy_cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
+from softfinger.tools.accuracy_figures import FIGURES, draw_fronts
+from softfinger.tools.accuracy_front import fronts, orders, recommendations
+from softfinger.tools.accuracy_measure import DRIFT_BLOCK, DriftCase, run_case, run_drift
+from softfinger.tools.accuracy_paper import experiment, speed
+from softfinger.tools.accuracy_report import print_report, write_report
+from softfinger.tools.measure import add_output_options, check_figure, show
+
+AnyCase = TypeVar("AnyCase")
+
+RATES_HZ: Final = (4.0, 8.0, 16.0, 32.0, 64.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
+TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
+"""rad/s. A hand turns at 2, quickly at 20; 3000 at 1 kHz is nearly half a turn a step."""
+CURVATURE_RATIOS: Final = (0.01, 0.1, 0.9, 10.0, 100.0)
+SPIN_RATIOS: Final = (0.5, 0.0, 0.1, 10.0)
+SWEEP_RATE_HZ: Final = 1000.0
+REPORT: Final = "accuracy.txt"
+TARGETS_M: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-12)
+PASSES: Final = 20
+DRIFT_STEPS: Final = 1_000_000
+QUICK_RATES_HZ: Final = (8.0, 64.0, 250.0, 1000.0)
+QUICK_PASSES: Final = 5
+QUICK_DRIFT_STEPS: Final = 20_000
+LIMITS: Final = {
+    "rate": (1.0, 1e5, "Hz"),
+    "turn_rate": (1e-6, 1e6, "rad/s"),
+    "curvature_ratio": (1e-3, 1e3, ""),
+    "spin_ratio": (0.0, 1e6, ""),
+    "error_below": (1e-15, 1.0, "m"),
+    "tolerance": (1e-13, 1e-2, ""),
+    "drift_steps": (DRIFT_BLOCK, 10**10, ""),
+}
+"""Smallest and largest value of the options that take numbers, and their unit."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--surface", nargs="+", choices=SURFACES, metavar="S", help=f"of {', '.join(SURFACES)} (all)")
+    parser.add_argument("--method", nargs="+", choices=METHODS, metavar="M", help=f"of {', '.join(METHODS)} (all)")
+    parser.add_argument("--motion", nargs="+", choices=MOTIONS, metavar="K", help=f"of {', '.join(MOTIONS)} (both)")
+    parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (4 to 8000)")
+    parser.add_argument(
+        "--turn-rate", nargs="+", type=float, metavar="RAD_S", default=TURN_RATES,
+        help="rotation rates; the first with every servo rate, the others at 1 kHz (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--curvature-ratio", nargs="*", type=float, metavar="R", default=CURVATURE_RATIOS,
+        help="radius of the fingertip over that of the surface, beside the surfaces' own, at 1 kHz (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--spin-ratio", nargs="+", type=float, metavar="R", default=SPIN_RATIOS,
+        help="spin over roll; the first with every servo rate, the others at 1 kHz (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--error-below", nargs="+", type=float, metavar="M", default=TARGETS_M, help="errors to recommend for, m"
+    )
+    parser.add_argument("--tolerance", type=float, default=1e-9, help="of montana_rk45 (default: %(default)s)")
+    parser.add_argument("--drift-steps", type=int, metavar="N", help=f"steps of the drift test ({DRIFT_STEPS})")
+    parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
+    add_output_options(parser)
+    parser.add_argument("--figures", type=Path, metavar="DIR", help=f"write {', '.join((*FIGURES, REPORT))} there")
+
+
+def run(args: argparse.Namespace) -> int:
+    sweep, drift_cases = plan(args)
+    prepare_figures(args.plot, args.figures)
+    with progress("the paper's experiment"):
+        paper, times = experiment(sweep.tolerance), speed(sweep.tolerance)
+    trade = measured(run_case, cases(sweep), "speed and accuracy")
+    drift = measured(run_drift, drift_cases, "drift")
+    off = {(row["surface"], row["method"]): row["drift_m"] for row in drift}
+    trade = [row | {"drift_m": off[row["surface"], row["method"]]} for row in trade]
+    result: dict[str, Any] = {
+        "machine": machine(),
+        "radius_m": RADIUS_M,
+        "tolerance": sweep.tolerance,
+        "paper": paper,
+        "speed": times,
+        "trade": trade,
+        "drift": drift,
+        "orders": orders(trade),
+        "pareto": fronts(trade),
+        "recommendations": recommendations(trade, args.error_below),
+    }
+    if args.json:
+        show(result, True, ())
+    else:
+        print_report(result)
+    if args.plot:
+        draw_fronts(result, args.plot)
+    if args.figures:
+        for name, draw in FIGURES.items():
+            draw(result, args.figures / name)
+        write_report(result, args.figures / REPORT)
+    return 0
+
+
+def prepare_figures(plot: Path | None, folder: Path | None) -> None:
+    """Make the folder of the figures; ConfigError, before the work and not after it, where one could not be saved."""
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--figures {folder}: {error.strerror}: name a folder that can be written") from error
+    for path in (plot, folder and folder / next(iter(FIGURES))):
+        if path is not None:
+            check_figure(path)
+
+
+def measured(function: Callable[[AnyCase], dict[str, Any]], todo: Sequence[AnyCase], what: str) -> list[dict[str, Any]]:
+    """A row for each case, in their order; the cases do not depend on each other."""
+    rows = []
+    with progress(f"measuring {what}", len(todo)) as done:
+        for number, case in enumerate(todo):
+            rows.append(function(case))
+            done(number + 1)
+    return rows
+
+
+def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
+    """What the options ask for; ConfigError for a value out of range and for options that leave nothing to measure."""
+    for name, (low, high, unit) in LIMITS.items():
+        given = getattr(args, name)
+        for value in given if isinstance(given, list | tuple) else [given]:
+            if value is not None and not (isfinite(value) and low <= value <= high):
+                option = f"--{name.replace('_', '-')}"
+                raise ConfigError(f"{option} {value:g}: must be from {low:g} to {high:g} {unit}".rstrip())
+    surfaces, methods = args.surface or list(SURFACES), args.method or list(METHODS)
+    rates = tuple(args.rate or (QUICK_RATES_HZ if args.quick else RATES_HZ))
+    motions, turn = args.motion or MOTIONS, args.turn_rate[0]
+    longest = longest_step(motions)
+    if turn >= longest * min(rates):
+        raise ConfigError(
+            f"--turn-rate {turn:g} at --rate {min(rates):g}: a step of {turn / min(rates):.3g} rad; with a "
+            f"{' and a '.join(motions)} rate it must be below {longest:.3g}: raise --rate above {turn / longest:.4g}, "
+            "or lower --turn-rate"
+        )
+    pairs = [(s, m) for s in surfaces for m in methods if has_method(s, m)]
+    if not pairs:
+        raise ConfigError(
+            f"--method {' '.join(methods)} --surface {' '.join(surfaces)}: rotation_vector is there for shapes with a "
+            "closed form, not for ellipsoids and tori: name another method or surface"
+        )
+    sweep = Sweep(
+        surfaces=surfaces,
+        methods=methods,
+        motions=motions,
+        rates_hz=rates,
+        turn_rates=args.turn_rate[:1] if args.quick else args.turn_rate,
+        curvature_ratios=() if args.quick else args.curvature_ratio,
+        spin_ratios=args.spin_ratio[:1] if args.quick else args.spin_ratio,
+        tolerance=args.tolerance,
+        passes=QUICK_PASSES if args.quick else PASSES,
+        sweep_rate_hz=SWEEP_RATE_HZ,
+    )
+    steps = args.drift_steps or (QUICK_DRIFT_STEPS if args.quick else DRIFT_STEPS)
+    return sweep, [DriftCase(surface, method, args.tolerance, steps) for surface, method in pairs]
+
+
+def machine() -> dict[str, Any]:
+    """What the times were taken on."""
+    return {
+        "processor": llvm.get_host_cpu_name(),
+        "processors": os.cpu_count(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+    }

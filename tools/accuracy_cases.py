@@ -1,0 +1,271 @@
+"""What `softfinger accuracy` measures: surfaces, methods, the standard motion, and the list of cases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import atan, cos, pi, sin
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.surfaces import closest
+
+Array = NDArray[np.float64]
+Motion = Literal["constant", "changing"]
+
+RADIUS_M: Final = 0.01
+"""Of the fingertip, in every case; curvature ratios are reached by the size of the surface."""
+DURATION_S: Final = 1.0
+MAX_ANGLE_RAD: Final = 20.0
+"""A motion ends earlier where the finger would turn by more: on a plane it would only lead further away."""
+MIN_TICKS: Final = 4
+TILT_RAD: Final = 1.2
+SPIN_RAD: Final = 0.8
+SWAY_RAD: Final = 0.4
+"""Amplitudes of the changing motion; its rates are reached by its frequencies."""
+CHANGING_STEP_RAD: Final = 1.0
+"""Longest step of a changing motion that is measured: longer ones skip over its changes."""
+TRAVEL: Final = (0.5, 0.3, 0.8)
+"""The finger sets off along this direction's part in the tangent plane: not along an axis of any surface."""
+
+MOTIONS: Final[tuple[Motion, ...]] = ("constant", "changing")
+
+
+class Surface(NamedTuple):
+    """A surface of a few centimetres.
+
+    shape    kernel shape
+    size     m     the smallest radius of curvature; of a box half its shortest edge, 0 of a plane
+    near     (3,)  m, the path begins over the point of the shape nearest to it
+    largest        curvature ratio r / size below which the fingertip goes everywhere on the path
+    """
+
+    shape: Any
+    size: float
+    near: model.Vec3
+    largest: float
+
+
+_ANY: Final = float("inf")
+# Starts are so near to an edge, an end or the tube's crest that every path of some tenths of a radian crosses it.
+# The inside of a box, and of a cylinder with ends, is made of planes and an inside cylinder: it has no rows of its own.
+SURFACES: Final[dict[str, Surface]] = {
+    "plane": Surface(model.Plane((0.0, 0.0, 1.0), 0.0), 0.0, (0.04, 0.02, 0.03), 0.0),
+    "sphere": Surface(model.Sphere(0.05, 1.0), 0.05, (0.04, 0.02, 0.03), _ANY),
+    "sphere-inside": Surface(model.Sphere(0.05, -1.0), 0.05, (0.04, 0.02, 0.03), 1.0),
+    "cylinder": Surface(model.Cylinder(0.03, 1.0), 0.03, (0.04, 0.02, 0.0), _ANY),
+    "cylinder-inside": Surface(model.Cylinder(0.03, -1.0), 0.03, (0.02, 0.01, 0.0), 1.0),
+    "capped-cylinder": Surface(model.CappedCylinder(0.02, 0.01), 0.02, (0.03, 0.01, 0.004), _ANY),
+    "capsule": Surface(model.Capsule(0.02, 0.01, 1.0), 0.02, (0.03, 0.01, 0.004), _ANY),
+    "capsule-inside": Surface(model.Capsule(0.03, 0.01, -1.0), 0.03, (0.02, 0.01, 0.004), 1.0),
+    "box": Surface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.015, 0.002, 0.03), _ANY),
+    "ellipsoid": Surface(model.Ellipsoid((0.05, 0.03, 0.02), 1.0), 0.008, (0.04, 0.02, 0.03), _ANY),
+    "ellipsoid-inside": Surface(
+        model.Ellipsoid((0.06, 0.05, 0.04), -1.0), 0.04**2 / 0.06, (0.02, 0.01, 0.015), 1.0
+    ),
+    # A fingertip thicker than the tube goes everywhere but through the hole.
+    "torus": Surface(model.Torus(0.05, 0.02, 1.0), 0.02, (0.06, 0.03, 0.01), 1.5),
+    "torus-inside": Surface(model.Torus(0.05, 0.02, -1.0), 0.02, (0.05, 0.025, 0.003), 1.0),
+}  # fmt: skip
+
+METHODS: Final[dict[str, Callable[[float], Any]]] = {
+    "euler_zxz": lambda _: model.EulerZxz(1.0),
+    "euler_zyx": lambda _: model.EulerZyx(1.0),
+    "rotation_vector": lambda _: model.RotationVector(1.0),
+    "midpoint": lambda _: model.Midpoint(1.0),
+    "montana_rk4": lambda _: model.MontanaRk4(1.0),
+    "montana_rk45": lambda tolerance: model.MontanaRk45(1.0, tolerance),
+}
+"""Kernel nodes by name; the argument is the tolerance of `montana_rk45`. The torque stiffness plays no part here."""
+
+
+def has_method(surface: str, method: str) -> bool:
+    """Whether the method is there for the surface: `rotation_vector` needs a closed form."""
+    return method != "rotation_vector" or not isinstance(SURFACES[surface].shape, model.Ellipsoid | model.Torus)
+
+
+class Case(NamedTuple):
+    """One measurement: plain values, so that it can be sent anywhere.
+
+    rate_hz                servo rate; a step is its inverse
+    turn_rate       rad/s  largest angular velocity of the fingertip
+    curvature_ratio        r over the surface's size, None for the size it has in SURFACES
+    spin_ratio             spin over roll, at the start
+    tolerance              of montana_rk45
+    passes                 times the motion is timed
+    """
+
+    surface: str
+    method: str
+    motion: Motion
+    rate_hz: float
+    turn_rate: float
+    curvature_ratio: float | None
+    spin_ratio: float
+    tolerance: float
+    passes: int
+
+
+class Track(NamedTuple):
+    """What the reference path of a case depends on."""
+
+    surface: str
+    motion: Motion
+    turn_rate: float
+    curvature_ratio: float | None
+    spin_ratio: float
+    duration_s: float
+
+
+def ticks(case: Case) -> int:
+    """Steps of the motion."""
+    return max(MIN_TICKS, round(case.rate_hz * min(DURATION_S, MAX_ANGLE_RAD / case.turn_rate)))
+
+
+def track_of(case: Case) -> Track:
+    return Track(
+        case.surface, case.motion, case.turn_rate, case.curvature_ratio, case.spin_ratio, ticks(case) / case.rate_hz
+    )
+
+
+def ratio_of(surface: str, ratio: float | None) -> float:
+    """Curvature ratio r / size of a surface, 0 of a plane."""
+    size = SURFACES[surface].size
+    return ratio if ratio is not None else (RADIUS_M / size if size else 0.0)
+
+
+def contact(surface: str, ratio: float | None) -> tuple[Any, model.Vec3, model.Vec3]:
+    """The shape of that curvature ratio, and centre (3,) m and normal (3,) of the contact to begin with."""
+    found = SURFACES[surface]
+    scale = 1.0 if ratio is None else RADIUS_M / (found.size * ratio)
+    shape = found.shape if scale == 1.0 else scaled(found.shape, scale)
+    _, point, n = closest(shape, tuple(scale * x for x in found.near))
+    normal = (float(n[0]), float(n[1]), float(n[2]))
+    x, y, z = (float(p + RADIUS_M * c) for p, c in zip(point, normal, strict=True))
+    return shape, (x, y, z), normal
+
+
+def scaled(shape: Any, scale: float) -> Any:
+    """The shape with all its lengths multiplied."""
+    lengths = {name: value for name, value in shape._asdict().items() if name not in ("side", "normal")}
+    return shape._replace(
+        **{
+            name: tuple(scale * v for v in value) if isinstance(value, tuple) else scale * value
+            for name, value in lengths.items()
+        }
+    )
+
+
+def rolling_axis(normal: model.Vec3) -> Array:
+    """Unit tangent (3,) about which the finger rolls at first, so that it sets off along TRAVEL."""
+    axis = np.cross(normal, TRAVEL)
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def angular_velocity(track: Track, normal: model.Vec3) -> Callable[[float], Array]:
+    """w(t) (3,) rad/s in the object's frame; see `orientations` for the motion."""
+    n, e = np.array(normal), rolling_axis(normal)
+    roll_rate, spin_rate = rates(track)
+    if track.motion == "constant":
+        w = roll_rate * e + spin_rate * n
+        return lambda _: w
+    a, b, across = roll_rate / TILT_RAD, spin_rate / SPIN_RAD, np.cross(n, e)
+
+    def changing(t: float) -> Array:
+        sway, spin = SWAY_RAD * (1.0 - cos(a * t)), SPIN_RAD * sin(b * t)
+        turned = roll_rate * cos(a * t) * (cos(spin) * e + sin(spin) * across) + spin_rate * cos(b * t) * n
+        along = np.dot(turned, across) * across
+        swayed = cos(sway) * (turned - along) + sin(sway) * np.cross(across, turned) + along
+        return np.asarray(swayed + SWAY_RAD * a * sin(a * t) * across)
+
+    return changing
+
+
+def rates(track: Track) -> tuple[float, float]:
+    """Rates of roll and spin at the start, rad/s, of the given size and ratio."""
+    angle = atan(track.spin_ratio)
+    return track.turn_rate * cos(angle), track.turn_rate * sin(angle)
+
+
+def orientations(track: Track, normal: model.Vec3, times: Array) -> Array:
+    """Orientations (n, 4) of the fingertip at `times` (n,) s.
+
+    "constant" turns at one angular velocity. "changing" tilts to and fro about a tangent axis; turns all that to and
+    fro about the first normal; and sways all that about the other tangent axis. Tilt and spin begin at their full
+    rate, sway at rest. Two poses do not tell all of it.
+    """
+    n, e = np.array(normal), rolling_axis(normal)
+    roll_rate, spin_rate = rates(track)
+    if track.motion == "constant":
+        w = roll_rate * e + spin_rate * n
+        size = float(np.linalg.norm(w))
+        return about(w / size, size * times)
+    a, b = roll_rate / TILT_RAD, spin_rate / SPIN_RAD
+    tilt, spin = about(e, TILT_RAD * np.sin(a * times)), about(n, SPIN_RAD * np.sin(b * times))
+    sway = about(np.cross(n, e), SWAY_RAD * (1.0 - np.cos(a * times)))
+    return product(sway, product(spin, tilt))
+
+
+def about(axis: Array, angles: Array) -> Array:
+    """Quaternions (n, 4) of the rotations by `angles` (n,) rad about a unit axis (3,)."""
+    return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * axis])
+
+
+def product(p: Array, q: Array) -> Array:
+    """Quaternion products (n, 4): rotate by q, then by p."""
+    (a, u), (b, v) = (p[:, :1], p[:, 1:]), (q[:, :1], q[:, 1:])
+    return np.hstack([a * b - np.sum(u * v, axis=1, keepdims=True), a * v + b * u + np.cross(u, v)])
+
+
+def turns(q: Array) -> Array:
+    """Rotations (n - 1, 4) from each of the orientations `q` (n, 4) to the next, the short way."""
+    steps = product(q[1:], q[:-1] * (1.0, -1.0, -1.0, -1.0))
+    return np.ascontiguousarray(np.where(steps[:, :1] < 0.0, -steps, steps))
+
+
+class Sweep(NamedTuple):
+    """What to measure: every rate at the first rotation rate and spin ratio and at the surfaces' own size; then, at
+    one servo rate, each other value of a parameter alone."""
+
+    surfaces: Sequence[str]
+    methods: Sequence[str]
+    motions: Sequence[Motion]
+    rates_hz: Sequence[float]
+    turn_rates: Sequence[float]
+    curvature_ratios: Sequence[float]
+    spin_ratios: Sequence[float]
+    tolerance: float
+    passes: int
+    sweep_rate_hz: float
+
+
+def longest_step(motions: Sequence[Motion]) -> float:
+    """Angle, rad, that steps must stay below: two poses do not tell the sense of half a turn, nor what changes fast."""
+    return CHANGING_STEP_RAD if "changing" in motions else pi
+
+
+def cases(sweep: Sweep) -> list[Case]:
+    """The cases in an order that asks for each reference path once in a row.
+
+    Left out are steps of `longest_step` and more, and curvature ratios at which the fingertip does not fit.
+    """
+    turn, spin, at = sweep.turn_rates[0], sweep.spin_ratios[0], sweep.sweep_rate_hz
+    found = []
+    for surface in sweep.surfaces:
+        largest = SURFACES[surface].largest
+        variants: list[tuple[float, float, float | None, float]] = [(f, turn, None, spin) for f in sweep.rates_hz]
+        variants += [(at, other, None, spin) for other in sweep.turn_rates[1:]]
+        variants += [(at, turn, ratio, spin) for ratio in sweep.curvature_ratios if ratio < largest]
+        variants += [(at, turn, None, other) for other in sweep.spin_ratios[1:]]
+        for motion in sweep.motions:
+            for rate, turn_rate, ratio, spin_ratio in variants:
+                if turn_rate / rate >= longest_step([motion]):
+                    continue
+                found += [
+                    Case(surface, m, motion, rate, turn_rate, ratio, spin_ratio, sweep.tolerance, sweep.passes)
+                    for m in sweep.methods
+                    if has_method(surface, m)
+                ]
+    return found

@@ -1,0 +1,133 @@
+"""The classical way: Montana's equations, integrated between two poses as Matlab's ODE45 does it.
+
+This is what the paper compares its algorithm with. From the contact coordinates and the rotation of a step it
+integrates u_f, v_f, u_o, v_o and psi with the pair of Dormand and Prince, order 5 with error from 4, last stage
+first of the next step. The defaults of ODE45: relative tolerance 1e-3, absolute tolerance 1e-6, no step longer than
+a tenth of the span, the first as short as the slope at its start asks for.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.kernels import rotations, vec3
+from softfinger.proxy.kernels.jit import entry, jit
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.montana import Coordinates, chart, moved, rolling_rates
+from softfinger.server.clock import now_ns
+
+Array = NDArray[np.float64]
+
+RELATIVE_TOLERANCE: Final = 1e-3
+ABSOLUTE_TOLERANCE: Final = 1e-6
+MAX_STEP_SHARE: Final = 0.1
+"""Longest step, of the span."""
+THRESHOLD: Final = ABSOLUTE_TOLERANCE / RELATIVE_TOLERANCE
+"""Coordinates smaller than this are judged by the absolute tolerance."""
+
+
+@jit
+def slope(radius: float, shape: Any, at: Coordinates, w: Vec3, normal: Vec3, angle: float) -> Coordinates:
+    """Rates of the coordinates at the angular velocity `w` (3,) rad/s, turned by `angle` about `normal`."""
+    if angle != 0.0:
+        c, s = cos(angle), sin(angle)
+        along = vec3.scale((1.0 - c) * vec3.dot(w, normal), normal)
+        w = vec3.add(vec3.add_scaled(vec3.scale(c, w), s, vec3.cross(normal, w)), along)
+    return rolling_rates(radius, shape, at, w)
+
+
+@jit
+def weight(y: float, other: float) -> float:
+    return 1.0 / max(abs(y), abs(other), THRESHOLD)
+
+
+@jit
+def largest(v: Coordinates, y: Coordinates, other: Coordinates) -> float:
+    """Largest of the components of v, each relative to the larger of y and other, or to the threshold."""
+    first = max(abs(v.u_f) * weight(y.u_f, other.u_f), abs(v.v_f) * weight(y.v_f, other.v_f))
+    second = max(abs(v.u_o) * weight(y.u_o, other.u_o), abs(v.v_o) * weight(y.v_o, other.v_o))
+    return max(first, second, abs(v.psi) * weight(y.psi, other.psi))
+
+
+@jit
+def ode45(
+    radius: float, shape: Any, start: Coordinates, w: Vec3, normal: Vec3, angle: float, spin_rate: float, span: float,
+    share: float,
+) -> tuple[Coordinates, int]:  # fmt: skip
+    """Coordinates after `span` (s), and how often the equations were evaluated.
+
+    w, normal, angle, spin_rate  the angular velocity is w turned about `normal` by angle + spin_rate t
+    share                        longest step, of the span
+    """
+    y, t, count = start, 0.0, 1
+    k1 = slope(radius, shape, y, w, normal, angle)
+    h = share * span
+    wanted = largest(k1, y, y) / (0.8 * RELATIVE_TOLERANCE**0.2)
+    if h * wanted > 1.0:
+        h = 1.0 / wanted
+    failed, done = False, False
+    while not done:
+        h = min(h, share * span)
+        last = 1.1 * h >= span - t
+        if last:
+            h = span - t
+        at = angle + spin_rate * t
+        turn = spin_rate * h
+        k2 = slope(radius, shape, moved(y, h / 5, k1), w, normal, at + turn / 5)
+        ahead = moved(moved(y, h * 3 / 40, k1), h * 9 / 40, k2)
+        k3 = slope(radius, shape, ahead, w, normal, at + turn * 3 / 10)
+        ahead = moved(moved(moved(y, h * 44 / 45, k1), h * -56 / 15, k2), h * 32 / 9, k3)
+        k4 = slope(radius, shape, ahead, w, normal, at + turn * 4 / 5)
+        ahead = moved(moved(y, h * 19372 / 6561, k1), h * -25360 / 2187, k2)
+        ahead = moved(moved(ahead, h * 64448 / 6561, k3), h * -212 / 729, k4)
+        k5 = slope(radius, shape, ahead, w, normal, at + turn * 8 / 9)
+        ahead = moved(moved(y, h * 9017 / 3168, k1), h * -355 / 33, k2)
+        ahead = moved(moved(moved(ahead, h * 46732 / 5247, k3), h * 49 / 176, k4), h * -5103 / 18656, k5)
+        k6 = slope(radius, shape, ahead, w, normal, at + turn)
+        ahead = moved(moved(moved(y, h * 35 / 384, k1), h * 500 / 1113, k3), h * 125 / 192, k4)
+        ahead = moved(moved(ahead, h * -2187 / 6784, k5), h * 11 / 84, k6)
+        k7 = slope(radius, shape, ahead, w, normal, at + turn)
+        count += 6
+        nothing = Coordinates(0.0, 0.0, 0.0, 0.0, 0.0)
+        off = moved(moved(moved(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)
+        off = moved(moved(moved(off, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
+        error = h * largest(off, y, ahead)
+        if error > RELATIVE_TOLERANCE:
+            # The first failure trusts the estimate, another one does not.
+            h *= 0.5 if failed else max(0.1, 0.8 * (RELATIVE_TOLERANCE / error) ** 0.2)
+            failed = True
+            continue
+        t, y, k1, done = t + h, ahead, k7, last
+        if not failed:
+            factor = 1.25 * (error / RELATIVE_TOLERANCE) ** 0.2
+            h *= 1.0 / factor if factor > 0.2 else 5.0
+        failed = False
+    return y, count
+
+
+@entry
+def roll_classical(
+    shape: Any, radius: float, start: Any, turns: Array, dt: float, share: float, spin_rate: float, path: Array,
+    timespec: Any, block_ns: Any,
+) -> int:  # fmt: skip
+    """Roll through `turns` (n, 4) from the coordinates `start`, once for each block; note the time of each block.
+
+    A rotation is taken at a constant rate over `dt` s, in axes that spin at `spin_rate` rad/s about the normal at the
+    start, 0 for the world's. Every step leaves the contact point in a row of `path` (n, 3). Returns the evaluations
+    of the equations in a block.
+    """
+    count, normal = 0, chart(shape, start.u_o, start.v_o).z
+    for block in range(block_ns.shape[0]):
+        begun = now_ns(timespec)
+        at, count = start, 0
+        for i in range(turns.shape[0]):
+            w = vec3.scale(1.0 / dt, rotations.log((turns[i, 0], turns[i, 1], turns[i, 2], turns[i, 3])))
+            at, evaluations = ode45(radius, shape, at, w, normal, spin_rate * dt * i, spin_rate, dt, share)
+            count += evaluations
+            path[i, 0], path[i, 1], path[i, 2] = chart(shape, at.u_o, at.v_o).point
+        block_ns[block] = now_ns(timespec) - begun
+    return count

@@ -1,0 +1,113 @@
+"""What follows from the rows of `softfinger accuracy`: measured orders, Pareto fronts, recommendations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import log
+from typing import Any, Final
+
+ROUNDING_M: Final = 1e-14
+"""Path errors below are rounding, of the reference too: one is as good as another, and they tell no order."""
+BETTER: Final = 0.5
+"""Share of the best error so far below which a dearer point is worth its price."""
+CLEAR: Final = 10.0
+"""Errors above this many ROUNDING_M tell an order."""
+
+Row = dict[str, Any]
+
+
+def standard(rows: Iterable[Row]) -> list[Row]:
+    """The rows of the ladder of rates: the surface's own size, and the rotation rate and spin ratio that come first."""
+    own = [row for row in rows if row["given_ratio"] is None]
+    if not own:
+        return []
+    first = own[0]
+    keys = ("turn_rate_rad_per_s", "spin_ratio")
+    return [row for row in own if all(row[key] == first[key] for key in keys)]
+
+
+def grouped(rows: Iterable[Row], *keys: str) -> Iterable[tuple[tuple[Any, ...], list[Row]]]:
+    """Rows that agree in `keys`, in the order of their first appearance."""
+    found: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return found.items()
+
+
+def front(rows: Sequence[Row]) -> list[Row]:
+    """The rows worth choosing, cheapest first: each dearer one at least halves the error of all cheaper ones.
+
+    Cost is the computing time per second of motion, `ns_per_step / step_s`; the error is `max_error_m`, with
+    rounding taken for equal.
+    """
+    best, chosen = float("inf"), []
+    for row in sorted(rows, key=lambda row: (row["ns_per_step"] / row["step_s"], row["max_error_m"])):
+        error = max(row["max_error_m"], ROUNDING_M)
+        if error < BETTER * best:
+            best = error
+            chosen.append(row)
+    return chosen
+
+
+def fronts(rows: Iterable[Row]) -> list[Row]:
+    """The front of each surface and motion, over all methods and rates."""
+    return [row for _, group in grouped(standard(rows), "surface", "motion") for row in front(group)]
+
+
+def orders(rows: Iterable[Row]) -> list[Row]:
+    """Slope of error against step of every method on each surface and motion, by its three smallest clear errors.
+
+    None where fewer are clear of rounding, and for `montana_rk45` at a constant rate: that follows its tolerance.
+    """
+    found = []
+    for (surface, motion, method), group in grouped(standard(rows), "surface", "motion", "method"):
+        clear = sorted((row["step_s"], row["max_error_m"]) for row in group)
+        clear = [point for point in clear if point[1] > CLEAR * ROUNDING_M][:3]
+        slope = None
+        if len(clear) == 3 and (method, motion) != ("montana_rk45", "constant"):
+            (short, small), _, (long, large) = clear
+            slope = log(large / small) / log(long / short)
+        found.append({"surface": surface, "motion": motion, "method": method, "order": slope})
+    return found
+
+
+def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row]:
+    """For each surface, motion, servo rate and largest error allowed: the cheapest method that keeps it.
+
+    `method` is None where none does.
+    """
+    found = []
+    for (surface, motion, rate), group in grouped(standard(rows), "surface", "motion", "rate_hz"):
+        for target in targets_m:
+            fit = [row for row in group if row["max_error_m"] <= target]
+            best = min(fit, key=lambda row: row["ns_per_step"], default=None)
+            found.append(
+                {
+                    "surface": surface,
+                    "motion": motion,
+                    "rate_hz": rate,
+                    "error_below_m": target,
+                    "method": best and best["method"],
+                    "ns_per_step": best and best["ns_per_step"],
+                    "max_error_m": best and best["max_error_m"],
+                    "sentence": sentence(surface, motion, rate, target, best, group),
+                }
+            )
+    return found
+
+
+def sentence(surface: str, motion: str, rate: float, target: float, best: Row | None, group: Sequence[Row]) -> str:
+    """The recommendation in words."""
+    asked = f"{surface}, {motion} rate: for an error below {length(target)} at {rate:g} Hz"
+    if best is None:
+        least = min(group, key=lambda row: row["max_error_m"])
+        return f"{asked} there is no method: {least['method']} comes to {length(least['max_error_m'])}"
+    return f"{asked} use {best['method']}: {best['ns_per_step']:.0f} ns"
+
+
+def length(meters: float) -> str:
+    """A length in the unit it is best read in."""
+    for unit, name in ((1e-3, "mm"), (1e-6, "um"), (1e-9, "nm")):
+        if meters >= unit:
+            return f"{meters / unit:.3g} {name}"
+    return f"{meters / 1e-12:.2g} pm"

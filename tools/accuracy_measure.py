@@ -1,0 +1,148 @@
+"""One case of `softfinger accuracy` measured: the path's error against the reference, and the time of a step."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import ceil
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from softfinger.proxy.kernels.jit import entry
+from softfinger.proxy.kernels.rolling import roll
+from softfinger.proxy.kernels.surfaces import closest
+from softfinger.server.clock import now_ns
+from softfinger.tools.accuracy_cases import (
+    METHODS,
+    RADIUS_M,
+    Array,
+    Case,
+    Track,
+    angular_velocity,
+    contact,
+    orientations,
+    ratio_of,
+    ticks,
+    track_of,
+    turns,
+)
+from softfinger.tools.accuracy_reference import roll_path
+from softfinger.tools.bench_step import reference_ns
+
+BLOCK_STEPS: Final = 1000
+"""Least number of steps between two looks at the clock, which costs less than 0.1 ns a step then."""
+DRIFT_STEP_RAD: Final = 0.01
+DRIFT_BLOCK: Final = 1000
+
+
+@entry
+def roll_turns(
+    method: Any, shape: Any, radius: float, start: Any, normal: Any, turns: Array, passes: int, path: Array,
+    timespec: Any, block_ns: Any,
+) -> None:  # fmt: skip
+    """Roll through `turns` (n, 4) from one contact, `passes` times for each block; note the time of each block.
+
+    Every step leaves centre, normal and spin so far in a row of `path` (n, 7), as a servo leaves a record.
+    """
+    for block in range(block_ns.shape[0]):
+        begun = now_ns(timespec)
+        for _ in range(passes):
+            center, n, spin = start, normal, 0.0
+            for i in range(turns.shape[0]):
+                out = roll(method, shape, radius, center, n, (turns[i, 0], turns[i, 1], turns[i, 2], turns[i, 3]))
+                center, n, spin = out.center, out.normal, spin + out.spin
+                path[i, 0], path[i, 1], path[i, 2] = center
+                path[i, 3], path[i, 4], path[i, 5] = n
+                path[i, 6] = spin
+        block_ns[block] = now_ns(timespec) - begun
+
+
+class Rolled(NamedTuple):
+    """Contact points (n, 3) m, normals (n, 3), spins (n,) rad, and the median time of a step, ns."""
+
+    points: Array
+    normals: Array
+    spins: Array
+    step_ns: float
+
+
+def rolled(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes: int = 1) -> Rolled:
+    """The path of the fingertip through the rotations `dq` (n, 4), timed in `passes` blocks."""
+    path, repeats = np.zeros((len(dq), 7)), ceil(BLOCK_STEPS / len(dq)) if passes > 1 else 1
+    block_ns, timespec = np.zeros(passes, np.int64), np.zeros(2, np.int64)
+    roll_turns(method, shape, RADIUS_M, center, normal, dq, repeats, path, timespec, block_ns)
+    points = path[:, :3] - RADIUS_M * path[:, 3:6]
+    return Rolled(points, path[:, 3:6], path[:, 6], float(np.median(block_ns)) / (repeats * len(dq)))
+
+
+@lru_cache(maxsize=16)
+def reference(track: Track, count: int) -> tuple[Array, Array]:
+    """Contact points (count, 3) m and spins (count,) rad of the reference after each of `count` steps."""
+    points, _, spins = _reference_path(track).at(np.linspace(0.0, track.duration_s, count + 1)[1:])
+    return points, spins
+
+
+@lru_cache(maxsize=4)
+def _reference_path(track: Track) -> Any:
+    shape, center, normal = contact(track.surface, track.curvature_ratio)
+    # The normal turns with the finger at r / (r + R) of its rate; where it nearly fills a hollow, much faster.
+    ratio = ratio_of(track.surface, track.curvature_ratio)
+    faster = ratio / (1.0 - ratio) if getattr(shape, "side", 1.0) < 0.0 else 0.0
+    steps = ceil(20.0 * track.turn_rate * track.duration_s * max(1.0, faster))
+    return roll_path(shape, RADIUS_M, center, normal, angular_velocity(track, normal), track.duration_s, steps)
+
+
+def run_case(case: Case) -> dict[str, Any]:
+    """A row of the table: the case, its errors and its time."""
+    track, count = track_of(case), ticks(case)
+    shape, center, normal = contact(case.surface, case.curvature_ratio)
+    dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
+    points, spins = reference(track, count)
+    unit = reference_ns()
+    found = rolled(METHODS[case.method](case.tolerance), shape, center, normal, dq, case.passes)
+    return {
+        "surface": case.surface,
+        "method": case.method,
+        "motion": case.motion,
+        "step_s": 1.0 / case.rate_hz,
+        "rate_hz": case.rate_hz,
+        "turn_rate_rad_per_s": case.turn_rate,
+        "step_angle_rad": case.turn_rate / case.rate_hz,
+        "curvature_ratio": ratio_of(case.surface, case.curvature_ratio),
+        "given_ratio": case.curvature_ratio,
+        "spin_ratio": case.spin_ratio,
+        "steps": count,
+        "max_error_m": float(np.linalg.norm(found.points - points, axis=1).max()),
+        "spin_error_rad": float(np.abs(found.spins - spins).max()),
+        "ns_per_step": found.step_ns,
+        "reference_ns": unit,
+    }
+
+
+class DriftCase(NamedTuple):
+    """A long roll of one method on one surface."""
+
+    surface: str
+    method: str
+    tolerance: float
+    steps: int
+
+
+def run_drift(case: DriftCase) -> dict[str, Any]:
+    """Largest distance of the contact point from the surface over a long roll, looked at every DRIFT_BLOCK steps.
+
+    The finger rolls in loops of a radius of DRIFT_STEP_RAD r DRIFT_BLOCK / 2 pi and spins to and fro; so the path stays
+    near on a plane, and on curved shapes wanders over all of them.
+    """
+    shape, center, normal = contact(case.surface, None)
+    t = 2.0 * np.pi * (np.arange(DRIFT_BLOCK) + 0.5) / DRIFT_BLOCK
+    half = 0.5 * DRIFT_STEP_RAD * np.column_stack([np.cos(t), np.sin(t), 0.5 * np.cos(2.0 * t)])
+    dq = np.column_stack([np.sqrt(1.0 - np.sum(half * half, axis=1)), half])
+    method, off, blocks = METHODS[case.method](case.tolerance), 0.0, case.steps // DRIFT_BLOCK
+    for _ in range(blocks):
+        out = rolled(method, shape, center, normal, dq)
+        point, n = out.points[-1].tolist(), out.normals[-1].tolist()
+        off = max(off, abs(float(closest(shape, tuple(point))[0])))
+        normal = (n[0], n[1], n[2])
+        center = (point[0] + RADIUS_M * n[0], point[1] + RADIUS_M * n[1], point[2] + RADIUS_M * n[2])
+    return {"surface": case.surface, "method": case.method, "steps": blocks * DRIFT_BLOCK, "drift_m": off}

@@ -1,0 +1,219 @@
+"""Rolling without slip on surfaces given by an equation F(p) = 0, integrated to the eighth order.
+
+The contact point moves by p' = (W_o + I / r)^-1 (w x n), with the normal n from the gradient of F and the
+shape operator W_o from its second derivatives: nothing is shared with the kernels, which move the
+fingertip's centre by closest points and know no curvature. Shapes with edges have no such equation; for
+them the centre is moved, with the nearest point of the solid found by clamping, and at every edge crossed the
+integration begins anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.kernels import model
+
+Array = NDArray[np.float64]
+Gradient = tuple[Array, Array]
+"""First (3,) and second (3, 3) derivatives of F."""
+
+
+def plane(p: Array, shape: model.Plane) -> Gradient:
+    return np.array(shape.normal), np.zeros((3, 3))
+
+
+def sphere(p: Array, shape: model.Sphere) -> Gradient:
+    return 2 * p, 2 * np.eye(3)
+
+
+def cylinder(p: Array, shape: model.Cylinder) -> Gradient:
+    flat = np.diag([2.0, 2.0, 0.0])
+    return flat @ p, flat
+
+
+def ellipsoid(p: Array, shape: model.Ellipsoid) -> Gradient:
+    hessian = np.diag(2 / np.array(shape.semi_axes) ** 2)
+    return hessian @ p, hessian
+
+
+def torus(p: Array, shape: model.Torus) -> Gradient:
+    """F = (q - a)^2 + z^2 - b^2 with q the distance from the axis."""
+    flat = np.array([p[0], p[1], 0.0])
+    q = np.hypot(p[0], p[1])
+    hessian = np.diag([2 - 2 * shape.major / q] * 2 + [2.0]) + 2 * shape.major / q**3 * np.outer(flat, flat)
+    return np.array([2 * (1 - shape.major / q) * p[0], 2 * (1 - shape.major / q) * p[1], 2 * p[2]]), hessian
+
+
+GRADIENTS: dict[type, Callable[..., Gradient]] = {
+    model.Plane: plane,
+    model.Sphere: sphere,
+    model.Cylinder: cylinder,
+    model.Ellipsoid: ellipsoid,
+    model.Torus: torus,
+}
+
+
+def normal_and_curvature(p: Array, shape: Any) -> tuple[Array, Array]:
+    """Unit normal (3,) to where the fingertip is, and shape operator (3, 3) dn/dp on the tangent plane."""
+    gradient, hessian = GRADIENTS[type(shape)](p, shape)
+    size, side = np.linalg.norm(gradient), getattr(shape, "side", 1.0)
+    n = gradient / size
+    project = np.eye(3) - np.outer(n, n)
+    return side * n, side * project @ hessian @ project / size
+
+
+def levels(x: Array, shape: Any) -> tuple[Array, Array]:
+    """Coordinates of x along which a shape with edges ends, and where it ends, m: it reaches from -end to +end."""
+    if isinstance(shape, model.Box):
+        return x, np.array(shape.half_extents)
+    if isinstance(shape, model.Capsule):
+        return x[2:], np.array([shape.half_length])
+    return np.array([np.hypot(x[0], x[1]), x[2]]), np.array([shape.radius, shape.half_length])
+
+
+def ends_at(x: Array, shape: Any) -> Array:
+    """The feature x is over, a number for each of `levels`: 0 between the ends, else the sign of the end it is past."""
+    level, end = levels(x, shape)
+    return np.asarray(np.where(np.abs(level) > end, np.sign(level), 0.0))
+
+
+def center_normal(x: Array, shape: Any, past: Array) -> Array:
+    """Unit normal (3,) of the offset surface through the centre x, over the feature `past` continued endlessly.
+
+    It points away from the nearest point of the solid, or of the hollow capsule's axis.
+    """
+    level, end = levels(x, shape)
+    held = np.where(past == 0.0, level, past * end)
+    if isinstance(shape, model.Box):
+        nearest = held
+    elif isinstance(shape, model.Capsule):
+        nearest = np.array([0.0, 0.0, held[0]])
+    else:
+        nearest = np.array([x[0] * held[0] / level[0], x[1] * held[0] / level[0], held[1]])
+    away = x - nearest
+    return np.asarray(getattr(shape, "side", 1.0) * away / np.linalg.norm(away))
+
+
+class Path:
+    """A rolled path, to be asked for any times of it.
+
+    pieces   end of a piece, s, and its state (4, n) at given times (n,): contact point, or centre on shapes with
+             edges, and spin
+    """
+
+    def __init__(self, shape: Any, radius: float, pieces: Sequence[tuple[float, Callable[[Array], Array]]]) -> None:
+        self._shape, self._radius, self._pieces = shape, radius, pieces
+
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """Contact points (n, 3) m, unit normals (n, 3) and spins (n,) rad at `times` (n,) s."""
+        number = np.searchsorted([end for end, _ in self._pieces[:-1]], times)
+        state = np.zeros((len(times), 4))
+        for piece in np.unique(number):
+            state[number == piece] = np.asarray(self._pieces[piece][1](times[number == piece])).T
+        points, spins = state[:, :3], state[:, 3]
+        if type(self._shape) in GRADIENTS:
+            return points, np.array([normal_and_curvature(p, self._shape)[0] for p in points]), spins
+        normals = np.array([center_normal(x, self._shape, ends_at(x, self._shape)) for x in points])
+        return points - self._radius * normals, normals, spins
+
+
+def roll_path(
+    shape: Any,
+    radius: float,
+    center: ArrayLike,
+    normal: ArrayLike,
+    rate: Callable[[float], ArrayLike],
+    duration: float = 1.0,
+    steps: int = 10,
+) -> Path:
+    """The path of a fingertip that rolls without slip.
+
+    radius         m      of the fingertip
+    center  (3,)   m      of the fingertip at time 0
+    normal  (3,)          unit normal under it
+    rate           rad/s  angular velocity (3,) of the fingertip against the object at a time, in the object's frame
+    duration       s
+    steps                 least number of steps. Between steps the path is interpolated to the seventh order, without
+                          error control: a twentieth of a radian a step leaves 1e-15 of the radius
+    """
+    n, c = np.asarray(normal, float), np.asarray(center, float)
+    if type(shape) not in GRADIENTS:
+        return Path(shape, radius, edged_pieces(shape, radius, c, rate, duration, steps))
+
+    def derivative(t: float, state: Array) -> Array:
+        w = np.asarray(rate(t), float)
+        n, bend = normal_and_curvature(state[:3], shape)
+        return np.append(np.linalg.solve(bend + np.eye(3) / radius, np.cross(w, n)), w @ n)
+
+    whole = integrate(derivative, 0.0, duration, np.append(c - radius * n, 0.0), duration / steps)
+    return Path(shape, radius, [(duration, whole.sol)])
+
+
+def edged_pieces(
+    shape: Any, radius: float, center: Array, rate: Callable[[float], ArrayLike], duration: float, steps: int
+) -> list[tuple[float, Callable[[Array], Array]]]:
+    """The path of the centre piece by piece: over each face, edge or corner as if it went on, to where it ends."""
+    pieces: list[tuple[float, Callable[[Array], Array]]] = []
+    begun, state, past = 0.0, np.append(center, 0.0), ends_at(center, shape)
+    while begun < duration:
+
+        def derivative(t: float, y: Array, past: Array = past) -> Array:
+            w, n = np.asarray(rate(t), float), center_normal(y[:3], shape, past)
+            return np.append(radius * np.cross(w, n), w @ n)
+
+        leaving = [leaving_event(shape, past, i) for i in range(len(past))]
+        piece = integrate(derivative, begun, duration, state, duration / steps, leaving)
+        begun, state, past = float(piece.t[-1]), piece.y[:, -1], past.copy()
+        pieces.append((begun, piece.sol))
+        for i, reached in enumerate(piece.t_events):
+            if len(reached):
+                past[i] = 0.0 if past[i] else np.sign(levels(state[:3], shape)[0][i])
+    return pieces
+
+
+def leaving_event(shape: Any, past: Array, i: int) -> Callable[[float, Array], float]:
+    """The event, for scipy, that the centre leaves the feature `past` along the i-th of `levels`."""
+
+    def beyond(_: float, state: Array) -> float:
+        level, end = levels(state[:3], shape)
+        return float((past[i] * level[i] if past[i] else abs(level[i])) - end[i])
+
+    beyond.terminal, beyond.direction = True, -1.0 if past[i] else 1.0  # type: ignore[attr-defined]
+    return beyond
+
+
+def integrate(
+    derivative: Callable[[float, Array], Array],
+    begin: float,
+    end: float,
+    state: Array,
+    longest: float,
+    events: Sequence[Callable[[float, Array], float]] = (),
+) -> Any:
+    """scipy's solution of the eighth order, to 1e-13, interpolated."""
+    try:
+        from scipy.integrate import solve_ivp
+    except ImportError as error:
+        raise ConfigError("the reference path needs scipy: pip install 'softfinger[accuracy]'") from error
+    return solve_ivp(
+        derivative, (begin, end), state, method="DOP853", rtol=1e-13, atol=1e-17, max_step=longest,
+        dense_output=True, events=list(events) or None,
+    )  # fmt: skip
+
+
+def rolled(
+    shape: Any,
+    radius: float,
+    center: ArrayLike,
+    normal: ArrayLike,
+    rate: Callable[[float], ArrayLike],
+    duration: float = 1.0,
+) -> tuple[Array, Array, float]:
+    """Centre (3,) m, normal (3,) and spin (rad) at the end of the path; arguments as for `roll_path`."""
+    points, normals, spins = roll_path(shape, radius, center, normal, rate, duration).at(np.array([duration]))
+    return points[0] + radius * normals[0], normals[0], float(spins[0])

@@ -1,0 +1,142 @@
+"""The terminal output of `softfinger accuracy`."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+from softfinger.tools.accuracy_front import grouped, standard
+
+RATE_HZ: Final = 1000.0
+"""Servo rate that the recommendations are printed for, where it was measured; else the highest."""
+WIDTH: Final = 120
+"""Of what is not a terminal, characters."""
+
+
+def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
+    """All sections as tables, to the terminal or to a file."""
+    from rich.console import Console
+
+    console = Console(highlight=False, file=file)
+    if not console.is_terminal:
+        console.width = WIDTH
+    on = result["machine"]
+    words = f"{on['processor']}, {on['processors']} processors, {on['system']}, Python {on['python']}"
+    console.print(f"softfinger accuracy: fingertip {1e3 * result['radius_m']:g} mm; measured on {words}\n")
+    for part in (paper_table, speed_table, orders_table, front_table, sweep_table, drift_table):
+        made = part(result)
+        if made.rows:
+            console.print(made)
+    for line in advice(result):
+        console.print(line, soft_wrap=True)
+
+
+def write_report(result: dict[str, Any], path: Path) -> None:
+    """The same as a text file."""
+    text = io.StringIO()
+    print_report(result, text)
+    path.write_text("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()), encoding="utf-8")
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> Any:
+    """A table whose first `left` columns are words and whose others are numbers; long names are broken at `_`."""
+    from rich import box
+    from rich.table import Table
+
+    made = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for number, name in enumerate(columns):
+        made.add_column(name.replace("_", "\n"), justify="left" if number < left else "right", no_wrap=True)
+    for row in rows:
+        made.add_row(*row)
+    return made
+
+
+def paper_table(result: dict[str, Any]) -> Any:
+    rows = [
+        (row["motion"], row["method"], row["heading"], *(f"{error:.5f}" for error in row["max_error_mm"]))
+        for row in result["paper"]
+    ]
+    return table("the paper's experiment: largest difference, mm", ("axes", "method", "heading", *"xyz"), rows, 3)
+
+
+def speed_table(result: dict[str, Any]) -> Any:
+    times, classical = result["speed"], result["speed"]["classical"]
+    named = [(name.removesuffix("_ns_per_step"), times[name]) for name in times if name.endswith("_ns_per_step")]
+    named += [
+        ("classical, steps of any length", classical["without_step_bound"]["ns_per_step"]),
+        ("classical, the whole path known ahead", classical["known_ahead"]["ns_per_step"]),
+    ]
+    zxz, unit = times["euler_zxz_ns_per_step"], times["reference_ns"]
+    rows = [(name, f"{ns:.1f}", f"{ns / zxz:.2f}", f"{ns / unit:.3f}") for name, ns in named]
+    head = ("method", "ns a step", "over_euler zxz", f"over {unit:.0f} ns of_100 operations")
+    return table("its time, world axes", head, rows, 1)
+
+
+def orders_table(result: dict[str, Any]) -> Any:
+    methods = list(dict.fromkeys(row["method"] for row in result["orders"]))
+    rows = []
+    for (surface, motion), group in grouped(result["orders"], "surface", "motion"):
+        found = {row["method"]: "-" if row["order"] is None else f"{row['order']:.2f}" for row in group}
+        rows.append((surface, motion, *(found.get(method, "") for method in methods)))
+    return table("measured order (-: rounding)", ("surface", "rate", *methods), rows, 2)
+
+
+def front_table(result: dict[str, Any]) -> Any:
+    """A line for each stretch of a front that is one method's, over a range of servo rates."""
+    rows = []
+    for (surface, motion), group in grouped(result["pareto"], "surface", "motion"):
+        for method, run in groupby(group, key=lambda row: row["method"]):
+            stretch = list(run)
+            rates, ns, error = ([row[key] for row in stretch] for key in ("rate_hz", "ns_per_step", "max_error_m"))
+            load = [row["ns_per_step"] / row["step_s"] * 1e-9 for row in stretch]
+            rows.append(
+                (surface, motion, method, span(rates, "g"), span(ns, ".0f"), span(load, ".0e"), span(error, ".0e"))
+            )
+    head = ("surface", "rate", "method", "Hz", "ns a step", "s per s", "error, m")
+    return table("Pareto front: computing time per second of motion against error", head, rows, 3)
+
+
+def span(values: Sequence[float], form: str) -> str:
+    """First and last of the values, or the one if they look alike."""
+    first, last = format(values[0], form), format(values[-1], form)
+    return first if first == last else f"{first} .. {last}"
+
+
+def sweep_table(result: dict[str, Any]) -> Any:
+    """What was varied at one servo rate, the rows that are not part of the ladder: the worst of all surfaces."""
+    ladder = {id(row) for row in standard(result["trade"])}
+    keys = ("motion", "turn_rate_rad_per_s", "given_ratio", "spin_ratio", "rate_hz")
+    methods = list(dict.fromkeys(row["method"] for row in result["trade"]))
+    rows = []
+    for key, group in grouped((row for row in result["trade"] if id(row) not in ladder), *keys):
+        worst: dict[str, float] = {}
+        for row in group:
+            worst[row["method"]] = max(worst.get(row["method"], 0.0), row["max_error_m"])
+        values = ("own" if value is None else f"{value:g}" for value in key[1:])
+        rows.append((key[0], *values, *(f"{worst[m]:.0e}" if m in worst else "" for m in methods)))
+    head = ("rate", "rad/s", "r/R", "spin/roll", "Hz", *methods)
+    return table("largest error on any surface, m", head, rows, 1)
+
+
+def drift_table(result: dict[str, Any]) -> Any:
+    methods = list(dict.fromkeys(row["method"] for row in result["drift"]))
+    rows = []
+    for (surface, steps), group in grouped(result["drift"], "surface", "steps"):
+        found = {row["method"]: f"{row['drift_m']:.0e}" for row in group}
+        rows.append((surface, f"{steps:g}", *(found.get(method, "") for method in methods)))
+    return table("drift off the surface, m", ("surface", "steps", *methods), rows, 1)
+
+
+def advice(result: dict[str, Any]) -> list[str]:
+    """The recommendations for RATE_HZ; of errors that ask for the same method only the smallest."""
+    rates = {row["rate_hz"] for row in result["recommendations"]}
+    rate = RATE_HZ if RATE_HZ in rates else max(rates)
+    at_rate = [row for row in result["recommendations"] if row["rate_hz"] == rate]
+    found = []
+    for _, group in grouped(at_rate, "surface", "motion", "method"):
+        pick = min if group[0]["method"] else max
+        found.append(pick(group, key=lambda row: row["error_below_m"])["sentence"])
+    return [str(sentence) for sentence in found]

@@ -1,0 +1,356 @@
+"""The servo's tick at the ends of everything it may be given: what is fed, what must hold, what happened.
+
+A tick must leave a finite force within the guard's limits and a contact in one of its three modes, whatever
+comes from the device, and name what it refused. `try_extremes` runs every case; `try_hostile` feeds random
+garbage until told to stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from math import inf, isfinite, nan, pi
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.load import build
+from softfinger.proxy.kernels.jit import entry
+from softfinger.proxy.kernels.pack import flatten, pack, unpack
+from softfinger.proxy.state import FREE, OFFSET, RECORD_SIZE, SLIDING
+from softfinger.server.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
+from softfinger.server.progress import progress
+from softfinger.server.tick import Memory, Tuning, begin, tick
+from softfinger.server.tuning import make_tuning
+
+Array = NDArray[np.float64]
+
+R: Final = 0.01
+TICKS: Final = 400
+FORCE_MAX_N: Final = 12.0
+TORQUE_MAX_NM: Final = 0.3
+GUARD: Final = schema.Guard(force_max_n=FORCE_MAX_N, torque_max_nm=TORQUE_MAX_NM, ramp_s=0.01)
+ROUNDING: Final = 1e-12
+"""A clamp by norm is exact to a few roundings; relative."""
+
+FORCE, TORQUE, MODE, BITS = OFFSET["force"], OFFSET["torque"], OFFSET["contact.mode"], OFFSET["servo.guard"]
+
+
+class Case(NamedTuple):
+    """One extreme.
+
+    name, given   what is driven to its end, and to where
+    scene         mapping of a scene file
+    samples       (n, 7)  poses as a device gives them
+    dts           (n,) s  time since the last tick
+    refused       poses that are to be refused, by name, or None where none may be
+    expects       what else must hold of the records; returns what is wrong, "" for nothing
+    """
+
+    name: str
+    given: str
+    scene: dict[str, Any]
+    samples: Array
+    dts: Array
+    refused: bool = False
+    expects: Callable[[Array], str] = lambda records: ""
+
+
+class Finding(NamedTuple):
+    """What happened: ticks, largest force (N), modes seen, what the guard named, what is wrong ("" if nothing)."""
+
+    name: str
+    given: str
+    ticks: int
+    force_n: float
+    modes: str
+    named: str
+    wrong: str
+
+
+@entry
+def tick_stream(
+    tuning_like: Tuning, values: Array, start: Memory, memory_values: Array, samples: Array, dts: Array, records: Array
+) -> None:
+    """One tick for each row of `samples` (n, 7), `dts` (n,) s apart, into `records` (n, RECORD_SIZE)."""
+    tuning, memory = unpack(tuning_like, values), unpack(start, memory_values)
+    for i in range(samples.shape[0]):
+        memory = tick(tuning, start, memory, samples[i], dts[i], i, records[i])
+    pack(memory_values, memory)
+
+
+# --- scenes and motions ----------------------------------------------------------------------------
+
+
+def scene(
+    *objects: dict[str, Any],
+    radius: float = R,
+    method: str = "euler_zxz",
+    stiffness: float = 1000.0,
+    friction: tuple[float, float] = (0.6, 0.5),
+) -> dict[str, Any]:
+    """Mapping of a scene file: everything modelled, on a plane if no object is given."""
+    material = {
+        "stiffness_n_per_m": stiffness,
+        "friction": {"static": friction[0], "kinetic": friction[1]},
+        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+    }
+    things = [{"name": f"thing {n}", "material": material} | thing for n, thing in enumerate(objects or PLANE)]
+    return {
+        "fingertip": {"radius_m": radius},
+        "rolling": {"method": method},
+        "coupling": {"stiffness_n_per_m": stiffness},
+        "object": things,
+    }
+
+
+PLANE: Final = ({"shape": "plane"},)
+BALL: Final = {"shape": "sphere", "radius_m": 0.02, "position_m": [0.0, 0.0, -0.02]}
+BLOCK: Final = {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.0, 0.0, -0.01]}
+WALLS: Final = (
+    {"shape": "plane"},
+    {"shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]},
+    {"shape": "plane", "orientation_wxyz": [0.5**0.5, -(0.5**0.5), 0.0, 0.0]},
+)
+
+
+def turned(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Array:
+    """Quaternions (n, 4) of the angles (n,) rad about an axis."""
+    unit = np.asarray(axis, float) / np.linalg.norm(axis)
+    return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * unit])
+
+
+def press(depth: float, radius: float = R, way: float = 0.0, count: int = TICKS) -> Array:
+    """Poses (n, 7) of a fingertip that comes down onto z = 0, `depth` deep, goes `way` along x and y and leaves."""
+    t = np.linspace(0.0, 1.0, count)
+    down = np.clip(np.minimum(t, 1.0 - t) / 0.1, 0.0, 1.0)
+    along = way * np.clip((t - 0.2) / 0.6, 0.0, 1.0)
+    samples = np.zeros((count, 7))
+    samples[:, 0], samples[:, 1] = along, 0.5 * along
+    samples[:, 2] = radius * 1.2 - down * (0.2 * radius + depth)
+    samples[:, 3] = 1.0
+    return samples
+
+
+def even(count: int, dt: float = 0.001) -> Array:
+    return np.full(count, dt)
+
+
+# --- what is asked of some -------------------------------------------------------------------------
+
+
+def touches_and_leaves(records: Array) -> str:
+    modes = records[:, MODE]
+    if not (modes != FREE).any():
+        return "nothing was touched"
+    return "" if modes[-1] == FREE else "the contact did not end"
+
+
+def slides(records: Array) -> str:
+    return touches_and_leaves(records) or ("" if (records[:, MODE] == SLIDING).any() else "it did not slide")
+
+
+def never_slides(records: Array) -> str:
+    return touches_and_leaves(records) or ("it slid" if (records[:, MODE] == SLIDING).any() else "")
+
+
+def zero_where_refused(records: Array) -> str:
+    refused = records[:, BITS] == POSE_REFUSED
+    silent = not records[refused][:, FORCE : FORCE + 3].any() and not (records[refused, MODE] != FREE).any()
+    return "" if silent else "a refused pose left a force or a contact"
+
+
+# --- the cases -------------------------------------------------------------------------------------
+
+
+def cases() -> Iterator[Case]:
+    """Every extreme; those of one scene type follow each other."""
+    yield Case("no rotation", "a drag without any turn", scene(), press(0.001, way=0.01), even(TICKS), expects=slides)
+    for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
+        poses = press(0.001)
+        poses[:, 3:] = turned(angle * np.arange(TICKS), (1.0, 0.3, 0.1))
+        yield Case("rotation in one tick", f"{words} about a slanting axis, every tick", scene(), poses, even(TICKS))
+    poses = press(0.001)
+    poses[:, 3:] = turned(0.02 * np.arange(TICKS), (0.0, 0.0, 1.0))
+    yield Case("gimbal of ZXZ", "theta = 0: pure spin", scene(), poses, even(TICKS), expects=never_slides)
+    poses = press(0.001)
+    poses[:, 3:] = turned(pi * np.arange(TICKS), (1.0, 0.0, 0.0))
+    yield Case("gimbal of ZXZ", "theta = pi every tick", scene(), poses, even(TICKS))
+    for radius in (1e-5, 1e3):
+        model = scene(radius=radius)
+        poses = press(0.1 * radius, radius, radius)
+        yield Case("fingertip radius", f"r = {radius:g} m", model, poses, even(TICKS), expects=touches_and_leaves)
+    for stiffness in (1e-3, 1e6):
+        model = scene(stiffness=stiffness)
+        poses = press(0.001, way=0.01)
+        yield Case("stiffness", f"K = {stiffness:g} N/m", model, poses, even(TICKS), expects=touches_and_leaves)
+    poses = press(0.001, way=0.01)
+    yield Case("friction", "mu = 0", scene(friction=(0.0, 0.0)), poses, even(TICKS), expects=slides)
+    yield Case("friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even(TICKS), expects=never_slides)
+    for rate in (8000.0, 50.0):
+        yield Case("period", f"T = 1/{rate:g} s", scene(), poses, even(TICKS, 1.0 / rate), expects=slides)
+    missed = np.asarray(0.001 * np.random.default_rng(1).integers(1, 100, TICKS), np.float64)
+    yield Case("missed ticks", "1 to 99 at a time", scene(), poses, missed, expects=touches_and_leaves)
+    yield Case("no time passes", "dt = 0", scene(), poses, even(TICKS, 0.0), expects=touches_and_leaves)
+    jumps: Array = 10.0 ** np.random.default_rng(2).uniform(-9.0, 3.0, TICKS)
+    yield Case("clock that jumps", "dt from 1e-9 to 1e3 s", scene(), poses, jumps, expects=touches_and_leaves)
+    for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
+        broken = press(0.001)
+        broken[100:300:7, 1] = value
+        yield Case("broken position", words, scene(), broken, even(TICKS), True, zero_where_refused)
+    for norm in (0.0, 1e-3, nan, inf, 1e200):
+        broken = press(0.001)
+        broken[100:300:7, 3] = norm
+        yield Case("quaternion", f"of norm {norm:g}", scene(), broken, even(TICKS), True, zero_where_refused)
+    for norm in (0.51, 1.99):
+        uneven = press(0.001)
+        uneven[::2, 3] = norm
+        yield Case("quaternion", f"of norm {norm:g}", scene(), uneven, even(TICKS), expects=never_slides)
+    tiny = press(0.001)
+    tiny[:, 4:] = 5e-324
+    yield Case("subnormal numbers", "in the quaternion", scene(), tiny, even(TICKS), expects=never_slides)
+    hops = np.random.default_rng(3).uniform(-1.0, 1.0, (TICKS, 3)) * 10.0 ** np.linspace(-3.0, 6.0, TICKS)[:, None]
+    poses = press(0.001)
+    poses[:, :3] = hops
+    yield Case("teleporting probe", "up to 1000 km a tick, through the plane", scene(), poses, even(TICKS))
+    poses = press(1.0)
+    yield Case("deep penetration", "1 m at 1e6 N/m", scene(stiffness=1e6), poses, even(TICKS), expects=clamped)
+
+    for radius, other in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
+        ball = {"shape": "sphere", "radius_m": other, "position_m": [0.0, 0.0, -min(other, 1e3)]}
+        poses = press(0.1 * min(radius, other), radius, 0.1 * min(radius, other))
+        words = f"r = {radius:g} m on R = {other:g} m"
+        yield Case("curvature", words, scene(ball, radius=radius), poses, even(TICKS), expects=touches_and_leaves)
+    for sign in (1.0, -1.0):
+        poses = press(0.001)
+        poses[:, 3:] = turned(sign * pi / 2 * np.arange(TICKS), (0.0, 1.0, 0.0))
+        yield Case("gimbal of ZYX", "pitch of pi/2 every tick", scene(BALL, method="euler_zyx"), poses, even(TICKS))
+
+    for place, words in (((0.01, 0.0), "edge"), ((0.01, 0.01), "corner")):
+        poses = press(0.001, way=0.004)
+        poses[:, :2] += np.asarray(place) - 0.001
+        poses[:, 3:] = turned(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0))
+        words = f"of a box, rolled over its {words}"
+        yield Case("sharp object", words, scene(BLOCK), poses, even(TICKS), expects=touches_and_leaves)
+
+    for count in (2, 3):
+        poses = press(0.001, way=0.003)
+        poses[:, : count - 1] += 0.009
+        poses[:, count - 1 : 2] += 0.05
+        words = f"{count} walls at once, turning"
+        poses[:, 3:] = turned(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0))
+        yield Case("several contacts", words, scene(*WALLS), poses, even(TICKS))
+
+
+def clamped(records: Array) -> str:
+    force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
+    return "" if force.max() > 0.99 * FORCE_MAX_N else "the clamp was not reached"
+
+
+def tuning_of(mapping: dict[str, Any]) -> Tuning:
+    return make_tuning(build(schema.Scene, mapping, "extreme"), GUARD)
+
+
+def run_case(case: Case) -> Array:
+    """Records (n, RECORD_SIZE) of a case."""
+    tuning = tuning_of(case.scene)
+    records, start = np.zeros((len(case.samples), RECORD_SIZE)), begin(tuning.scene)
+    tick_stream(tuning, flatten(tuning), start, flatten(start), case.samples, case.dts, records)
+    return records
+
+
+def judge(case: Case, records: Array) -> Finding:
+    """What happened in a case, and what of it must not."""
+    force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
+    modes = np.unique(records[:, MODE])
+    bits = int(np.bitwise_or.reduce(records[:, BITS].astype(np.int64)))
+    named = [name for n, name in enumerate(GUARD_NAMES) if bits >> n & 1]
+    wrong = ""
+    if broken := broken_rules(records):
+        wrong = f"{broken} ticks with a number not finite, a wrench past the guard or no mode"
+    elif case.refused != bool(bits & POSE_REFUSED):
+        wrong = "a pose refused" if not case.refused else "a broken pose taken"
+    words = " ".join(("free", "rolling", "sliding")[int(mode)] for mode in modes if isfinite(mode))
+    return Finding(
+        case.name, case.given, len(records), float(force.max()), words, " ".join(named), wrong or case.expects(records)
+    )
+
+
+def try_extremes() -> list[Finding]:
+    """Every case, in order."""
+    found, todo = [], list(cases())
+    with progress("extremes", len(todo)) as done:
+        for number, case in enumerate(todo):
+            found.append(judge(case, run_case(case)))
+            done(number + 1)
+    return found
+
+
+# --- garbage ---------------------------------------------------------------------------------------
+
+HOSTILE_SCENES: Final = {
+    "plane": scene(),
+    "sphere": scene(BALL),
+    "box": scene(BLOCK),
+    "three walls": scene(*WALLS),
+}
+HOSTILE_BLOCK: Final = 20_000
+WILD: Final = np.array([nan, inf, -inf, 0.0, -0.0, 5e-324, -5e-324, 1.7e308, -1.7e308])
+"""What no device should send, beside numbers of any size."""
+
+
+def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    """Samples (count, 7) and time steps (count,) s; a quarter of the samples holds what none should send."""
+    samples = rng.uniform(-1.0, 1.0, (count, 7))
+    samples[:, :3] *= 2.0 * R
+    spoilt = (rng.random((count, 1)) < 0.25) & (rng.random((count, 7)) < 0.125)
+    wild = rng.choice(WILD, (count, 7))
+    sized = rng.choice([-1.0, 1.0], (count, 7)) * 10.0 ** rng.uniform(-300.0, 300.0, (count, 7))
+    samples[spoilt] = np.where(rng.random((count, 7)) < 0.5, wild, sized)[spoilt]
+    dts = np.full(count, 0.001)
+    odd = rng.integers(0, 16, count)
+    dts[odd == 0] = 0.0
+    dts[odd == 1] = 10.0 ** rng.uniform(-9.0, 3.0, np.count_nonzero(odd == 1))
+    return samples, dts
+
+
+def broken_rules(records: Array) -> int:
+    """How many of the records (n, RECORD_SIZE) break a rule that holds for every tick."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
+        torque = np.linalg.norm(records[:, TORQUE : TORQUE + 3], axis=1)
+        kept = (force <= FORCE_MAX_N * (1.0 + ROUNDING)) & (torque <= TORQUE_MAX_NM * (1.0 + ROUNDING))
+        kept &= np.isin(records[:, MODE], (0.0, 1.0, 2.0)) & (records[:, BITS] % (2 * NOT_FINITE) < NOT_FINITE)
+        return int(np.count_nonzero(~(kept & np.isfinite(records).all(axis=1))))
+
+
+def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
+    """`ticks` random ticks on each of HOSTILE_SCENES: how many broke a rule and were refused, and the largest force."""
+    rows = []
+    with progress("hostile input", ticks * len(HOSTILE_SCENES)) as done:
+        for number, (name, mapping) in enumerate(HOSTILE_SCENES.items()):
+            tuning, rng = tuning_of(mapping), np.random.default_rng((seed, number))
+            values, start = flatten(tuning), begin(tuning.scene)
+            memory, records = flatten(start), np.zeros((HOSTILE_BLOCK, RECORD_SIZE))
+            broken, refused, strongest = 0, 0, 0.0
+            for first in range(0, ticks, HOSTILE_BLOCK):
+                samples, dts = garbage(rng, min(HOSTILE_BLOCK, ticks - first))
+                part = records[: len(samples)]
+                tick_stream(tuning, values, start, memory, samples, dts, part)
+                broken += broken_rules(part)
+                refused += int(np.count_nonzero(part[:, BITS] == POSE_REFUSED))
+                strongest = max(strongest, float(np.linalg.norm(part[:, FORCE : FORCE + 3], axis=1).max()))
+                done(number * ticks + first + len(samples))
+            rows.append({"scene": name, "ticks": ticks, "broken": broken, "refused": refused, "force_max_n": strongest})
+    return rows
+
+
+def markdown(found: Sequence[Finding]) -> str:
+    """The findings as a table."""
+    lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
+    lines += [
+        f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"
+        for row in found
+    ]
+    return "\n".join(lines) + "\n"

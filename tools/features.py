@@ -1,0 +1,196 @@
+"""Every feature a scene file offers, each as a pair of scenes that differ by that one feature.
+
+What the difference costs is what the feature costs, in the company the pair is in: on a bare plane for what needs
+nothing else, on the paper's plane for what needs friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple, get_args
+
+import numpy as np
+
+from softfinger.config import schema
+from softfinger.config.load import build
+from softfinger.server.cost import BLOCK, Array, touching_poses
+
+Table = dict[str, Any]
+
+FRICTION: Final[Table] = {"static": 0.6, "kinetic": 0.5}
+TORSION: Final[Table] = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
+STUFF: Final[Table] = {"stiffness_n_per_m": 1000.0}
+GRIP: Final[Table] = STUFF | {"friction": FRICTION, "torsion": TORSION}
+ROLLING: Final[Table] = {"rolling": {"method": "euler_zxz"}}
+
+SHAPES: Final[dict[str, Table]] = {
+    "plane": {"shape": "plane"},
+    "sphere": {"shape": "sphere", "radius_m": 0.05},
+    "cylinder": {"shape": "cylinder", "radius_m": 0.05},
+    "cylinder with ends": {"shape": "cylinder", "radius_m": 0.05, "length_m": 0.2},
+    "capsule": {"shape": "capsule", "radius_m": 0.05, "length_m": 0.1},
+    "box": {"shape": "box", "size_m": [0.1, 0.12, 0.14]},
+    "ellipsoid": {"shape": "ellipsoid", "semi_axes_m": [0.06, 0.05, 0.04]},
+    "torus": {"shape": "torus", "major_radius_m": 0.06, "minor_radius_m": 0.02},
+}
+"""Room for a fingertip of 10 mm in each, and in the hole of the torus."""
+
+LAWS: Final[dict[str, Table]] = {
+    "Stribeck": {"stribeck_speed_m_per_s": 0.02},
+    "viscous": {"viscous_s_per_m": 0.5},
+    "anisotropic": {"direction_x": [1.0, 0.0, 0.0], "kinetic_scale": [1.0, 0.5]},
+}
+TORSIONS: Final[dict[str, Table]] = {
+    "linear": {},
+    "power law": {"exponent": 0.25},
+    "limit_surface": {"model": "limit_surface"},
+    "soft_finger_proxy": {"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003},
+}
+BAND: Final[Table] = {"stiffness_n_per_m": 400.0, "damping_ns_per_m": 2.0, "force_max_n": 5.0}
+WORKSPACE: Final[dict[str, Table]] = {
+    "viscosity": {"kind": "viscosity", "damping_ns_per_m": 2.0},
+    "constant_force": {"kind": "constant_force", "force_n": [0.0, 0.0, -1.0]},
+    "spring": {"kind": "spring", "position_m": [0.0, 0.0, 0.05], "stiffness_n_per_m": 200.0, "force_max_n": 3.0},
+    "vibration": {"kind": "vibration", "amplitude_n": 0.5, "frequency_hz": 100.0, "direction": [0.0, 0.0, 1.0]},
+    # So small that the fingertip is beyond it while it is timed.
+    "boundary, a box": {"kind": "boundary", "size_m": [0.01, 0.01, 0.01]} | BAND,
+    "boundary, a ball": {"kind": "boundary", "radius_m": 0.005} | BAND,
+}
+REGIONS: Final[dict[str, Table]] = {"box": {"size_m": [0.1, 0.1, 0.1]}, "ball": {"radius_m": 0.05}}
+OF_OBJECTS: Final[dict[str, Table]] = {
+    "viscosity": {"kind": "viscosity", "damping_ns_per_m": 2.0},
+    "constant_force": {"kind": "constant_force", "force_n": [0.0, 0.0, -1.0]},
+    "vibration": {"kind": "vibration", "amplitude_n": 0.5, "frequency_hz": 100.0, "direction": [0.0, 0.0, 1.0]},
+    "vibration along the normal": {"kind": "vibration", "amplitude_n": 0.5, "frequency_hz": 100.0},
+    "magnet": {"kind": "magnet", "force_n": 1.5, "range_m": 0.02, "exponent": 2.0},
+    "stick_slip": {"kind": "stick_slip", "stiffness_n_per_m": 200.0, "force_max_n": 0.5},
+}
+MOTIONS: Final[dict[str, Table]] = {
+    "sinusoid": {"kind": "sinusoid", "translation_m": [1e-4, 0.0, 0.0], "rotation_rad": 1e-3, "frequency_hz": 1.0},
+    "turntable": {"kind": "turntable", "rate_rad_per_s": 0.5},
+    "driven": {"kind": "driven"},
+}
+WALLS: Final[list[Table]] = [
+    {"name": "left wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]},
+    {"name": "back wall", "shape": "plane", "orientation_wxyz": [1.0, -1.0, 0.0, 0.0]},
+]
+"""Planes at right angles to the floor and to each other, with normals along x and y."""
+
+
+class Feature(NamedTuple):
+    """A feature: scenes without and with it, what they have in common, and poses for each if they need their own."""
+
+    name: str
+    base: str
+    without: schema.Scene
+    having: schema.Scene
+    poses: Callable[[], tuple[Array, Array]] | None = None
+
+
+def corner_poses(count: int = BLOCK) -> Array:
+    """Poses (count, 7) pressed 1 mm and a little into three walls at right angles, turning; radius 10 mm."""
+    poses = np.zeros((count, 7))
+    t = 2.0 * np.pi * np.arange(count) / count
+    poses[:, :3] = 0.009 + 0.0005 * np.stack([np.sin(3.0 * t), np.sin(2.0 * t), np.sin(5.0 * t)], axis=1)
+    poses[:, 3], poses[:, 4], poses[:, 6] = 1.0, 0.02 * np.sin(5.0 * t), 0.05 * np.sin(t)
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
+    return poses
+
+
+def _carried(here: schema.Scene, there: schema.Scene) -> tuple[Array, Array]:
+    """Poses (n, 7) that touch the object of `here`, and the same on it where it is in `there`."""
+    poses = touching_poses(here)
+    w, *v = there.object[0].orientation_wxyz
+    position, scalar, vector = poses[:, :3], poses[:, 3:4], poses[:, 4:]
+    across = np.cross(v, position)
+    position = position + 2.0 * (w * across + np.cross(v, across)) + there.object[0].position_m
+    orientation = w * scalar - vector @ np.array([v]).T, w * vector + scalar * v + np.cross(v, vector)
+    return poses, np.hstack([position, *orientation])
+
+
+def all_features() -> list[Feature]:
+    """Every feature, in the order of the scene file's tables."""
+    return [*_rolling(), *_friction(), *_torsion(), *_shapes(), *_several(), *_motions(), *_effects()]
+
+
+def _scene(
+    shape: str = "plane", material: Mapping[str, Any] = STUFF, others: list[Table] | None = None, **changes: Any
+) -> schema.Scene:
+    """An object of that shape; `changes` are keys of the scene, or with the prefix `object_` of the object."""
+    own = {key.removeprefix("object_"): value for key, value in changes.items() if key.startswith("object_")}
+    tables = {key: value for key, value in changes.items() if not key.startswith("object_")}
+    things = [{"name": shape, **SHAPES[shape], **own}, *(others or [])]
+    objects = [{"material": dict(material), **thing} for thing in things]
+    return build(schema.Scene, {"fingertip": {"radius_m": 0.01}, "object": objects, **tables}, f"bench, {shape}")
+
+
+def _rolling() -> Iterator[Feature]:
+    for shape, methods in {
+        "plane": get_args(schema.RollingMethod),
+        "sphere": ("rotation_vector",),
+        "box": ("rotation_vector",),
+        "ellipsoid": tuple(m for m in get_args(schema.RollingMethod) if m != "rotation_vector"),
+    }.items():
+        for method in methods:
+            without, having = _scene(shape, GRIP), _scene(shape, GRIP, rolling={"method": method})
+            yield Feature(f"rolling {method}, {shape}", f"{shape} with friction and torsion", without, having)
+
+
+def _friction() -> Iterator[Feature]:
+    spun = _scene(material=STUFF | {"torsion": TORSION})
+    yield Feature("friction static and kinetic", "plane with torsion", spun, _scene(material=GRIP))
+    base, full = "plane with friction, torsion, rolling", _scene(material=GRIP, **ROLLING)
+    for name, keys in LAWS.items():
+        yield Feature(f"friction {name}", base, full, _scene(material=GRIP | {"friction": FRICTION | keys}, **ROLLING))
+    paper = _scene(material=GRIP, rolling={"method": "euler_zxz", "state_machine": "paper"})
+    yield Feature("state machine paper, for default", base, full, paper)
+
+
+def _torsion() -> Iterator[Feature]:
+    without = _scene(material=STUFF | {"friction": FRICTION}, **ROLLING)
+    for name, keys in TORSIONS.items():
+        having = _scene(material=GRIP | {"torsion": TORSION | keys}, **ROLLING)
+        yield Feature(f"torsion {name}", "plane with friction, rolling", without, having)
+
+
+def _shapes() -> Iterator[Feature]:
+    plane = _scene()
+    for name in SHAPES:
+        if name != "plane":
+            yield Feature(f"shape {name}, for plane", "bare plane", plane, _scene(name))
+    for name in SHAPES:
+        if name != "plane":
+            yield Feature(f"inside {name}, for outside", f"bare {name}", _scene(name), _scene(name, object_inside=True))
+    bare, place, turn = _scene("ellipsoid"), [0.01, 0.02, 0.03], [0.8, 0.36, 0.48, 0.0]
+    moved, turned = _scene("ellipsoid", object_position_m=place), _scene("ellipsoid", object_orientation_wxyz=turn)
+    yield Feature("object moved", "bare ellipsoid", bare, moved, lambda: _carried(bare, moved))
+    yield Feature("object turned", "bare ellipsoid", bare, turned, lambda: _carried(bare, turned))
+
+
+def _several() -> Iterator[Feature]:
+    apart = {"name": "far below", "shape": "plane", "position_m": [0.0, 0.0, -1.0]}
+    yield Feature("second object, apart", "bare plane", _scene(), _scene(others=[apart]))
+    yield Feature(
+        "second object, apart from a sphere", "bare sphere", _scene("sphere"), _scene("sphere", others=[apart])
+    )
+    two, three = _scene(others=WALLS[:1]), _scene(others=WALLS)
+    yield Feature("second object, touched too", "bare plane", _scene(), two, lambda: (corner_poses(), corner_poses()))
+    yield Feature("third object, touched too", "two bare planes", two, three, lambda: (corner_poses(), corner_poses()))
+
+
+def _motions() -> Iterator[Feature]:
+    base, full = "plane with friction, torsion, rolling", _scene(material=GRIP, **ROLLING)
+    for name, keys in MOTIONS.items():
+        yield Feature(f"motion {name}", base, full, _scene(material=GRIP, object_motion=keys, **ROLLING))
+
+
+def _effects() -> Iterator[Feature]:
+    plane = _scene()
+    for name, keys in WORKSPACE.items():
+        yield Feature(f"effect {name}, workspace", "bare plane", plane, _scene(effect=[keys]))
+    oil = WORKSPACE["viscosity"]
+    for name, keys in REGIONS.items():
+        having = _scene(effect=[oil | {"region": keys | {"edge_m": 0.005}}])
+        yield Feature(f"region {name}", "bare plane with viscosity", _scene(effect=[oil]), having)
+    for name, keys in OF_OBJECTS.items():
+        yield Feature(f"effect {name}, object", "bare plane", plane, _scene(object_effect=[keys]))
