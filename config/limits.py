@@ -57,3 +57,10 @@ EFFECTS: Final = Range(0, 16, "every effect is compiled into the contact step")
 OBJECTS: Final = Range(1, 64, "every object is compiled into the contact step")
 NAME_LENGTH: Final = Range(1, 64, "a name has to fit a line of a report")
 ENDPOINT_LENGTH: Final = Range(1, 256, "longer than any address ZeroMQ takes")
+
+# The simulated device.
+MASS_KG: Final = Range(1e-3, 100.0, "a handle of a gram is lighter than a knob, one of 100 kg is no handle")
+HAND_MASS_KG: Final = Range(0.0, 10.0, "0 is no hand; past 10 kg it is a whole body")
+DEVICE_FRICTION_N: Final = Range(0.0, 40.0, "no more than the strongest desktop device could overcome")
+LAG_S: Final = Range(0.0, 0.1, "amplifiers slower than a tenth of a second display no contact")
+DELAY_TICKS: Final = Range(0, 16, "what a chain of buffers may hold; the ring of forces under way has this size")

@@ -12,6 +12,9 @@ QUIET_S = 0.5
 TERMINAL_PERIOD_S = 0.2
 PLAIN_PERIOD_S = 5.0
 
+CHUNK = 65536
+"""Ticks that an offline run does between two reports."""
+
 
 @contextmanager
 def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:

@@ -39,10 +39,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     for flag, _, kind, metavar, text in OVERRIDES:
         parser.add_argument(flag, type=kind, metavar=metavar, help=text)
     parser.add_argument("--once", action="store_true", help="play a recording once instead of looping it")
-    parser.add_argument("--duration", type=_duration, metavar="S", help="stop after so many seconds of ticks")
+    parser.add_argument("--duration", type=duration, metavar="S", help="stop after so many seconds of ticks")
 
 
-def _duration(text: str) -> float:
+def duration(text: str) -> float:
+    """A time of the command line, s."""
     seconds = float(text)
     if not 0.0 < seconds < 1e9:
         raise argparse.ArgumentTypeError(f"{text}: a duration is more than 0 s")

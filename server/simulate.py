@@ -1,14 +1,18 @@
-"""`simulate`: the servo's tick over recorded poses, offline, to the same bits and as fast as it goes."""
+"""`simulate`: the servo's tick offline, as fast as it goes, over poses or with a device that is computed."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import check_poses
@@ -16,15 +20,16 @@ from softfinger.proxy.kernels.jit import entry
 from softfinger.proxy.kernels.pack import flatten, pack, unpack
 from softfinger.proxy.state import CAUSE_NAMES, MODE_NAMES, OFFSET, RECORD_SIZE
 from softfinger.server.clock import NS_PER_S, period_ns
-from softfinger.server.progress import progress
+from softfinger.server.progress import CHUNK, progress
 from softfinger.server.results import write_results
+from softfinger.server.run import duration
 from softfinger.server.tick import Memory, Tuning, begin, tick
 from softfinger.server.tuning import make_tuning
 
 Array = NDArray[np.float64]
 
-CHUNK = 65536
-"""Ticks between two reports of progress."""
+DURATION_S = 10.0
+"""How long a device is run that nobody gave a time."""
 
 
 @entry
@@ -67,23 +72,60 @@ def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", required=True, help="scene file or the name of a shipped one")
-    parser.add_argument("--poses", required=True, help="CSV, npz or MCAP file, or the name of a shipped recording")
+    felt = parser.add_mutually_exclusive_group(required=True)
+    felt.add_argument("--poses", help="CSV, npz or MCAP file, or the name of a shipped recording")
+    felt.add_argument("--device", metavar="D", help="a device that is computed: simulated; it feels the force")
     parser.add_argument("--out", required=True, type=Path, help="where to: .csv, .npz or .mcap")
+    parser.add_argument("--duration", type=duration, metavar="S", help="with --device: how long (10)")
     parser.add_argument("--method", help="rolling method in place of the scene's")
     parser.add_argument("--rate", type=float, metavar="HZ", help="tick rate in place of the rig's (1000)")
-    parser.add_argument("--rig", default="replay", help="rig whose guard limits the force (default: %(default)s)")
+    parser.add_argument(
+        "--rig", help="rig whose guard limits the force, and whose options the device has (replay, simulated)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     scene_changes = {} if args.method is None else {"rolling.method": args.method}
     rig_changes = {} if args.rate is None else {"servo.rate_hz": args.rate}
+    rig_name = args.rig or ("replay" if args.device is None else "simulated")
+    if args.device is not None:
+        rig_changes["device.driver"] = args.device
+    elif args.duration is not None:
+        raise ConfigError("--duration goes with --device: poses last as long as they do")
     scene = load_scene(args.scene, scene_changes, {"rolling.method": "command line --method"})
-    rig = load_rig(args.rig, rig_changes, {"servo.rate_hz": "command line --rate"})
-    poses = resample(load_poses(args.poses), rig.servo.rate_hz)
-    records = simulate(make_tuning(scene, rig.guard), poses, rig.servo.rate_hz)
+    rig = load_rig(
+        rig_name, rig_changes, {"servo.rate_hz": "command line --rate", "device.driver": "command line --device"}
+    )
+    rate = rig.servo.rate_hz
+    if args.device is None:
+        poses = resample(load_poses(args.poses), rate)
+        records = simulate(make_tuning(scene, rig.guard), poses, rate)
+    else:
+        records = with_device(scene, rig, DURATION_S if args.duration is None else args.duration)
     write_results(args.out, records)
-    print(f"{args.out}: {len(records)} ticks at {rig.servo.rate_hz:g} Hz; {summary(records)}")
+    print(f"{args.out}: {len(records)} ticks at {rate:g} Hz; {summary(records)}")
     return 0
+
+
+def with_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Array:
+    """Records of a scene felt through the rig's simulated device; ConfigError for a device that is not computed."""
+    # Compiled when imported, which a run over poses need not wait for.
+    from softfinger.server.closed_loop import run_closed_loop
+
+    rate, driver = rig.servo.rate_hz, registry.load(rig.device.driver)
+    if not hasattr(driver, "simulation"):
+        raise ConfigError(
+            f"device '{rig.device.driver}' cannot be run without a clock: take the device `simulated`, or --poses"
+        )
+    options = build(driver.Options, rig.device.options, "[device]")
+    # The records hold the forces; a file of what a servo wrote would be empty.
+    with driver.open_device(msgspec.structs.replace(options, forces=None), rate) as device:
+        ticks = max(1, round(seconds * rate))
+        intention = device.simulation.intention
+        if not intention.loop:
+            ticks = min(ticks, int(intention.length))
+        tuning = make_tuning(scene, rig.guard, device.info)
+        return run_closed_loop(tuning, device.simulation, rate, ticks)
 
 
 def summary(records: Array) -> str:

@@ -15,6 +15,7 @@ from softfinger.drivers.base import Device
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "replay": {"recording": "tap"},
+    "simulated": {"recording": "tap"},
 }
 
 

@@ -13,11 +13,12 @@ import pytest
 from driver_contract import Servo
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers import replay
+from softfinger.drivers import replay, wrench_log
 from softfinger.drivers.base import END, OK, STALE
 from softfinger.drivers.poses import load_poses
-from softfinger.drivers.replay import FORCE_COLUMNS, Options, Replay, open_device
+from softfinger.drivers.replay import Options, Replay, open_device
 from softfinger.drivers.resample import resample
+from softfinger.drivers.wrench_log import FORCE_COLUMNS
 
 
 def opened(**options: Any) -> Replay:
@@ -171,7 +172,7 @@ def test_unusable_options_are_refused(tmp_path: Path) -> None:
         opened(forces=str(tmp_path / "no" / "forces.csv"))
 
 
-@pytest.mark.parametrize("function", [replay._read, replay._write, replay._silence])
+@pytest.mark.parametrize("function", [replay._read, wrench_log.write, wrench_log.silence])
 def test_c_functions_neither_allocate_nor_raise(function: Any) -> None:
     """Compiled afresh, the body calls nothing, always returns status 0, and so never reaches numba's error path."""
     fresh = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc)

@@ -55,6 +55,8 @@ _UNITS: Final = {
     "_hz": "Hz",
     "_nm": "N m",
     "_rad": "rad",
+    "_kg": "kg",
+    "_ticks": "ticks",
     "_m": "m",
     "_n": "N",
     "_s": "s",

@@ -1,0 +1,88 @@
+"""One axis of a handle with motor lag, hand and Coulomb friction, by a high-order integrator with events.
+
+Written from the equations alone: it shares nothing with the exact plant but the numbers of the case.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+
+@dataclass(frozen=True)
+class Handle:
+    """Moving mass kg (handle and hand), damping and hand damping N s/m, stiffness N/m, friction N, lag s."""
+
+    mass: float
+    damping: float = 0.0
+    friction: float = 0.0
+    lag: float = 0.0
+    hand_damping: float = 0.0
+    stiffness: float = 0.0
+
+
+def integrate(
+    handle: Handle, period: float, commands: NDArray[np.float64], goals: NDArray[np.float64], x: float, v: float = 0.0
+) -> NDArray[np.float64]:
+    """Position and velocity (n + 1, 2) at the ticks, under commands (n,) N held and goals (n + 1,) m joined."""
+    a, out = 0.0, [(x, v)]
+    for n, u in enumerate(commands):
+        w = (goals[n + 1] - goals[n]) / period
+        x, v, a = _tick(handle, period, u, goals[n], w, x, v, a)
+        out.append((x, v))
+    return np.array(out)
+
+
+def _tick(
+    h: Handle, period: float, u: float, p0: float, w: float, x: float, v: float, a: float
+) -> tuple[float, float, float]:
+    def motors(t: float, a: float) -> float:
+        return u if h.lag == 0.0 else a
+
+    def applied(t: float, x: float, a: float) -> float:
+        """All but damping and friction."""
+        return motors(t, a) + h.stiffness * (p0 + w * t - x) + h.hand_damping * w
+
+    def rates(way: float):
+        def f(t: float, y: NDArray[np.float64]) -> list[float]:
+            total = applied(t, y[0], y[2]) - (h.damping + h.hand_damping) * y[1] - way * h.friction
+            fall = 0.0 if h.lag == 0.0 else (u - y[2]) / h.lag
+            if way == 0.0 and h.friction > 0.0:
+                return [0.0, 0.0, fall]
+            return [y[1], total / h.mass, fall]
+
+        return f
+
+    # It breaks away a rounding late, or it would be found to stop again at once.
+    limit = h.friction * (1.0 + 1e-12)
+    t, way = 0.0, float(np.sign(v))
+    if way == 0.0 and abs(applied(0.0, x, a)) > limit:
+        way = float(np.sign(applied(0.0, x, a)))
+    for _ in range(50):
+        if t >= period:
+            return x, v, a
+        events = []
+        if h.friction > 0.0:
+            if way:
+                # A start from rest is no stop: the event is found a rounding late.
+                events = [lambda t, y, way=way: way * y[1] + 1e-15]
+                events[0].direction = -1.0
+            else:
+                events = [lambda t, y: abs(applied(t, y[0], y[2])) - limit]
+                events[0].direction = 1.0
+            events[0].terminal = True
+        found = solve_ivp(
+            rates(way), (t, period), [x, v, a], "DOP853", rtol=1e-12, atol=1e-16, events=events, max_step=period / 8.0
+        )
+        t, (x, v, a) = float(found.t[-1]), found.y[:, -1]
+        if found.status == 1:
+            force = applied(t, x, a)
+            if way:
+                v = 0.0
+                way = float(np.sign(force)) if abs(force) > limit else 0.0
+            else:
+                way = float(np.sign(force))
+    raise RuntimeError(f"the integrator does not get past {t} s of a tick: {h}")
