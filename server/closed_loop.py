@@ -63,8 +63,8 @@ class Outcome(NamedTuple):
     left           tick at which the handle was farther than the bound from where it began, or nowhere; -1 if never
     excursion      m  largest distance of the handle from where it began, at ticks
     force          N  largest norm of the commanded force
-    energy         J  work of the commanded force on the handle, commanded force times way of a tick, summed up;
-                      a passive scene takes more than it gives: its largest value stays near what it stored before
+    energy         J  work of the commanded force on the handle: force times the way of its tick, summed up;
+                      above 0 the scene has given energy, more than its springs held at the start makes it active
     """
 
     memory: Memory

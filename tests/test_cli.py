@@ -175,7 +175,7 @@ def test_bench_prints_json(kind, tmp_path):
     import json
 
     words = {
-        "step": ["--blocks", "3"],
+        "step": ["--blocks", "3", "--features", "torsion linear"],  # compiled for the variants already
         "loop": ["--seconds", "0.3", "--realtime", "off"],
         "telemetry": ["--seconds", "0.5", "--subscribers", "2"],
     }[kind]
@@ -187,6 +187,9 @@ def test_bench_prints_json(kind, tmp_path):
     if kind == "step":
         assert len(result["variants"]) == 5 and all(row["ns_per_step"] > 0 for row in result["variants"])
         assert all(row["in_contact"] == 1.0 for row in result["variants"])
+        (feature,) = result["features"]
+        assert feature["feature"] == "torsion linear" and feature["in_contact"] == 1.0
+        assert feature["reference_ns"] > 0.0 and {"ns_per_step", "marginal_ns"} <= feature.keys()
     elif kind == "loop":
         assert result["servo"]["ticks"] == 299 and set(result["servo"]["late"]["blocks"]) == {
             "p50",
@@ -196,3 +199,10 @@ def test_bench_prints_json(kind, tmp_path):
         }
     else:
         assert result["daemon"]["lost"] == 0 and result["daemon"]["messages"] > 0
+
+
+def test_bench_refuses_a_feature_there_is_not():
+    """A pattern that no feature matches is answered with the names there are, before anything is compiled."""
+    done = run("bench", "step", "--features", "tosion*")
+    assert done.returncode == 2
+    assert "--features 'tosion*': no feature has such a name" in done.stderr and "torsion linear" in done.stderr
