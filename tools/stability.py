@@ -22,7 +22,7 @@ from softfinger.config.validate import examine
 from softfinger.tools import stability_runs
 from softfinger.tools.measure import add_output_options, check_figure, figure, save, show
 from softfinger.tools.predicted import spectral_radius
-from softfinger.tools.stability_limit import Case, find_limits
+from softfinger.tools.stability_limit import Case, compile_search, find_limits
 from softfinger.tools.stability_maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
 from softfinger.tools.sweep import run_cases
 
@@ -109,6 +109,8 @@ def measure(case: Case, args: argparse.Namespace) -> list[dict[str, Any]]:
                 points = cases_of(name, case, args.points)
                 cases += [msgspec.structs.replace(point, **changes) for point in points]
                 marks += [{"map": name, "variant": variant}] * len(points)
+    if args.scheduler in (None, "local"):
+        compile_search()
     found = run_cases(find_limits, cases, label="finding limits", scheduler=args.scheduler, results=args.results)
     return [{**mark, **row} for mark, row in zip(marks, found, strict=True)]
 

@@ -25,6 +25,7 @@ from softfinger.proxy.kernels.pack import flatten, unpack
 from softfinger.server.clock import NS_PER_S, period_ns
 from softfinger.server.closed_loop import NOWHERE
 from softfinger.server.guard import Guard
+from softfinger.server.progress import progress
 from softfinger.server.tick import Memory, Tuning, begin, tick
 from softfinger.tools.predicted import LinearLoop, linear_limit, passive_limit
 
@@ -280,6 +281,13 @@ def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
         }
         for case, (limit, trials, ticks) in zip(cases, out.tolist(), strict=True)
     ]
+
+
+def compile_search() -> None:
+    """Compile the search, or load it, unless that is done: the processes of a cluster here then find it compiled."""
+    with progress("compiling"):
+        plant = Case().plant()
+        run_rows(np.array([loop_of(Case(), 1.0, 1)]), flatten(plant).reshape(1, -1), plant)
 
 
 def grows_at(case: Case, stiffness: float) -> bool:

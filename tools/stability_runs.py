@@ -16,9 +16,8 @@ import msgspec
 import numpy as np
 
 from softfinger.proxy.kernels.pack import flatten
-from softfinger.server.progress import progress
 from softfinger.tools.predicted import passive_limit
-from softfinger.tools.stability_limit import Case, Loop, loop_of, run_rows
+from softfinger.tools.stability_limit import Case, Loop, compile_search, loop_of, run_rows
 from softfinger.tools.sweep import run_cases
 
 RUNS_PER_DEVICE: Final = 100
@@ -86,8 +85,7 @@ def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Pa
         Block(number, min(RUNS_PER_BLOCK, runs - first), ticks, seed)
         for number, first in enumerate(range(0, runs, RUNS_PER_BLOCK))
     ]
-    with progress("compiling"):
-        run_blocks([Block(0, 1, 1, seed)])
+    compile_search()
     begun = time.perf_counter()
     found = run_cases(run_blocks, blocks, label="random runs", scheduler=scheduler, results=results, block=1)
     seconds = time.perf_counter() - begun
