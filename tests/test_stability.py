@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.pack import flatten
 from softfinger.proxy.scene import build_scene
 from softfinger.server.cli import main, make_parser
 from softfinger.tools.predicted import LinearLoop, linear_limit, passive_limit, spectral_radius
-from softfinger.tools.stability_limit import Case, find_limits, grows_at, pressed_wall
+from softfinger.tools.stability_limit import Case, find_limits, grows_at, wall_and_weight
 from softfinger.tools.stability_maps import VARIANTS
 from softfinger.tools.stability_runs import Block, run_blocks
 from softfinger.tools.sweep import run_cases
@@ -162,7 +162,7 @@ def test_pressed_wall_is_what_a_scene_file_gives() -> None:
         ],
     }  # fmt: skip
     scene = build_scene(build(Scene, mapping, "test"))
-    wall = pressed_wall(1500.0, 2.0, 0.003, 0.02).scene
+    wall = wall_and_weight(1500.0, 2.0, 0.003, 0.02).scene
     assert numba.typeof(wall) == numba.typeof(scene)
     np.testing.assert_array_equal(flatten(wall), flatten(scene))
 
@@ -205,6 +205,14 @@ def test_encoder_steps_alone_are_no_instability() -> None:
     coarse, fine = find_limits([Case(resolution_m=20e-6), Case()])
     # Within the describing function of a quantiser, which is 1 to 1.27 at twenty steps' swing and less.
     assert coarse["limit_n_per_m"] == pytest.approx(fine["limit_n_per_m"], rel=0.27)
+
+
+def test_friction_may_stop_a_knock_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """Then no wall is unstable: the limit is none, in words and as null."""
+    words = ["--friction", "10", "--damping", "1000", "--mass", "0.001", "--resolution", "1e-5"]
+    assert stability(capsys, *words)["cases"][0]["limit_n_per_m"] is None
+    assert main(["stability", *words]) == 0
+    assert "no limit" in capsys.readouterr().out
 
 
 def test_an_undamped_loop_has_no_stable_wall() -> None:

@@ -128,7 +128,9 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             heads = [*map(_head, keys), "found", "linear", "passive"]
             lines.append("  " + "".join(f"{head:>{_width(head)}}" for head in heads))
         cells = [f"{row[key]:>{_width(_head(key))}.6g}" for key in keys]
-        cells += [f"{row[key]:>14.2f}" for key in ("limit_n_per_m", "predicted_n_per_m", "passive_n_per_m")]
+        found = row["limit_n_per_m"]
+        cells.append(f"{'no limit':>14}" if found is None else f"{found:>14.2f}")
+        cells += [f"{row[key]:>14.2f}" for key in ("predicted_n_per_m", "passive_n_per_m")]
         lines.append("  " + "".join(cells))
     return lines
 
@@ -146,11 +148,13 @@ def draw_radius(path: Path, case: Case, row: Mapping[str, Any]) -> None:
     """Spectral radius of the linear loop against the stiffness, with what was found and the passivity bound."""
     drawing = figure(path)
     axes = drawing.add_subplot()
-    top = 2.0 * max(row["limit_n_per_m"], row["predicted_n_per_m"], 1.0)
+    found = row["limit_n_per_m"]
+    top = 2.0 * max(found or 0.0, row["predicted_n_per_m"], 1.0)
     stiffness = np.linspace(top / 400.0, top, 400)
     axes.plot(stiffness, spectral_radius(case.linear(), stiffness), label="linear loop")
     axes.axhline(1.0, color="0.4", linewidth=0.8)
-    axes.axvline(row["limit_n_per_m"], color="C1", label="unstable above: found on the servo step")
+    if found is not None:
+        axes.axvline(found, color="C1", label="unstable above: found on the servo step")
     axes.axvline(row["passive_n_per_m"], color="0.4", linestyle="--", label="passive below")
     axes.set_xlabel("stiffness of the wall, N/m")
     axes.set_ylabel("spectral radius")

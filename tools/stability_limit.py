@@ -58,6 +58,8 @@ PRECISION: Final = 1e-4
 """Relative width at which the bisection ends."""
 SOFTEST: Final = 1e-6
 """Share of the first stiffness tried at which softening ends and the limit is said to be 0."""
+STIFFEST: Final = 1e12
+"""A wall of so many N/m that is stable ends the search: a million times what a scene may have."""
 
 
 class Case(msgspec.Struct, frozen=True, kw_only=True):
@@ -138,14 +140,18 @@ class Loop(NamedTuple):
     ticks: float
 
 
-@jit
-def pressed_wall(stiffness: float, damping: float, velocity_time_constant: float, depth: float) -> Tuning:
+def wall_and_weight(stiffness: float, damping: float, velocity_time_constant: float, depth: float) -> Tuning:
     """A plane and the weight that presses `depth` m into it, in balance at the origin; a guard that lets all pass."""
     material = Material(stiffness, damping, None, None)
     wall = Object(Plane((0.0, 0.0, 1.0), depth - RADIUS_M), None, None, material, 0.0, ())
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
     scene = Scene(RADIUS_M, (wall,), None, Coupling(1.0, 0.0), velocity_time_constant, 0.0, (weight,))
     return Tuning(scene, Guard(inf, inf, inf, inf, 0.0, 1.0), None)
+
+
+pressed_wall: Final = jit(wall_and_weight)
+START: Final = begin(wall_and_weight(1.0, 0.0, 0.0, 1.0).scene)
+"""Memory before the first tick, the same for every wall."""
 
 
 @jit
@@ -197,8 +203,8 @@ def first_limit(loop: Loop, start: Memory, plant: Plant, line: Array) -> tuple[f
     With `loop.ticks` one trial at the first stiffness: that if it is stable, else 0.
 
     From the first stiffness down until it is stable or up until it is not, then by bisection. A window of
-    instability narrower than SCAN, followed by stability, would be passed over; 0 where no wall is stable
-    down to SOFTEST.
+    instability narrower than SCAN, followed by stability, would be passed over. 0 where no wall is stable
+    down to SOFTEST; inf where none is unstable up to STIFFEST, as friction stops the knock at once.
     """
     low, high, stiffness, trials, total = 0.0, inf, loop.first, 0.0, 0.0
     while True:
@@ -217,7 +223,7 @@ def first_limit(loop: Loop, start: Memory, plant: Plant, line: Array) -> tuple[f
                 return 0.0, trials, total
         elif high == inf:
             stiffness = low * SCAN
-            if not isfinite(stiffness):
+            if stiffness > STIFFEST:
                 return inf, trials, total
         elif high - low <= PRECISION * low:
             return low, trials, total
@@ -232,9 +238,6 @@ def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Ar
         row = loops[i]
         loop = Loop(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
         out[i, 0], out[i, 1], out[i, 2] = first_limit(loop, start, unpack(like, plants[i]), line)
-
-
-START: Final = begin(pressed_wall(1.0, 0.0, 0.0, 1.0).scene)
 
 
 def first_stiffness(case: Case) -> float:
@@ -265,7 +268,8 @@ def loop_of(case: Case, first: float, ticks: int = 0) -> Loop:
 def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
     """For each case its values, the limit found, what theory says, and what finding it took.
 
-    `limit_n_per_m` on the real step; `predicted_n_per_m` of the linear part, exact; `passive_n_per_m`.
+    `limit_n_per_m` on the real step, None without limit; `predicted_n_per_m` of the linear part, exact;
+    `passive_n_per_m`.
     """
     loops = np.array([loop_of(case, first_stiffness(case)) for case in cases])
     plants = [case.plant() for case in cases]
@@ -273,7 +277,7 @@ def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
     return [
         {
             **msgspec.structs.asdict(case),
-            "limit_n_per_m": limit,
+            "limit_n_per_m": limit if isfinite(limit) else None,
             "predicted_n_per_m": linear_limit(case.linear()),
             "passive_n_per_m": passive_limit(case.linear()),
             "trials": int(trials),

@@ -95,7 +95,8 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
         for number, variant in enumerate(variants):
             here = [row for row in rows if row["map"] == name and row["variant"] == variant]
             x = [row[key] for row in here]
-            y = [scale * row["limit_n_per_m"] for row in here]
+            found = [row["limit_n_per_m"] for row in here]
+            y = [np.nan if limit is None else scale * limit for limit in found]
             (lines[f"{variant}: found"],) = axes.plot(x, y, "o" if number == 0 else ".-", color=f"C{number}")
         line = cases_of(name, case, LINE_POINTS)
         x, fine = [getattr(point, key) for point in line], [point.linear() for point in line]
