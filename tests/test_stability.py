@@ -162,7 +162,7 @@ def test_pressed_wall_is_what_a_scene_file_gives() -> None:
         ],
     }  # fmt: skip
     scene = build_scene(build(Scene, mapping, "test"))
-    wall = wall_and_weight(1500.0, 2.0, 0.003, 0.02).scene
+    wall = wall_and_weight(1500.0, 2.0, 0.003, 0.0, 0.02).scene
     assert numba.typeof(wall) == numba.typeof(scene)
     np.testing.assert_array_equal(flatten(wall), flatten(scene))
 

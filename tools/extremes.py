@@ -335,11 +335,21 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
     return rows
 
 
-def markdown(found: Sequence[Finding]) -> str:
-    """The findings as a table."""
+def table(found: Sequence[Finding]) -> str:
+    """The findings as a table of Markdown."""
     lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
     lines += [
         f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"
         for row in found
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def hostile_table(rows: Sequence[dict[str, Any]]) -> str:
+    """The runs over garbage, as a table of Markdown."""
+    lines = ["| scene | ticks | rules broken | poses refused | largest force |", "|---|---|---|---|---|"]
+    lines += [
+        f"| {row['scene']} | {row['ticks']} | {row['broken']} | {row['refused']} | {row['force_max_n']:.6g} N |"
+        for row in rows
     ]
     return "\n".join(lines) + "\n"

@@ -19,12 +19,12 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import unit
 from softfinger.config.validate import examine
-from softfinger.tools import stability_runs
+from softfinger.tools import extremes, stability_runs
 from softfinger.tools.measure import add_output_options, check_figure, figure, save, show
 from softfinger.tools.predicted import spectral_radius
 from softfinger.tools.stability_limit import Case, compile_search, find_limits
 from softfinger.tools.stability_maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
-from softfinger.tools.sweep import run_cases
+from softfinger.tools.sweep import add_sweep_options, run_cases
 
 FLAGS: Final = {
     "mass": "mass_kg",
@@ -38,8 +38,10 @@ FLAGS: Final = {
     "friction": "friction_n",
     "resolution": "resolution_m",
     "velocity-filter": "velocity_time_constant_s",
+    "passivity-damping": "passivity_damping_ns_per_m",
 }
 """Command-line flag of each field of a case."""
+GARBAGE_TICKS: Final = 250_000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -53,20 +55,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("what is asked")
     kinds = group.add_mutually_exclusive_group()
     kinds.add_argument("--map", choices=[*MAPS, "all"], help="limit against wall damping, rate or delay")
+    kinds.add_argument("--extremes", action="store_true", help="the tick at the ends of all its inputs, and garbage")
     kinds.add_argument("--cases", type=int, metavar="N", help="random closed-loop runs instead, and how fast they go")
     group.add_argument("--compare", action="store_true", help="maps: also with hand, friction, encoder, filter")
     group.add_argument("--points", type=int, default=POINTS, metavar="N", help="points of a map (default: %(default)s)")
     group.add_argument("--ticks", type=int, default=1000, metavar="M", help="of each random run (default: %(default)s)")
-    group.add_argument("--seed", type=int, default=0, help="of the random runs (default: %(default)s)")
-    group = parser.add_argument_group("where it is computed and kept")
-    group.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, or 'local' for processes here")
-    group.add_argument("--results", type=Path, metavar="FILE.mcap", help="keeps finished cases; run again, it goes on")
+    group.add_argument("--seed", type=int, default=0, help="of the random runs and garbage (default: %(default)s)")
+    group.add_argument(
+        "--garbage",
+        type=int,
+        default=GARBAGE_TICKS,
+        metavar="M",
+        help="ticks of garbage a scene (default: %(default)s)",
+    )
+    add_sweep_options(parser)
     add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     case = case_of(args)
-    for flag, low in (("cases", 1), ("ticks", 1), ("points", 2), ("seed", 0)):
+    for flag, low in (("cases", 1), ("ticks", 1), ("points", 2), ("seed", 0), ("garbage", 1)):
         value = getattr(args, flag)
         if value is not None and value < low:
             raise ConfigError(f"command line --{flag}: {value}: must be a whole number of at least {low}")
@@ -78,6 +86,10 @@ def run(args: argparse.Namespace) -> int:
         result = stability_runs.measure(args.cases, args.ticks, args.seed, args.scheduler, args.results)
         show({"runs": result}, args.json, stability_runs.table(result))
         return 0
+    if args.extremes:
+        if args.plot:
+            raise ConfigError("command line --plot: the extremes have no plot: leave out --plot or --extremes")
+        return run_extremes(args)
     rows = measure(case, args)
     show({"cases": rows}, args.json, table(rows))
     if args.plot and args.map is None:
@@ -85,6 +97,14 @@ def run(args: argparse.Namespace) -> int:
     elif args.plot:
         draw_maps(args.plot, rows, case)
     return 0
+
+
+def run_extremes(args: argparse.Namespace) -> int:
+    """Every extreme and some garbage; exit code 1 if anything did not hold."""
+    found, hostile = extremes.try_extremes(), extremes.try_hostile(args.garbage, args.seed)
+    result = {"extremes": [row._asdict() for row in found], "hostile": hostile}
+    show(result, args.json, [extremes.table(found), extremes.hostile_table(hostile)])
+    return int(any(row.wrong for row in found) or any(row["broken"] for row in hostile))
 
 
 def case_of(args: argparse.Namespace) -> Case:

@@ -25,6 +25,7 @@ from softfinger.proxy.kernels.pack import flatten, unpack
 from softfinger.server.clock import NS_PER_S, period_ns
 from softfinger.server.closed_loop import NOWHERE
 from softfinger.server.guard import Guard
+from softfinger.server.passivity import Passivity
 from softfinger.server.progress import progress
 from softfinger.server.tick import Memory, Tuning, begin, tick
 from softfinger.tools.predicted import LinearLoop, linear_limit, passive_limit
@@ -82,6 +83,14 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
     velocity_time_constant_s: Annotated[
         float, Meta(ge=0.0, le=limits.TIME_CONSTANT_S.high, description="of the velocity filter, 0 for none")
     ] = 0.0
+    passivity_damping_ns_per_m: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=limits.DAMPING_NS_PER_M.high,
+            description="largest damping of the passivity controller, 0 for none",
+        ),
+    ] = 0.0
 
     @property
     def period_s(self) -> float:
@@ -119,7 +128,7 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
 class Loop(NamedTuple):
     """What a trial needs beside the plant: of the wall, of the tick, and of the whole for the length of a swing.
 
-    damping, velocity_time_constant  N s/m, s
+    damping, velocity_time_constant, passivity_damping  N s/m, s, N s/m
     period                           s
     mass, hand_stiffness             kg, N/m   device and hand
     knock                            m         swing that the knock gives an undamped handle
@@ -131,6 +140,7 @@ class Loop(NamedTuple):
 
     damping: float
     velocity_time_constant: float
+    passivity_damping: float
     period: float
     mass: float
     hand_stiffness: float
@@ -140,17 +150,20 @@ class Loop(NamedTuple):
     ticks: float
 
 
-def wall_and_weight(stiffness: float, damping: float, velocity_time_constant: float, depth: float) -> Tuning:
+def wall_and_weight(
+    stiffness: float, damping: float, velocity_time_constant: float, passivity_damping: float, depth: float
+) -> Tuning:
     """A plane and the weight that presses `depth` m into it, in balance at the origin; a guard that lets all pass."""
     material = Material(stiffness, damping, None, None)
     wall = Object(Plane((0.0, 0.0, 1.0), depth - RADIUS_M), None, None, material, 0.0, ())
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
     scene = Scene(RADIUS_M, (wall,), None, Coupling(1.0, 0.0), velocity_time_constant, 0.0, (weight,))
-    return Tuning(scene, Guard(inf, inf, inf, inf, 0.0, 1.0), None)
+    # The observer is always there: with a largest damping of 0 it leaves the force alone.
+    return Tuning(scene, Guard(inf, inf, inf, inf, 0.0, 1.0), Passivity(passivity_damping))
 
 
 pressed_wall: Final = jit(wall_and_weight)
-START: Final = begin(wall_and_weight(1.0, 0.0, 0.0, 1.0).scene)
+START: Final = begin(wall_and_weight(1.0, 0.0, 0.0, 0.0, 1.0).scene)
 """Memory before the first tick, the same for every wall."""
 
 
@@ -170,7 +183,7 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
     deep = max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
     knock = min(loop.knock, WEIGHT_MAX_N / (stiffness * deep))
     depth = knock * deep
-    tuning = pressed_wall(stiffness, loop.damping, loop.velocity_time_constant, depth)
+    tuning = pressed_wall(stiffness, loop.damping, loop.velocity_time_constant, loop.passivity_damping, depth)
     zero, upright = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     state = PlantState(zero, (0.0, 0.0, knock * own / loop.period), zero, zero, upright, 0.0)
     memory, third = start, ticks / 3.0
@@ -236,7 +249,7 @@ def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Ar
     """`first_limit` of each row of `loops` (n, len(Loop)) and `plants` (n, leaves of Plant) into `out` (n, 3)."""
     for i in range(loops.shape[0]):
         row = loops[i]
-        loop = Loop(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
+        loop = Loop(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
         out[i, 0], out[i, 1], out[i, 2] = first_limit(loop, start, unpack(like, plants[i]), line)
 
 
@@ -259,7 +272,7 @@ def loop_of(case: Case, first: float, ticks: int = 0) -> Loop:
     """The kernel's row for a case: a search from stiffness `first` (N/m), or one trial at it (see Loop.ticks)."""
     over = LIMIT_CYCLE if case.resolution_m > 0.0 else DEAD
     return Loop(
-        case.wall_damping_ns_per_m, case.velocity_time_constant_s, case.period_s,
+        case.wall_damping_ns_per_m, case.velocity_time_constant_s, case.passivity_damping_ns_per_m, case.period_s,
         case.mass_kg + case.hand_mass_kg, case.hand_stiffness_n_per_m,
         max(KNOCK_M, KNOCK_STEPS * case.resolution_m), over, first, float(ticks),
     )  # fmt: skip

@@ -40,10 +40,11 @@ VARIANTS: Final[Mapping[str, Mapping[str, float]]] = {
     "with Coulomb friction": {"friction_n": 0.05},
     "with encoder steps": {"resolution_m": 20e-6},
     "with a velocity filter": {"velocity_time_constant_s": 0.002},
+    "with passivity control": {"passivity_damping_ns_per_m": 20.0},
 }
 """What `--compare` adds to the case, one at a time. The hand: a relaxed grip (its order of magnitude); the
 friction: the least of desktop devices; the steps: twice those of a desktop device; the filter: that of the
-shipped scenes."""
+shipped scenes; the passivity controller: as a scene has it that says no more."""
 
 
 def damping_limit(case: Case) -> float:

@@ -15,6 +15,7 @@ you trust.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import importlib
 import logging
@@ -43,6 +44,13 @@ Compute = Callable[[Sequence[Any]], Sequence[Any]]
 """Results of some cases, one each, in their order. A function of a module, so that workers can import it."""
 
 
+def add_sweep_options(parser: argparse.ArgumentParser) -> None:
+    """`--scheduler` and `--results`, which every command of many cases has."""
+    group = parser.add_argument_group("where it is computed and kept")
+    group.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, or 'local' for processes here")
+    group.add_argument("--results", type=Path, metavar="FILE.mcap", help="keeps finished cases; run again, it goes on")
+
+
 def run_cases(
     function: Compute,
     cases: Sequence[Any],
@@ -51,6 +59,7 @@ def run_cases(
     scheduler: str | None = None,
     results: Path | None = None,
     block: int | None = None,
+    threads: int | None = None,
 ) -> list[Any]:
     """Results of all cases, in their order, as msgpack gives them back (a tuple becomes a list).
 
@@ -60,6 +69,7 @@ def run_cases(
     scheduler  None: threads; "local": a cluster of processes here; else the address of a dask scheduler
     results    MCAP file that keeps finished cases: those in it are not computed again
     block      cases handed out at once; by default as many as keep the workers evenly busy
+    threads    how many compute at once without a scheduler, by default one on each processor; 1 for what is timed
 
     Raises ConfigError when the scheduler cannot be used, runs another version of this program or is lost, and
     RecordingError when the file cannot be; what `function` raises comes through, finished blocks are kept.
@@ -69,7 +79,7 @@ def run_cases(
         todo = {key: case for key, case in zip(keys, cases, strict=True) if key not in rows.done}
         if todo:
             finished = len(keys) - len(todo)
-            with _workers(scheduler) as workers, progress(label, len(keys)) as done:
+            with _workers(scheduler, threads) as workers, progress(label, len(keys)) as done:
                 size = block or max(1, min(BLOCK_MAX, len(todo) // (BLOCKS_PER_WORKER * workers.number)))
                 for block_keys, found in _in_blocks(workers, function, todo, size):
                     decoded = map(msgspec.msgpack.decode, found)
@@ -118,13 +128,14 @@ def _in_blocks(
 
 
 @contextmanager
-def _workers(scheduler: str | None) -> Iterator[_Workers]:
+def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
     """What computes, ready to be handed work; what is not finished when the block ends is given up."""
     here = len(os.sched_getaffinity(0))
     if scheduler is None:
-        pool = ThreadPoolExecutor(here, "sweep")
+        number = threads or here
+        pool = ThreadPoolExecutor(number, "sweep")
         try:
-            yield _Workers(here, pool.submit, as_completed)
+            yield _Workers(number, pool.submit, as_completed)
         finally:
             pool.shutdown(cancel_futures=True)
         return
