@@ -19,10 +19,10 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.pack import flatten
 from softfinger.proxy.scene import build_scene
 from softfinger.server.cli import main, make_parser
-from softfinger.tools.predicted import LinearLoop, linear_limit, passive_limit, spectral_radius
-from softfinger.tools.stability_limit import Case, find_limits, grows_at, wall_and_weight
-from softfinger.tools.stability_maps import VARIANTS
-from softfinger.tools.stability_runs import Block, run_blocks
+from softfinger.tools.stability.limit import Case, find_limits, grows_at, wall_and_weight
+from softfinger.tools.stability.maps import VARIANTS
+from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit, spectral_radius
+from softfinger.tools.stability.runs import Block, run_blocks
 from softfinger.tools.sweep import run_cases
 
 ROOT = Path(__file__).resolve().parents[1]

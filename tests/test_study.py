@@ -6,7 +6,7 @@ import pytest
 
 from softfinger.config.errors import ConfigError
 from softfinger.tools import study
-from softfinger.tools.accuracy_report import table
+from softfinger.tools.accuracy.report import table
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = "before\n<!-- study: drift -->\n| old |\n<!-- end -->\nafter <!-- study: orders -->\n<!-- end -->\n"

@@ -23,8 +23,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, HapticError
-from softfinger.tools import accuracy_report, extremes
-from softfinger.tools.stability_maps import MAPS, POINTS
+from softfinger.tools.accuracy import report
+from softfinger.tools.stability import extremes
+from softfinger.tools.stability.maps import MAPS, POINTS
 
 BLOCK: Final = re.compile(r"(<!-- study: (?P<name>[a-z-]+) -->\n).*?(<!-- end -->)", re.S)
 DRIFT_STEPS: Final = 10_000_000
@@ -32,12 +33,12 @@ HOSTILE_TICKS: Final = 2_500_000
 """On each of four scenes: ten million in all."""
 PROGRAM: Final = (sys.executable, "-m", "softfinger.server.cli")
 ACCURACY: Final = {
-    "paper": accuracy_report.paper_table,
-    "speed": accuracy_report.speed_table,
-    "orders": accuracy_report.orders_table,
-    "targets": accuracy_report.targets_table,
-    "sweeps": accuracy_report.sweep_table,
-    "drift": accuracy_report.drift_table,
+    "paper": report.paper_table,
+    "speed": report.speed_table,
+    "orders": report.orders_table,
+    "targets": report.targets_table,
+    "sweeps": report.sweep_table,
+    "drift": report.drift_table,
 }
 """Tables of `softfinger accuracy`."""
 TABLES: Final = (*ACCURACY, "extremes", "hostile")

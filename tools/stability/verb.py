@@ -19,11 +19,11 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import unit
 from softfinger.config.validate import examine
-from softfinger.tools import extremes, stability_runs
 from softfinger.tools.measure import add_output_options, check_figure, figure, save, show
-from softfinger.tools.predicted import spectral_radius
-from softfinger.tools.stability_limit import Case, compile_search, find_limits
-from softfinger.tools.stability_maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
+from softfinger.tools.stability import extremes, runs
+from softfinger.tools.stability.limit import Case, compile_search, find_limits
+from softfinger.tools.stability.maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
+from softfinger.tools.stability.predicted import spectral_radius
 from softfinger.tools.sweep import add_sweep_options, run_cases
 
 FLAGS: Final = {
@@ -83,8 +83,8 @@ def run(args: argparse.Namespace) -> int:
     if args.cases is not None:
         if args.plot:
             raise ConfigError("command line --plot: random runs have no plot: leave out --plot or --cases")
-        result = stability_runs.measure(args.cases, args.ticks, args.seed, args.scheduler, args.results)
-        show({"runs": result}, args.json, stability_runs.table(result))
+        result = runs.measure(args.cases, args.ticks, args.seed, args.scheduler, args.results)
+        show({"runs": result}, args.json, runs.table(result))
         return 0
     if args.extremes:
         if args.plot:

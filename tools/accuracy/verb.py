@@ -18,12 +18,12 @@ import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.progress import progress
-from softfinger.tools.accuracy_cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
-from softfinger.tools.accuracy_figures import FIGURES, draw_fronts
-from softfinger.tools.accuracy_front import fronts, orders, recommendations
-from softfinger.tools.accuracy_measure import DRIFT_BLOCK, DriftCase, run_block, run_drift_block
-from softfinger.tools.accuracy_paper import experiment, speed
-from softfinger.tools.accuracy_report import print_report, write_report
+from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
+from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
+from softfinger.tools.accuracy.front import fronts, orders, recommendations
+from softfinger.tools.accuracy.measure import DRIFT_BLOCK, DriftCase, run_block, run_drift_block
+from softfinger.tools.accuracy.paper import experiment, speed
+from softfinger.tools.accuracy.report import print_report, write_report
 from softfinger.tools.measure import add_output_options, check_figure, show
 from softfinger.tools.sweep import add_sweep_options, run_cases
 

@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 
 from softfinger.tools.measure import Array, figure, save
-from softfinger.tools.predicted import linear_limit, passive_limit
-from softfinger.tools.stability_limit import Case
+from softfinger.tools.stability.limit import Case
+from softfinger.tools.stability.predicted import linear_limit, passive_limit
 
 POINTS: Final = 24
 LINE_POINTS: Final = 80

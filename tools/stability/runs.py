@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 
 from softfinger.proxy.kernels.pack import flatten
-from softfinger.tools.predicted import passive_limit
-from softfinger.tools.stability_limit import Case, Loop, compile_search, loop_of, run_rows
+from softfinger.tools.stability.limit import Case, Loop, compile_search, loop_of, run_rows
+from softfinger.tools.stability.predicted import passive_limit
 from softfinger.tools.sweep import run_cases
 
 RUNS_PER_DEVICE: Final = 100

@@ -8,7 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from softfinger.tools.accuracy_front import grouped, standard
+from softfinger.tools.accuracy.front import grouped, standard
 
 RATE_HZ: Final = 1000.0
 """Servo rate that the recommendations are printed for, where it was measured; else the highest."""

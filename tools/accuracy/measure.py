@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.jit import entry
 from softfinger.proxy.kernels.rolling import roll
 from softfinger.proxy.kernels.surfaces import closest
 from softfinger.server.clock import now_ns
-from softfinger.tools.accuracy_cases import (
+from softfinger.tools.accuracy.cases import (
     METHODS,
     RADIUS_M,
     Array,
@@ -27,8 +27,8 @@ from softfinger.tools.accuracy_cases import (
     track_of,
     turns,
 )
-from softfinger.tools.accuracy_reference import roll_path
-from softfinger.tools.bench_step import reference_ns
+from softfinger.tools.accuracy.reference import roll_path
+from softfinger.tools.bench.step import reference_ns
 
 BLOCK_STEPS: Final = 1000
 """Least number of steps between two looks at the clock, which costs less than 0.1 ns a step then."""

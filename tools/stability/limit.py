@@ -28,7 +28,7 @@ from softfinger.server.guard import Guard
 from softfinger.server.passivity import Passivity
 from softfinger.server.progress import progress
 from softfinger.server.tick import Memory, Tuning, begin, tick
-from softfinger.tools.predicted import LinearLoop, linear_limit, passive_limit
+from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit
 
 Array = NDArray[np.float64]
 
