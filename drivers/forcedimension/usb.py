@@ -26,7 +26,7 @@ class Attached(NamedTuple):
         return f"{self.name} at {self.node}"
 
 
-def attached(nodes: Path = NODES) -> list[Attached]:
+def attached() -> list[Attached]:
     """Every device of the vendor. Empty also where there is no USB, or no libusb to look with."""
     import usb.core
 
@@ -36,7 +36,7 @@ def attached(nodes: Path = NODES) -> list[Attached]:
     except usb.core.USBError:  # NoBackendError is one of them: no libusb, and no USB to look at
         return found
     for device in devices:
-        node = nodes / f"{device.bus:03d}" / f"{device.address:03d}"
+        node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
         name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
         permitted = os.access(node, os.R_OK | os.W_OK, effective_ids=True)
         found.append(Attached(f"{name} ({VENDOR:04x}:{device.idProduct:04x})", node, permitted))

@@ -7,7 +7,6 @@
  * Tests steer it through stub_set and stub_get, by the names in KNOBS, and read what it was asked to do.
  */
 #include <math.h>
-#include <pthread.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -16,8 +15,8 @@
 #include <unistd.h>
 
 enum { COM = 2, BUSY = 3, NO_DEVICE = 5, NOT_AVAILABLE = 6, TIMEOUT = 7, EXPERT_OFF = 9, INDEX = 15, IN_USE = 20 };
-enum { BUTTON = 1, VELOCITY, WATCHDOG, SOFTWARE, USB };
-enum { DEVICES = 4, SUBSTEPS = 10 };
+enum { BUTTON = 1, VELOCITY, WATCHDOG, SOFTWARE };
+enum { SUBSTEPS = 10 };
 
 static __thread int last_error;
 
@@ -27,10 +26,11 @@ static __thread int last_error;
     X(active_wrist, 0) X(gripper, 0) X(gripper_rad, 0.3) X(buttons, 0) X(held, 0) \
  /* the handle and the hand, kg, N s/m, N/m, N, s */ \
     X(mass, 0.25) X(damping, 8) X(stiffness, 1000) X(motor_max, 20) X(step_s, 0.001) \
- /* the hand's path, m, Hz and rad, in the library's frame: centre, then amplitude of a sine in x and y, of a cosine \
-       in z, and of a sine turn about x */ \
-    X(x, 0) X(y, 0) X(z, 0.02) X(ax, 0) X(ay, 0) X(az, 0) X(hz, 1) X(turn, 0) \
- /* faults: at this reading (-1 never) or at every so many; the error a failing call gives */ \
+ /* the hand's path, m, Hz and rad, in the library's frame: centre, amplitudes of a sine in x and y and a cosine in z, \
+    and of a sine turn about an axis (0, 1, 2), or a turn that stays */ \
+    X(x, 0) X(y, 0) X(z, 0.02) X(ax, 0) X(ay, 0) X(az, 0) X(hz, 1) X(turn, 0) X(axis, 0) \
+    X(turned, 0) \
+ /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
     X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(nan_at, -1) \
     X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) \
@@ -38,7 +38,7 @@ static __thread int last_error;
     X(opens, 0) X(closes, 0) X(reads, 0) X(writes, 0) X(force_on, 0) X(expert, 0) \
     X(watchdog, 0) X(threshold, 0) X(gravity, 1) X(brakes, 0) X(max_force, 0) X(moved, 0) \
     X(regulated, 0) X(cause, 0) X(fx, 0) X(fy, 0) X(fz, 0) X(torque_sent, 0) \
-    X(gripper_sent, 0) X(peak, 0) X(expert_misuse, 0) X(threads, 0) X(unplugged, 0)
+    X(tx, 0) X(ty, 0) X(tz, 0) X(gripper_sent, 0) X(peak, 0) X(expert_misuse, 0) X(threads, 0) X(unplugged, 0)
 
 #define X(name, first) double name;
 static struct { KNOBS } k;
@@ -278,7 +278,7 @@ int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double
     if (n == k.button_at) force_off(BUTTON);
     if (k.garbage) {
         code = garbage((double **)p, (double *)m);
-    } else if (n == k.fail_read) {
+    } else if (k.fail_read >= 0 && n >= k.fail_read) {
         code = fail((int)k.error);
     } else if (k.guard_reads > 0 && n > 0 && fmod(n, k.guard_reads) == 0) {
         for (int i = 0; i < 3; i++) *p[i] = before[i];
@@ -286,8 +286,13 @@ int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double
         code = 1;
     } else {
         pass(k.step_s);
-        const double a = k.wrist ? k.turn * sin(2 * M_PI * k.hz * now_s) : 0;
-        const double turned[3][3] = {{1, 0, 0}, {0, cos(a), -sin(a)}, {0, sin(a), cos(a)}};
+        const double a = k.wrist ? k.turned + k.turn * sin(2 * M_PI * k.hz * now_s) : 0;
+        const int i0 = (int)k.axis, i1 = (i0 + 1) % 3, i2 = (i0 + 2) % 3;
+        double turned[3][3] = {{0}};
+        turned[i0][i0] = 1;
+        turned[i1][i1] = turned[i2][i2] = cos(a);
+        turned[i1][i2] = -sin(a);
+        turned[i2][i1] = sin(a);
         memcpy(m, turned, sizeof turned);
         for (int i = 0; i < 3; i++) *p[i] = position[i];
         memcpy(before, position, sizeof position);
@@ -308,9 +313,12 @@ int dhdSetForceAndTorqueAndGripperForce(
     int code = 0;
     double norm = sqrt(fx * fx + fy * fy + fz * fz);
     fed_s = now_s;
+    k.tx = tx;
+    k.ty = ty;
+    k.tz = tz;
     if (tx != 0 || ty != 0 || tz != 0) k.torque_sent += 1;
     if (fg != 0) k.gripper_sent += 1;
-    if (n == k.fail_write) {
+    if (k.fail_write >= 0 && n >= k.fail_write) {
         code = fail((int)k.error);
     } else if (k.guard_writes > 0 && n > 0 && fmod(n, k.guard_writes) == 0) {
         code = 1;  /* the force before stays */
