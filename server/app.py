@@ -183,6 +183,8 @@ def _device_failure(device: base.Device, ended: servo.Ended) -> HapticError:
     if ended.status == base.FORCE_OFF:
         return SafetyStop(f"{name} turned its force off{because}: see to the cause, then start again")
     if ended.status == base.TIMEOUT:
-        return DeviceTimeout(f"{name}: no answer to a {doing} in time{because}: check cable and power, then start again")
+        return DeviceTimeout(
+            f"{name}: no answer to a {doing} in time{because}: check cable and power, then start again"
+        )
     what = "answered what is not in its protocol" if ended.status == base.PROTOCOL else "is gone"
     return DeviceLost(f"{name} {what} (status {ended.status} on {doing}){because}: plug it in again, then start again")

@@ -140,7 +140,7 @@ class StubBench(Bench):
         return self._open(**options)
 
     def _open(self, **options: Any) -> Any:
-        chosen = forcedimension.Options(**{"library": str(self.stub.path), **options})
+        chosen = forcedimension.Options(**{"library_file": str(self.stub.path), **options})
         return forcedimension.open_device(chosen, RATE_HZ)
 
     def displayed(self) -> tuple[float, ...]:
@@ -164,3 +164,8 @@ class StubBench(Bench):
     def mend(self) -> None:
         self.stub.reset()
         self.forbidden = False
+
+
+@pytest.fixture
+def bench(stub: Stub) -> StubBench:
+    return StubBench(stub)

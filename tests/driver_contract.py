@@ -75,6 +75,7 @@ class Bench(ABC):
 
     def mend(self) -> None:
         """Undo `make`."""
+        raise NotImplementedError
 
 
 def pulling() -> Tuning:

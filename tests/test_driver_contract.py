@@ -6,14 +6,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
-from driver_contract import RATE_HZ, REFUSALS, Bench, DriverContract
+from driver_contract import FAULTS, RATE_HZ, REFUSALS, Bench, DriverContract
 
-from softfinger.config.errors import DeviceError, DeviceNotFound, RecordingError
+from softfinger.config.errors import DeviceError, DeviceNotFound, HapticError, RecordingError
 from softfinger.drivers import registry
 from softfinger.drivers.base import Device
 
@@ -23,13 +24,13 @@ OUTSIDE = Path(__file__).parent / "outside_driver"
 class Recorded(Bench):
     """A driver over a recording: only the recording can be missing."""
 
-    cannot = {
+    cannot: ClassVar[Mapping[str, str]] = {
         "busy": "a recording is read, so any number of processes may have it",
         "permission": "a recording that cannot be read is one that is not there",
         "lost": "nothing is attached that could go",
         "timeout": "the samples are in memory",
     }
-    refusals = {**REFUSALS, "not_found": RecordingError}
+    refusals: ClassVar[Mapping[str, type[HapticError]]] = {**REFUSALS, "not_found": RecordingError}
 
     def __init__(self, name: str) -> None:
         self.driver = registry.load(name)
@@ -53,7 +54,7 @@ class Recorded(Bench):
 class Computed(Bench):
     """The driver of the example package: there is nothing to fail."""
 
-    cannot = {case: "it is computed from its options" for case in ("not_found", "busy", "permission", "lost", "timeout")}
+    cannot: ClassVar[Mapping[str, str]] = dict.fromkeys([*REFUSALS, *FAULTS], "it is computed from its options")
 
     def __init__(self) -> None:
         self.driver = registry.load("lissajous")
@@ -143,6 +144,9 @@ def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path
     assert "device lissajous" in done.stderr and "stopped after 200 ticks" in done.stderr
     wrong = tmp_path / "wrong.toml"
     wrong.write_text('[device]\ndriver = "lissajous"\nhz = [0.5, 0.75, 1e9]\n')
-    assert "hz[2] = 1000000000.0: must be a number from 0 to 100" in softfinger("check", str(wrong), path=str(installed)).stderr
+    assert (
+        "hz[2] = 1000000000.0: must be a number from 0 to 100"
+        in softfinger("check", str(wrong), path=str(installed)).stderr
+    )
     absent = softfinger("check", rig)
     assert absent.returncode != 0 and "no driver is called 'lissajous'" in absent.stderr

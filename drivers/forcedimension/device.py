@@ -62,7 +62,7 @@ class ForceDimension(Device):
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
-        self._library = _load(options.library)
+        self._library = _load(options.library_file)
         self._options = options
         self._word = np.zeros(exchange.WORDS, dtype=np.int64)
         self._word[exchange.CAUSE] = -1

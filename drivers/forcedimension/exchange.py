@@ -1,8 +1,8 @@
 """What the servo loop calls: one exchange with the library each way, and the turn between its frame and the world's.
 
-The library's frame has x towards the user, y to the right, z up. The world's has x to the right, y away from the user, z
-up: world (x, y, z) = (y, -x, z), for positions, forces and torques, and for both sides of the orientation, so that a handle at
-rest is not turned.
+The library's frame has x towards the user, y to the right, z up. The world's has x to the right, y away from the user,
+z up: world (x, y, z) = (y, -x, z), for positions, forces and torques, and for both sides of the orientation, so that a
+handle at rest is not turned.
 """
 
 from __future__ import annotations
@@ -213,9 +213,10 @@ def write(handle: int, wrench: Any) -> int:
 @c_function(types.int64(types.int64))
 def lock(handle: int) -> int:
     """Take the lock; 0 when the loop is in the library just now and it must be tried again."""
-    return np.int64(exchange_int64(handle + 8 * LOCK, 1) == 0)
+    return 1 if exchange_int64(handle + 8 * LOCK, 1) == 0 else 0
 
 
 @c_function(types.int64(types.int64))
 def unlock(handle: int) -> int:
-    return exchange_int64(handle + 8 * LOCK, 0)
+    exchange_int64(handle + 8 * LOCK, 0)
+    return 0

@@ -87,7 +87,7 @@ def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.C
     if named is not None:
         path = Path(named).expanduser()
         if not path.is_file():
-            raise DeviceNotFound(f"library = '{named}': there is no such file; {_advice()}")
+            raise DeviceNotFound(f"library_file = '{named}': there is no such file; {_advice()}")
         return _declared(_opened(str(path)), str(path))
     for pattern in patterns(environ):
         # The longest name has the whole version in it; of several versions the newest sorts last.
@@ -120,8 +120,8 @@ def address(library: ctypes.CDLL, name: str) -> int:
 
 def _advice() -> str:
     return (
-        f"get the maker's SDK ({DOWNLOAD}), then set FDSDK to its folder, or give the file as `library` in the rig's "
-        "[device] table"
+        f"get the maker's SDK ({DOWNLOAD}), then set FDSDK to its folder, or give the file as `library_file` in the "
+        "rig's [device] table"
     )
 
 
@@ -130,7 +130,8 @@ def _opened(path: str) -> ctypes.CDLL:
         return ctypes.CDLL(path)
     except OSError as error:
         raise DeviceError(
-            f"{path} cannot be loaded: {error}: it has to be the build for {platform.machine()}, with libusb-1.0 installed"
+            f"{path} cannot be loaded: {error}: it has to be the build for {platform.machine()}, "
+            "and libusb-1.0 has to be installed"
         ) from error
 
 
