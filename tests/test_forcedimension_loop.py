@@ -43,7 +43,7 @@ def records_of(servo: s.Servo) -> np.ndarray:
 
 def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub, bench: StubBench) -> None:
     """Press, roll, slide and release by a hand on a simulated handle: the forces at the motors and the modes are those
-    that the contact step gives on the sensed poses; the wall holds the handle back; threads never meet in the library."""
+    that the contact step gives on the sensed poses; the wall holds the handle; no threads meet in the library."""
     stub.update(**PRESSING)
     scene = load_scene("paper-plane")
     with bench.open(gravity_compensation=True) as device:

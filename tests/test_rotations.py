@@ -71,8 +71,8 @@ def test_quaternion_of_a_matrix_is_exact_to_rounding():
     axes = [*np.eye(3), *(-np.eye(3)), *rng.normal(size=(20, 3))]
     quaternions = [*rng.normal(size=(500, 4)), [1.0, 0.0, 0.0, 0.0]]
     for axis in axes:
-        for w in (0.0, 1e-17, 1e-9, -1e-9, 1e-3):
-            quaternions.append([w, *(axis / np.linalg.norm(axis))])
+        unit = axis / np.linalg.norm(axis)
+        quaternions.extend([w, *unit] for w in (0.0, 1e-17, 1e-9, -1e-9, 1e-3))
     for q in quaternions:
         q = np.array(q) / np.linalg.norm(q)
         back = rotations.from_matrix(tuple(map(tuple, matrix_of(q).tolist())))

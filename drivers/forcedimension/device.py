@@ -155,7 +155,7 @@ class ForceDimension(Device):
         for place, name in LOOP_CALLS.items():
             word[place] = library.address(call, name)
         self._calibrate()
-        self._do("drdStop", call.drdStop, True)  # ends the regulation, leaves the device open
+        self._do("drdStop", call.drdStop, True)  # ends the library's regulation, leaves the force to us
         self._do("dhdSetGravityCompensation", call.dhdSetGravityCompensation, int(options.gravity_compensation))
         self._do("dhdSetMaxForce", call.dhdSetMaxForce, self._model.limits.force_max_n)
         self._guard_by_device()

@@ -179,11 +179,11 @@ int drdAutoInit(char id)
     k.initialized = k.regulated = 1;
     return 0;
 }
-int drdStop(bool keep_open, char id)
+int drdStop(bool leave_force, char id)
 {
     if (usable(id)) return -1;
     k.regulated = 0;
-    if (!keep_open) return drdClose(id);
+    if (!leave_force) force_off(SOFTWARE);
     return 0;
 }
 int dhdEnableExpertMode(void) { k.expert = 1; return 0; }
