@@ -6,6 +6,7 @@ import math
 import os
 import re
 import subprocess
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -213,6 +214,13 @@ def test_absent_library_says_where_it_was_looked_for(tmp_path: Path) -> None:
         pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x haptic device.*lambda.*1451:7777"),
     ):
         forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        with (
+            plugged_in(0x0402, nodes=Path(folder), mode=0o600),
+            pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x.*may not be opened by this user.*udevadm"),
+        ):
+            forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
 
 
 @pytest.mark.parametrize("variable", ["FDSDK", "FORCEDIM_SDK", "HOME"])
@@ -436,3 +444,10 @@ def test_exchange_allocates_nothing() -> None:
         code = compile_fresh(function._pyfunc).inspect_llvm()
         assert "inttoptr" in code  # it is the code that calls the library
         assert not any(name in code for name in allocators)
+
+
+def test_page_lists_every_option() -> None:
+    """docs/devices.md has a row for each key of the rig, and no other."""
+    page = (Path(__file__).parents[1] / "docs" / "devices.md").read_text("utf-8")
+    part = page.split("### What a rig may say\n", 1)[1].split("\n### ", 1)[0]
+    assert re.findall(r"^\| `(\w+)` \|", part, re.M) == list(forcedimension.Options.__struct_fields__)

@@ -262,8 +262,9 @@ def _load(named: str | None) -> ctypes.CDLL:
     try:
         loaded = library.load(named)
     except DeviceNotFound as error:
-        seen = ", ".join(map(str, usb.attached()))
-        raise DeviceNotFound(f"{error}{f'. Attached over USB: {seen}' if seen else ''}") from None
+        seen = [str(device) if device.permitted else usb.how_to_permit(device) for device in usb.attached()]
+        attached = f". Attached over USB: {'; '.join(seen)}" if seen else ""
+        raise DeviceNotFound(f"{error}{attached}") from None
     parts = [ctypes.c_int() for _ in range(4)]
     loaded.dhdGetSDKVersion(*map(ctypes.byref, parts))
     log.info("Force Dimension's library, version %s", ".".join(str(part.value) for part in parts))

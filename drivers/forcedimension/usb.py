@@ -16,7 +16,7 @@ RULE_FILE: Final = "/etc/udev/rules.d/60-forcedimension.rules"
 
 
 class Attached(NamedTuple):
-    """A device on the bus: what it is, its node, and whether this user may write to it."""
+    """A device on the bus: what it is, its node, and whether this user may write to it (also where there is no node)."""
 
     name: str
     node: Path
@@ -38,7 +38,7 @@ def attached() -> list[Attached]:
     for device in devices:
         node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
         name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
-        permitted = os.access(node, os.R_OK | os.W_OK, effective_ids=True)
+        permitted = not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK, effective_ids=True)
         found.append(Attached(f"{name} ({VENDOR:04x}:{device.idProduct:04x})", node, permitted))
     return found
 
