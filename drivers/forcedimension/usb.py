@@ -16,7 +16,7 @@ RULE_FILE: Final = "/etc/udev/rules.d/60-forcedimension.rules"
 
 
 class Attached(NamedTuple):
-    """A device on the bus: what it is, its node, and whether this user may write to it (also where there is no node)."""
+    """A device on the bus: what it is, its node, and whether this user may write to it; without a node, yes."""
 
     name: str
     node: Path
