@@ -17,6 +17,7 @@ from softfinger.config.errors import DeviceError, DeviceNotFound
 
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
 BUILT_IN: Final = {
+    "hid": "softfinger.drivers.hid",
     "replay": "softfinger.drivers.replay",
     "simulated": "softfinger.drivers.simulated",
 }
