@@ -139,7 +139,9 @@ class Woody:
     def answer(self, report: bytes) -> bytes:
         """Take a report with its id in front; the report that answers it, without an id."""
         if len(report) != self.report_bytes + 1 or report[0] != 0:
-            raise ValueError(f"a host's report has 0 and {self.report_bytes} bytes, this has {report[:1]!r}, {len(report)}")
+            raise ValueError(
+                f"a host's report has 0 and {self.report_bytes} bytes, this has {report[:1]!r}, {len(report)}"
+            )
         now = time.monotonic()
         if now - self.heard > AMPLIFIERS_OFF_S:
             self.silences.append(now - self.heard)
