@@ -10,7 +10,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Self
 
 from emulators.woodenhaptics import Vector, Woody
 
@@ -78,10 +78,17 @@ class Answering:
             pass  # the other end is closed: the device has been unplugged
 
     def unplug(self) -> None:
-        """Close the device's end."""
-        self.end.shutdown(socket.SHUT_RDWR)
-        self._thread.join()
-        self.end.close()
+        """Close the device's end. Any number of times."""
+        if self.end.fileno() >= 0:
+            self.end.shutdown(socket.SHUT_RDWR)
+            self._thread.join()
+            self.end.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.unplug()
 
 
 def ends() -> tuple[int, socket.socket]:
@@ -101,10 +108,5 @@ def woody(
     options = rig_options(rig, **changes)
     arm = Woody(RIGS[rig], 1 if options.reports.name == "woodenhaptics-v1" else 2, intention)
     fd, end = ends()
-    answering = Answering(end, arm.answer)
-    device = HidDevice(options, fd)
-    try:
+    with Answering(end, arm.answer) as answering, HidDevice(options, fd) as device:
         yield device, arm, answering
-    finally:
-        device.close()
-        answering.unplug()

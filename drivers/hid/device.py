@@ -70,6 +70,7 @@ class HidDevice(Device):
         try:
             if options.calibrate:
                 self._calibrate()
+                self._word[exchange.SENSED] = 0  # the sample of before the calibration is no place of now
         except BaseException:
             self.close()
             raise

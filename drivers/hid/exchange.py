@@ -362,12 +362,13 @@ def write(handle: int, wrench: Any) -> int:
 
 @c_function(types.int64(types.int64))
 def silence(handle: int) -> int:
-    """Disarm and send a zero report; 1 when it is done, 0 when a write is under way and it must be tried again."""
+    """Disarm and send a zero report; 1 when it is done, 0 when it was not taken and must be tried again."""
     word = int64_at(handle)
     word[ARMED] = 0
     if exchange_int64(handle + LOCK * 8, 1) != 0:
-        return 0
+        return 0  # a write is under way
+    status = OK
     if word[FD] >= 0:
-        _send_zero(handle)
+        status = _send_zero(handle)
     exchange_int64(handle + LOCK * 8, 0)
-    return 1
+    return 0 if status == STALE else 1

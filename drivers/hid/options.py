@@ -212,7 +212,7 @@ class Options(Table, frozen=True, kw_only=True):
     reports: Reports
     kinematics: Chain | Cartesian
     mounting: Mounting = Mounting()
-    calibrate: Annotated[bool, said("the arm rests in its calibration pose when it is opened: set the counts", False)] = False
+    calibrate: Annotated[bool, said("the arm rests in its calibration pose when opened: set its counts", False)] = False
     force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "most that it displays", 5.0)]
     stiffness_max_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "most that it renders stably", 1000.0)]
     damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 8.0)]
