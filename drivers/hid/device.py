@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,10 +93,10 @@ class HidDevice(Device):
         word[exchange.IN_BYTES] = spec.input.bytes + numbered
         word[exchange.OUT_BYTES] = len(self._out)
         word[exchange.IN_ROWS], word[exchange.OUT_ROWS] = (len(table) for table in self._tables)
-        word[exchange.IN_TABLE : exchange.MODEL + 1] = [
-            array.ctypes.data
-            for array in (*self._tables, *self._in, self._out, self._values, self._command, self._sample, self._model)
-        ]
+        arrays: list[NDArray[Any]] = [
+            *self._tables, *self._in, self._out, self._values, self._command, self._sample, self._model
+        ]  # fmt: skip
+        word[exchange.IN_TABLE : exchange.MODEL + 1] = [array.ctypes.data for array in arrays]
 
     def io(self) -> DeviceIO:
         return DeviceIO(exchange.read.address, exchange.write.address, self._word.ctypes.data)

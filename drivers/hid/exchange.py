@@ -116,8 +116,9 @@ class Model(NamedTuple):
     force_max: float
 
 
-NO_CHAIN: Final = Chain(*[(0.0, 0.0, 0.0)] * 5, 0.0, (0.0, 0.0, 0.0))
-_MODEL_LIKE: Final = Model(NO_CHAIN, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
+_ZERO: Final = (0.0, 0.0, 0.0)
+NO_CHAIN: Final = Chain(_ZERO, _ZERO, _ZERO, _ZERO, _ZERO, 0.0, _ZERO)
+_MODEL_LIKE: Final = Model(NO_CHAIN, _ZERO, (1.0, 0.0, 0.0, 0.0), 0.0)
 _MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 
@@ -125,7 +126,7 @@ _MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 def _now(handle: int) -> int:
     timespec = int64_at(handle + TIMESPEC * 8)
     _clock_gettime(1, timespec)
-    return timespec[0] * 1_000_000_000 + timespec[1]
+    return int(timespec[0] * 1_000_000_000 + timespec[1])
 
 
 @jit

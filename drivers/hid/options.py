@@ -84,7 +84,7 @@ class OutputField(Table, frozen=True, kw_only=True):
     scale: Annotated[float, within(SCALE, "counts per A or N; the value itself of a constant", 1000.0)] = 1.0
 
 
-def _layout_faults(bytes_: int, fields: tuple[InputField, ...] | tuple[OutputField, ...]) -> Iterator[Complaint]:
+def _layout_faults(bytes_: int, fields: tuple[InputField | OutputField, ...]) -> Iterator[Complaint]:
     taken: dict[int, int] = {}
     for n, one in enumerate(fields):
         if not known(one) or not known(one.offset, one.type):
@@ -236,7 +236,8 @@ class Options(Table, frozen=True, kw_only=True):
         yield from _needed("reports.input", sensed, {*"abc"} if chain else {*"xyz"}, kind)
         needed = {f"current_{k}" for k in "abc"} if chain else {f"force_{k}" for k in "xyz"}
         yield from _needed("reports.output", commanded, needed, kind)
-        if isinstance(self.kinematics, Chain) and self.kinematics.wrist_counts_per_turn not in (None, msgspec.UNSET):
+        wrist = self.kinematics.wrist_counts_per_turn if isinstance(self.kinematics, Chain) else None
+        if wrist is not None and known(wrist):
             yield from _needed("reports.input", sensed, {*"def"}, "chain with a wrist")
         quaternion = {"qw", "qx", "qy", "qz"}
         if sensed & quaternion and (chain or not quaternion <= sensed):
