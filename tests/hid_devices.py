@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Self
 
 from emulators.woodenhaptics import Vector, Woody
 
 from softfinger.config.load import build, load_rig
-from softfinger.drivers.hid import HidDevice, Options
+from softfinger.drivers.hid import HidDevice, Options, exchange
 
 RIGS = {
     "woodenhaptics-2019": "woody-2019",
@@ -65,22 +66,37 @@ class Answering:
     def __init__(self, end: socket.socket, answer: Callable[[bytes], bytes | None]) -> None:
         self.end, self._answer = end, answer
         self.mute = threading.Event()
+        self.answered = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
-        try:
-            while data := self.end.recv(4096):
-                reply = self._answer(data)
-                if reply is not None and not self.mute.is_set():
+        # When the driver has closed its end, what it had sent is still there; only the answers are lost.
+        while True:
+            try:
+                data = self.end.recv(4096)
+            except ConnectionResetError:
+                continue
+            if not data:
+                return
+            reply = self._answer(data)
+            if reply is not None and not self.mute.is_set():
+                with suppress(BrokenPipeError, ConnectionResetError):
                     self.end.send(reply)
-        except OSError:
-            pass  # the other end is closed: the device has been unplugged
+            self.answered += 1
+
+    def settle(self, device: HidDevice) -> None:
+        """Wait until every report of the driver has been taken, and answered."""
+        until = time.monotonic() + 10.0
+        while self.answered < device.counts(exchange.WRITTEN):
+            assert time.monotonic() < until, "the emulated device does not take its reports"
+            time.sleep(0.0002)
 
     def unplug(self) -> None:
         """Close the device's end. Any number of times."""
         if self.end.fileno() >= 0:
-            self.end.shutdown(socket.SHUT_RDWR)
+            with suppress(OSError):  # closed at the other end
+                self.end.shutdown(socket.SHUT_RDWR)
             self._thread.join()
             self.end.close()
 
@@ -104,8 +120,8 @@ def woody(
     intention: Callable[[float], Vector] = lambda _: (0.01, 0.02, -0.015),
     **changes: Any,
 ) -> Iterator[tuple[HidDevice, Woody, Answering]]:
-    """An open device with the emulated arm of its rig behind it."""
-    options = rig_options(rig, **changes)
+    """An open device with the emulated arm of its rig behind it; a thread of a busy machine may answer late."""
+    options = rig_options(rig, **{"timeout_s": 0.2, **changes})
     arm = Woody(RIGS[rig], 1 if options.reports.name == "woodenhaptics-v1" else 2, intention)
     fd, end = ends()
     with Answering(end, arm.answer) as answering, HidDevice(options, fd) as device:

@@ -88,7 +88,7 @@ print(ended, flush=True)
     [("woodenhaptics-2019", "woody-2019", 2), ("woodenhaptics-2015", "woody-2015", 1)],
 )  # fmt: skip
 def test_closed_loop_through_a_hidraw_node(rig: str, arm: str, generation: int, tmp_path: Path) -> None:
-    """A hand presses into the plane, drags and lets go; contact and forces are those of the engine on the same poses."""
+    """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
     kept = tmp_path / "records.npy"
     program = (sys.executable, "-c", KEEP, rig, "paper-plane", "2500", str(kept))
     done, saw = beside({"arm": arm, "generation": generation, **STROKE}, *program)
@@ -100,7 +100,6 @@ def test_closed_loop_through_a_hidraw_node(rig: str, arm: str, generation: int, 
     # The forces reached the arm, and stopped its hand above where it meant to go.
     assert max(saw["most"][1:]) > 100
     assert not any(saw["last"])
-    assert not saw["silences"][1:]  # but that before the first tick, while kernels compile
 
     engine = Engine(load_scene("paper-plane"))
     position, orientation, force = (OFFSET[name] for name in ("probe.position", "probe.orientation", "force"))
@@ -143,8 +142,8 @@ def test_an_arm_pressed_through_the_plane_is_held() -> None:
             "/dev/hidraw0 has other reports than the rig: the device announces input 32 bytes, output 64 bytes; "
             "the rig describes input 64 bytes, output 64 bytes: correct ",
         ),
-        ({"descriptor": "06abff0a0002a1017508150026ff00952009018102954009029102c017"}, 4, "its report descriptor is damaged"),
-        ({"generation": 1}, 4, "no HID device 16c0:0486 is attached: plug it in and switch it on; attached are 1234:0006"),
+        ({"descriptor": "06abff0a0002a10175"}, 4, "its report descriptor is damaged: item 0x75 at byte 8 of 9 is cut"),
+        ({"generation": 1}, 4, "no HID device 16c0:0486 is attached: plug it in .*; attached are 1234:0006"),
     ],
     ids=["unplugged", "short", "mute", "mute-from-the-start", "descriptor", "damaged-descriptor", "another-device"],
 )  # fmt: skip
