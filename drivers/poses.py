@@ -33,6 +33,7 @@ ENDINGS: Final = (".csv", ".npz", ".mcap")
 POSITION_MAX_M: Final = 1e6
 STEP_MIN_S: Final = 1e-9  # below it a velocity between two rows says nothing
 NORM_MIN, NORM_MAX = 0.5, 2.0  # a quaternion outside was never meant to be a unit one
+NORM_ROUNDING: Final = 1e-15  # a quaternion this close to a unit one was normalised before, and is kept to the bit
 
 log: Final = logging.getLogger(__name__)
 
@@ -130,7 +131,7 @@ def checked(t: Array, position: Array, orientation: Array, place: Callable[[int]
             f"{place(row)}, columns 'qw' to 'qz': quaternion of norm {norm[row]:.6g}, "
             f"must be 1 (accepted and normalised: {NORM_MIN:g} to {NORM_MAX:g})"
         )
-    unit = orientation / norm[:, None]
+    unit = orientation / np.where(np.abs(norm - 1.0) < NORM_ROUNDING, 1.0, norm)[:, None]
     flip = np.sum(unit[1:] * unit[:-1], axis=1) < 0.0
     sign = np.concatenate(([1.0], np.cumprod(np.where(flip, -1.0, 1.0))))
     return Poses(np.array(t), np.array(position), unit * sign[:, None])

@@ -29,12 +29,12 @@ VERBS: Final = {
     "run": Verb("softfinger.server.run", "the daemon: device, contact, telemetry"),
     "simulate": Verb("softfinger.server.simulate", "the same step offline, over recorded poses"),
     "monitor": Verb("softfinger.server.monitor", "live dashboard of a running daemon"),
+    "record": Verb("softfinger.server.record", "poses of a running daemon, for replay"),
+    "devices": Verb("softfinger.server.devices", "what is attached, and why it cannot be opened"),
     "check": Verb("softfinger.server.check", "validate rig and scene files"),
     "schema": Verb("softfinger.server.schema_verb", "JSON Schema of rigs and scenes, schema of the telemetry"),
     "warmup": Verb("softfinger.server.warmup", "compile the kernels ahead"),
-    "accuracy": Verb(
-        "softfinger.tools.accuracy.verb", "measure: rolling methods, speed against accuracy"
-    ),
+    "accuracy": Verb("softfinger.tools.accuracy.verb", "measure: rolling methods, speed against accuracy"),
     "stability": Verb("softfinger.tools.stability.verb", "measure: the stiffest stable wall, in closed loop"),
     "bench": Verb("softfinger.tools.bench.verb", "measure: cost per step, wake-up lateness, telemetry latency"),
 }

@@ -174,6 +174,17 @@ def silence(endpoint: str, waited_s: float) -> str:
     )
 
 
+def record_of(sample: Sample) -> list[float]:
+    """A contact message as the record (RECORD_SIZE,) that was published."""
+    row: list[float] = []
+    for value in _ALL_VALUES(sample.data):
+        if isinstance(value, tuple):
+            row.extend(value)
+        else:
+            row.append(value)
+    return row
+
+
 class Window:
     """The newest `samples` ticks as numpy arrays, in tick order.
 
@@ -213,13 +224,7 @@ class Window:
         if self._end == len(self._rows):
             self._rows[: self._size] = self._rows[self._size :]
             self._end = self._size
-        row: list[float] = []
-        for value in _ALL_VALUES(sample.data):
-            if isinstance(value, tuple):
-                row.extend(value)
-            else:
-                row.append(value)
-        self._rows[self._end] = row
+        self._rows[self._end] = record_of(sample)
         self._end += 1
         self.lost += sample.lost
 

@@ -8,10 +8,10 @@ import os
 import stat
 import struct
 import sys
-from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
+from softfinger.drivers import discovery
 from softfinger.drivers.hid.descriptor import Announced, announced
 from softfinger.drivers.hid.options import Options
 
@@ -31,14 +31,24 @@ def open_node(options: Options) -> int:
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'hid' exchanges reports through Linux's hidraw, and this is {sys.platform}")
     path = options.path or find(options)
+    fd = open_path(path, options.vendor_id, options.product_id)
+    try:
+        _check_reports(fd, path, options)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def open_path(path: str, vendor: int, product: int) -> int:
+    """File descriptor of a node of a device with these ids, non-blocking, locked; the errors of `open_node`."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        raise _unopened(path, options, error) from error
+        raise _unopened(path, vendor, product, error) from error
     try:
         _lock(fd, path)
-        _check_device(fd, path, options)
-        _check_reports(fd, path, options)
+        _check_device(fd, path, vendor, product)
     except BaseException:
         os.close(fd)
         raise
@@ -74,18 +84,15 @@ def _ids(vendor: int, product: int) -> str:
     return f"{vendor:04x}:{product:04x}"
 
 
-def _unopened(path: str, options: Options, error: OSError) -> DeviceError:
+def _unopened(path: str, vendor: int, product: int, error: OSError) -> DeviceError:
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or leave `path` out")
     if error.errno in (errno.EACCES, errno.EPERM):
-        rule = (
-            f'KERNEL=="hidraw*", ATTRS{{idVendor}}=="{options.vendor_id:04x}", '
-            f'ATTRS{{idProduct}}=="{options.product_id:04x}", TAG+="uaccess"'
-        )
         return DevicePermission(
-            f"{path} may not be opened by this user: {reason}: write {rule} to "
-            "/etc/udev/rules.d/70-softfinger-hid.rules, run `udevadm control --reload`, and plug the device in again"
+            f"{path} may not be opened by this user: {reason}: write "
+            f"{discovery.hid_rule(vendor, product)} to {discovery.HID_RULE_FILE}, run `udevadm control --reload`, "
+            "and plug the device in again"
         )
     if error.errno == errno.EBUSY:
         return DeviceBusy(f"{path} is held by another program: close that one first")
@@ -97,25 +104,13 @@ def _lock(fd: int, path: str) -> None:
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise DeviceBusy(f"{path} is held by {_holder(fd)}: end that one first") from error
+        who = discovery.holder(path) or "another process"
+        raise DeviceBusy(f"{path} is held by {who}: end that one first") from error
     except OSError:
         pass  # a node on a file system without locks
 
 
-def _holder(fd: int) -> str:
-    inode = os.fstat(fd).st_ino
-    try:
-        for line in Path("/proc/locks").read_text().splitlines():
-            part = line.split()
-            if part[1] == "FLOCK" and int(part[-3].rsplit(":", 1)[1]) == inode:
-                pid = int(part[-4])
-                return f"process {pid} ({Path(f'/proc/{pid}/comm').read_text().strip()})"
-    except (OSError, ValueError, IndexError):
-        pass
-    return "another process"
-
-
-def _check_device(fd: int, path: str, options: Options) -> None:
+def _check_device(fd: int, path: str, wanted_vendor: int, wanted_product: int) -> None:
     info = bytearray(8)
     try:
         if not stat.S_ISCHR(os.fstat(fd).st_mode):
@@ -124,10 +119,10 @@ def _check_device(fd: int, path: str, options: Options) -> None:
     except OSError as error:
         raise DeviceError(f"{path} is no hidraw node: {error.strerror}: name a /dev/hidrawN") from error
     _, vendor, product = struct.unpack("<IHH", info)
-    if (vendor, product) != (options.vendor_id, options.product_id):
+    if (vendor, product) != (wanted_vendor, wanted_product):
         raise DeviceError(
             f"{path} is the device {_ids(vendor, product)}, and the rig is for "
-            f"{_ids(options.vendor_id, options.product_id)}: name the right node, or leave `path` out"
+            f"{_ids(wanted_vendor, wanted_product)}: name the right node, or leave `path` out"
         )
 
 

@@ -1,0 +1,155 @@
+"""`devices`: what is attached, which driver claims it, why it cannot be opened, and the command that mends it."""
+
+from __future__ import annotations
+
+import argparse
+import grp
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from softfinger.config.errors import HapticError
+from softfinger.drivers import discovery, registry
+from softfinger.drivers.claims import Claim, claim_on
+from softfinger.drivers.discovery import Attached
+
+READ_AND_WRITE_BY_GROUP: Final = stat.S_IRGRP | stat.S_IWGRP
+
+
+class Diagnosis(NamedTuple):
+    """Whether a device can be used, in a word; if not, why and what to do.
+
+    state   usable, unclaimed, or what is in the way: driver, node, permission, busy, library, firmware
+    """
+
+    state: str
+    reason: str = ""
+    remedy: str = ""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "List what is attached, which driver claims it, why it cannot be opened, and the command that mends it. "
+        "Nothing is opened, so a device in use is not disturbed."
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    found = []
+    for device in discovery.attached():
+        claim = claim_on(device)
+        found.append((device, claim, diagnose(device, claim)))
+    if args.json:
+        print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in found]}, indent=2))
+    else:
+        print("\n".join(lines(found)))
+    return 0
+
+
+def diagnose(device: Attached, claim: Claim | None) -> Diagnosis:
+    """Why a device cannot be opened by its driver; the first reason of those that have to be mended in turn."""
+    if claim is None:
+        if device.bus == "hid":
+            return Diagnosis("unclaimed", "no driver knows it", "if it is a haptic device, describe it: docs/hid.md")
+        return Diagnosis("unclaimed", "no driver knows it")
+    if claim.driver not in registry.names():
+        return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
+    if claim.bus == "hid" and device.bus == "usb":
+        return Diagnosis("node", "the system gives it no hidraw node", "sudo modprobe usbhid, and plug it in again")
+    if not os.path.exists(device.node):
+        return Diagnosis(
+            "node",
+            f"{device.node or 'its node'} is not there, as in a container that was not given it",
+            f"docker run --device {device.node or '/dev/bus/usb'} ..., or run outside of the container",
+        )
+    if not discovery.permitted(device.node):
+        return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device, claim))
+    if (holder := discovery.holder(device.node)) is not None:
+        return Diagnosis("busy", f"{device.node} is held by {holder}", f"kill {holder.pid}")
+    return needs(claim)
+
+
+def needs(claim: Claim) -> Diagnosis:
+    """What a driver needs besides the device."""
+    if claim.driver == "forcedimension":
+        from softfinger.drivers.forcedimension import library
+
+        try:
+            library.load(None)
+        except HapticError as error:
+            return Diagnosis("library", str(error), f"export FDSDK=/path/to/sdk   # from {library.DOWNLOAD}")
+    if claim.driver == "falcon":
+        return Diagnosis(
+            "firmware",
+            "it needs its firmware after every power-up, and the file may not be passed on with this program",
+            'firmware = "/path/to/novint.bin" under [device] of the rig',
+        )
+    return Diagnosis("usable")
+
+
+def how_to_permit(device: Attached, claim: Claim) -> str:
+    """The command that lets this user open a node: a group that has the right already, else a udev rule."""
+    if (group := _group_with_access(device.node)) is not None:
+        return f"sudo usermod -aG {group} $USER   # then log in again"
+    if claim.driver == "forcedimension":
+        from softfinger.drivers.forcedimension import usb
+
+        rule, file = usb.RULE, usb.RULE_FILE
+    elif claim.bus == "hid":
+        rule, file = discovery.hid_rule(device.vendor, device.product), discovery.HID_RULE_FILE
+    else:
+        rule = discovery.usb_rule(device.vendor, device.product)
+        file = f"/etc/udev/rules.d/70-softfinger-{claim.driver}.rules"
+    return f"echo '{rule}' | sudo tee -a {file} && {discovery.RELOAD}"
+
+
+def _group_with_access(node: str) -> str | None:
+    """A group other than root's that may write to a node."""
+    try:
+        seen = os.stat(node)
+        return grp.getgrgid(seen.st_gid).gr_name if seen.st_gid and _open_to_group(seen.st_mode) else None
+    except (OSError, KeyError):
+        return None
+
+
+def _open_to_group(mode: int) -> bool:
+    return mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
+
+
+def as_map(device: Attached, claim: Claim | None, diagnosis: Diagnosis) -> dict[str, object]:
+    """One device for `--json`."""
+    return {
+        "name": device.name,
+        "bus": device.bus,
+        "vendor_id": f"{device.vendor:04x}",
+        "product_id": f"{device.product:04x}",
+        "serial": device.serial,
+        "node": device.node,
+        "driver": claim.driver if claim else None,
+        "rigs": list(claim.rigs) if claim else [],
+        **diagnosis._asdict(),
+    }
+
+
+def lines(found: list[tuple[Attached, Claim | None, Diagnosis]]) -> list[str]:
+    """The same for people: what a driver claims first, then the rest."""
+    text = []
+    for device, claim, diagnosis in sorted(found, key=lambda one: one[1] is None):
+        text.append(f"{device.node or 'no node'}  {device.ids}  {device.name}")
+        if claim is None:
+            hint = f": {diagnosis.remedy}" if diagnosis.remedy else ""
+            text.append(f"    {diagnosis.reason}{hint}")
+            continue
+        command = " or ".join(f"--rig {name}" for name in claim.rigs) or f"--device {claim.driver}"
+        text.append(f"    driver {claim.driver}: softfinger run {command}")
+        text.append(f"    {diagnosis.state}{': ' if diagnosis.reason else ''}{diagnosis.reason}")
+        if diagnosis.remedy:
+            text.append(f"    mend it: {diagnosis.remedy}")
+    if not any(claim for _, claim, _ in found):
+        where = "no device that a driver knows is attached" if found else "no USB or HID device is attached"
+        bus = "" if discovery.has_usb() else f"; this system has no USB bus ({Path('/') / discovery.USB} is not there)"
+        text.append(f"{where}{bus}. Without hardware: softfinger run, or softfinger run --rig simulated")
+    return text
