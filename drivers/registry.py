@@ -21,6 +21,7 @@ BUILT_IN: Final = {
     "hid": "softfinger.drivers.hid",
     "replay": "softfinger.drivers.replay",
     "simulated": "softfinger.drivers.simulated",
+    "spacemouse": "softfinger.drivers.spacemouse",
 }
 
 

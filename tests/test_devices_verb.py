@@ -127,7 +127,7 @@ def test_a_node_that_is_not_there(root: Path) -> None:
     ("mode", "group", "vendor", "bus", "remedy"),
     [
         (0o600, 0, 0x046D, "hid", 'ATTRS{idVendor}=="046d", ATTRS{idProduct}=="c626", TAG+="uaccess"'),
-        (0o660, 0, 0x046D, "hid", "udevadm control --reload"),
+        (0o600, 20, 0x046D, "hid", "udevadm control --reload"),
         (0o660, 20, 0x046D, "hid", "usermod -aG dialout"),
         (0o640, 20, 0x1451, "usb", 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1451"'),
     ],

@@ -107,7 +107,7 @@ def test_gaps_are_told_and_keep_their_time(tmp_path: Path) -> None:
 
 
 def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
-    """A tick whose time step is three periods long, after missed deadlines, comes three periods after the one before."""
+    """A tick whose step is three periods long, after missed deadlines, comes three periods after the one before."""
     records = moving(250)
     put(records[100:101], "dt", 0.003)
     put(records[0:1], "dt", 0.002)  # late when the recording begins: not the period

@@ -30,15 +30,23 @@ from softfinger.drivers.hid.reports import (
     decode,
     encode,
 )
+from softfinger.drivers.libc import (
+    EAGAIN,
+    EINTR,
+    ETIMEDOUT,
+    IO_SIGNATURE,
+    errno_location,
+    monotonic_ns,
+    poll_fd,
+    read_fd,
+    write_fd,
+)
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.jit import c_function, jit
 from softfinger.proxy.kernels.memory import exchange_int64, float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.pack import flatten, unpack
 from softfinger.proxy.kernels.rotations import conjugate, multiply, normalize, rotate
-
-_CPointer: Any = types.CPointer
-IO_SIGNATURE: Final[Any] = types.int64(types.int64, _CPointer(types.float64))
 
 # Words of the block. Counters first.
 REPORTS: Final = 0  # reports received
@@ -91,14 +99,7 @@ WAIT_MS: Final = 10
 IN_SPARE: Final = 1
 """A buffer is so much longer than its report: a longer one than described is then seen to be longer."""
 
-_EINTR, _EAGAIN, _ETIMEDOUT = 4, 11, 110
 _POLLIN: Final = 1 << 32  # `events` of a struct pollfd read as one little-endian word
-
-_read_fd = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
-_write_fd = types.ExternalFunction("write", types.int64(types.int32, types.int64, types.uint64))
-_poll = types.ExternalFunction("poll", types.int32(_CPointer(types.int64), types.uint64, types.int32))
-_errno_location = types.ExternalFunction("__errno_location", _CPointer(types.int32)())
-_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, _CPointer(types.int64)))
 
 
 class Model(NamedTuple):
@@ -124,9 +125,7 @@ _MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 @jit
 def _now(handle: int) -> int:
-    timespec = int64_at(handle + TIMESPEC * 8)
-    _clock_gettime(1, timespec)
-    return int(timespec[0] * 1_000_000_000 + timespec[1])
+    return monotonic_ns(handle + TIMESPEC * 8)
 
 
 @jit
@@ -135,12 +134,12 @@ def _drain(handle: int) -> int:
     word = int64_at(handle)
     came, size = 0, word[IN_BYTES]
     for _ in range(DRAIN_MAX):
-        count = _read_fd(word[FD], word[IN_BUFFER], size + IN_SPARE)
+        count = read_fd(word[FD], word[IN_BUFFER], size + IN_SPARE)
         if count < 0:
-            error = _errno_location()[0]
-            if error == _EINTR:
+            error = errno_location()[0]
+            if error == EINTR:
                 continue
-            if error != _EAGAIN:
+            if error != EAGAIN:
                 return LOST
             break
         if count == 0:
@@ -165,18 +164,18 @@ def _send(handle: int) -> int:
     """Write OUT_BUFFER; OK, STALE when the device took nothing just now, or a status below 0."""
     word = int64_at(handle)
     for _ in range(4):
-        count = _write_fd(word[FD], word[OUT_BUFFER], word[OUT_BYTES])
+        count = write_fd(word[FD], word[OUT_BUFFER], word[OUT_BYTES])
         if count == word[OUT_BYTES]:
             word[WRITTEN] += 1
             return OK
         if count >= 0:
             return PROTOCOL
-        error = _errno_location()[0]
-        if error == _ETIMEDOUT:
+        error = errno_location()[0]
+        if error == ETIMEDOUT:
             return TIMEOUT
-        if error == _EAGAIN:
+        if error == EAGAIN:
             return STALE
-        if error != _EINTR:
+        if error != EINTR:
             return LOST
     return STALE
 
@@ -230,7 +229,7 @@ def _await(handle: int) -> int:
         if status < 0:
             return status
         word[POLL] = word[FD] | _POLLIN
-        _poll(int64_at(handle + POLL * 8), 1, WAIT_MS)
+        poll_fd(int64_at(handle + POLL * 8), 1, WAIT_MS)
         status = _drain(handle)
         if status > 0:
             return 1

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
-import stat
 import struct
 import sys
 from typing import Any, Final
 
-from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
-from softfinger.drivers import discovery
+from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.hid.descriptor import Announced, announced
 from softfinger.drivers.hid.options import Options
+from softfinger.drivers.hidraw import ids, open_path
 
 # ioctl requests of <linux/hidraw.h>.
 _GET_DESCRIPTOR_SIZE: Final = 0x80044801
 _GET_DESCRIPTOR: Final = 0x90044802
-_GET_INFO: Final = 0x80084803
 _DESCRIPTOR_MAX: Final = 4096
 
 
@@ -40,21 +37,6 @@ def open_node(options: Options) -> int:
     return fd
 
 
-def open_path(path: str, vendor: int, product: int) -> int:
-    """File descriptor of a node of a device with these ids, non-blocking, locked; the errors of `open_node`."""
-    try:
-        fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError as error:
-        raise _unopened(path, vendor, product, error) from error
-    try:
-        _lock(fd, path)
-        _check_device(fd, path, vendor, product)
-    except BaseException:
-        os.close(fd)
-        raise
-    return fd
-
-
 def find(options: Options) -> str:
     """Path of the node of the one device with the rig's ids; DeviceNotFound when there is none or more than one."""
     import hidraw  # here, because it opens the system's device list when it is imported
@@ -65,7 +47,7 @@ def find(options: Options) -> str:
         for one in attached
         if (one["vendor_id"], one["product_id"]) == (options.vendor_id, options.product_id)
     }
-    wanted = _ids(options.vendor_id, options.product_id)
+    wanted = ids(options.vendor_id, options.product_id)
     matching = [path for path, serial in nodes.items() if options.serial is None or serial == options.serial]
     if len(matching) == 1:
         return matching[0]
@@ -75,55 +57,9 @@ def find(options: Options) -> str:
     if nodes:
         serials = ", ".join(f"'{serial}'" for serial in sorted(nodes.values()))
         raise DeviceNotFound(f"no HID device {wanted} has the serial number '{options.serial}': attached are {serials}")
-    others = sorted({_ids(one["vendor_id"], one["product_id"]) for one in attached})
+    others = sorted({ids(one["vendor_id"], one["product_id"]) for one in attached})
     there = f"attached are {', '.join(others)}" if others else "no HID device is attached"
     raise DeviceNotFound(f"no HID device {wanted} is attached: plug it in and switch it on; {there}")
-
-
-def _ids(vendor: int, product: int) -> str:
-    return f"{vendor:04x}:{product:04x}"
-
-
-def _unopened(path: str, vendor: int, product: int, error: OSError) -> DeviceError:
-    reason = error.strerror or str(error)
-    if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or leave `path` out")
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return DevicePermission(
-            f"{path} may not be opened by this user: {reason}: write "
-            f"{discovery.hid_rule(vendor, product)} to {discovery.HID_RULE_FILE}, run `udevadm control --reload`, "
-            "and plug the device in again"
-        )
-    if error.errno == errno.EBUSY:
-        return DeviceBusy(f"{path} is held by another program: close that one first")
-    return DeviceError(f"{path} cannot be opened: {reason}")
-
-
-def _lock(fd: int, path: str) -> None:
-    # hidraw itself lets any number of programs write to one device; two that command forces must not.
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        who = discovery.holder(path) or "another process"
-        raise DeviceBusy(f"{path} is held by {who}: end that one first") from error
-    except OSError:
-        pass  # a node on a file system without locks
-
-
-def _check_device(fd: int, path: str, wanted_vendor: int, wanted_product: int) -> None:
-    info = bytearray(8)
-    try:
-        if not stat.S_ISCHR(os.fstat(fd).st_mode):
-            raise DeviceError(f"{path} is no device node: name a /dev/hidrawN, or leave `path` out")
-        fcntl.ioctl(fd, _GET_INFO, info)
-    except OSError as error:
-        raise DeviceError(f"{path} is no hidraw node: {error.strerror}: name a /dev/hidrawN") from error
-    _, vendor, product = struct.unpack("<IHH", info)
-    if (vendor, product) != (wanted_vendor, wanted_product):
-        raise DeviceError(
-            f"{path} is the device {_ids(vendor, product)}, and the rig is for "
-            f"{_ids(wanted_vendor, wanted_product)}: name the right node, or leave `path` out"
-        )
 
 
 def _check_reports(fd: int, path: str, options: Options) -> None:
