@@ -6,6 +6,7 @@ A device that a rig of this program describes (`driver = "hid"`) belongs to that
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Final, NamedTuple
 
 from softfinger.config.load import load_rig, shipped
@@ -41,8 +42,13 @@ def claim_on(device: Attached) -> Claim | None:
     return None
 
 
-def claims() -> Iterator[Claim]:
-    """Every claim."""
+@cache
+def claims() -> tuple[Claim, ...]:
+    """Every claim. The rigs are read once: they belong to the program and stay what they are while it runs."""
+    return tuple(_claims())
+
+
+def _claims() -> Iterator[Claim]:
     rigs: dict[tuple[str, int | None, int | None], list[str]] = {}
     for name in shipped(Rig):
         device = load_rig(name).device

@@ -16,7 +16,7 @@ from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, Saf
 from softfinger.config.load import build
 from softfinger.drivers import base, registry
 from softfinger.proxy.state import RECORD_SIZE
-from softfinger.server import realtime, servo
+from softfinger.server import hotplug, realtime, servo
 from softfinger.server.guard import GUARD_NAMES
 from softfinger.server.telemetry import Publisher
 from softfinger.server.tuning import make_tuning
@@ -74,9 +74,13 @@ class Daemon:
             self.device.close()
             self.publisher.close()
             raise
+        self._closing = threading.Event()
         self._threads = [
             threading.Thread(target=self._publish, name="publisher", daemon=True),
             threading.Thread(target=self._supervise, name="supervisor", daemon=True),
+            threading.Thread(
+                target=hotplug.watch, args=(self.publisher.event, self._closing), name="hotplug", daemon=True
+            ),
         ]
 
     def start(self) -> None:
@@ -116,6 +120,7 @@ class Daemon:
             self._started = False
             # A servo that does not answer within this is stuck in its device; the device is stopped regardless.
             self.servo.join(timeout_s=2.0)
+            self._closing.set()
             for thread in self._threads:
                 thread.join(timeout=2.0)
             self.publisher.event("lifecycle", "stopped", ticks=self.servo.ticks)

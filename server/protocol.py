@@ -80,6 +80,14 @@ EVENT_EXTRA_KEYS: Final = {
         Key("count", "int", "1", "", "deadlines missed since the last event of this name"),
         Key("total", "int", "1", "", "deadlines missed since the servo started"),
     ),
+    "device": (
+        Key("device", "str", "", "", "its name, as the system has it"),
+        Key("bus", "str", "", "", "hid for a hidraw node, usb for a device on the bus"),
+        Key("ids", "str", "", "", "vendor and product in hexadecimal digits, such as 046d:c626"),
+        Key("serial", "str", "", "", "serial number, empty if it has none"),
+        Key("node", "str", "", "", "node that a driver opens, empty if there is none"),
+        Key("driver", "str", "", "", "driver that claims it, empty if none does"),
+    ),
 }
 """Keys that events of a kind add; kinds not listed here add what the event needs."""
 

@@ -11,8 +11,10 @@ import pytest
 import zmq
 from telemetry_records import join, put, synthetic
 
+from softfinger.drivers.discovery import Attached
 from softfinger.proxy.state import CAUSE_NAMES
 from softfinger.server.guard import GUARD_NAMES
+from softfinger.server.hotplug import described
 from softfinger.server.protocol import (
     CONTACT_KEYS,
     EVENT_EXTRA_KEYS,
@@ -100,6 +102,8 @@ def real_messages():
         socket.connect(publisher.endpoint)
         join(publisher, socket)
         publisher.publish(records)
+        puck = Attached("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
+        publisher.event("device", "attached", **described(puck))
         publisher.event("lifecycle", "stopped")
         while not found or found[-1][0] != "event lifecycle":
             assert socket.poll(5000)
