@@ -17,6 +17,7 @@ from softfinger.config.devices import Preset, presets
 from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
 from softfinger.drivers.plant import Intention, Plant, PlantState, at_rest, goal_at, make_plant
 from softfinger.drivers.poses import load_poses
+from softfinger.drivers.puck import Options as PuckOptions
 from softfinger.drivers.resample import Array, close_loop, resample
 
 RECORDING: Final = "press-roll-spin-drag"
@@ -62,11 +63,17 @@ class Options(Table, frozen=True, kw_only=True):
     )
     sway_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "cycles per second of the sinusoid")] = 0.0
     sway_phase_rad: Annotated[float, within(limits.ANGLE_RAD, "where in its cycle it starts")] = 0.0
+    puck: Annotated[PuckOptions, said("a SpaceMouse moves what the hand intends, instead")] | None = None
     forces: Annotated[str, said("file (.csv or .npz) for the wrenches written, saved on close")] | None = None
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.recording, self.position_m) and self.recording is not None and self.position_m is not None:
             yield "position_m", self.position_m, "the hand follows a recording: leave one of the two out"
+        if not known(self.puck) or self.puck is None:
+            return
+        for key in ("recording", "position_m"):
+            if known(getattr(self, key)) and getattr(self, key) is not None:
+                yield key, getattr(self, key), "the hand follows the puck: leave one of the two out"
 
 
 class Simulation(NamedTuple):
@@ -103,15 +110,17 @@ def simulation(options: Options, rate_hz: float) -> Simulation:
     poses = _intended(options, preset, rate_hz)
     x, y, z = (float(a) for a in options.sway_m)
     turns = options.sway_phase_rad / (2.0 * pi)
-    intention = Intention(float(len(poses)), float(options.loop), (x, y, z), options.sway_hz / rate_hz, float(turns))
+    endless = options.loop or options.puck is not None
+    intention = Intention(float(len(poses)), float(endless), (x, y, z), options.sway_hz / rate_hz, float(turns))
     flat = np.ascontiguousarray(poses).reshape(-1)
     position, orientation = goal_at(intention, flat, 0)
     return Simulation(plant, at_rest(position, orientation), intention, flat)
 
 
 def _intended(options: Options, preset: Preset, rate_hz: float) -> Array:
-    if options.position_m is not None:
-        return np.array([[*options.position_m, 1.0, 0.0, 0.0, 0.0]])
+    place = options.position_m if options.puck is None else options.puck.start_m
+    if place is not None:
+        return np.array([[*place, 1.0, 0.0, 0.0, 0.0]])
     samples = resample(load_poses(options.recording or RECORDING), rate_hz)
     poses = close_loop(samples, rate_hz) if options.loop else samples
     if preset.sensed_dof < 6:

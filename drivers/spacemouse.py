@@ -27,6 +27,7 @@ from softfinger.drivers.replay import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNE
 from softfinger.drivers.wrench_log import READS, WrenchLog, Written
 from softfinger.proxy.kernels.jit import c_function, jit
 from softfinger.proxy.kernels.memory import float64_at, int64_at, uint8_at
+from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.pack import flatten, unpack
 
 # Words of the block behind the handle, after those of the log.
@@ -56,8 +57,8 @@ STEP_MAX_S: Final = 0.05
 """Most time that one read moves the fingertip over: after a pause it goes on, and does not jump."""
 
 _ZERO: Final = (0.0, 0.0, 0.0)
-_SETUP_LIKE: Final = Setup(0.0, _ZERO, _ZERO, _ZERO, _ZERO)
-_SETUP_SIZE: Final = len(flatten(_SETUP_LIKE))
+SETUP_LIKE: Final = Setup(0.0, _ZERO, _ZERO, _ZERO, _ZERO)
+SETUP_SIZE: Final = len(flatten(SETUP_LIKE))
 
 LED_ON: Final = b"\x04\x01"
 LED_OFF: Final = b"\x04\x00"
@@ -93,6 +94,19 @@ def _drain(handle: int, now: int) -> int:
 
 
 @jit
+def place(handle: int) -> tuple[Vec3, Quaternion]:
+    """Where the puck has moved to: position (3,) m and orientation."""
+    state = float64_at(int64_at(handle)[STATE])
+    return (state[0], state[1], state[2]), (state[3], state[4], state[5], state[6])
+
+
+@jit
+def mask(handle: int) -> float:
+    """Its buttons, a bit each."""
+    return float(float64_at(int64_at(handle)[STATE])[MASK])
+
+
+@jit
 def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
     """Take the puck's reports and move the fingertip for `dt` (s); the status of the puck."""
     word = int64_at(handle)
@@ -106,9 +120,8 @@ def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
     if now - word[HEARD_AT] > word[HOLD]:
         for k in range(6):
             deflection[k] = 0.0
-    position, orientation = move(
-        setup, (state[0], state[1], state[2]), (state[3], state[4], state[5], state[6]), deflection, dt
-    )
+    before, turned = place(handle)
+    position, orientation = move(setup, before, turned, deflection, dt)
     for k in range(3):
         state[POSITION + k] = position[k]
     for k in range(4):
@@ -123,7 +136,7 @@ def read(handle: int, sample: Any) -> int:
     now = monotonic_ns(handle + TIMESPEC * 8)
     dt = min((now - word[MOVED_AT]) * 1e-9, STEP_MAX_S)
     word[MOVED_AT] = now
-    status = follow(handle, unpack(_SETUP_LIKE, carray(float64_at(word[SETUP]), (_SETUP_SIZE,))), now, dt)
+    status = follow(handle, unpack(SETUP_LIKE, carray(float64_at(word[SETUP]), (SETUP_SIZE,))), now, dt)
     if status < 0:
         return status
     word[READS] += 1

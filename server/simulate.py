@@ -118,6 +118,8 @@ def with_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Array:
             f"device '{rig.device.driver}' cannot be run without a clock: take the device `simulated`, or --poses"
         )
     options = build(driver.Options, rig.device.options, "[device]")
+    if getattr(options, "puck", None) is not None:
+        raise ConfigError("a hand that a puck leads cannot be run without a clock: use `run`, or leave puck out")
     # The records hold the forces; a file of what a servo wrote would be empty.
     with driver.open_device(msgspec.structs.replace(options, forces=None), rate) as device:
         ticks = max(1, round(seconds * rate))

@@ -160,8 +160,9 @@ def test_unknown_recording_is_refused() -> None:
 
 
 def test_shipped_rigs_open_their_device() -> None:
-    """Every shipped rig with this driver opens, with the limits of its preset."""
-    names = [name for name in shipped(Rig) if load_rig(name).device.driver == "simulated"]
+    """Every shipped rig with this driver opens, with the limits of its preset, without the puck of one."""
+    devices = {name: load_rig(name).device for name in shipped(Rig)}
+    names = [n for n, device in devices.items() if device.driver == "simulated" and "puck" not in device.options]
     assert len(names) == len(presets())
     for name in names:
         rig = load_rig(name)

@@ -25,10 +25,13 @@ from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers import spacemouse
 from softfinger.drivers.base import LOST, OK, PROTOCOL, Device
 from softfinger.drivers.puck import Options
+from softfinger.drivers.simulated import Options as SimulatedOptions
+from softfinger.drivers.simulated import Simulated
 from softfinger.drivers.spacemouse import SpaceMouse, find, open_device
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.state import OFFSET, RECORD_SIZE
 from softfinger.server import servo as s
+from softfinger.server.simulate import with_device
 from softfinger.server.tuning import make_tuning
 
 PAST = 350 - 15
@@ -308,6 +311,75 @@ def test_a_puck_feels_its_way_through_a_scene() -> None:
             np.testing.assert_allclose(row[OFFSET["force"] : OFFSET["force"] + 3], step.force, rtol=0, atol=1e-12)
             compared += step.mode != 0
     assert compared > 100
+
+
+FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "resolution_m": 0.0, "delay_ticks": 0}
+
+
+@contextlib.contextmanager
+def led(**options: Any) -> Iterator[tuple[Simulated, Servo, socket.socket]]:
+    """A simulated device with a hand that a puck leads."""
+    fd, end = ends()
+    built = build(SimulatedOptions, {"puck": {}, **options}, "test")
+    with end, Simulated(built, RATE_HZ, (fd, "puck")) as device:
+        yield device, Servo(device), end
+
+
+def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
+    """Pushed for 300 ticks and let go, the handle comes to rest where gain times time says, turned by gain times time;
+    the way does not hang on the clock."""
+    with led(**FREE) as (_, servo, end):
+        servo.read()
+        end.send(emulated.combined(right=350, clockwise=350)[0])
+        for _ in range(300):
+            assert servo.read()[0] == OK
+        end.send(emulated.combined()[0])
+        end.send(emulated.buttons(2))
+        for _ in range(5000):  # the handle swings with a time constant 2 m / b below 0.1 s
+            status, sample = servo.read()
+    assert status == OK
+    assert sample[8] == 2.0
+    np.testing.assert_allclose(sample[:3], (2e-4 * PAST * 0.3, 0.0, 0.03), rtol=0, atol=1e-12)
+    turned = Rotation.from_quat([*sample[4:7], sample[3]]).as_rotvec()
+    np.testing.assert_allclose(turned, (0.0, 0.0, -3e-3 * PAST * 0.3), rtol=0, atol=1e-12)
+
+
+def test_the_hand_that_a_puck_leads_feels_the_force() -> None:
+    """Against a constant force the handle rests where the hand's spring carries it: force over stiffness away."""
+    with led(**FREE, hand={"stiffness_n_per_m": 500.0}) as (_, servo, _):
+        for _ in range(2000):
+            servo.read()
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        sample = servo.read()[1]
+    np.testing.assert_allclose(sample[:3], (0.0, 0.0, 0.03 + 1.0 / 500.0), rtol=0, atol=1e-9)  # a settled oscillation
+
+
+def test_a_puck_turns_no_device_that_senses_no_rotation() -> None:
+    """A Falcon stays unturned however the puck is twisted."""
+    with led(preset="falcon") as (_, servo, end):
+        end.send(emulated.combined(clockwise=350)[0])
+        for _ in range(50):
+            sample = servo.read()[1]
+    assert sample[3:7] == [1.0, 0.0, 0.0, 0.0]
+
+
+def test_the_simulated_device_is_lost_with_its_puck() -> None:
+    """Unplugged, the puck takes the device that it leads with it, and the fault says whose it is."""
+    with led() as (device, servo, end):
+        servo.read()
+        end.close()
+        assert servo.read()[0] == LOST
+        assert device.reason() == "its hand is led by puck"
+
+
+def test_a_puck_is_the_only_intention() -> None:
+    """A recording or a place beside a puck is refused, and so is a run without a clock."""
+    for key, value in (("recording", "tap"), ("position_m", [0.0, 0.0, 0.0])):
+        with pytest.raises(ConfigError, match=rf"{key} = .*follows the puck"):
+            build(SimulatedOptions, {"puck": {}, key: value}, "rig")
+    rig = load_rig("simulated-spacemouse")
+    with pytest.raises(ConfigError, match="cannot be run without a clock"):
+        with_device(load_scene("paper-plane"), rig, 0.1)
 
 
 def test_pucks_are_found_and_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
