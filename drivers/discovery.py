@@ -131,14 +131,6 @@ def hid_rule(vendor: int, product: int) -> str:
     return f'KERNEL=="hidraw*", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", TAG+="uaccess"'
 
 
-def usb_rule(vendor: int, product: int) -> str:
-    """The same of a USB device."""
-    return (
-        f'SUBSYSTEM=="usb", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", '
-        'MODE="0660", TAG+="uaccess"'
-    )
-
-
 def _listed(folder: Path) -> list[str]:
     try:
         return os.listdir(folder)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import grp
+import importlib
 import json
 import os
 import stat
@@ -94,15 +95,11 @@ def how_to_permit(device: Attached, claim: Claim) -> str:
     """The command that lets this user open a node: a group that has the right already, else a udev rule."""
     if (group := _group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"
-    if claim.driver == "forcedimension":
-        from softfinger.drivers.forcedimension import usb
-
-        rule, file = usb.RULE, usb.RULE_FILE
-    elif claim.bus == "hid":
+    if claim.bus == "hid":
         rule, file = discovery.hid_rule(device.vendor, device.product), discovery.HID_RULE_FILE
     else:
-        rule = discovery.usb_rule(device.vendor, device.product)
-        file = f"/etc/udev/rules.d/70-softfinger-{claim.driver}.rules"
+        usb = importlib.import_module(f"{registry.BUILT_IN[claim.driver]}.usb")  # where a driver over USB has its own
+        rule, file = usb.RULE, usb.RULE_FILE
     return f"echo '{rule}' | sudo tee -a {file} && {discovery.RELOAD}"
 
 

@@ -45,6 +45,8 @@ def descriptor(size: int) -> bytes:
 class Bed:
     """The node, and what happens to it."""
 
+    name = "Emulated arm"
+
     def __init__(self, case: dict) -> None:
         self.case = case
         generation = case["generation"]
@@ -56,6 +58,11 @@ class Bed:
         self.descriptor = (
             bytes.fromhex(case["descriptor"]) if "descriptor" in case else descriptor(self.woody.report_bytes)
         )
+        self._wire()
+        if "permission" in case:
+            os.chmod(os.path.join(self.bed.get_root_dir(), "dev/hidraw0"), int(case["permission"], 8))
+
+    def _wire(self) -> None:
         self.bed = UMockdev.Testbed.new()
         self._add()
         node = UMockdev.IoctlBase()
@@ -66,8 +73,6 @@ class Bed:
         self.node = node
         # The node is a pseudo terminal here: a byte in it makes poll report that there is something to read.
         self.terminal = self.bed.get_dev_fd("/dev/hidraw0")
-        if "permission" in case:
-            os.chmod(os.path.join(self.bed.get_root_dir(), "dev/hidraw0"), int(case["permission"], 8))
 
     def _add(self) -> None:
         vendor, product = self.ids
@@ -77,7 +82,7 @@ class Bed:
             f"A: idProduct={product:04x}\\n\nA: bcdDevice=0100\\n\nA: serial=SN42\\n\nA: busnum=1\\n\nA: devnum=2\\n\n",
             f"P: {DEVICE}/1-1:1.0\nE: DEVTYPE=usb_interface\nE: DRIVER=usbhid\nE: SUBSYSTEM=usb\n"
             "A: bInterfaceNumber=00\\n\nA: bInterfaceClass=03\\n\n",
-            f"P: {hid}\nE: DRIVER=hid-generic\nE: HID_ID=0003:{vendor:08X}:{product:08X}\nE: HID_NAME=Emulated arm\n"
+            f"P: {hid}\nE: DRIVER=hid-generic\nE: HID_ID=0003:{vendor:08X}:{product:08X}\nE: HID_NAME={self.name}\n"
             f"E: HID_UNIQ=SN42\nE: SUBSYSTEM=hid\nH: report_descriptor={self.descriptor.hex().upper()}\n",
             f"P: {hid}/hidraw/hidraw0\nN: hidraw0\nE: DEVNAME=/dev/hidraw0\nE: MAJOR=240\nE: MINOR=0\n"
             f"E: SUBSYSTEM=hidraw\nL: device=../../../0003:{vendor:04X}:{product:04X}.0001\n",
@@ -139,8 +144,8 @@ class Bed:
         }  # fmt: skip
 
 
-def main() -> int:
-    bed, loop, code = Bed(json.loads(sys.argv[1])), GLib.MainLoop(), []
+def main(make: type[Bed] = Bed) -> int:
+    bed, loop, code = make(json.loads(sys.argv[1])), GLib.MainLoop(), []
 
     def run() -> None:
         # Without the interpreter's own paths of this process: the program may be another Python.

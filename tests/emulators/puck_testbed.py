@@ -1,0 +1,71 @@
+"""An emulated SpaceMouse as a hidraw node of umockdev, and a program run beside it, as in testbed.py.
+
+The first argument: product (number), push (deflection in counts by the words of puck.py), buttons, unplug_after_s,
+reports: split or combined. What the puck was sent goes to the last line of standard output as JSON.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from gi.repository import GLib
+
+from emulators import puck, testbed
+
+REPORT_PERIOD_MS = 16
+
+
+class PuckBed(testbed.Bed):
+    """A puck that is pushed from the start, and reports it 60 times a second."""
+
+    name = "SpaceNavigator"
+
+    def __init__(self, case: dict) -> None:
+        self.case, self.ids = case, (0x046D, case.get("product", 0xC626))
+        self.descriptor = testbed.descriptor(13)
+        self.queue: list[bytes] = []
+        self.written: list[bytes] = []
+        self.gone = False
+        self._wire()
+        GLib.timeout_add(REPORT_PERIOD_MS, self._report)
+        if "unplug_after_s" in case:
+            GLib.timeout_add(round(1000 * case["unplug_after_s"]), self._unplug)
+
+    def _report(self) -> bool:
+        kind = puck.combined if self.case.get("reports") == "combined" else puck.split
+        for report in [*kind(**self.case.get("push", {})), puck.buttons(self.case.get("buttons", 0))]:
+            if len(self.queue) < 64:  # as many as the kernel keeps
+                self.queue.append(report)
+                os.write(self.terminal, b"\1")
+        return not self.gone
+
+    def _unplug(self) -> bool:
+        self.gone = True
+        vendor, product = self.ids
+        hid = f"/sys{testbed.DEVICE}/1-1:1.0/0003:{vendor:04X}:{product:04X}.0001"
+        for path in (f"{hid}/hidraw/hidraw0", hid, f"/sys{testbed.DEVICE}/1-1:1.0", f"/sys{testbed.DEVICE}"):
+            self.bed.uevent(path, "remove")
+            self.bed.remove_device(path)
+        return False
+
+    def _past(self, event: str) -> bool:
+        return self.gone
+
+    def _write(self, _: object, client: object) -> bool:
+        data = bytes(client.get_arg().retrieve())
+        self.written.append(data)
+        client.complete(len(data), 0)
+        return True
+
+    def seen(self) -> dict:
+        """The reports that the puck was sent."""
+        return {"written": [data.hex() for data in self.written]}
+
+
+if __name__ == "__main__":
+    result = testbed.main(PuckBed)
+    sys.stdout.flush()
+    os._exit(result)  # umockdev's own threads would keep the process
