@@ -104,8 +104,9 @@ class UsbBus(usb.backend.IBackend):
 
 
 @contextmanager
-def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666) -> Iterator[None]:
-    """pyusb finds these products; their nodes are under `nodes` with that mode, and this process has no privileges."""
+def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged: bool = False) -> Iterator[None]:
+    """pyusb finds these products; their nodes are under `nodes` with that mode. Unless `privileged`, this process may
+    no more than any user."""
     get_backend, root = usb.backend.libusb1.get_backend, fd_usb.NODES
     usb.backend.libusb1.get_backend = lambda *_, **__: UsbBus(*products)
     if nodes is not None:
@@ -115,13 +116,13 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666) -> Iterato
             node = nodes / "001" / f"{5 + number:03d}"
             node.touch()
             node.chmod(mode)
-    privileged = os.geteuid() == 0
-    if privileged:
+    drop = os.geteuid() == 0 and not privileged
+    if drop:
         os.seteuid(65534)  # nobody: root may open everything
     try:
         yield
     finally:
-        if privileged:
+        if drop:
             os.seteuid(0)
         usb.backend.libusb1.get_backend, fd_usb.NODES = get_backend, root
 

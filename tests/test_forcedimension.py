@@ -276,6 +276,22 @@ def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
         bench.open()
 
 
+def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
+    """A process that has the device's node open is named with its number; without one it is another process."""
+    stub["held"] = 1
+    with pytest.raises(DeviceBusy, match="held by another process"):
+        bench.open()
+    nodes = stub.path.parent
+    with (
+        plugged_in(0x0402, nodes=nodes, privileged=True),
+        (nodes / "001" / "005").open() as node,
+        subprocess.Popen(["sleep", "60"], stdin=node) as holder,
+    ):
+        with pytest.raises(DeviceBusy, match=rf"held by \w+ \({holder.pid}\)"):
+            bench.open()
+        holder.kill()
+
+
 # --- exchange ------------------------------------------------------------------------------------
 
 
