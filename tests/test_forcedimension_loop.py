@@ -166,6 +166,25 @@ def test_stop_while_a_transfer_hangs(stub: Stub, bench: StubBench) -> None:
         assert stub.norm() == 0.0
 
 
+def test_stop_waits_for_the_exchange_under_way(stub: Stub, bench: StubBench) -> None:
+    """With readings that take nine tenths of a tick, `stop` from another thread never meets the loop in the library."""
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    stub["slow_s"] = 0.0009
+    for _ in range(4):  # one in ten would pass by chance
+        with bench.open() as device:
+            servo = s.Servo(device, tuning, RATE_HZ)
+            servo.compile()
+            servo.start()
+            while servo.ticks < 20:
+                servo.wait_record()
+            time.sleep(0.0005)  # into the next reading
+            device.stop()
+            servo.stop()
+            assert servo.join(10.0) == s.Ended(s.STOPPED, OK)
+            servo.close()
+    assert stub["threads"] == 0
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
     """The command line's daemon on the stand-in, pressing: a signal ends it in order, exit code 0, and the device was

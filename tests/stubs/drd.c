@@ -32,13 +32,13 @@ static __thread int last_error;
     X(turned, 0) \
  /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
-    X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(nan_at, -1) \
+    X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(nan_at, -1) \
     X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) \
  /* what was asked of it, to be read */ \
     X(opens, 0) X(closes, 0) X(reads, 0) X(writes, 0) X(force_on, 0) X(expert, 0) \
     X(watchdog, 0) X(threshold, 0) X(gravity, 1) X(brakes, 0) X(max_force, 0) X(moved, 0) \
     X(regulated, 0) X(cause, 0) X(fx, 0) X(fy, 0) X(fz, 0) X(torque_sent, 0) \
-    X(tx, 0) X(ty, 0) X(tz, 0) X(gripper_sent, 0) X(peak, 0) X(expert_misuse, 0) X(threads, 0) X(unplugged, 0)
+    X(tx, 0) X(ty, 0) X(tz, 0) X(disables, 0) X(stops, 0) X(gripper_sent, 0) X(peak, 0) X(expert_misuse, 0) X(threads, 0) X(unplugged, 0)
 
 #define X(name, first) double name;
 static struct { KNOBS } k;
@@ -220,10 +220,10 @@ int dhdSetBrakes(int on, char id)
 int dhdEnableForce(unsigned char on, char id)
 {
     if (usable(id)) return -1;
-    if (on) { k.force_on = 1; k.cause = 0; fed_s = now_s; } else force_off(SOFTWARE);
+    if (on) { k.force_on = 1; k.cause = 0; fed_s = now_s; } else { k.disables += 1; force_off(SOFTWARE); }
     return 0;
 }
-int dhdStop(char id) { if (usable(id)) return -1; force_off(SOFTWARE); return 0; }
+int dhdStop(char id) { if (usable(id)) return -1; k.stops += 1; force_off(SOFTWARE); return 0; }
 unsigned dhdGetButtonMask(char id) { return usable(id) ? 0 : (unsigned)k.buttons; }
 int dhdGetGripperAngleRad(double *out, char id)
 {
@@ -275,6 +275,7 @@ int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double
     const double n = k.reads++;
     int code = 0;
     if (n == k.delay_at) usleep((useconds_t)(k.delay_s * 1e6));
+    if (k.slow_s > 0) usleep((useconds_t)(k.slow_s * 1e6));
     if (n == k.button_at) force_off(BUTTON);
     if (k.garbage) {
         code = garbage((double **)p, (double *)m);
