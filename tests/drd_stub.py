@@ -56,6 +56,10 @@ class Stub:
         self._library.stub_force(out)
         return out[0], out[1], out[2]
 
+    def busy(self) -> bool:
+        """Whether a thread is in an exchange just now."""
+        return bool(self._library.stub_busy())
+
     def norm(self) -> float:
         return math.hypot(*self.force())
 
