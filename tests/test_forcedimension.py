@@ -387,7 +387,8 @@ def test_failing_call_gives_its_status_and_reason(
         servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         stub.update(**{call: 0, "error": code})
         assert (servo.read()[0] if call == "fail_read" else servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)) == status
-        assert device.reason() == f"the library's error {code}"
+        text = {7: "timeout", 2: "communication error", 1: "error"}[code]
+        assert device.reason() == f"the library's error {code}, {text}"
         device.stop()
         assert stub.norm() == 0.0  # even where every force fails: the force is disabled
         assert stub["force_on"] == 0

@@ -7,6 +7,7 @@
  * Tests steer it through stub_set and stub_get, by the names in KNOBS, and read what it was asked to do.
  */
 #include <math.h>
+#include <pthread.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -32,7 +33,7 @@ static __thread int last_error;
     X(turned, 0) \
  /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
-    X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(nan_at, -1) \
+    X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) X(nan_at, -1) \
     X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) \
  /* what was asked of it, to be read */ \
     X(opens, 0) X(closes, 0) X(reads, 0) X(writes, 0) X(force_on, 0) X(expert, 0) \
@@ -123,13 +124,25 @@ static void pass(double dt)
     if (k.watchdog > 0 && now_s - fed_s > k.watchdog * 125e-6 && k.force_on) force_off(WATCHDOG);
 }
 
-static void enter(void) { if (__sync_fetch_and_add(&inside, 1)) k.threads += 1; }
-static void leave(void) { __sync_fetch_and_sub(&inside, 1); }
+/* An exchange; with `exclusive`, a second one waits for the first. */
+static pthread_mutex_t one_at_a_time = PTHREAD_MUTEX_INITIALIZER;
+static __thread bool holds;
+static void enter(void)
+{
+    holds = k.exclusive != 0;
+    if (holds) pthread_mutex_lock(&one_at_a_time);
+    if (__sync_fetch_and_add(&inside, 1)) k.threads += 1;
+}
+static void leave(void)
+{
+    __sync_fetch_and_sub(&inside, 1);
+    if (holds) pthread_mutex_unlock(&one_at_a_time);
+}
 
 int dhdErrorGetLast(void) { return last_error; }
-const char *dhdErrorGetLastStr(void)
+const char *dhdErrorGetStr(int error)
 {
-    switch (last_error) {
+    switch (error) {
     case 0: return "no error";
     case COM: return "communication error";
     case BUSY: case IN_USE: return "device is already in use";
@@ -138,6 +151,7 @@ const char *dhdErrorGetLastStr(void)
     default: return "error";
     }
 }
+const char *dhdErrorGetLastStr(void) { return dhdErrorGetStr(last_error); }
 void dhdGetSDKVersion(int *a, int *b, int *c, int *d) { *a = 3; *b = 17; *c = 5; *d = 0; }
 int dhdGetDeviceCount(void) { return k.unplugged ? 0 : (int)k.devices; }
 
