@@ -140,7 +140,7 @@ class StubBench(Bench):
 
     def open(self, **options: Any) -> Any:
         if self.forbidden:
-            with plugged_in(0x0402, nodes=self.stub.path.parent, mode=0o600):
+            with plugged_in(0x0402, nodes=self.stub.path.parent, mode=0):
                 return self._open(**options)
         return self._open(**options)
 

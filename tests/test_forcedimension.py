@@ -218,7 +218,7 @@ def test_absent_library_says_where_it_was_looked_for(tmp_path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.chmod(folder, 0o755)
         with (
-            plugged_in(0x0402, nodes=Path(folder), mode=0o600),
+            plugged_in(0x0402, nodes=Path(folder), mode=0),
             pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x.*may not be opened by this user.*udevadm"),
         ):
             forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
@@ -266,7 +266,7 @@ def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
     stub["devices"] = 0
     nodes = stub.path.parent
     with (
-        plugged_in(0x0402, nodes=nodes, mode=0o600),
+        plugged_in(0x0402, nodes=nodes, mode=0),
         pytest.raises(DevicePermission, match=r'001/005.*ATTRS\{idVendor\}=="1451".*udevadm'),
     ):
         bench.open()

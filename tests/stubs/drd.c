@@ -119,6 +119,7 @@ static void pass(double dt)
             position[i] += h * velocity[i];
             speed += velocity[i] * velocity[i];
         }
+        /* The header does not say the unit; here it is mm/s. */
         if (k.threshold > 0 && sqrt(speed) > k.threshold * 1e-3 && k.force_on) force_off(VELOCITY);
     }
     if (k.watchdog > 0 && now_s - fed_s > k.watchdog * 125e-6 && k.force_on) force_off(WATCHDOG);
