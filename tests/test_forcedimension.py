@@ -409,8 +409,15 @@ def test_force_that_is_no_number_becomes_zero(stub: Stub, bench: StubBench) -> N
 
 
 def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBench) -> None:
-    """A pose that is not a number stays one, for the guard to refuse; its read succeeds."""
-    stub["nan_at"] = 1
+    """A mirrored or stretched matrix gives no quaternion, and a position that is no number stays none, both for the
+    guard to refuse; the read succeeds. A matrix off by rounding is taken."""
+    for name, value in (("mirror", 1.0), ("stretch", 0.1), ("stretch", -0.9)):
+        stub[name] = value
+        with bench.open() as device:
+            status, sample = Servo(device).read()
+            assert status == OK and all(map(math.isnan, sample[3:7])), name
+        stub[name] = 0.0
+    stub.update(stretch=1e-6, nan_at=1, reads=0)
     with bench.open() as device:
         servo = Servo(device)
         assert not math.isnan(servo.read()[1][1])

@@ -30,7 +30,7 @@ static __thread int last_error;
  /* the hand's path, m, Hz and rad, in the library's frame: centre, amplitudes of a sine in x and y and a cosine in z, \
     and of a sine turn about an axis (0, 1, 2), or a turn that stays */ \
     X(x, 0) X(y, 0) X(z, 0.02) X(ax, 0) X(ay, 0) X(az, 0) X(hz, 1) X(turn, 0) X(axis, 0) \
-    X(turned, 0) \
+    X(turned, 0) X(mirror, 0) X(stretch, 0) \
  /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
     X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) X(nan_at, -1) \
@@ -310,6 +310,8 @@ int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double
         turned[i1][i1] = turned[i2][i2] = cos(a);
         turned[i1][i2] = -sin(a);
         turned[i2][i1] = sin(a);
+        if (k.mirror) turned[0][0] *= -1;
+        turned[1][1] += k.stretch;
         memcpy(m, turned, sizeof turned);
         for (int i = 0; i < 3; i++) *p[i] = position[i];
         memcpy(before, position, sizeof position);
