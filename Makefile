@@ -24,7 +24,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test lint bench warmup wheel constraints docker-check clean distclean
+.PHONY: help setup run test lint bench study warmup wheel constraints docker-check clean distclean
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -59,8 +59,8 @@ $(STAMP): pyproject.toml constraints.txt
 run: $(STAMP) ## The daemon: replays the shipped recording, streams on tcp://127.0.0.1:5555 (ARGS= passes on)
 	@exec $(BIN)/softfinger run $(ARGS)
 
-test: $(STAMP) ## The whole test suite (ARGS= goes to pytest)
-	@exec $(BIN)/python -m pytest $(ARGS)
+test: $(STAMP) ## The whole test suite, a file at a time on each processor (ARGS= goes to pytest)
+	@exec $(BIN)/python -m pytest -n logical --dist loadfile $(ARGS)
 
 lint: $(STAMP) ## ruff, mypy --strict, import order of the layers
 	$(BIN)/ruff check .
@@ -72,6 +72,9 @@ bench: $(STAMP) ## Cost of a step, wake-up lateness beside C, tick-to-subscriber
 	$(BIN)/softfinger bench step
 	$(BIN)/softfinger bench loop --seconds $(BENCH_SECONDS)
 	$(BIN)/softfinger bench telemetry --seconds $(BENCH_SECONDS)
+
+study: $(STAMP) ## Measure every figure and table of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
+	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)
 
 warmup: $(STAMP) ## Compile the kernels now rather than at the first start
 	@exec $(BIN)/softfinger warmup

@@ -39,16 +39,15 @@ def tick_many(
     start: Memory,
     memory_values: Array,
     poses: Array,
-    dt: float,
+    dts: Array,
     first: int,
     records: Array,
 ) -> None:
-    """One tick for each row of `poses` (n, 7), leaving a record each in `records` (n, RECORD_SIZE)."""
+    """One tick for each row of `poses` (n, 7), `dts` (n,) s after the one before, with a record each in `records`."""
     tuning = unpack(tuning_like, values)
     memory = unpack(start, memory_values)
     for i in range(poses.shape[0]):
-        memory = tick(tuning, start, memory, poses[i], dt, first + i, records[i])
-        records[i, 0] = (first + i) * dt
+        memory = tick(tuning, start, memory, poses[i], dts[i], first + i, records[i])
     pack(memory_values, memory)
 
 
@@ -59,13 +58,14 @@ def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
     """
     dt = period_ns(rate_hz) / NS_PER_S
     checked = check_poses(poses)
-    records = np.zeros((len(checked), RECORD_SIZE))
+    records, dts = np.zeros((len(checked), RECORD_SIZE)), np.full(min(len(checked), CHUNK), dt)
+    records[:, OFFSET["timestamp"]] = np.arange(len(checked)) * dt
     start = begin(tuning.scene)
     values, memory = flatten(tuning), flatten(start)
     with progress("simulating", len(checked)) as done:
         for first in range(0, len(checked), CHUNK):
             chunk = slice(first, first + CHUNK)
-            tick_many(tuning, values, start, memory, checked[chunk], dt, first, records[chunk])
+            tick_many(tuning, values, start, memory, checked[chunk], dts, first, records[chunk])
             done(min(first + CHUNK, len(checked)))
     return records
 

@@ -18,12 +18,12 @@ from references.rotation import matrix
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model, montana
 from softfinger.server.cli import main
-from softfinger.tools import accuracy, accuracy_cases, accuracy_figures, accuracy_front, accuracy_paper
-from softfinger.tools.accuracy_classical import MAX_STEP_SHARE, roll_classical
-from softfinger.tools.accuracy_reference import roll_path
-from softfinger.tools.accuracy_report import write_report
+from softfinger.tools.accuracy import cases, figures, front, paper, verb
+from softfinger.tools.accuracy.classical import MAX_STEP_SHARE, roll_classical
+from softfinger.tools.accuracy.reference import roll_path
+from softfinger.tools.accuracy.report import write_report
 
-R = accuracy_cases.RADIUS_M
+R = cases.RADIUS_M
 W, SPIN = 2.0, 0.5
 """Rotation rate (rad/s) and spin over roll of the standard motion."""
 ROLL_RATE, SPIN_RATE = W / np.hypot(1.0, SPIN), W * SPIN / np.hypot(1.0, SPIN)
@@ -33,7 +33,7 @@ TORUS = model.Torus(0.05, 0.02, 1.0)
 def options(*words: str) -> argparse.Namespace:
     """The parsed command line."""
     parser = argparse.ArgumentParser()
-    accuracy.configure(parser)
+    verb.configure(parser)
     return parser.parse_args(words)
 
 
@@ -103,17 +103,17 @@ def test_exact_methods_are_exact_in_the_paper(result: dict[str, Any]) -> None:
 def test_the_experiment_is_the_published_one() -> None:
     """Steps, their time and their angles are the paper's."""
     table = published()
-    assert (table["radius"], table["sampling_time"]) == (R, accuracy_paper.STEP_S)
-    assert table["duration"] == accuracy_paper.STEPS * accuracy_paper.STEP_S
-    assert (table["delta_psi"], table["delta_theta"], table["delta_phi"]) == accuracy_paper.TURN_RAD
+    assert (table["radius"], table["sampling_time"]) == (R, paper.STEP_S)
+    assert table["duration"] == paper.STEPS * paper.STEP_S
+    assert (table["delta_psi"], table["delta_theta"], table["delta_phi"]) == paper.TURN_RAD
 
 
 def test_reference_paths_of_the_paper() -> None:
     """The integrated reference is a straight line, or an arc, as elementary calculus has it."""
-    (x, y, z), k = accuracy_paper.TURN_RAD, np.arange(accuracy_paper.STEPS + 1)
+    (x, y, z), k = paper.TURN_RAD, np.arange(paper.STEPS + 1)
     straight = R * complex(y, -x)
     for motion, path in (("world", straight * k), ("contact_frame", straight * (np.exp(1j * z * k) - 1) / (1j * z))):
-        found = accuracy_paper.exact_path(motion)
+        found = paper.exact_path(motion)
         # Integrated to 1e-13 of some centimetres.
         assert found == pytest.approx(np.column_stack([path.real, path.imag, 0 * k]), abs=1e-14)
 
@@ -191,17 +191,17 @@ def test_orders(result: dict[str, Any]) -> None:
 def test_nothing_drifts(result: dict[str, Any]) -> None:
     """The contact point is on the surface after every thousand steps, to rounding of centimetres."""
     assert all(0.0 <= row["drift_m"] < 1e-15 for row in result["trade"])
-    assert {row["steps"] for row in result["drift"]} == {accuracy.QUICK_DRIFT_STEPS}
+    assert {row["steps"] for row in result["drift"]} == {verb.QUICK_DRIFT_STEPS}
 
 
-@pytest.mark.parametrize("motion", accuracy_cases.MOTIONS)
-def test_motion_turns_at_the_rates_it_says(motion: accuracy_cases.Motion) -> None:
+@pytest.mark.parametrize("motion", cases.MOTIONS)
+def test_motion_turns_at_the_rates_it_says(motion: cases.Motion) -> None:
     """The orientations begin at none, and their difference quotient is the angular velocity given to the reference."""
     h, t, normal = 1e-5, np.linspace(0.0, 0.9, 7), (0.36, 0.48, 0.8)
-    path = accuracy_cases.Track("plane", motion, 3.0, None, 0.7, 1.0)
-    assert accuracy_cases.orientations(path, normal, np.zeros(1))[0] == pytest.approx([1, 0, 0, 0])
-    before, at, after = (accuracy_cases.orientations(path, normal, t + s) for s in (-h, 0.0, h))
-    w = accuracy_cases.angular_velocity(path, normal)
+    path = cases.Track("plane", motion, 3.0, None, 0.7, 1.0)
+    assert cases.orientations(path, normal, np.zeros(1))[0] == pytest.approx([1, 0, 0, 0])
+    before, at, after = (cases.orientations(path, normal, t + s) for s in (-h, 0.0, h))
+    w = cases.angular_velocity(path, normal)
     for time, a, q, b in zip(t, before, at, after, strict=True):
         skew = (matrix(b) - matrix(a)) / (2 * h) @ matrix(q).T
         # Central differences: h^2 times the third derivative, some tens per second cubed.
@@ -216,7 +216,7 @@ def test_turns_lead_from_pose_to_pose() -> None:
     rng = np.random.default_rng(51)
     q = rng.normal(size=(20, 4))
     q /= np.linalg.norm(q, axis=1)[:, None]
-    steps = accuracy_cases.turns(q)
+    steps = cases.turns(q)
     assert (steps[:, 0] >= 0.0).all()
     for before, step, after in zip(q, steps, q[1:], strict=False):
         assert matrix(step) @ matrix(before) == pytest.approx(matrix(after), abs=1e-14)
@@ -225,8 +225,8 @@ def test_turns_lead_from_pose_to_pose() -> None:
 def test_cases_leave_out_what_cannot_be() -> None:
     """No fingertip larger than the hollow it is in, no step of half a turn, no closed form where there is none."""
     words = ("--turn-rate", "2", "3000", "3500", "--curvature-ratio", "0.1", "10", "--spin-ratio", "0.5", "1")
-    sweep, drift = accuracy.plan(options(*words, "--rate", "500", "1000"))
-    found = accuracy_cases.cases(sweep)
+    sweep, drift = verb.plan(options(*words, "--rate", "500", "1000"))
+    found = cases.cases(sweep)
     assert all(case.turn_rate / case.rate_hz < np.pi for case in found)
     assert {case.surface for case in found if case.curvature_ratio == 10.0} == {
         "sphere", "cylinder", "capped-cylinder", "capsule", "box", "ellipsoid",
@@ -238,12 +238,12 @@ def test_cases_leave_out_what_cannot_be() -> None:
     assert len(set(found)) == len(found)
 
 
-@pytest.mark.parametrize("surface", [name for name in accuracy_cases.SURFACES if name != "plane"])
+@pytest.mark.parametrize("surface", [name for name in cases.SURFACES if name != "plane"])
 def test_curvature_ratio_scales_the_surface(surface: str) -> None:
     """A surface of curvature ratio 0.1 has its own proportions, and a size of ten fingertip radii."""
-    own, _, _ = accuracy_cases.contact(surface, None)
-    shape, center, normal = accuracy_cases.contact(surface, 0.1)
-    scale = 10 * R / accuracy_cases.SURFACES[surface].size
+    own, _, _ = cases.contact(surface, None)
+    shape, center, normal = cases.contact(surface, 0.1)
+    scale = 10 * R / cases.SURFACES[surface].size
     for name, value in own._asdict().items():
         expected = value if name == "side" else scale * np.array(value)
         assert getattr(shape, name) == pytest.approx(expected)
@@ -270,25 +270,25 @@ def test_front_of_hand_made_points() -> None:
         # Costs 5 ns a millisecond of motion: the cheapest of all.
         point("slow servo", 50, 1e-2, rate=100.0),
     ]
-    assert [row["method"] for row in accuracy_front.front(made)] == ["slow servo", "cheap", "better", "exact"]
-    assert accuracy_front.front([]) == []
-    assert [row["method"] for row in accuracy_front.front(made[:1])] == ["dear and bad"]
+    assert [row["method"] for row in front.front(made)] == ["slow servo", "cheap", "better", "exact"]
+    assert front.front([]) == []
+    assert [row["method"] for row in front.front(made[:1])] == ["dear and bad"]
 
 
 def test_fronts_and_orders_look_at_the_ladder_only() -> None:
     """Rows of another rotation rate, curvature ratio or spin ratio are no part of a front."""
     made = [point("a", 10, 1e-4), point("a", 1, 1e-9, turn_rate_rad_per_s=1.0)]
     made += [point("a", 1, 1e-9, spin_ratio=0.0), point("a", 1, 1e-9, given_ratio=0.1)]
-    assert accuracy_front.fronts(made) == made[:1]
+    assert front.fronts(made) == made[:1]
     ladder = [point("a", 10, 3.0 / rate**3, rate=rate) for rate in (100.0, 200.0, 300.0, 400.0)]
-    (order,) = accuracy_front.orders(ladder + made[1:])
+    (order,) = front.orders(ladder + made[1:])
     assert order["order"] == pytest.approx(3.0)
 
 
 def test_recommendations() -> None:
     """The cheapest method that keeps the error; where none does, that is said, with the least error there is."""
     made = [point("fast", 10, 1e-6), point("fine", 40, 1e-9), point("worse", 50, 1e-8)]
-    found = accuracy_front.recommendations(made, (1e-5, 1e-7, 1e-12))
+    found = front.recommendations(made, (1e-5, 1e-7, 1e-12))
     assert [row["method"] for row in found] == ["fast", "fine", None]
     assert found[0]["sentence"] == "s, constant rate: for an error below 10 um at 1000 Hz use fast: 10 ns"
     assert found[2]["sentence"].endswith("there is no method: fine comes to 1 nm")
@@ -316,14 +316,14 @@ def test_recommendations() -> None:
 def test_bad_values_are_named(words: list[str], message: str) -> None:
     """A value that cannot be used gets one error, with the option, the value and the range."""
     with pytest.raises(ConfigError, match=message):
-        accuracy.run(options(*words))
+        verb.run(options(*words))
 
 
 def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without scipy the error says what to install."""
     monkeypatch.setitem(sys.modules, "scipy.integrate", None)
     with pytest.raises(ConfigError, match=r"pip install 'softfinger\[accuracy\]'"):
-        accuracy_paper.exact_path("world")
+        paper.exact_path("world")
 
 
 def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
@@ -337,7 +337,7 @@ def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) ->
 def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) -> None:
     """Each figure is text without a date and not large, and drawn again from the same data it is the same."""
     drawn = {}
-    for name, draw in accuracy_figures.FIGURES.items():
+    for name, draw in figures.FIGURES.items():
         draw(result, tmp_path / name)
         drawn[name] = (tmp_path / name).read_text(encoding="utf-8")
         assert "<dc:date>" not in drawn[name]

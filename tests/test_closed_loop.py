@@ -28,7 +28,7 @@ from softfinger.server.guard import Guard
 from softfinger.server.servo import FINISHED, Servo
 from softfinger.server.tick import Tuning, begin
 from softfinger.server.tuning import make_tuning
-from softfinger.tools import bench_closed_loop
+from softfinger.tools.bench import closed_loop as bench_closed_loop
 
 OPEN_GUARD = Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0)
 ALOFT = Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)

@@ -18,7 +18,7 @@ from compiled_code import Compiled, compile_step
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.scene import build_scene
-from softfinger.tools.features import all_features
+from softfinger.tools.bench.features import all_features
 
 FRICTION = {"friction": {"static": 0.6, "kinetic": 0.5}}
 TORSION = {"torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}}

@@ -5,7 +5,7 @@ import pytest
 
 from softfinger.proxy.state import OFFSET, RECORD_SIZE
 from softfinger.server.guard import NOT_FINITE, POSE_REFUSED
-from softfinger.tools import extremes
+from softfinger.tools.stability import extremes
 
 CASES = list(extremes.cases())
 

@@ -10,7 +10,7 @@ import pytest
 from references.rolling_cases import METHODS, RADIUS, rolled_by
 
 from softfinger.proxy.kernels import model, montana, rotations
-from softfinger.tools.accuracy_reference import normal_and_curvature, rolled
+from softfinger.tools.accuracy.reference import normal_and_curvature, rolled
 
 SHAPES: dict[str, Any] = {
     "plane": model.Plane((0.6, 0.0, -0.8), 0.01),

@@ -27,7 +27,7 @@ from softfinger.proxy.kernels import model, rotations
 from softfinger.proxy.kernels.rolling import roll
 from softfinger.proxy.kernels.surfaces import closest
 from softfinger.proxy.scene import build_scene
-from softfinger.tools.accuracy_reference import rolled
+from softfinger.tools.accuracy.reference import rolled
 
 CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
 

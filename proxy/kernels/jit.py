@@ -35,13 +35,21 @@ def _cache_root() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "softfinger"
 
 
-def _fingerprint() -> str:
-    cpu = numba.config.CPU_NAME or llvm.get_host_cpu_name()
-    digest = hashlib.sha256(f"{numba.__version__} {sys.version} {cpu}".encode())
+def _source_hash() -> str:
+    digest = hashlib.sha256()
     for folder in _SOURCE_FOLDERS:
         for path in sorted((_PACKAGE / folder).rglob("*.py")):
             digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest.hexdigest()
+
+
+SOURCE_HASH: Final = _source_hash()
+"""What tells this version of the program from others: a hash over every source file as it was at import."""
+
+
+def _fingerprint() -> str:
+    cpu = numba.config.CPU_NAME or llvm.get_host_cpu_name()
+    return hashlib.sha256(f"{numba.__version__} {sys.version} {cpu} {SOURCE_HASH}".encode()).hexdigest()[:16]
 
 
 CACHE_DIR: Final = _cache_root() / _fingerprint()

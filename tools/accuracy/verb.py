@@ -10,24 +10,22 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-from collections.abc import Callable, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.progress import progress
-from softfinger.tools.accuracy_cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
-from softfinger.tools.accuracy_figures import FIGURES, draw_fronts
-from softfinger.tools.accuracy_front import fronts, orders, recommendations
-from softfinger.tools.accuracy_measure import DRIFT_BLOCK, DriftCase, run_case, run_drift
-from softfinger.tools.accuracy_paper import experiment, speed
-from softfinger.tools.accuracy_report import print_report, write_report
+from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
+from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
+from softfinger.tools.accuracy.front import fronts, orders, recommendations
+from softfinger.tools.accuracy.measure import DRIFT_BLOCK, DriftCase, run_block, run_drift_block
+from softfinger.tools.accuracy.paper import experiment, speed
+from softfinger.tools.accuracy.report import print_report, write_report
 from softfinger.tools.measure import add_output_options, check_figure, show
-
-AnyCase = TypeVar("AnyCase")
+from softfinger.tools.sweep import add_sweep_options, run_cases
 
 RATES_HZ: Final = (4.0, 8.0, 16.0, 32.0, 64.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
@@ -77,6 +75,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tolerance", type=float, default=1e-9, help="of montana_rk45 (default: %(default)s)")
     parser.add_argument("--drift-steps", type=int, metavar="N", help=f"steps of the drift test ({DRIFT_STEPS})")
     parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
+    add_sweep_options(parser)
     add_output_options(parser)
     parser.add_argument("--figures", type=Path, metavar="DIR", help=f"write {', '.join((*FIGURES, REPORT))} there")
 
@@ -86,8 +85,10 @@ def run(args: argparse.Namespace) -> int:
     prepare_figures(args.plot, args.figures)
     with progress("the paper's experiment"):
         paper, times = experiment(sweep.tolerance), speed(sweep.tolerance)
-    trade = measured(run_case, cases(sweep), "speed and accuracy")
-    drift = measured(run_drift, drift_cases, "drift")
+    # One thread: what is timed has no other beside it.
+    where = {"scheduler": args.scheduler, "results": args.results, "threads": 1}
+    trade = run_cases(run_block, cases(sweep), label="measuring speed and accuracy", **where)
+    drift = run_cases(run_drift_block, drift_cases, label="measuring drift", **where)
     off = {(row["surface"], row["method"]): row["drift_m"] for row in drift}
     trade = [row | {"drift_m": off[row["surface"], row["method"]]} for row in trade]
     result: dict[str, Any] = {
@@ -125,16 +126,6 @@ def prepare_figures(plot: Path | None, folder: Path | None) -> None:
     for path in (plot, folder and folder / next(iter(FIGURES))):
         if path is not None:
             check_figure(path)
-
-
-def measured(function: Callable[[AnyCase], dict[str, Any]], todo: Sequence[AnyCase], what: str) -> list[dict[str, Any]]:
-    """A row for each case, in their order; the cases do not depend on each other."""
-    rows = []
-    with progress(f"measuring {what}", len(todo)) as done:
-        for number, case in enumerate(todo):
-            rows.append(function(case))
-            done(number + 1)
-    return rows
 
 
 def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:

@@ -73,7 +73,7 @@ def source(name: str, args: argparse.Namespace, folder: Path) -> Iterator[str]:
             endpoint = f"tcp://127.0.0.1:{probe.bind_to_random_port('tcp://127.0.0.1')}"
     words = {
         "daemon": ["-m", "softfinger.server.cli", "run", "--endpoint", endpoint, "--rate", repr(args.rate)],
-        "reference": ["-m", "softfinger.tools.bench_telemetry", "send", endpoint, repr(args.rate)],
+        "reference": ["-m", "softfinger.tools.bench.telemetry", "send", endpoint, repr(args.rate)],
     }[name]
     with subprocess.Popen([sys.executable, *words], stderr=subprocess.PIPE) as process:
         try:
@@ -97,7 +97,7 @@ def await_messages(endpoint: str) -> None:
 def subscribe_all(name: str, endpoint: str, args: argparse.Namespace, folder: Path) -> list[Array]:
     """Messages of every subscriber, (n, 2): tick, latency s."""
     paths = [folder / f"{name}-{number}.npy" for number in range(args.subscribers)]
-    words = [sys.executable, "-m", "softfinger.tools.bench_telemetry", "receive", endpoint, repr(args.seconds)]
+    words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", "receive", endpoint, repr(args.seconds)]
     processes = [subprocess.Popen([*words, str(path)]) for path in paths]
     with progress(f"measuring the {name}", round(args.seconds)) as done:
         begun = time.monotonic()

@@ -19,16 +19,16 @@ import numpy as np
 from softfinger.proxy.kernels import model, rotations, vec3
 from softfinger.proxy.kernels.montana import Coordinates
 from softfinger.proxy.kernels.rolling import roll
-from softfinger.tools.accuracy_cases import METHODS, RADIUS_M, Array
-from softfinger.tools.accuracy_classical import (
+from softfinger.tools.accuracy.cases import METHODS, RADIUS_M, Array
+from softfinger.tools.accuracy.classical import (
     ABSOLUTE_TOLERANCE,
     MAX_STEP_SHARE,
     RELATIVE_TOLERANCE,
     roll_classical,
 )
-from softfinger.tools.accuracy_measure import rolled
-from softfinger.tools.accuracy_reference import roll_path
-from softfinger.tools.bench_step import reference_ns
+from softfinger.tools.accuracy.measure import rolled
+from softfinger.tools.accuracy.reference import roll_path
+from softfinger.tools.bench.step import reference_ns
 
 STEPS: Final = 100
 STEP_S: Final = 0.01

@@ -16,7 +16,7 @@ from softfinger.server.closed_loop import Array, close_loop
 from softfinger.server.progress import progress
 from softfinger.server.tick import Memory, Tuning, begin
 from softfinger.server.tuning import make_tuning
-from softfinger.tools.bench_step import reference_ns
+from softfinger.tools.bench.step import reference_ns
 from softfinger.tools.measure import add_output_options, figure, show
 
 TICKS: Final = 10_000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from math import ceil
 from typing import Any, Final, NamedTuple
@@ -12,7 +13,7 @@ from softfinger.proxy.kernels.jit import entry
 from softfinger.proxy.kernels.rolling import roll
 from softfinger.proxy.kernels.surfaces import closest
 from softfinger.server.clock import now_ns
-from softfinger.tools.accuracy_cases import (
+from softfinger.tools.accuracy.cases import (
     METHODS,
     RADIUS_M,
     Array,
@@ -26,8 +27,8 @@ from softfinger.tools.accuracy_cases import (
     track_of,
     turns,
 )
-from softfinger.tools.accuracy_reference import roll_path
-from softfinger.tools.bench_step import reference_ns
+from softfinger.tools.accuracy.reference import roll_path
+from softfinger.tools.bench.step import reference_ns
 
 BLOCK_STEPS: Final = 1000
 """Least number of steps between two looks at the clock, which costs less than 0.1 ns a step then."""
@@ -119,6 +120,11 @@ def run_case(case: Case) -> dict[str, Any]:
     }
 
 
+def run_block(some: Sequence[Case]) -> list[dict[str, Any]]:
+    """`run_case` of each."""
+    return [run_case(case) for case in some]
+
+
 class DriftCase(NamedTuple):
     """A long roll of one method on one surface."""
 
@@ -146,3 +152,8 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
         normal = (n[0], n[1], n[2])
         center = (point[0] + RADIUS_M * n[0], point[1] + RADIUS_M * n[1], point[2] + RADIUS_M * n[2])
     return {"surface": case.surface, "method": case.method, "steps": blocks * DRIFT_BLOCK, "drift_m": off}
+
+
+def run_drift_block(some: Sequence[DriftCase]) -> list[dict[str, Any]]:
+    """`run_drift` of each."""
+    return [run_drift(case) for case in some]

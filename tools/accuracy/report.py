@@ -8,7 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from softfinger.tools.accuracy_front import grouped, standard
+from softfinger.tools.accuracy.front import grouped, standard
 
 RATE_HZ: Final = 1000.0
 """Servo rate that the recommendations are printed for, where it was measured; else the highest."""
@@ -71,7 +71,7 @@ def speed_table(result: dict[str, Any]) -> Any:
     ]
     zxz, unit = times["euler_zxz_ns_per_step"], times["reference_ns"]
     rows = [(name, f"{ns:.1f}", f"{ns / zxz:.2f}", f"{ns / unit:.3f}") for name, ns in named]
-    head = ("method", "ns a step", "over_euler zxz", f"over {unit:.0f} ns of_100 operations")
+    head = ("method", "ns a step", "over euler_zxz", f"over 100 operations, {unit:.0f} ns")
     return table("its time, world axes", head, rows, 1)
 
 
@@ -130,13 +130,38 @@ def drift_table(result: dict[str, Any]) -> Any:
     return table("drift off the surface, m", ("surface", "steps", *methods), rows, 1)
 
 
-def advice(result: dict[str, Any]) -> list[str]:
-    """The recommendations for RATE_HZ; of errors that ask for the same method only the smallest."""
+def targets_table(result: dict[str, Any]) -> Any:
+    """The cheapest method for each error, at the rate of the recommendations; `-` where none reaches it.
+
+    Of errors that ask for the same methods on every surface only the smallest has a column.
+    """
+    picked: dict[tuple[str, float], dict[str, str]] = {}
+    for (motion, below), group in grouped(at_advised_rate(result), "motion", "error_below_m"):
+        picked[motion, below] = {
+            row["surface"]: f"{row['method']} {row['ns_per_step']:.0f}" if row["method"] else "-" for row in group
+        }
+    columns = [
+        (motion, below)
+        for motion, below in picked
+        if not any(m == motion and b < below and picked[m, b] == picked[motion, below] for m, b in picked)
+    ]
+    surfaces = list(dict.fromkeys(surface for column in picked.values() for surface in column))
+    rows = [(surface, *(picked[column].get(surface, "") for column in columns)) for surface in surfaces]
+    head = ("surface", *(f"{motion}: {below:g} m" for motion, below in columns))
+    return table("cheapest method below an error, ns a step", head, rows, 1)
+
+
+def at_advised_rate(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """The recommendations for RATE_HZ."""
     rates = {row["rate_hz"] for row in result["recommendations"]}
     rate = RATE_HZ if RATE_HZ in rates else max(rates)
-    at_rate = [row for row in result["recommendations"] if row["rate_hz"] == rate]
+    return [row for row in result["recommendations"] if row["rate_hz"] == rate]
+
+
+def advice(result: dict[str, Any]) -> list[str]:
+    """The recommendations for RATE_HZ; of errors that ask for the same method only the smallest."""
     found = []
-    for _, group in grouped(at_rate, "surface", "motion", "method"):
+    for _, group in grouped(at_advised_rate(result), "surface", "motion", "method"):
         pick = min if group[0]["method"] else max
         found.append(pick(group, key=lambda row: row["error_below_m"])["sentence"])
     return [str(sentence) for sentence in found]

@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.jit import entry
 from softfinger.server.clock import now_ns
 from softfinger.server.cost import BLOCK, bare, measure, touching_poses, without_parts
 from softfinger.server.progress import progress
-from softfinger.tools.features import Feature, all_features, corner_poses
+from softfinger.tools.bench.features import Feature, all_features, corner_poses
 from softfinger.tools.measure import add_output_options, figure, show
 
 REFERENCE_OPERATIONS: Final = 100

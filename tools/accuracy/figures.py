@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from softfinger.tools.accuracy_cases import METHODS
-from softfinger.tools.accuracy_front import front, grouped, standard
-from softfinger.tools.accuracy_paper import MOTIONS, exact_path, method_path
+from softfinger.tools.accuracy.cases import METHODS
+from softfinger.tools.accuracy.front import front, grouped, standard
+from softfinger.tools.accuracy.paper import MOTIONS, exact_path, method_path
 from softfinger.tools.measure import figure, save
 
 COLUMNS: Final = 4

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.load import build
-from softfinger.proxy.kernels.jit import entry
-from softfinger.proxy.kernels.pack import flatten, pack, unpack
+from softfinger.proxy.kernels.pack import flatten
 from softfinger.proxy.state import FREE, OFFSET, RECORD_SIZE, SLIDING
 from softfinger.server.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
 from softfinger.server.progress import progress
-from softfinger.server.tick import Memory, Tuning, begin, tick
+from softfinger.server.simulate import tick_many
+from softfinger.server.tick import Tuning, begin
 from softfinger.server.tuning import make_tuning
 
 Array = NDArray[np.float64]
@@ -67,17 +67,6 @@ class Finding(NamedTuple):
     modes: str
     named: str
     wrong: str
-
-
-@entry
-def tick_stream(
-    tuning_like: Tuning, values: Array, start: Memory, memory_values: Array, samples: Array, dts: Array, records: Array
-) -> None:
-    """One tick for each row of `samples` (n, 7), `dts` (n,) s apart, into `records` (n, RECORD_SIZE)."""
-    tuning, memory = unpack(tuning_like, values), unpack(start, memory_values)
-    for i in range(samples.shape[0]):
-        memory = tick(tuning, start, memory, samples[i], dts[i], i, records[i])
-    pack(memory_values, memory)
 
 
 # --- scenes and motions ----------------------------------------------------------------------------
@@ -256,7 +245,7 @@ def run_case(case: Case) -> Array:
     """Records (n, RECORD_SIZE) of a case."""
     tuning = tuning_of(case.scene)
     records, start = np.zeros((len(case.samples), RECORD_SIZE)), begin(tuning.scene)
-    tick_stream(tuning, flatten(tuning), start, flatten(start), case.samples, case.dts, records)
+    tick_many(tuning, flatten(tuning), start, flatten(start), case.samples, case.dts, 0, records)
     return records
 
 
@@ -337,7 +326,7 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
             for first in range(0, ticks, HOSTILE_BLOCK):
                 samples, dts = garbage(rng, min(HOSTILE_BLOCK, ticks - first))
                 part = records[: len(samples)]
-                tick_stream(tuning, values, start, memory, samples, dts, part)
+                tick_many(tuning, values, start, memory, samples, dts, first, part)
                 broken += broken_rules(part)
                 refused += int(np.count_nonzero(part[:, BITS] == POSE_REFUSED))
                 strongest = max(strongest, float(np.linalg.norm(part[:, FORCE : FORCE + 3], axis=1).max()))
@@ -346,11 +335,21 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
     return rows
 
 
-def markdown(found: Sequence[Finding]) -> str:
-    """The findings as a table."""
+def table(found: Sequence[Finding]) -> str:
+    """The findings as a table of Markdown."""
     lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
     lines += [
         f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"
         for row in found
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def hostile_table(rows: Sequence[dict[str, Any]]) -> str:
+    """The runs over garbage, as a table of Markdown."""
+    lines = ["| scene | ticks | rules broken | poses refused | largest force |", "|---|---|---|---|---|"]
+    lines += [
+        f"| {row['scene']} | {row['ticks']} | {row['broken']} | {row['refused']} | {row['force_max_n']:.6g} N |"
+        for row in rows
     ]
     return "\n".join(lines) + "\n"

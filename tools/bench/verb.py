@@ -7,10 +7,10 @@ import importlib
 from typing import Final
 
 KINDS: Final = {
-    "step": ("softfinger.tools.bench_step", "cost of the contact step, back to back"),
-    "closed-loop": ("softfinger.tools.bench_closed_loop", "ticks per second with a simulated device, offline"),
-    "loop": ("softfinger.tools.bench_loop", "lateness and execution time of the servo loop, beside a C loop"),
-    "telemetry": ("softfinger.tools.bench_telemetry", "time from tick to subscriber, and what was lost"),
+    "step": ("softfinger.tools.bench.step", "cost of the contact step, back to back"),
+    "closed-loop": ("softfinger.tools.bench.closed_loop", "ticks per second with a simulated device, offline"),
+    "loop": ("softfinger.tools.bench.loop", "lateness and execution time of the servo loop, beside a C loop"),
+    "telemetry": ("softfinger.tools.bench.telemetry", "time from tick to subscriber, and what was lost"),
 }
 
 

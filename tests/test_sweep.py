@@ -1,0 +1,233 @@
+"""Sweeps: the same results from every scheduler, and none computed twice."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.tools import sweep
+from softfinger.tools.sweep import case_key, run_cases
+
+# 0.1 and pi have no short decimal form, the others are what encodings lose.
+CASES = [{"x": x, "n": n} for n, x in enumerate([0.1, math.pi, 5e-324, -0.0, 1e308, math.inf, 2.0**-1022] * 3)]
+
+computed: list[int] = []
+"""Numbers of the cases computed in this process."""
+
+
+def roots(cases: Sequence[dict[str, float]]) -> list[dict[str, float]]:
+    """Something of each case that depends on every bit of it; case 13 takes longest, so blocks end out of order."""
+    for case in cases:
+        computed.append(int(case["n"]))
+        if case["n"] == 13:
+            time.sleep(0.05)
+    return [{"root": math.sqrt(abs(case["x"])), "half": case["x"] / 2, "n": case["n"]} for case in cases]
+
+
+def failing(cases: Sequence[dict[str, float]]) -> list[dict[str, float]]:
+    """`roots`, but for case 11."""
+    if any(case["n"] == 11 for case in cases):
+        raise ArithmeticError("case 11")
+    return roots(cases)
+
+
+failing.__qualname__ = roots.__qualname__  # so that they share their results
+
+
+def bits(results: list[dict[str, float]]) -> list[list[str]]:
+    return [[float(value).hex() for value in result.values()] for result in results]
+
+
+@pytest.fixture(autouse=True)
+def forget() -> None:
+    computed.clear()
+
+
+def test_results_are_in_case_order_whatever_the_block() -> None:
+    """Threads give each case its own result, bit by bit, in blocks of one, five or all."""
+    expected = bits(roots(CASES))
+    for block in (None, 1, 5, 1000):
+        assert bits(run_cases(roots, CASES, label="test", block=block)) == expected
+
+
+def test_equal_cases_are_computed_once() -> None:
+    """A case that occurs three times has three results from one computation."""
+    assert bits(run_cases(roots, [CASES[0]] * 3, label="test")) == bits(roots([CASES[0]]) * 3)
+    assert computed == [0, 0]
+
+
+def test_a_local_cluster_gives_the_same_bits() -> None:
+    """Processes of a dask cluster on this machine return what threads do."""
+    assert bits(run_cases(roots, CASES, label="test", scheduler="local", block=4)) == bits(roots(CASES))
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Address and process of a dask scheduler with two workers, all processes of their own."""
+    where = tmp_path / "scheduler.json"
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    common = [sys.executable, "-m", "dask"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    words = [
+        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(where)],
+        *[
+            [
+                "worker",
+                "--scheduler-file",
+                str(where),
+                "--nthreads",
+                "1",
+                "--no-dashboard",
+                "--no-nanny",
+                "--local-directory",
+                str(tmp_path),
+            ]
+        ]
+        * 2,
+    ]
+    processes = [
+        subprocess.Popen([*common, *some], env={**os.environ, "PYTHONPATH": path}, **quiet)  # type: ignore[call-overload]
+        for some in words
+    ]
+    try:
+        deadline = time.monotonic() + 60.0
+        while not where.exists():
+            assert time.monotonic() < deadline and processes[0].poll() is None, "the scheduler did not start"
+            time.sleep(0.05)
+        address = json.loads(where.read_text())["address"]
+        from distributed import Client
+
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60.0)
+        yield address, processes[0]
+    finally:
+        for process in processes:  # not asked to end: a worker may wait for its scheduler for ever
+            process.kill()
+            process.wait()
+
+
+def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(
+    cluster: tuple[str, subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of the cases by threads into a file, the rest by workers elsewhere: the results of one run.
+
+    Then the scheduler dies under a longer run: the message says how to go on.
+    """
+    scheduler, process = cluster
+    results = tmp_path / "cases.mcap"
+    run_cases(roots, CASES[::2], label="test", results=results)
+    computed.clear()
+    found = run_cases(roots, CASES, label="test", results=results, scheduler=scheduler, block=2)
+    assert not computed, "computed here, not by the workers"
+    assert bits(found) == bits(roots(CASES))
+    computed.clear()
+    assert bits(run_cases(roots, CASES, label="test", results=results)) == bits(found)
+    assert not computed
+
+    monkeypatch.setattr(sweep, "CONNECT_S", 1.0)
+    threading.Timer(1.0, process.kill).start()
+    with pytest.raises(ConfigError, match=f"--scheduler {scheduler}: lost while it computed.*--results FILE goes on"):
+        run_cases(roots, [{"x": 2.0, "n": 13, "number": n} for n in range(200)], label="t", scheduler=scheduler)
+
+
+def test_finished_blocks_outlive_an_error(tmp_path: Path) -> None:
+    """When a case fails, what was finished before is not computed again."""
+    results = tmp_path / "cases.mcap"
+    with pytest.raises(ArithmeticError, match="case 11"):
+        run_cases(failing, CASES, label="test", results=results, block=3)
+    kept = len(results.read_bytes())
+    computed.clear()
+    assert bits(run_cases(roots, CASES, label="test", results=results, block=3)) == bits(roots(CASES))
+    first = computed[: -len(CASES)]
+    assert {9, 10, 11} <= set(first) < set(range(len(CASES))) and len(results.read_bytes()) > kept
+
+
+@pytest.mark.parametrize("damage", ["cut in a row", "cut at the end", "a bit flipped"])
+def test_a_damaged_end_is_dropped_with_a_warning(damage: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Cases up to the damage are kept, the others computed again, and the file is whole afterwards."""
+    results = tmp_path / "cases.mcap"
+    run_cases(roots, CASES, label="test", results=results, block=1)
+    data = bytearray(results.read_bytes())
+    middle = data.index(b"result", len(data) // 2)
+    if damage == "a bit flipped":
+        data[middle + 12] ^= 1
+    results.write_bytes(data[: {"cut in a row": middle, "cut at the end": len(data) - 9}.get(damage, len(data))])
+    computed.clear()
+    with caplog.at_level(logging.WARNING):
+        found = run_cases(roots, CASES, label="test", results=results)
+    again = len(computed)
+    assert bits(found) == bits(roots(CASES))
+    assert "cut short or damaged" in caplog.text
+    assert again == 0 if damage == "cut at the end" else 0 < again < len(CASES)
+    caplog.clear()
+    computed.clear()
+    run_cases(roots, CASES, label="test", results=results)
+    assert not computed and not caplog.text
+
+
+def test_another_file_is_not_overwritten(tmp_path: Path) -> None:
+    """A file that holds something else is refused and stays as it is."""
+    results = tmp_path / "notes.txt"
+    results.write_text("not a sweep")
+    with pytest.raises(RecordingError, match=r"notes\.txt: not a file of sweep results.*name another"):
+        run_cases(roots, CASES, label="test", results=results)
+    assert results.read_text() == "not a sweep"
+
+
+def test_two_runs_do_not_share_a_file(tmp_path: Path) -> None:
+    """A second run on the same file ends with a message instead of spoiling the first."""
+    results = tmp_path / "cases.mcap"
+
+    def nested(cases: Sequence[dict[str, float]]) -> list[dict[str, float]]:
+        with pytest.raises(RecordingError, match="another run is writing to it"):
+            run_cases(roots, CASES, label="inner", results=results)
+        return roots(cases)
+
+    assert len(run_cases(nested, CASES[:1], label="outer", results=results)) == 1
+
+
+def test_a_file_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
+    """The message names the file and the reason."""
+    with pytest.raises(RecordingError, match=r"cases\.mcap: cannot be used for results: No such file or directory"):
+        run_cases(roots, CASES, label="test", results=tmp_path / "nowhere" / "cases.mcap")
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "message"),
+    [
+        ("cluster", "must be 'local' or the address of a dask scheduler such as tcp://"),
+        ("tcp://127.0.0.1:9", "no dask scheduler there"),  # the discard service, on no machine of today
+    ],
+)
+def test_a_wrong_scheduler_is_reported(scheduler: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message names the address and what to start."""
+    monkeypatch.setattr(sweep, "CONNECT_S", 0.3)
+    with pytest.raises(ConfigError, match=f"--scheduler {scheduler}: {message}"):
+        run_cases(roots, CASES, label="test", scheduler=scheduler)
+
+
+def test_a_worker_of_another_version_is_refused() -> None:
+    """What a worker with other sources would compute is not taken: it says whose hash differs."""
+    with pytest.raises(ConfigError, match="another version of softfinger: its sources have the hash"):
+        sweep._compute("0" * 64, roots, CASES)
+    assert not computed
+
+
+def test_keys_tell_cases_functions_and_versions_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A key is that of the values, whatever their order, of the function and of the sources."""
+    key = case_key(roots, {"x": 0.1, "n": 1})
+    assert case_key(roots, {"n": 1, "x": 0.1}) == key
+    others = [case_key(roots, {"x": math.nextafter(0.1, 1.0), "n": 1}), case_key(bits, {"x": 0.1, "n": 1})]
+    monkeypatch.setattr(sweep, "SOURCE_HASH", "0" * 64)
+    assert len({key, *others, case_key(roots, {"x": 0.1, "n": 1})}) == 4

@@ -1,0 +1,1 @@
+"""`softfinger accuracy`: what each rolling method costs and how far it strays."""

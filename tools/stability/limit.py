@@ -1,0 +1,313 @@
+"""The largest stable stiffness of a wall, found on the real servo step in closed loop with a simulated device.
+
+A frictionless plane is pressed by a constant force, so deep that contact is never lost and damping never
+meets its bounds (f_N between 0 and 2 K delta): there the loop is linear as long as the device is. The
+handle is knocked, and the loop is unstable where the swing that follows grows. Search and ticks are one
+compiled function, which runs many cases without the GIL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, isfinite, pi, sqrt
+from typing import Annotated, Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from softfinger.config import limits
+from softfinger.drivers.plant import LINE_SIZE, Plant, PlantState, advance, make_plant, sense
+from softfinger.proxy.kernels.jit import entry, jit
+from softfinger.proxy.kernels.model import ConstantForce, Coupling, Material, Object, Plane, Scene
+from softfinger.proxy.kernels.pack import flatten, unpack
+from softfinger.server.clock import NS_PER_S, period_ns
+from softfinger.server.closed_loop import NOWHERE
+from softfinger.server.guard import Guard
+from softfinger.server.passivity import Passivity
+from softfinger.server.progress import progress
+from softfinger.server.tick import Memory, Tuning, begin, tick
+from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit
+
+Array = NDArray[np.float64]
+
+RADIUS_M: Final = 0.01
+KNOCK_M: Final = 1e-4
+"""Swing that the knock gives an undamped handle, m."""
+KNOCK_STEPS: Final = 20.0
+"""The same in encoder steps, at least: what they add is then small beside it."""
+REACH: Final = 30.0
+"""A swing grown by this factor has decided: the wall is unstable."""
+DEAD: Final = 1e-9
+"""Share of the knock's speed below which nothing is left of it; rounding is at 1e-13."""
+LIMIT_CYCLE: Final = 1.0
+"""The same with encoder steps: a swing among a few steps never ends, and is no instability until it outgrows the
+knock."""
+DEPTH: Final = 100.0
+"""Depth of the equilibrium in knocks, at least: a swing of REACH stays in contact."""
+WEIGHT_MAX_N: Final = 1e5
+"""Heaviest weight that presses the wall; where more were needed the knock is smaller. Effects end at 1e6 N."""
+COARSE: Final = 16.0
+FINE: Final = 64.0
+"""Swings of the handle that a trial lasts: while the stiffness is only raised, and while it is bisected."""
+TICKS_MIN: Final = 2_000.0
+TICKS_MAX: Final = 1_000_000.0
+SCAN: Final = 1.3
+"""Factor by which the wall is stiffened until it is unstable for the first time."""
+PRECISION: Final = 1e-4
+"""Relative width at which the bisection ends."""
+SOFTEST: Final = 1e-6
+"""Share of the first stiffness tried at which softening ends and the limit is said to be 0."""
+STIFFEST: Final = 1e12
+"""A wall of so many N/m that is stable ends the search: a million times what a scene may have."""
+
+
+class Case(msgspec.Struct, frozen=True, kw_only=True):
+    """A wall, a device and a hand along one axis."""
+
+    mass_kg: Annotated[float, Meta(ge=1e-3, le=100.0, description="apparent mass of the device")] = 0.2
+    damping_ns_per_m: Annotated[float, Meta(ge=0.0, le=1e3, description="physical damping of the device")] = 2.0
+    wall_damping_ns_per_m: Annotated[
+        float, Meta(ge=0.0, le=limits.DAMPING_NS_PER_M.high, description="damping of the wall")
+    ] = 0.0
+    rate_hz: Annotated[float, Meta(ge=50.0, le=50e3, description="ticks per second")] = 1000.0
+    delay_ticks: Annotated[int, Meta(ge=0, le=16, description="ticks from sensing to the force that answers")] = 0
+    hand_mass_kg: Annotated[float, Meta(ge=0.0, le=100.0, description="mass of the hand, gripping the handle")] = 0.0
+    hand_damping_ns_per_m: Annotated[float, Meta(ge=0.0, le=1e3, description="damping of the hand")] = 0.0
+    hand_stiffness_n_per_m: Annotated[float, Meta(ge=0.0, le=1e5, description="stiffness of the hand")] = 0.0
+    friction_n: Annotated[float, Meta(ge=0.0, le=10.0, description="Coulomb friction of the mechanism")] = 0.0
+    resolution_m: Annotated[
+        float, Meta(ge=0.0, le=limits.RESOLUTION_M.high, description="step of the encoders, 0 for none")
+    ] = 0.0
+    velocity_time_constant_s: Annotated[
+        float, Meta(ge=0.0, le=limits.TIME_CONSTANT_S.high, description="of the velocity filter, 0 for none")
+    ] = 0.0
+    passivity_damping_ns_per_m: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=limits.DAMPING_NS_PER_M.high,
+            description="largest damping of the passivity controller, 0 for none",
+        ),
+    ] = 0.0
+
+    @property
+    def period_s(self) -> float:
+        """Length of a tick, in whole ns as the servo has it."""
+        return period_ns(self.rate_hz) / NS_PER_S
+
+    def linear(self) -> LinearLoop:
+        """What of the case is linear: all but friction and encoder."""
+        return LinearLoop(
+            self.mass_kg + self.hand_mass_kg,
+            self.damping_ns_per_m,
+            self.wall_damping_ns_per_m,
+            self.period_s,
+            self.delay_ticks,
+            self.velocity_time_constant_s,
+            self.hand_stiffness_n_per_m,
+            self.hand_damping_ns_per_m,
+        )
+
+    def plant(self) -> Plant:
+        """The simulated device and hand."""
+        return make_plant(
+            self.period_s,
+            (self.mass_kg,) * 3,
+            (self.damping_ns_per_m,) * 3,
+            friction=(self.friction_n,) * 3,
+            delay=self.delay_ticks,
+            resolution=self.resolution_m,
+            hand_mass=self.hand_mass_kg,
+            hand_damping=self.hand_damping_ns_per_m,
+            hand_stiffness=self.hand_stiffness_n_per_m,
+        )
+
+
+class Loop(NamedTuple):
+    """What a trial needs beside the plant: of the wall, of the tick, and of the whole for the length of a swing.
+
+    damping, velocity_time_constant, passivity_damping  N s/m, s, N s/m
+    period                           s
+    mass, hand_stiffness             kg, N/m   device and hand
+    knock                            m         swing that the knock gives an undamped handle
+    floor                                      share of the knock's speed below which a swing is over
+    first                            N/m       stiffness the search begins with
+    ticks                                      0 to search; else one trial at the first stiffness, of so many ticks
+                                               or with -1 of FINE swings
+    """
+
+    damping: float
+    velocity_time_constant: float
+    passivity_damping: float
+    period: float
+    mass: float
+    hand_stiffness: float
+    knock: float
+    floor: float
+    first: float
+    ticks: float
+
+
+def wall_and_weight(
+    stiffness: float, damping: float, velocity_time_constant: float, passivity_damping: float, depth: float
+) -> Tuning:
+    """A plane and the weight that presses `depth` m into it, in balance at the origin; a guard that lets all pass."""
+    material = Material(stiffness, damping, None, None)
+    wall = Object(Plane((0.0, 0.0, 1.0), depth - RADIUS_M), None, None, material, 0.0, ())
+    weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
+    scene = Scene(RADIUS_M, (wall,), None, Coupling(1.0, 0.0), velocity_time_constant, 0.0, (weight,))
+    # The observer is always there: with a largest damping of 0 it leaves the force alone.
+    return Tuning(scene, Guard(inf, inf, inf, inf, 0.0, 1.0), Passivity(passivity_damping))
+
+
+pressed_wall: Final = jit(wall_and_weight)
+START: Final = begin(wall_and_weight(1.0, 0.0, 0.0, 0.0, 1.0).scene)
+"""Memory before the first tick, the same for every wall."""
+
+
+@jit
+def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: float, line: Array) -> tuple[bool, float]:
+    """Whether a knock grows, and after how many ticks that was known.
+
+    The squared velocity is summed over the second and the third third of the trial under a window that
+    is 0 and flat at its ends, (u (1 - u))^2: cut so, a swing that neither grows nor decays gives equal
+    sums to about 1e-6 whatever its phase. The first third lets go what dies out fast. A swing that has
+    come down to `loop.floor` is over: what is left then is rounding, or the encoder's own limit cycle.
+    """
+    # The frequency at which the handle swings on the wall, rad a tick, at most an eighth of a turn.
+    own = min(sqrt((stiffness + loop.hand_stiffness) / loop.mass) * loop.period, 0.25 * pi)
+    ticks = loop.ticks if loop.ticks > 0.0 else max(TICKS_MIN, min(TICKS_MAX, swings * 2.0 * pi / own)) // 1.0
+    # v_k T is at most 2 REACH knocks: so the damper's force stays below K delta, and f_N between 0 and 2 K delta.
+    deep = max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
+    knock = min(loop.knock, WEIGHT_MAX_N / (stiffness * deep))
+    depth = knock * deep
+    tuning = pressed_wall(stiffness, loop.damping, loop.velocity_time_constant, loop.passivity_damping, depth)
+    zero, upright = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    state = PlantState(zero, (0.0, 0.0, knock * own / loop.period), zero, zero, upright, 0.0)
+    memory, third = start, ticks / 3.0
+    # What a steady swing sums to: half its squared speed, times the integral 1 / 630 of the window squared.
+    over = 0.5 * (loop.floor * knock * own / loop.period) ** 2 * third / 630.0
+    before, after = 0.0, 0.0
+    for i in range(line.shape[0]):
+        line[i] = 0.0
+    for k in range(int(ticks)):
+        x, y, z = sense(plant, state)
+        sample: Any = (x, y, z, 1.0, 0.0, 0.0, 0.0)
+        memory = tick(tuning, start, memory, sample, loop.period, k, NOWHERE)
+        state = advance(plant, state, memory.guarded.force, zero, upright, line)
+        if not abs(state.position[2]) < REACH * knock:
+            return True, k + 1.0
+        u = (k + 0.5) / third - 1.0
+        speed = state.velocity[2]
+        if u >= 1.0:
+            u -= 1.0
+            after += (u * (1.0 - u) * speed) ** 2
+        elif u >= 0.0:
+            before += (u * (1.0 - u) * speed) ** 2
+    return not after <= max(before, over), ticks
+
+
+@jit
+def first_limit(loop: Loop, start: Memory, plant: Plant, line: Array) -> tuple[float, float, float]:
+    """The stiffness, N/m, at which a wall made ever stiffer first turns unstable; trials and ticks it took.
+
+    With `loop.ticks` one trial at the first stiffness: that if it is stable, else 0.
+
+    From the first stiffness down until it is stable or up until it is not, then by bisection. A window of
+    instability narrower than SCAN, followed by stability, would be passed over. 0 where no wall is stable
+    down to SOFTEST; inf where none is unstable up to STIFFEST, as friction stops the knock at once.
+    """
+    low, high, stiffness, trials, total = 0.0, inf, loop.first, 0.0, 0.0
+    while True:
+        swings = COARSE if loop.ticks == 0.0 and (low == 0.0 or high == inf) else FINE
+        unstable, ticks = grows(loop, start, plant, stiffness, swings, line)
+        trials, total = trials + 1.0, total + ticks
+        if unstable:
+            high = stiffness
+        else:
+            low = stiffness
+        if loop.ticks != 0.0:
+            return low, trials, total
+        if low == 0.0:
+            stiffness = high / 2.0
+            if stiffness < SOFTEST * loop.first:
+                return 0.0, trials, total
+        elif high == inf:
+            stiffness = low * SCAN
+            if stiffness > STIFFEST:
+                return inf, trials, total
+        elif high - low <= PRECISION * low:
+            return low, trials, total
+        else:
+            stiffness = sqrt(low * high)
+
+
+@entry
+def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Array, out: Array) -> None:
+    """`first_limit` of each row of `loops` (n, len(Loop)) and `plants` (n, leaves of Plant) into `out` (n, 3)."""
+    for i in range(loops.shape[0]):
+        row = loops[i]
+        loop = Loop(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
+        out[i, 0], out[i, 1], out[i, 2] = first_limit(loop, start, unpack(like, plants[i]), line)
+
+
+def first_stiffness(case: Case) -> float:
+    """Where the search begins, N/m: an eighth of what all damping together would keep passive, if there is any."""
+    damping = case.damping_ns_per_m + case.wall_damping_ns_per_m + case.hand_damping_ns_per_m
+    if damping == 0.0:
+        return 1e-6 * case.mass_kg / case.period_s**2
+    return damping / (4.0 * (2 * case.delay_ticks + 1) * case.period_s)
+
+
+def run_rows(loops: Array, plants: Array, like: Plant) -> Array:
+    """`first_limit` of each row of `loops` (n, len(Loop)) with the plant of leaves `plants` (n, ...): (n, 3)."""
+    out = np.zeros((len(loops), 3))
+    first_limits(START, loops, plants, like, np.zeros(LINE_SIZE), out)
+    return out
+
+
+def loop_of(case: Case, first: float, ticks: int = 0) -> Loop:
+    """The kernel's row for a case: a search from stiffness `first` (N/m), or one trial at it (see Loop.ticks)."""
+    over = LIMIT_CYCLE if case.resolution_m > 0.0 else DEAD
+    return Loop(
+        case.wall_damping_ns_per_m, case.velocity_time_constant_s, case.passivity_damping_ns_per_m, case.period_s,
+        case.mass_kg + case.hand_mass_kg, case.hand_stiffness_n_per_m,
+        max(KNOCK_M, KNOCK_STEPS * case.resolution_m), over, first, float(ticks),
+    )  # fmt: skip
+
+
+def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
+    """For each case its values, the limit found, what theory says, and what finding it took.
+
+    `limit_n_per_m` on the real step, None without limit; `predicted_n_per_m` of the linear part, exact;
+    `passive_n_per_m`.
+    """
+    loops = np.array([loop_of(case, first_stiffness(case)) for case in cases])
+    plants = [case.plant() for case in cases]
+    out = run_rows(loops, np.array([flatten(plant) for plant in plants]), plants[0])
+    return [
+        {
+            **msgspec.structs.asdict(case),
+            "limit_n_per_m": limit if isfinite(limit) else None,
+            "predicted_n_per_m": linear_limit(case.linear()),
+            "passive_n_per_m": passive_limit(case.linear()),
+            "trials": int(trials),
+            "ticks": int(ticks),
+        }
+        for case, (limit, trials, ticks) in zip(cases, out.tolist(), strict=True)
+    ]
+
+
+def compile_search() -> None:
+    """Compile the search, or load it, unless that is done: the processes of a cluster here then find it compiled."""
+    with progress("compiling"):
+        plant = Case().plant()
+        run_rows(np.array([loop_of(Case(), 1.0, 1)]), flatten(plant).reshape(1, -1), plant)
+
+
+def grows_at(case: Case, stiffness: float) -> bool:
+    """Whether a knock grows on a wall of one stiffness, N/m: the trial of which a search is made."""
+    plant = case.plant()
+    return bool(run_rows(np.array([loop_of(case, stiffness, -1)]), flatten(plant).reshape(1, -1), plant)[0, 0] == 0.0)

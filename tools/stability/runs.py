@@ -1,0 +1,108 @@
+"""Random closed-loop runs, many at once: how fast they go, and that no passive wall lets a knock grow.
+
+A device is drawn for every hundred runs, its wall anew for each. A run is short, so its only verdict is
+whether the swing after a knock has grown out of reach; that a passive wall lets that happen would be a
+defect of this program.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from softfinger.proxy.kernels.pack import flatten
+from softfinger.tools.stability.limit import Case, Loop, compile_search, loop_of, run_rows
+from softfinger.tools.stability.predicted import passive_limit
+from softfinger.tools.sweep import run_cases
+
+RUNS_PER_DEVICE: Final = 100
+"""Making the exact matrices of a device costs as much as about three runs of 1000 ticks."""
+RUNS_PER_BLOCK: Final = 1000
+SENSIBLE: Final = (1_000_000, 1000)
+"""Runs and ticks of the study whose time is told."""
+
+
+class Block(msgspec.Struct, frozen=True):
+    """Some of the runs: which, how many, how long, and the seed of the whole."""
+
+    number: int
+    runs: int
+    ticks: int
+    seed: int
+
+
+def random_device(random: np.random.Generator) -> Case:
+    """A desktop device at some rate, with up to two ticks of delay."""
+    mass, damping, rate = np.exp(random.uniform(np.log([0.05, 0.1, 500.0]), np.log([1.0, 10.0, 8000.0]))).tolist()
+    return Case(mass_kg=mass, damping_ns_per_m=damping, rate_hz=rate, delay_ticks=int(random.integers(3)))
+
+
+def run_blocks(blocks: Sequence[Block]) -> list[dict[str, int]]:
+    """For each block: runs, ticks done, how many swings grew out of reach, walls that were passive and grew so."""
+    return [_run_block(block) for block in blocks]
+
+
+def _run_block(block: Block) -> dict[str, int]:
+    random = np.random.default_rng([block.seed, block.number])
+    loops, plants, passive = [], [], []
+    for first in range(0, block.runs, RUNS_PER_DEVICE):
+        runs = min(RUNS_PER_DEVICE, block.runs - first)
+        device = random_device(random)
+        plant, bare = device.plant(), passive_limit(device.linear())
+        # Walls from a tenth to ten times what the device alone keeps passive, damped by up to twice its damping.
+        stiffness = bare * 10.0 ** random.uniform(-1.0, 1.0, runs)
+        share = np.maximum(0.0, random.uniform(-1.0, 2.0, runs))
+        rows = np.tile(loop_of(device, 0.0, block.ticks), (runs, 1))
+        rows[:, Loop._fields.index("first")] = stiffness
+        rows[:, Loop._fields.index("damping")] = share * device.damping_ns_per_m
+        loops.append(rows)
+        plants.append(np.tile(flatten(plant), (runs, 1)))
+        passive.append(stiffness <= (1.0 - share) * bare)  # what B takes of b it takes of the bound
+    out = run_rows(np.concatenate(loops), np.concatenate(plants), plant)
+    left = out[:, 2] < block.ticks
+    inside = np.concatenate(passive)
+    return {
+        "runs": block.runs,
+        "ticks": int(out[:, 2].sum()),
+        "left": int(left.sum()),
+        "passive": int(inside.sum()),
+        "passive_left": int((left & inside).sum()),
+    }
+
+
+def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Path | None) -> dict[str, Any]:
+    """So many random runs of so many ticks: sums over their blocks, time, rate, and the time of SENSIBLE.
+
+    Without rate where a file already held results: nothing tells how long those took.
+    """
+    fresh = results is None or not results.exists()
+    blocks = [
+        Block(number, min(RUNS_PER_BLOCK, runs - first), ticks, seed)
+        for number, first in enumerate(range(0, runs, RUNS_PER_BLOCK))
+    ]
+    compile_search()
+    begun = time.perf_counter()
+    found = run_cases(run_blocks, blocks, label="random runs", scheduler=scheduler, results=results, block=1)
+    seconds = time.perf_counter() - begun
+    sums = {name: sum(part[name] for part in found) for name in found[0]}
+    rate = sums["ticks"] / seconds if fresh else None
+    needed = SENSIBLE[0] * SENSIBLE[1] / rate if rate else None
+    return {**sums, "seconds": seconds, "ticks_per_s": rate, "million_runs_s": needed}
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    lines = [
+        f"{result['runs']} random closed-loop runs, {result['ticks']} ticks in {result['seconds']:.1f} s",
+        f"  {result['left']} swings grew out of reach; of {result['passive']} passive walls {result['passive_left']}",
+    ]
+    if result["ticks_per_s"] is not None:
+        lines.append(
+            f"  {result['ticks_per_s'] / 1e6:.2f} million ticks a second: a million runs of 1000 ticks take "
+            f"{result['million_runs_s']:.0f} s"
+        )
+    return lines

@@ -1,0 +1,183 @@
+"""`stability`: the stiffest stable wall of a device, for one case or as maps, and random closed-loop runs.
+
+softfinger stability --mass 0.2 --damping 2 --rate 1000
+softfinger stability --map all --plot map.svg
+softfinger stability --cases 10000 --ticks 1000 --scheduler local
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, get_args, get_type_hints
+
+import msgspec
+import numpy as np
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import FaultyConfig
+from softfinger.config.schema import unit
+from softfinger.config.validate import examine
+from softfinger.tools.measure import add_output_options, check_figure, figure, save, show
+from softfinger.tools.stability import extremes, runs
+from softfinger.tools.stability.limit import Case, compile_search, find_limits
+from softfinger.tools.stability.maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
+from softfinger.tools.stability.predicted import spectral_radius
+from softfinger.tools.sweep import add_sweep_options, run_cases
+
+FLAGS: Final = {
+    "mass": "mass_kg",
+    "damping": "damping_ns_per_m",
+    "wall-damping": "wall_damping_ns_per_m",
+    "rate": "rate_hz",
+    "delay": "delay_ticks",
+    "hand-mass": "hand_mass_kg",
+    "hand-damping": "hand_damping_ns_per_m",
+    "hand-stiffness": "hand_stiffness_n_per_m",
+    "friction": "friction_n",
+    "resolution": "resolution_m",
+    "velocity-filter": "velocity_time_constant_s",
+    "passivity-damping": "passivity_damping_ns_per_m",
+}
+"""Command-line flag of each field of a case."""
+GARBAGE_TICKS: Final = 250_000
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("the device and its wall")
+    hints = get_type_hints(Case, include_extras=True)
+    for flag, key in FLAGS.items():
+        kind, meta = get_args(hints[key])
+        default = getattr(Case(), key)
+        text = f"{meta.description} (default: {default:g})"
+        group.add_argument(f"--{flag}", type=kind, default=default, metavar=unit(key).upper() or "N", help=text)
+    group = parser.add_argument_group("what is asked")
+    kinds = group.add_mutually_exclusive_group()
+    kinds.add_argument("--map", choices=[*MAPS, "all"], help="limit against wall damping, rate or delay")
+    kinds.add_argument("--extremes", action="store_true", help="the tick at the ends of all its inputs, and garbage")
+    kinds.add_argument("--cases", type=int, metavar="N", help="random closed-loop runs instead, and how fast they go")
+    group.add_argument("--compare", action="store_true", help="maps: also with hand, friction, encoder, filter")
+    group.add_argument("--points", type=int, default=POINTS, metavar="N", help="points of a map (default: %(default)s)")
+    group.add_argument("--ticks", type=int, default=1000, metavar="M", help="of each random run (default: %(default)s)")
+    group.add_argument("--seed", type=int, default=0, help="of the random runs and garbage (default: %(default)s)")
+    group.add_argument(
+        "--garbage",
+        type=int,
+        default=GARBAGE_TICKS,
+        metavar="M",
+        help="ticks of garbage a scene (default: %(default)s)",
+    )
+    add_sweep_options(parser)
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    case = case_of(args)
+    for flag, low in (("cases", 1), ("ticks", 1), ("points", 2), ("seed", 0), ("garbage", 1)):
+        value = getattr(args, flag)
+        if value is not None and value < low:
+            raise ConfigError(f"command line --{flag}: {value}: must be a whole number of at least {low}")
+    if args.plot:
+        check_figure(args.plot)
+    if args.cases is not None:
+        if args.plot:
+            raise ConfigError("command line --plot: random runs have no plot: leave out --plot or --cases")
+        result = runs.measure(args.cases, args.ticks, args.seed, args.scheduler, args.results)
+        show({"runs": result}, args.json, runs.table(result))
+        return 0
+    if args.extremes:
+        if args.plot:
+            raise ConfigError("command line --plot: the extremes have no plot: leave out --plot or --extremes")
+        return run_extremes(args)
+    rows = measure(case, args)
+    show({"cases": rows}, args.json, table(rows))
+    if args.plot and args.map is None:
+        draw_radius(args.plot, case, rows[0])
+    elif args.plot:
+        draw_maps(args.plot, rows, case)
+    return 0
+
+
+def run_extremes(args: argparse.Namespace) -> int:
+    """Every extreme and some garbage; exit code 1 if anything did not hold."""
+    found, hostile = extremes.try_extremes(), extremes.try_hostile(args.garbage, args.seed)
+    result = {"extremes": [row._asdict() for row in found], "hostile": hostile}
+    show(result, args.json, [extremes.table(found), extremes.hostile_table(hostile)])
+    return int(any(row.wrong for row in found) or any(row["broken"] for row in hostile))
+
+
+def case_of(args: argparse.Namespace) -> Case:
+    """The case of the command line; ConfigError with every value that is out of range."""
+    values = {key: getattr(args, flag.replace("-", "_")) for flag, key in FLAGS.items()}
+    case, faults = examine(Case, values, "command line", {key: f"command line --{flag}" for flag, key in FLAGS.items()})
+    if faults:
+        raise FaultyConfig(faults)
+    assert isinstance(case, Case)
+    return case
+
+
+def measure(case: Case, args: argparse.Namespace) -> list[dict[str, Any]]:
+    """A row for each case: `find_limits`, and of a map also its name and the variant."""
+    marks: list[dict[str, str]] = [{}]
+    cases = [case]
+    if args.map is not None:
+        variants = VARIANTS if args.compare else {next(iter(VARIANTS)): {}}
+        marks, cases = [], []
+        for name in MAPS if args.map == "all" else [args.map]:
+            for variant, changes in variants.items():
+                points = cases_of(name, case, args.points)
+                cases += [msgspec.structs.replace(point, **changes) for point in points]
+                marks += [{"map": name, "variant": variant}] * len(points)
+    if args.scheduler in (None, "local"):
+        compile_search()
+    found = run_cases(find_limits, cases, label="finding limits", scheduler=args.scheduler, results=args.results)
+    return [{**mark, **row} for mark, row in zip(marks, found, strict=True)]
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The limits, a case a line: of a map with the value that is varied, else with all values that are not 0."""
+    lines = ["stiffest stable wall, N/m: found on the servo step, exact limit of the linear loop, passive below"]
+    section = None
+    for row in rows:
+        keys = [MAPS[row["map"]].key] if "map" in row else [key for key in FLAGS.values() if row[key]]
+        if section != (row.get("map"), row.get("variant")):
+            section = row.get("map"), row.get("variant")
+            if "map" in row:
+                lines.append(f"{row['map']}, {row['variant']}")
+            heads = [*map(_head, keys), "found", "linear", "passive"]
+            lines.append("  " + "".join(f"{head:>{_width(head)}}" for head in heads))
+        cells = [f"{row[key]:>{_width(_head(key))}.6g}" for key in keys]
+        found = row["limit_n_per_m"]
+        cells.append(f"{'no limit':>14}" if found is None else f"{found:>14.2f}")
+        cells += [f"{row[key]:>14.2f}" for key in ("predicted_n_per_m", "passive_n_per_m")]
+        lines.append("  " + "".join(cells))
+    return lines
+
+
+def _head(key: str) -> str:
+    flag = next(flag for flag, name in FLAGS.items() if name == key)
+    return f"{flag}, {unit(key)}" if unit(key) else flag
+
+
+def _width(head: str) -> int:
+    return max(14, len(head) + 2)
+
+
+def draw_radius(path: Path, case: Case, row: Mapping[str, Any]) -> None:
+    """Spectral radius of the linear loop against the stiffness, with what was found and the passivity bound."""
+    drawing = figure(path)
+    axes = drawing.add_subplot()
+    found = row["limit_n_per_m"]
+    top = 2.0 * max(found or 0.0, row["predicted_n_per_m"], 1.0)
+    stiffness = np.linspace(top / 400.0, top, 400)
+    axes.plot(stiffness, spectral_radius(case.linear(), stiffness), label="linear loop")
+    axes.axhline(1.0, color="0.4", linewidth=0.8)
+    if found is not None:
+        axes.axvline(found, color="C1", label="unstable above: found on the servo step")
+    axes.axvline(row["passive_n_per_m"], color="0.4", linestyle="--", label="passive below")
+    axes.set_xlabel("stiffness of the wall, N/m")
+    axes.set_ylabel("spectral radius")
+    axes.legend()
+    axes.grid(True, alpha=0.3)
+    save(drawing, path)

@@ -1,0 +1,116 @@
+"""The study: every measured figure and table of docs/, made anew by one command.
+
+    python -m softfinger.tools.study docs             # or: make study
+
+Pictures go to docs/figures/. Tables stand in the pages between two comments,
+
+    <!-- study: NAME -->
+    ...
+    <!-- end -->
+
+and what is between them is replaced. Prose stays: read it again beside the new figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.errors import ConfigError, HapticError
+from softfinger.tools.accuracy import report
+from softfinger.tools.stability import extremes
+from softfinger.tools.stability.maps import MAPS, POINTS
+
+BLOCK: Final = re.compile(r"(<!-- study: (?P<name>[a-z-]+) -->\n).*?(<!-- end -->)", re.S)
+DRIFT_STEPS: Final = 10_000_000
+HOSTILE_TICKS: Final = 2_500_000
+"""On each of four scenes: ten million in all."""
+PROGRAM: Final = (sys.executable, "-m", "softfinger.server.cli")
+ACCURACY: Final = {
+    "paper": report.paper_table,
+    "speed": report.speed_table,
+    "orders": report.orders_table,
+    "targets": report.targets_table,
+    "sweeps": report.sweep_table,
+    "drift": report.drift_table,
+}
+"""Tables of `softfinger accuracy`."""
+TABLES: Final = (*ACCURACY, "extremes", "hostile")
+
+
+def markdown(table: Any) -> str:
+    """A rich table as one of Markdown."""
+    heads = [str(column.header).replace("\n", "_") for column in table.columns]
+    rows = zip(*(column.cells for column in table.columns), strict=True)
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "".join(f"| {' | '.join(str(cell) for cell in line)} |\n" for line in lines)
+
+
+def insert(page: str, tables: Mapping[str, str]) -> str:
+    """The page with each marked table replaced; ConfigError for a mark that no table is made for."""
+
+    def filled(match: re.Match[str]) -> str:
+        name = match["name"]
+        if name not in tables:
+            raise ConfigError(f"<!-- study: {name} -->: no such table; there are {', '.join(tables)}")
+        return f"{match[1]}\n{tables[name]}\n{match[3]}"
+
+    return BLOCK.sub(filled, page)
+
+
+def command(*words: str) -> dict[str, Any]:
+    """The result of a command of the program, run as its users do; its progress goes to the terminal."""
+    print(f"study: softfinger {' '.join(words)}", file=sys.stderr, flush=True)
+    done = subprocess.run([*PROGRAM, *words, "--json"], stdout=subprocess.PIPE, check=False)
+    if done.returncode != 0:
+        raise HapticError(f"`softfinger {' '.join(words)}` ended with exit code {done.returncode}: see above")
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def make_tables(figures: Path, quick: bool) -> dict[str, str]:
+    """Draw every figure and return every table by its name; `quick` for a short run that shows it works."""
+    drift, points, hostile = DRIFT_STEPS, str(POINTS), HOSTILE_TICKS
+    short = []
+    if quick:
+        drift, points, hostile, short = 20_000, "3", 4_000, ["--quick", "--surface", "plane", "torus"]
+    found = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
+    tables = {name: markdown(table(found)) for name, table in ACCURACY.items()}
+    command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
+    for name in MAPS:
+        plot = figures / f"stability-{name}.svg"
+        command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
+    found = command("stability", "--extremes", "--garbage", str(hostile))
+    tables["extremes"] = extremes.table([extremes.Finding(**row) for row in found["extremes"]])
+    tables["hostile"] = extremes.hostile_table(found["hostile"])
+    return tables
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="study", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("docs", type=Path, help="folder of the pages")
+    parser.add_argument("--quick", action="store_true", help="few points, short drift: shows that all of it runs")
+    args = parser.parse_args(argv)
+    try:
+        pages = {path: path.read_text(encoding="utf-8") for path in sorted(args.docs.glob("*.md"))}
+        if not pages:
+            raise ConfigError(f"{args.docs}: no pages here: name the folder docs of the repository")
+        tables = make_tables(args.docs / "figures", args.quick)
+        for path, page in pages.items():
+            changed = insert(page, tables)
+            if changed != page:
+                path.write_text(changed, encoding="utf-8")
+    except HapticError as error:
+        print(f"study: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
