@@ -30,6 +30,8 @@ TIMEOUT: Final = -2
 """The device did not answer in time."""
 PROTOCOL: Final = -3
 """The device answered something that is not in its protocol."""
+FORCE_OFF: Final = -4
+"""The device answers, but has turned its own force off; `Device.reason` says why."""
 
 SAMPLE_SIZE: Final = 9
 SAMPLE_TIME: Final = 7
@@ -81,6 +83,10 @@ class Device(ABC):
     @abstractmethod
     def close(self) -> None:
         """Stop, then release the device. Any number of times."""
+
+    def reason(self) -> str:
+        """What the device itself says of its last failure; empty where it says nothing. After the loop has ended."""
+        return ""
 
     def __enter__(self) -> Self:
         return self

@@ -17,6 +17,7 @@ from softfinger.config.errors import DeviceError, DeviceNotFound
 
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
 BUILT_IN: Final = {
+    "forcedimension": "softfinger.drivers.forcedimension",
     "replay": "softfinger.drivers.replay",
     "simulated": "softfinger.drivers.simulated",
 }

@@ -106,7 +106,7 @@ class Daemon:
         if ended.error is not None:
             raise ended.error
         if ended.ending in (servo.READ_FAILED, servo.WRITE_FAILED):
-            raise _device_failure(self.device.info.name, ended)
+            raise _device_failure(self.device, ended)
         return True
 
     def close(self) -> None:
@@ -176,9 +176,15 @@ class Daemon:
         self.servo.stop()
 
 
-def _device_failure(name: str, ended: servo.Ended) -> HapticError:
+def _device_failure(device: base.Device, ended: servo.Ended) -> HapticError:
     doing = "read" if ended.ending == servo.READ_FAILED else "write"
+    name, said = device.info.name, device.reason()
+    because = f" ({said})" if said else ""
+    if ended.status == base.FORCE_OFF:
+        return SafetyStop(f"{name} turned its force off{because}: see to the cause, then start again")
     if ended.status == base.TIMEOUT:
-        return DeviceTimeout(f"{name}: no answer to a {doing} in time: check cable and power, then start again")
+        return DeviceTimeout(
+            f"{name}: no answer to a {doing} in time{because}: check cable and power, then start again"
+        )
     what = "answered what is not in its protocol" if ended.status == base.PROTOCOL else "is gone"
-    return DeviceLost(f"{name} {what} (status {ended.status} on {doing}): plug it in again, then start again")
+    return DeviceLost(f"{name} {what} (status {ended.status} on {doing}){because}: plug it in again, then start again")

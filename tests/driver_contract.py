@@ -1,19 +1,43 @@
 """What every driver must keep, as one class of tests.
 
-A test module subclasses `DriverContract` and gives it a fixture `device`: an open, armed device.
-The C functions are called as the servo calls them, through their addresses.
+A test module subclasses `DriverContract` and gives it a fixture `bench`: what stands behind the driver, which opens
+the device and does to it what happens to devices. The C functions are called as the servo calls them.
 """
 
 from __future__ import annotations
 
 import ctypes
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import ClassVar, Final
 
+import numpy as np
 import pytest
+from conftest import paper_mapping
 
-from softfinger.drivers.base import END, OK, SAMPLE_SIZE, STALE, Device
+from softfinger.config.errors import DeviceBusy, DeviceNotFound, DevicePermission, HapticError
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import Scene
+from softfinger.drivers.base import END, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, Device
+from softfinger.proxy.state import OFFSET, RECORD_SIZE
+from softfinger.server import servo as s
+from softfinger.server.tick import Tuning
+from softfinger.server.tuning import make_tuning
 
 Function = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))
+
+RATE_HZ: Final = 1000.0
+
+REFUSALS: Final[Mapping[str, type[HapticError]]] = {
+    "not_found": DeviceNotFound,
+    "busy": DeviceBusy,
+    "permission": DevicePermission,
+}
+"""What may keep a device from opening, and the error that says so."""
+
+FAULTS: Final[Mapping[str, int]] = {"lost": LOST, "timeout": TIMEOUT}
+"""What may happen to an open device, and the status of the next read."""
 
 
 class Servo:
@@ -31,8 +55,49 @@ class Servo:
         return self._write(self._io.handle, (ctypes.c_double * 6)(*wrench))
 
 
+class Bench(ABC):
+    """What stands behind a driver. `cannot` gives the reason for each case of REFUSALS and FAULTS that there is not."""
+
+    cannot: ClassVar[Mapping[str, str]] = {}
+    refusals: ClassVar[Mapping[str, type[HapticError]]] = REFUSALS
+
+    @abstractmethod
+    def open(self) -> Device:
+        """Open a device, armed."""
+
+    @abstractmethod
+    def displayed(self) -> tuple[float, ...]:
+        """The wrench on the hand now, world frame, as the device has it and not as the driver says."""
+
+    def make(self, case: str) -> None:
+        """From now on: a case of REFUSALS or FAULTS."""
+        raise NotImplementedError(case)
+
+    def mend(self) -> None:
+        """Undo `make`."""
+        raise NotImplementedError
+
+
+def pulling() -> Tuning:
+    """A scene that pulls with 1 N wherever the finger is, and a guard that ramps in within 10 ms."""
+    mapping = paper_mapping(effect=[{"kind": "constant_force", "force_n": [0.6, 0.0, 0.8]}])
+    return make_tuning(build(Scene, mapping, "test scene"), load_rig("replay", {"guard.ramp_s": 0.01}).guard)
+
+
 class DriverContract:
-    """Run by every driver over a device that answers."""
+    """Run by every driver over a device that answers, and then over one that does not."""
+
+    @pytest.fixture
+    def device(self, bench: Bench) -> Iterator[Device]:
+        with bench.open() as opened:
+            yield opened
+
+    def test_every_case_is_answered(self, bench: Bench) -> None:
+        """For each way to be refused or to fail, the bench can make it or says why it cannot be."""
+        assert set(bench.cannot) <= {*REFUSALS, *FAULTS}
+        assert set(bench.refusals) <= set(REFUSALS)
+        assert all(len(reason) > 10 for reason in bench.cannot.values())
+        assert {*bench.refusals} - {*bench.cannot} == {*REFUSALS} - {*bench.cannot}
 
     def test_info_is_usable(self, device: Device) -> None:
         """The limits are finite and not negative, and the workspace is not inside out."""
@@ -44,6 +109,11 @@ class DriverContract:
             assert math.isfinite(limit)
             assert limit >= 0.0
         assert all(low <= high for low, high in zip(info.workspace_min_m, info.workspace_max_m, strict=True))
+
+    def test_addresses_stay(self, device: Device) -> None:
+        """However often they are asked for, the addresses are the same, and there are three."""
+        assert device.io() == device.io()
+        assert all(device.io())
 
     def test_read_fills_the_whole_sample(self, device: Device) -> None:
         """A good read leaves finite numbers in every place and a unit quaternion."""
@@ -58,11 +128,12 @@ class DriverContract:
         times = [servo.read()[1][7] for _ in range(20)]
         assert times == sorted(times)
 
-    def test_write_is_taken_while_armed(self, device: Device) -> None:
-        """An open device takes a small force."""
+    def test_write_is_taken_while_armed(self, device: Device, bench: Bench) -> None:
+        """An open device takes a small force, and displays it in the world frame."""
         servo = Servo(device)
         servo.read()
-        assert servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) in (OK, STALE)
+        assert servo.write(0.1, 0.2, 0.3, 0.0, 0.0, 0.0) in (OK, STALE)
+        assert bench.displayed()[:3] == pytest.approx((0.1, 0.2, 0.3), abs=1e-12)  # signs and order change, not values
 
     def test_stop_may_be_repeated_and_disarms(self, device: Device) -> None:
         """After stop, however often, a force is not taken in full and reads go on."""
@@ -80,9 +151,111 @@ class DriverContract:
         device.close()
         device.close()
 
-    def test_leaving_the_context_closes_after_an_error(self, device: Device) -> None:
-        """An exception leaves the context unchanged, with the device disarmed."""
+    def test_a_closed_device_can_be_opened_again(self, device: Device, bench: Bench) -> None:
+        """Closing lets go of the device: it opens again, armed."""
+        device.close()
+        with bench.open() as again:
+            servo = Servo(again)
+            assert servo.read()[0] in (OK, STALE)
+            assert servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) in (OK, STALE)
+            assert math.hypot(*bench.displayed()) > 0.0
+
+    @pytest.mark.parametrize("way", ["stop", "close", "error"])
+    def test_no_force_is_left_without_a_servo(self, way: str, bench: Bench) -> None:
+        """Stopped, closed or left by an exception, which goes through unchanged: the force that was on is off."""
+        device = bench.open()
         servo = Servo(device)
-        with pytest.raises(ZeroDivisionError), device:
-            raise ZeroDivisionError
-        assert servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) != OK
+        servo.read()
+        servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
+        assert math.hypot(*bench.displayed()) > 0.0
+        if way == "stop":
+            device.stop()
+        elif way == "close":
+            device.close()
+        else:
+            with pytest.raises(ZeroDivisionError), device:
+                raise ZeroDivisionError
+        assert not any(bench.displayed())
+        device.close()
+
+    @pytest.mark.parametrize("way", ["last_tick", "stop_word", "crash"])
+    def test_no_force_is_left_after_a_servo(self, way: str, bench: Bench) -> None:
+        """After the last tick, a stop, or an exception in the servo's thread, the force that was on is off."""
+        with bench.open() as device:
+            servo = s.Servo(
+                device, pulling(), RATE_HZ, 100 if way == "last_tick" else None, failing if way == "crash" else None
+            )
+            servo.compile()
+            if way == "crash":  # there is no tick, so the force comes from before
+                Servo(device).write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
+            servo.start()
+            while way == "stop_word" and servo.ticks < 100:
+                servo.wait_record()
+            if way == "stop_word":
+                assert math.hypot(*bench.displayed()) > 0.5
+            servo.stop() if way == "stop_word" else None
+            ended = servo.join(30.0)
+            assert ended is not None
+            assert ended.ending == {"last_tick": s.FINISHED, "stop_word": s.STOPPED, "crash": s.CRASHED}[way]
+            assert not any(bench.displayed())
+            if way != "crash":
+                assert last_force(servo) > 0.5  # of 1 N, long after the ramp
+            servo.close()
+
+    def test_opening_is_refused_by_name(self, bench: Bench) -> None:
+        """A device that is absent, held or forbidden gives its own error, and opens once that is over."""
+        for case in set(REFUSALS) - set(bench.cannot):
+            bench.make(case)
+            with pytest.raises(bench.refusals[case]) as caught:
+                bench.open()
+            assert len(str(caught.value)) > 20, "says what is wrong and what to do"
+            assert type(caught.value) is bench.refusals[case], case
+            bench.mend()
+            bench.open().close()
+
+    def test_failure_in_use_is_told_and_survived(self, bench: Bench) -> None:
+        """A read of a device that fails gives its status; stop and close raise nothing, no force is left, and the
+        device opens again once it is back."""
+        for case in set(FAULTS) - set(bench.cannot):
+            device = bench.open()
+            servo = Servo(device)
+            servo.read()
+            servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
+            bench.make(case)
+            assert servo.read()[0] == FAULTS[case], case
+            device.stop()
+            device.close()
+            assert not any(bench.displayed()), case
+            bench.mend()
+            with bench.open() as again:
+                assert Servo(again).read()[0] in (OK, STALE)
+
+    def test_servo_ends_with_a_failing_device(self, bench: Bench) -> None:
+        """A device that fails under the servo ends the loop with its status and without force."""
+        for case in set(FAULTS) - set(bench.cannot):
+            with bench.open() as device:
+                servo = s.Servo(device, pulling(), RATE_HZ)
+                servo.compile()
+                servo.start()
+                while servo.ticks < 100:
+                    servo.wait_record()
+                assert math.hypot(*bench.displayed()) > 0.5, case
+                bench.make(case)
+                ended = servo.join(30.0)
+                assert ended is not None
+                assert ended.status == FAULTS[case]
+                assert ended.ending in (s.READ_FAILED, s.WRITE_FAILED)
+                assert not any(bench.displayed()), case
+                servo.close()
+            bench.mend()
+
+
+def failing() -> Callable[[], None]:
+    raise RuntimeError("refused")
+
+
+def last_force(servo: s.Servo) -> float:
+    """Norm (N) of the force of the last tick."""
+    out = np.empty((4096, RECORD_SIZE))
+    records = out[: servo.take(out)]
+    return float(np.linalg.norm(records[-1, OFFSET["force"] : OFFSET["force"] + 3]))

@@ -52,3 +52,31 @@ def test_exp_and_log_undo_each_other():
         back = rotations.log(rotations.exp(tuple(vector)))
         # Towards half a turn the cosine tells little, and the sine loses digits: a few roundings in all.
         np.testing.assert_allclose(back, vector, rtol=0, atol=8.0 * ULP * length)
+
+
+def matrix_of(q):
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def test_quaternion_of_a_matrix_is_exact_to_rounding():
+    """Random rotations, and half turns and near half turns about every axis, come back from their matrices, w >= 0."""
+    rng = np.random.default_rng(6)
+    axes = [*np.eye(3), *(-np.eye(3)), *rng.normal(size=(20, 3))]
+    quaternions = [*rng.normal(size=(500, 4)), [1.0, 0.0, 0.0, 0.0]]
+    for axis in axes:
+        unit = axis / np.linalg.norm(axis)
+        quaternions.extend([w, *unit] for w in (0.0, 1e-17, 1e-9, -1e-9, 1e-3))
+    for q in quaternions:
+        q = np.array(q) / np.linalg.norm(q)
+        back = rotations.from_matrix(tuple(map(tuple, matrix_of(q).tolist())))
+        assert back[0] >= 0.0
+        assert sum(part * part for part in back) == pytest.approx(1.0, abs=4 * ULP)
+        # Up to sign the same; the matrix's own rounding is a few units of the last place, and no component is lost.
+        assert min(np.abs(back - q).max(), np.abs(back + q).max()) < 8 * ULP

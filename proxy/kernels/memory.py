@@ -36,5 +36,8 @@ float64_at: Any = intrinsic(_pointer_to(types.float64))
 int64_at: Any = intrinsic(_pointer_to(types.int64))
 """int64_at(address: int64) -> pointer to int64."""
 
+int32_at: Any = intrinsic(_pointer_to(types.int32))
+"""int32_at(address: int64) -> pointer to int32."""
+
 exchange_int64: Any = intrinsic(_exchange)
 """exchange_int64(address: int64, value: int64) -> the old value; atomic, sequentially consistent."""

@@ -63,6 +63,28 @@ def normalize(q: Quaternion) -> Quaternion:
 
 
 @jit
+def from_matrix(m: tuple[Vec3, Vec3, Vec3]) -> Quaternion:
+    """Unit quaternion, w >= 0, of the rotation matrix with rows `m`; rounding in the matrix is taken out.
+
+    Source: Shepperd (1978): the largest of the four components is found by a root, the others by division, so that
+    none is lost to cancellation. A matrix that is no rotation, NaN included, gives a quaternion of NaN or one that
+    turns something else; it never fails.
+    """
+    trace = m[0][0] + m[1][1] + m[2][2]
+    if trace >= m[0][0] and trace >= m[1][1] and trace >= m[2][2]:
+        q = (1.0 + trace, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1])
+    elif m[0][0] >= m[1][1] and m[0][0] >= m[2][2]:
+        q = (m[2][1] - m[1][2], 1.0 + m[0][0] - m[1][1] - m[2][2], m[0][1] + m[1][0], m[0][2] + m[2][0])
+    elif m[1][1] >= m[2][2]:
+        q = (m[0][2] - m[2][0], m[0][1] + m[1][0], 1.0 - m[0][0] + m[1][1] - m[2][2], m[1][2] + m[2][1])
+    else:
+        q = (m[1][0] - m[0][1], m[0][2] + m[2][0], m[1][2] + m[2][1], 1.0 - m[0][0] - m[1][1] + m[2][2])
+    if q[0] < 0.0:
+        q = (-q[0], -q[1], -q[2], -q[3])
+    return normalize(q)
+
+
+@jit
 def relative(q: Quaternion, q_before: Quaternion) -> Quaternion:
     """Rotation from `q_before` to `q` in world coordinates, dR = R R_before^T, the short way (w >= 0)."""
     d = multiply(q, conjugate(q_before))

@@ -1,0 +1,10 @@
+"""Force Dimension's devices (omega, delta, sigma, lambda) through the maker's own library, found at run time.
+
+`models` says what each device can do, `library` finds and declares the maker's functions, `usb` sees what is attached
+without it, `exchange` is what the servo loop calls, `device` opens, sets up, stops and closes.
+"""
+
+from softfinger.drivers.forcedimension.device import ForceDimension, open_device
+from softfinger.drivers.forcedimension.options import Options
+
+__all__ = ["ForceDimension", "Options", "open_device"]

@@ -1,0 +1,145 @@
+"""The maker's library: where it may be, and the functions used of it, each with its full prototype.
+
+libdrd contains libdhd. It is proprietary and not shipped; nothing here is needed until a device is opened.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+from collections.abc import Mapping
+from ctypes import POINTER, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, c_uint, c_ushort
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.errors import DeviceError, DeviceNotFound
+
+DOWNLOAD: Final = "https://www.forcedimension.com/software/sdk"
+SONAMES: Final = ("libdrd.so", "libdrd.so.3")
+"""What the loader is asked for last; the maker does not say what it is called, so folders are searched by pattern."""
+
+SUCCESS: Final = (0, 1, 2)
+"""Done; done, the last reading repeated (TIMEGUARD); done, at the motors' limit (MOTOR_SATURATED)."""
+
+ERROR_COM, ERROR_BUSY, ERROR_NO_DRIVER, ERROR_NO_DEVICE, ERROR_TIMEOUT, ERROR_IN_USE = 2, 3, 4, 5, 7, 20
+
+FORCE_OFF_CAUSES: Final = {
+    1: "the force button was pressed",
+    2: "the handle was faster than the velocity threshold",
+    3: "no force came within the watchdog's time",
+    4: "the library was told to",
+    5: "USB was disconnected",
+    6: "the dead-man switch was let go",
+}
+"""By the 15th of the status words."""
+
+_ID: Final = c_byte  # a C char, where -1 stands for the default device
+_DOUBLE: Final = POINTER(c_double)
+
+PROTOTYPES: Final[Mapping[str, tuple[Any, tuple[Any, ...]]]] = {
+    "dhdErrorGetLast": (c_int, ()),
+    "dhdErrorGetLastStr": (c_char_p, ()),
+    "dhdGetSDKVersion": (None, (POINTER(c_int),) * 4),
+    "dhdGetDeviceCount": (c_int, ()),
+    "drdOpenID": (c_int, (_ID,)),
+    "drdClose": (c_int, (_ID,)),
+    "dhdGetSystemType": (c_int, (_ID,)),
+    "dhdGetSerialNumber": (c_int, (POINTER(c_ushort), _ID)),
+    "dhdHasWrist": (c_bool, (_ID,)),
+    "dhdHasActiveWrist": (c_bool, (_ID,)),
+    "dhdHasGripper": (c_bool, (_ID,)),
+    "drdIsInitialized": (c_bool, (_ID,)),
+    "drdAutoInit": (c_int, (_ID,)),
+    "drdStop": (c_int, (c_bool, _ID)),
+    "dhdEnableExpertMode": (c_int, ()),
+    "dhdDisableExpertMode": (c_int, ()),
+    "dhdSetWatchdog": (c_int, (c_ubyte, _ID)),
+    "dhdSetVelocityThreshold": (c_int, (c_uint, _ID)),
+    "dhdSetMaxForce": (c_int, (c_double, _ID)),
+    "dhdSetGravityCompensation": (c_int, (c_int, _ID)),
+    "dhdSetBrakes": (c_int, (c_int, _ID)),
+    "dhdEnableForce": (c_int, (c_ubyte, _ID)),
+    "dhdStop": (c_int, (_ID,)),
+    "dhdGetStatus": (c_int, (POINTER(c_int), _ID)),
+    "dhdGetPositionAndOrientationFrame": (c_int, (_DOUBLE, _DOUBLE, _DOUBLE, _DOUBLE, _ID)),
+    "dhdGetButtonMask": (c_uint, (_ID,)),
+    "dhdGetGripperAngleRad": (c_int, (_DOUBLE, _ID)),
+    "dhdSetForceAndTorqueAndGripperForce": (c_int, (*(c_double,) * 7, _ID)),
+}
+"""Result and parameters of every function used; double[3][3] is passed as a pointer to its first element."""
+
+
+def patterns(environ: Mapping[str, str]) -> list[Path]:
+    """Where the library may be, in the order in which it is looked for; the last part is a pattern."""
+    build = Path("lib") / "release" / f"lin-{platform.machine()}-gcc" / "libdrd.so*"
+    kits = [Path(environ[name]) / build for name in ("FDSDK", "FORCEDIM_SDK") if environ.get(name)]
+    home = Path(environ.get("HOME") or Path.home())
+    return [*kits, home / ".local" / "lib" / "libdrd.so*", Path("/usr/local/lib/libdrd.so*")]
+
+
+def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
+    """The library, from the file `named` or from where it is usually put, with every prototype declared.
+
+    Raises DeviceNotFound when it is nowhere, with each place looked in, and DeviceError when a file is there but
+    cannot be used.
+    """
+    if named is not None:
+        path = Path(named).expanduser()
+        if not path.is_file():
+            raise DeviceNotFound(f"library_file = '{named}': there is no such file; {_advice()}")
+        return _declared(_opened(str(path)), str(path))
+    for pattern in patterns(environ):
+        # The longest name has the whole version in it; of several versions the newest sorts last.
+        for path in sorted(pattern.parent.glob(pattern.name), key=lambda p: (len(p.name), p.name), reverse=True):
+            return _declared(_opened(str(path)), str(path))
+    for name in SONAMES:
+        try:
+            return _declared(ctypes.CDLL(name), name)
+        except OSError:
+            continue
+    looked = [*map(str, patterns(environ)), *(f"{name} by the loader" for name in SONAMES)]
+    unset = [f"${name} is not set" for name in ("FDSDK", "FORCEDIM_SDK") if not environ.get(name)]
+    raise DeviceNotFound(
+        f"Force Dimension's library libdrd is not on this machine: looked for {', '.join(looked)}"
+        f"{' (' + ', '.join(unset) + ')' if unset else ''}; {_advice()}"
+    )
+
+
+def error_text(library: ctypes.CDLL) -> str:
+    """What the library says of this thread's last error."""
+    text = library.dhdErrorGetLastStr()
+    number = library.dhdErrorGetLast()
+    return f"{text.decode(errors='replace')} (error {number})" if text else f"error {number}"
+
+
+def address(library: ctypes.CDLL, name: str) -> int:
+    """Address of a function for the loop."""
+    return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+
+
+def _advice() -> str:
+    return (
+        f"get the maker's SDK ({DOWNLOAD}), then set FDSDK to its folder, or give the file as `library_file` in the "
+        "rig's [device] table"
+    )
+
+
+def _opened(path: str) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(path)
+    except OSError as error:
+        raise DeviceError(
+            f"{path} cannot be loaded: {error}: it has to be the build for {platform.machine()}, "
+            "and libusb-1.0 has to be installed"
+        ) from error
+
+
+def _declared(library: ctypes.CDLL, path: str) -> ctypes.CDLL:
+    for name, (result, parameters) in PROTOTYPES.items():
+        try:
+            function = getattr(library, name)
+        except AttributeError:
+            raise DeviceError(f"{path} has no function {name}: take SDK 3.17 or a later 3.x, {DOWNLOAD}") from None
+        function.restype, function.argtypes = result, list(parameters)
+    return library

@@ -1,0 +1,49 @@
+"""What a rig's [device] table may say for `driver = "forcedimension"`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+from softfinger.config.limits import Range
+from softfinger.config.schema import Table, said, within
+
+WATCHDOG_UNIT_S: Final = 125e-6
+"""The library counts its watchdog in these, in one byte."""
+
+WATCHDOG_S: Final = Range(0.0, 255 * WATCHDOG_UNIT_S, "the library counts it in one byte of 125 us; 0: none")
+NUMBER: Final = Range(0, 126, "the library counts its devices in a char")
+SERIAL: Final = Range(0, 65535, "the library gives it in 16 bits")
+VELOCITY_THRESHOLD: Final = Range(0, 2**32 - 1, "the library takes 32 bits; the unit is the maker's")
+STATUS_S: Final = Range(0.001, 1.0, "asked at most every tick; a second is long for a force that is off")
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """Which device, which library, and what may be done to it. What moves the device or its weight is off."""
+
+    library_file: Annotated[str, said("file of libdrd; absent: looked for, see docs/devices.md")] | None = None
+    model: (
+        Annotated[
+            Literal[
+                "omega.3", "omega.6", "omega.7", "delta.3",
+                "sigma.3", "sigma.7", "lambda.3", "lambda.6", "lambda.7",
+            ],
+            said("the only kind of device to accept", "omega.6"),
+        ]
+        | None
+    ) = None  # fmt: skip
+    serial: Annotated[int, within(SERIAL, "serial number of the only device to accept")] | None = None
+    number: Annotated[int, within(NUMBER, "which device, as the library counts them from 0", 0)] | None = None
+    calibrate: Annotated[bool, said("let the device calibrate itself when it has to: IT MOVES BY ITSELF")] = False
+    gravity_compensation: Annotated[bool, said("let the library carry the handle's weight, on top of the force")] = (
+        False
+    )
+    brakes: Annotated[bool, said("brake the handle electrically when the force is off")] = False
+    watchdog_s: Annotated[float, within(WATCHDOG_S, "the device turns force off after so long without one", 0.03)] = (
+        0.03
+    )
+    velocity_threshold: (
+        Annotated[int, within(VELOCITY_THRESHOLD, "above it the device turns force off; absent: as it is")] | None
+    ) = None
+    status_period_s: Annotated[
+        float, within(STATUS_S, "how often the loop asks whether the device has turned its force off", 0.05)
+    ] = 0.05

@@ -1,0 +1,51 @@
+"""What is attached and whether it may be opened, seen over USB without the maker's library."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+VENDOR: Final = 0x1451
+PRODUCTS: Final = {0x0402: "omega.x haptic device", 0x0301: "omega.x", 0x040C: "lambda"}
+"""Names of the product numbers that are known; every device of the vendor counts."""
+
+NODES: Final = Path("/dev/bus/usb")
+RULE: Final = 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1451", MODE="0660", TAG+="uaccess"'
+RULE_FILE: Final = "/etc/udev/rules.d/60-forcedimension.rules"
+
+
+class Attached(NamedTuple):
+    """A device on the bus: what it is, its node, and whether this user may write to it; without a node, yes."""
+
+    name: str
+    node: Path
+    permitted: bool
+
+    def __str__(self) -> str:
+        return f"{self.name} at {self.node}"
+
+
+def attached() -> list[Attached]:
+    """Every device of the vendor. Empty also where there is no USB, or no libusb to look with."""
+    import usb.core
+
+    found: list[Attached] = []
+    try:
+        devices: list[Any] = list(usb.core.find(find_all=True, idVendor=VENDOR))
+    except usb.core.USBError:  # NoBackendError is one of them: no libusb, and no USB to look at
+        return found
+    for device in devices:
+        node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
+        name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
+        permitted = not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK, effective_ids=True)
+        found.append(Attached(f"{name} ({VENDOR:04x}:{device.idProduct:04x})", node, permitted))
+    return found
+
+
+def how_to_permit(device: Attached) -> str:
+    """The message for a device that this user may not write to."""
+    return (
+        f"{device} may not be opened by this user: put the line {RULE} into {RULE_FILE}, run "
+        "`sudo udevadm control --reload && sudo udevadm trigger`, and plug the device in again"
+    )
