@@ -18,6 +18,7 @@ from softfinger.config.errors import DeviceError, DeviceNotFound
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
 BUILT_IN: Final = {
     "forcedimension": "softfinger.drivers.forcedimension",
+    "hid": "softfinger.drivers.hid",
     "replay": "softfinger.drivers.replay",
     "simulated": "softfinger.drivers.simulated",
 }

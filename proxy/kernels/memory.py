@@ -38,6 +38,11 @@ int64_at: Any = intrinsic(_pointer_to(types.int64))
 
 int32_at: Any = intrinsic(_pointer_to(types.int32))
 """int32_at(address: int64) -> pointer to int32."""
+float32_at: Any = intrinsic(_pointer_to(types.float32))
+"""float32_at(address: int64) -> pointer to float32."""
+
+uint8_at: Any = intrinsic(_pointer_to(types.uint8))
+"""uint8_at(address: int64) -> pointer to uint8."""
 
 exchange_int64: Any = intrinsic(_exchange)
 """exchange_int64(address: int64, value: int64) -> the old value; atomic, sequentially consistent."""

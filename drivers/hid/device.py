@@ -1,0 +1,175 @@
+"""A HID device behind the contract: memory of the exchange, calibration, and zero force on every way out."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.hid import exchange, reports
+from softfinger.drivers.hid.chain import Chain, make_chain
+from softfinger.drivers.hid.exchange import Model
+from softfinger.drivers.hid.node import open_node
+from softfinger.drivers.hid.options import Chain as ChainOptions
+from softfinger.drivers.hid.options import Options, OutputReport
+from softfinger.proxy.kernels.pack import flatten
+from softfinger.proxy.kernels.rotations import normalize
+
+log: Final = logging.getLogger(__name__)
+
+TORQUE_MAX_NM: Final = 1e2
+"""No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry."""
+STOP_WAIT_S: Final = 1.0
+"""How long a stop waits for a write under way. One that takes longer hangs in the kernel."""
+PRESET_WAIT_S: Final = 1.0
+PRESET_NEAR: Final = 20.0
+"""Counts by which an arm held in its calibration pose may have moved before the answer comes."""
+
+
+class HidDevice(Device):
+    """An open device on the file descriptor `fd` of its node, which it owns from now on."""
+
+    def __init__(self, options: Options, fd: int) -> None:
+        self._options = options
+        given = options.kinematics
+        self._chain: Chain | None = make_chain(given) if isinstance(given, ChainOptions) else None
+        self._word = np.zeros(exchange.WORDS, dtype=np.int64)
+        spec = options.reports
+        numbered = spec.input.id != 0
+        self._tables = (reports.input_table(spec.input), reports.output_table(spec.output))
+        self._in = [np.zeros(spec.input.bytes + numbered + exchange.IN_SPARE, np.uint8) for _ in range(2)]
+        self._out = np.zeros(1 + spec.output.bytes, np.uint8)
+        self._out[0] = spec.output.id
+        self._values, self._command = np.zeros(reports.SENSED_SIZE), np.zeros(reports.COMMANDED_SIZE)
+        self._sample = np.zeros(SAMPLE_SIZE)
+        self._model = flatten(self._make_model())
+        self._wire(fd, numbered)
+        wrist = isinstance(given, ChainOptions) and given.wrist_counts_per_turn is not None
+        turns = wrist or any(field.meaning == "qw" for field in spec.input.field)
+        kinds = (exchange.CARTESIAN, exchange.CARTESIAN_WITH_ORIENTATION, exchange.CHAIN, exchange.CHAIN_WITH_WRIST)
+        self._word[exchange.KIND] = kinds[2 * (self._chain is not None) + turns]
+        x, y, z = (float(v) for v in options.mounting.position_m)
+        r = options.workspace_radius_m
+        self.info = DeviceInfo(
+            name=f"hid {spec.name or 'described'} {options.vendor_id:04x}:{options.product_id:04x}",
+            sensed_dof=6 if turns else 3,
+            actuated_dof=3,
+            force_max_n=options.force_max_n,
+            torque_max_nm=TORQUE_MAX_NM,
+            stiffness_max_n_per_m=options.stiffness_max_n_per_m,
+            damping_max_ns_per_m=options.damping_max_ns_per_m,
+            workspace_min_m=(x - r, y - r, z - r),
+            workspace_max_m=(x + r, y + r, z + r),
+        )
+        try:
+            if options.calibrate:
+                self._calibrate()
+                self._word[exchange.SENSED] = 0  # the sample of before the calibration is no place of now
+        except BaseException:
+            self.close()
+            raise
+
+    def _make_model(self) -> Model:
+        mounting = self._options.mounting
+        x, y, z = (float(v) for v in mounting.position_m)
+        w, i, j, k = (float(v) for v in mounting.orientation_wxyz)
+        chain = exchange.NO_CHAIN if self._chain is None else self._chain
+        return Model(chain, (x, y, z), normalize((w, i, j, k)), self._options.force_max_n)
+
+    def _wire(self, fd: int, numbered: bool) -> None:
+        word, spec = self._word, self._options.reports
+        word[exchange.FD] = fd
+        word[exchange.ARMED] = 1
+        word[exchange.OPENED_AT] = time.monotonic_ns()
+        word[exchange.KICK] = round(self._options.kick_s * 1e9)
+        word[exchange.TIMEOUT_AFTER] = round(self._options.timeout_s * 1e9)
+        word[exchange.IN_ID] = spec.input.id
+        word[exchange.IN_BYTES] = spec.input.bytes + numbered
+        word[exchange.OUT_BYTES] = len(self._out)
+        word[exchange.IN_ROWS], word[exchange.OUT_ROWS] = (len(table) for table in self._tables)
+        arrays: list[NDArray[Any]] = [
+            *self._tables, *self._in, self._out, self._values, self._command, self._sample, self._model
+        ]  # fmt: skip
+        word[exchange.IN_TABLE : exchange.MODEL + 1] = [array.ctypes.data for array in arrays]
+
+    def io(self) -> DeviceIO:
+        return DeviceIO(exchange.read.address, exchange.write.address, self._word.ctypes.data)
+
+    def stop(self) -> None:
+        until = time.monotonic() + STOP_WAIT_S
+        while not exchange.silence.ctypes(self._word.ctypes.data):
+            if time.monotonic() > until:
+                log.error("%s: a write has hung for %g s; no zero can follow it", self.info.name, STOP_WAIT_S)
+                return
+            time.sleep(0.0001)
+
+    def close(self) -> None:
+        self.stop()
+        fd = int(self._word[exchange.FD])
+        self._word[exchange.FD] = -1
+        if fd >= 0:
+            os.close(fd)
+
+    def counts(self, name: int) -> int:
+        """One of the counters of `exchange`: REPORTS, DRAINED, WRITTEN, KICKS, CUT or FOREIGN."""
+        return int(self._word[name])
+
+    def _calibrate(self) -> None:
+        """Make the encoders show the calibration counts where the arm is now.
+
+        With a preset report the device keeps them over a restart of the program, else they are added here.
+        """
+        given = self._options.kinematics
+        assert isinstance(given, ChainOptions) and self._chain is not None
+        wanted = np.array(given.calibration_counts, dtype=np.float64)
+        seen = self._read_counts()
+        preset = self._options.reports.preset
+        if preset is None:
+            a, b, c = (float(v) for v in wanted - seen)
+            self._chain = self._chain._replace(offset=(a, b, c))
+            self._model[:] = flatten(self._make_model())
+            return
+        until = time.monotonic() + PRESET_WAIT_S
+        self._send_preset(preset, wanted)
+        while np.max(np.abs(self._read_counts() - wanted)) > PRESET_NEAR:
+            if time.monotonic() > until:
+                raise DeviceError(
+                    f"{self.info.name} did not take the calibration: encoders a, b, c show "
+                    f"{self._read_counts().tolist()} and not {wanted.tolist()}: hold the arm still in its calibration "
+                    "pose, or set calibrate = false and press the calibration button"
+                )
+
+    def _send_preset(self, report: OutputReport, counts: NDArray[np.float64]) -> None:
+        table, out = reports.output_table(report), np.zeros(1 + report.bytes, np.uint8)
+        out[0] = report.id
+        values, scratch = np.zeros(reports.COMMANDED_SIZE), np.zeros(1, np.int64)
+        values[reports.PRESET : reports.PRESET + 3], values[reports.CONSTANT] = counts, 1.0
+        reports.encode_once(values, table, scratch, out)
+        try:
+            os.write(int(self._word[exchange.FD]), out.tobytes())
+        except OSError as error:
+            raise DeviceLost(f"{self.info.name} is gone: {error.strerror}: plug it in again") from error
+
+    def _read_counts(self) -> NDArray[np.float64]:
+        """Counts of encoders a, b, c in a report of now, without what is added to them."""
+        self._word[exchange.SENSED] = 0  # the next read waits for a report rather than repeat one
+        sample = np.zeros(SAMPLE_SIZE)
+        status = exchange.read.ctypes(
+            self._word.ctypes.data, sample.ctypes.data_as(exchange.read.ctypes.argtypes[1])
+        )  # fmt: skip
+        if status == TIMEOUT:
+            raise DeviceTimeout(f"{self.info.name} sends no report: check its power, and its firmware")
+        if status < 0:
+            raise DeviceLost(f"{self.info.name} cannot be read (status {status}): plug it in again")
+        return self._values[reports.COUNTS : reports.COUNTS + 3].copy()
+
+
+def open_device(options: Options, rate_hz: float) -> HidDevice:
+    """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
+    return HidDevice(options, open_node(options))

@@ -1,0 +1,162 @@
+"""Reports as bytes: a table of fields, and two kernels that go through it.
+
+A table is one row of `ROW` float64 for each field; the kernels never know which device it describes.
+"""
+
+from __future__ import annotations
+
+from math import floor, isfinite
+from typing import Any, Final
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from softfinger.drivers.hid.options import COMMANDED, SENSED, TYPES, InputReport, OutputReport
+from softfinger.proxy.kernels.jit import entry, jit
+from softfinger.proxy.kernels.memory import float32_at, float64_at, int64_at, uint8_at
+
+Array = NDArray[np.float64]
+
+ROW: Final = 6
+"""Numbers of a row: offset, type, place of the value, scale, bias, raw value above which a button is pressed."""
+ROW_BYTES: Final = 8 * ROW
+
+# Places of what is sensed and of what is commanded.
+COUNTS: Final = SENSED.index("a")
+WRIST: Final = SENSED.index("d")
+POSITION: Final = SENSED.index("x")
+QUATERNION: Final = SENSED.index("qw")
+BUTTONS: Final = SENSED.index("buttons")
+SENSED_SIZE: Final = len(SENSED)
+CURRENT: Final = COMMANDED.index("current_a")
+FORCE: Final = COMMANDED.index("force_x")
+PRESET: Final = COMMANDED.index("preset_a")
+CONSTANT: Final = COMMANDED.index("constant")
+COMMANDED_SIZE: Final = len(COMMANDED)
+
+_INT8: Final = TYPES.index("int8")
+_INT16: Final = TYPES.index("int16")
+_INT32: Final = TYPES.index("int32")
+_UINT8: Final = TYPES.index("uint8")
+_UINT16: Final = TYPES.index("uint16")
+_UINT32: Final = TYPES.index("uint32")
+_FLOAT32: Final = TYPES.index("float32")
+
+
+def input_table(report: InputReport) -> Array:
+    """Rows (n, ROW) of an input report."""
+    rows = [
+        (f.offset, TYPES.index(f.type), SENSED.index(f.meaning), f.scale, f.bias, _above(f.button_above))
+        for f in report.field
+    ]
+    return np.array(rows, dtype=np.float64)
+
+
+def output_table(report: OutputReport) -> Array:
+    """Rows (n, ROW) of an output report."""
+    rows = [(f.offset, TYPES.index(f.type), COMMANDED.index(f.meaning), f.scale, 0.0, 0.0) for f in report.field]
+    return np.array(rows, dtype=np.float64)
+
+
+def _above(value: float | None) -> float:
+    return np.inf if value is None else value
+
+
+@jit
+def decode(report: int, table: int, rows: int, scratch: int, values: Any) -> bool:
+    """Read a report into `values` (SENSED_SIZE,); False where a value is not finite.
+
+    report, table, scratch  addresses of its bytes without the id, of `rows` rows, and of one int64 word
+    Buttons of several fields are added up; a pressed button of `button_above` is 1.
+    """
+    raw_bytes, word, usable = uint8_at(report), int64_at(scratch), True
+    values[BUTTONS] = 0.0
+    for n in range(rows):
+        row = float64_at(table + n * ROW_BYTES)
+        at, kind, place = int(row[0]), int(row[1]), int(row[2])
+        raw = _number(raw_bytes, word, scratch, at, kind)
+        if raw > row[5]:
+            raw -= 2.0 * row[5]
+            values[BUTTONS] += 1.0
+        value = row[3] * raw + row[4]
+        usable = usable and isfinite(value)
+        if place == BUTTONS:
+            values[BUTTONS] += value
+        else:
+            values[place] = value
+    return usable
+
+
+@jit
+def encode(values: Any, table: int, rows: int, scratch: int, report: int) -> bool:
+    """Write `values` (COMMANDED_SIZE,) into a report; True where one did not fit its field and was cut to its end.
+
+    report, table, scratch  addresses of its bytes without the id, of `rows` rows, and of one int64 word
+    """
+    raw_bytes, word, cut = uint8_at(report), int64_at(scratch), False
+    for n in range(rows):
+        row = float64_at(table + n * ROW_BYTES)
+        at, kind = int(row[0]), int(row[1])
+        raw = row[3] * values[int(row[2])]
+        if kind == _FLOAT32:
+            word[0] = 0
+            float32_at(scratch)[0] = raw
+            bits = word[0]
+            size = 4
+        else:
+            low, high, size = _span(kind)
+            whole = floor(raw + 0.5)
+            inside = min(max(whole, low), high)
+            cut = cut or inside != whole
+            bits = int(inside)
+        for k in range(size):
+            raw_bytes[at + k] = types.uint8((bits >> (8 * k)) & 255)
+    return cut
+
+
+@jit
+def _span(kind: int) -> tuple[float, float, int]:
+    if kind == _INT8:
+        return -128.0, 127.0, 1
+    if kind == _UINT8:
+        return 0.0, 255.0, 1
+    if kind == _INT16:
+        return -32768.0, 32767.0, 2
+    if kind == _UINT16:
+        return 0.0, 65535.0, 2
+    if kind == _INT32:
+        return -2147483648.0, 2147483647.0, 4
+    return 0.0, 4294967295.0, 4
+
+
+@jit
+def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int) -> float:
+    size = 1
+    if kind in (_INT16, _UINT16):
+        size = 2
+    elif kind not in (_INT8, _UINT8):
+        size = 4
+    bits = 0
+    for k in range(size):
+        bits |= int(raw_bytes[at + k]) << (8 * k)
+    if kind == _FLOAT32:
+        word[0] = bits
+        return float(float32_at(scratch)[0])
+    if kind in (_INT8, _INT16, _INT32):
+        half = 1 << (8 * size - 1)
+        if bits >= half:
+            bits -= 2 * half
+    return float(bits)
+
+
+@entry
+def encode_once(values: Array, table: Array, scratch: NDArray[np.int64], report: NDArray[np.uint8]) -> bool:
+    """`encode` for Python: values (COMMANDED_SIZE,), table (n, ROW), scratch (1,), report with its id in front."""
+    return encode(values, table.ctypes.data, table.shape[0], scratch.ctypes.data, report.ctypes.data + 1)
+
+
+@entry
+def decode_once(report: NDArray[np.uint8], table: Array, scratch: NDArray[np.int64], values: Array) -> bool:
+    """`decode` for Python: report without an id, table (n, ROW), scratch (1,), values (SENSED_SIZE,)."""
+    return decode(report.ctypes.data, table.ctypes.data, table.shape[0], scratch.ctypes.data, values)

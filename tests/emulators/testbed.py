@@ -1,0 +1,159 @@
+"""An emulated WoodenHaptics as a hidraw node of umockdev, and a program run beside it that sees no other devices.
+
+    umockdev-wrapper /usr/bin/python3 testbed.py '{"arm": "woody-2019", "generation": 2}' program argument ...
+
+Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The program's exit code is this one's; what the emulated
+arm saw goes to the last line of standard output as JSON.
+
+The first argument: arm (a row of the emulator's table), generation (1 or 2), and optionally descriptor (hex), place
+(m), press (m: how far the hand then goes down), drag (m: and to the side), lost_after (reports until the device is
+unplugged), short_after (reports until it sends short ones), mute_after, permission (mode of the node, octal text).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import gi
+
+gi.require_version("UMockdev", "1.0")
+from gi.repository import GLib, UMockdev  # noqa: E402
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from emulators.hand import stroke  # noqa: E402
+from emulators.woodenhaptics import Woody  # noqa: E402
+
+IDS = {1: (0x1234, 0x0006), 2: (0x16C0, 0x0486)}
+EAGAIN, EIO, ENODEV, ENOTTY = 11, 5, 19, 25
+# From <linux/hidraw.h>: descriptor size, descriptor, bus and ids.
+GET_SIZE, GET_DESCRIPTOR, GET_INFO = 0x80044801, 0x90044802, 0x80084803
+DEVICE = "/devices/pci0000:00/0000:00:14.0/usb1/1-1"
+
+
+def descriptor(size: int) -> bytes:
+    """Vendor page, one input and one output report of `size` bytes, not numbered."""
+    head = bytes.fromhex("06abff0a0002a1017508150026ff00")
+    return head + bytes([0x95, size, 0x09, 1, 0x81, 2, 0x95, size, 0x09, 2, 0x91, 2, 0xC0])
+
+
+class Bed:
+    """The node, and what happens to it."""
+
+    def __init__(self, case: dict) -> None:
+        self.case = case
+        generation = case["generation"]
+        self.ids = IDS[generation]
+        intention = stroke(tuple(case.get("place", (0.0, 0.0, 0.0))), case.get("press", 0.0), case.get("drag", 0.0))
+        self.woody = Woody(case["arm"], generation, intention)
+        self.woody.wrist = tuple(case.get("wrist", (0, 0, 0)))
+        self.queue: list[bytes] = []
+        self.descriptor = (
+            bytes.fromhex(case["descriptor"]) if "descriptor" in case else descriptor(self.woody.report_bytes)
+        )
+        self.bed = UMockdev.Testbed.new()
+        self._add()
+        node = UMockdev.IoctlBase()
+        node.connect("handle-ioctl", self._ioctl)
+        node.connect("handle-read", self._read)
+        node.connect("handle-write", self._write)
+        self.bed.attach_ioctl("/dev/hidraw0", node)
+        self.node = node
+        # The node is a pseudo terminal here: a byte in it makes poll report that there is something to read.
+        self.terminal = self.bed.get_dev_fd("/dev/hidraw0")
+        if "permission" in case:
+            os.chmod(os.path.join(self.bed.get_root_dir(), "dev/hidraw0"), int(case["permission"], 8))
+
+    def _add(self) -> None:
+        vendor, product = self.ids
+        hid = f"{DEVICE}/1-1:1.0/0003:{vendor:04X}:{product:04X}.0001"
+        for text in (
+            f"P: {DEVICE}\nE: DEVTYPE=usb_device\nE: SUBSYSTEM=usb\nA: idVendor={vendor:04x}\\n\n"
+            f"A: idProduct={product:04x}\\n\nA: bcdDevice=0100\\n\nA: serial=SN42\\n\nA: busnum=1\\n\nA: devnum=2\\n\n",
+            f"P: {DEVICE}/1-1:1.0\nE: DEVTYPE=usb_interface\nE: DRIVER=usbhid\nE: SUBSYSTEM=usb\n"
+            "A: bInterfaceNumber=00\\n\nA: bInterfaceClass=03\\n\n",
+            f"P: {hid}\nE: DRIVER=hid-generic\nE: HID_ID=0003:{vendor:08X}:{product:08X}\nE: HID_NAME=Emulated arm\n"
+            f"E: HID_UNIQ=SN42\nE: SUBSYSTEM=hid\nH: report_descriptor={self.descriptor.hex().upper()}\n",
+            f"P: {hid}/hidraw/hidraw0\nN: hidraw0\nE: DEVNAME=/dev/hidraw0\nE: MAJOR=240\nE: MINOR=0\n"
+            f"E: SUBSYSTEM=hidraw\nL: device=../../../0003:{vendor:04X}:{product:04X}.0001\n",
+        ):
+            self.bed.add_from_string(text)
+
+    def _ioctl(self, _: object, client: object) -> bool:
+        request, argument = client.get_request(), client.get_arg()
+        if request == GET_SIZE:
+            argument.resolve(0, 4).update(0, struct.pack("<i", len(self.descriptor)))
+        elif request == GET_DESCRIPTOR:
+            argument.resolve(0, 4100).update(4, self.descriptor)
+        elif request == GET_INFO:
+            argument.resolve(0, 8).update(0, struct.pack("<IHH", 3, *self.ids))
+        else:
+            client.complete(-1, ENOTTY)
+            return True
+        client.complete(0, 0)
+        return True
+
+    def _past(self, event: str) -> bool:
+        return self.woody.steps >= self.case.get(event, float("inf"))
+
+    def _read(self, _: object, client: object) -> bool:
+        result = client.execute()
+        taken = result[0] if isinstance(result, tuple) else result
+        if self._past("lost_after"):
+            client.complete(-1, EIO)
+            return True
+        for _ in range(max(0, taken - 1)):
+            os.write(self.terminal, b"\1")
+        if taken > 0 and self.queue:
+            data = self.queue.pop(0)[: len(client.get_arg().retrieve())]
+            client.get_arg().update(0, data)
+            client.complete(len(data), 0)
+        else:
+            client.complete(-1, EAGAIN)
+        return True
+
+    def _write(self, _: object, client: object) -> bool:
+        data = bytes(client.get_arg().retrieve())
+        if self._past("lost_after"):
+            client.complete(-1, ENODEV)
+            return True
+        answer = self.woody.answer(data)
+        if not self._past("mute_after"):
+            self.queue.append(answer[:5] if self._past("short_after") else answer)
+            os.write(self.terminal, b"\1")
+        client.complete(len(data), 0)
+        return True
+
+    def seen(self) -> dict:
+        """What the arm was sent."""
+        w = self.woody
+        return {
+            "reports": len(w.sent), "last": w.sent[-1:] and list(w.sent[-1]), "place": w.place, "silences": w.silences,
+            "most": [max((abs(s[k]) for s in w.sent), default=0) for k in range(3)],
+            "zero": w.zero,
+        }  # fmt: skip
+
+
+def main() -> int:
+    bed, loop, code = Bed(json.loads(sys.argv[1])), GLib.MainLoop(), []
+
+    def run() -> None:
+        # Without the interpreter's own paths of this process: the program may be another Python.
+        code.append(subprocess.run(sys.argv[2:], check=False).returncode)
+        loop.quit()
+
+    threading.Thread(target=run, daemon=True).start()
+    loop.run()
+    print(json.dumps(bed.seen()), flush=True)
+    return code[0]
+
+
+if __name__ == "__main__":
+    result = main()
+    sys.stdout.flush()
+    os._exit(result)  # umockdev's own threads would keep the process
