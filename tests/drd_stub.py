@@ -56,6 +56,10 @@ class Stub:
         self._library.stub_force(out)
         return out[0], out[1], out[2]
 
+    def busy(self) -> bool:
+        """Whether a thread is in an exchange just now."""
+        return bool(self._library.stub_busy())
+
     def norm(self) -> float:
         return math.hypot(*self.force())
 
@@ -104,8 +108,9 @@ class UsbBus(usb.backend.IBackend):
 
 
 @contextmanager
-def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666) -> Iterator[None]:
-    """pyusb finds these products; their nodes are under `nodes` with that mode, and this process has no privileges."""
+def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged: bool = False) -> Iterator[None]:
+    """pyusb finds these products; their nodes are under `nodes` with that mode. Unless `privileged`, this process may
+    no more than any user."""
     get_backend, root = usb.backend.libusb1.get_backend, fd_usb.NODES
     usb.backend.libusb1.get_backend = lambda *_, **__: UsbBus(*products)
     if nodes is not None:
@@ -115,13 +120,13 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666) -> Iterato
             node = nodes / "001" / f"{5 + number:03d}"
             node.touch()
             node.chmod(mode)
-    privileged = os.geteuid() == 0
-    if privileged:
+    drop = os.geteuid() == 0 and not privileged
+    if drop:
         os.seteuid(65534)  # nobody: root may open everything
     try:
         yield
     finally:
-        if privileged:
+        if drop:
             os.seteuid(0)
         usb.backend.libusb1.get_backend, fd_usb.NODES = get_backend, root
 
@@ -135,7 +140,7 @@ class StubBench(Bench):
 
     def open(self, **options: Any) -> Any:
         if self.forbidden:
-            with plugged_in(0x0402, nodes=self.stub.path.parent, mode=0o600):
+            with plugged_in(0x0402, nodes=self.stub.path.parent, mode=0):
                 return self._open(**options)
         return self._open(**options)
 

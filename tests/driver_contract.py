@@ -60,6 +60,10 @@ class Bench(ABC):
 
     cannot: ClassVar[Mapping[str, str]] = {}
     refusals: ClassVar[Mapping[str, type[HapticError]]] = REFUSALS
+    force_step_n: ClassVar[float] = 1e-12
+    """How far a displayed force may be from the one written: a device's own steps; here rounding alone."""
+    patience: ClassVar[int] = 1
+    """Reads within which a failure has to be told; more than one for a device that is asked without waiting."""
 
     @abstractmethod
     def open(self) -> Device:
@@ -133,7 +137,7 @@ class DriverContract:
         servo = Servo(device)
         servo.read()
         assert servo.write(0.1, 0.2, 0.3, 0.0, 0.0, 0.0) in (OK, STALE)
-        assert bench.displayed()[:3] == pytest.approx((0.1, 0.2, 0.3), abs=1e-12)  # signs and order change, not values
+        assert bench.displayed()[:3] == pytest.approx((0.1, 0.2, 0.3), abs=bench.force_step_n)
 
     def test_stop_may_be_repeated_and_disarms(self, device: Device) -> None:
         """After stop, however often, a force is not taken in full and reads go on."""
@@ -214,15 +218,16 @@ class DriverContract:
             bench.open().close()
 
     def test_failure_in_use_is_told_and_survived(self, bench: Bench) -> None:
-        """A read of a device that fails gives its status; stop and close raise nothing, no force is left, and the
-        device opens again once it is back."""
+        """A read of a device that fails gives its status, within the bench's patience; stop and close raise nothing, no
+        force is left, and the device opens again once it is back."""
         for case in set(FAULTS) - set(bench.cannot):
             device = bench.open()
             servo = Servo(device)
             servo.read()
             servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
             bench.make(case)
-            assert servo.read()[0] == FAULTS[case], case
+            told = next((status for _ in range(bench.patience) if (status := servo.read()[0]) < 0), OK)
+            assert told == FAULTS[case], case
             device.stop()
             device.close()
             assert not any(bench.displayed()), case

@@ -107,6 +107,7 @@ def test_nothing_is_done_that_the_rig_does_not_ask_for(stub: Stub, bench: StubBe
         assert seen == {"moved": 0, "gravity": 0, "brakes": 0, "threshold": 0, "watchdog": 240, "force_on": 1}
         assert stub["expert"] == stub["expert_misuse"] == 0
     assert stub["brakes"] == stub["force_on"] == 0
+    assert stub["disables"] == stub["stops"] == 1  # either would do; the library is not known well enough for one
     assert stub["opens"] == stub["closes"] == 1
 
 
@@ -217,7 +218,7 @@ def test_absent_library_says_where_it_was_looked_for(tmp_path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.chmod(folder, 0o755)
         with (
-            plugged_in(0x0402, nodes=Path(folder), mode=0o600),
+            plugged_in(0x0402, nodes=Path(folder), mode=0),
             pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x.*may not be opened by this user.*udevadm"),
         ):
             forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
@@ -265,7 +266,7 @@ def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
     stub["devices"] = 0
     nodes = stub.path.parent
     with (
-        plugged_in(0x0402, nodes=nodes, mode=0o600),
+        plugged_in(0x0402, nodes=nodes, mode=0),
         pytest.raises(DevicePermission, match=r'001/005.*ATTRS\{idVendor\}=="1451".*udevadm'),
     ):
         bench.open()
@@ -274,6 +275,22 @@ def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
     assert type(caught.value) is DeviceError
     with plugged_in(nodes=nodes), pytest.raises(DeviceNotFound, match="1451"):
         bench.open()
+
+
+def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
+    """A process that has the device's node open is named with its number; without one it is another process."""
+    stub["held"] = 1
+    with pytest.raises(DeviceBusy, match="held by another process"):
+        bench.open()
+    nodes = stub.path.parent
+    with (
+        plugged_in(0x0402, nodes=nodes, privileged=True),
+        (nodes / "001" / "005").open() as node,
+        subprocess.Popen(["sleep", "60"], stdin=node) as holder,
+    ):
+        with pytest.raises(DeviceBusy, match=rf"held by \w+ \({holder.pid}\)"):
+            bench.open()
+        holder.kill()
 
 
 # --- exchange ------------------------------------------------------------------------------------
@@ -370,7 +387,8 @@ def test_failing_call_gives_its_status_and_reason(
         servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         stub.update(**{call: 0, "error": code})
         assert (servo.read()[0] if call == "fail_read" else servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)) == status
-        assert device.reason() == f"the library's error {code}"
+        text = {7: "timeout", 2: "communication error", 1: "error"}[code]
+        assert device.reason() == f"the library's error {code}, {text}"
         device.stop()
         assert stub.norm() == 0.0  # even where every force fails: the force is disabled
         assert stub["force_on"] == 0
@@ -391,8 +409,15 @@ def test_force_that_is_no_number_becomes_zero(stub: Stub, bench: StubBench) -> N
 
 
 def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBench) -> None:
-    """A pose that is not a number stays one, for the guard to refuse; its read succeeds."""
-    stub["nan_at"] = 1
+    """A mirrored or stretched matrix gives no quaternion, and a position that is no number stays none, both for the
+    guard to refuse; the read succeeds. A matrix off by rounding is taken."""
+    for name, value in (("mirror", 1.0), ("stretch", 0.1), ("stretch", -0.9)):
+        stub[name] = value
+        with bench.open() as device:
+            status, sample = Servo(device).read()
+            assert status == OK and all(map(math.isnan, sample[3:7])), name
+        stub[name] = 0.0
+    stub.update(stretch=1e-6, nan_at=1, reads=0)
     with bench.open() as device:
         servo = Servo(device)
         assert not math.isnan(servo.read()[1][1])

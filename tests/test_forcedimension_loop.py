@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -146,9 +147,13 @@ def test_status_is_asked_for_as_often_as_the_rig_says(stub: Stub, bench: StubBen
         assert "dead-man" in device.reason()
 
 
-def test_stop_while_a_transfer_hangs(stub: Stub, bench: StubBench) -> None:
-    """From another thread, `stop` waits a moment for the exchange under way and then takes the force off over it."""
-    stub.update(**PRESSING, delay_at=100, delay_s=0.8)
+@pytest.mark.parametrize("exclusive", [0, 1])
+def test_stop_while_a_transfer_hangs(
+    exclusive: int, stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """From another thread, `stop` waits a moment for the exchange under way and then takes the force off over it; where
+    the library lets nothing past the hanging call, it returns all the same, says so, and the force goes once it can."""
+    stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, device.info)
         servo = s.Servo(device, tuning, RATE_HZ)
@@ -158,12 +163,34 @@ def test_stop_while_a_transfer_hangs(stub: Stub, bench: StubBench) -> None:
             servo.wait_record()
         time.sleep(0.05)
         device.stop()
-        assert stub.norm() == 0.0 and stub["force_on"] == 0
-        assert servo.ticks == 100  # it did hang
+        assert stub.busy() and servo.ticks == 100  # it hangs still
+        assert ("lets nothing past" in caplog.text) == bool(exclusive)
+        assert exclusive or (stub.norm() == 0.0 and stub["force_on"] == 0)
         servo.stop()
         assert servo.join(10.0) is not None
         servo.close()
-        assert stub.norm() == 0.0
+        for thread in threading.enumerate():
+            if thread.name == "forcedimension stop":
+                thread.join(10.0)
+        assert stub.norm() == 0.0 and stub["force_on"] == 0
+
+
+def test_stop_waits_for_the_exchange_under_way(stub: Stub, bench: StubBench) -> None:
+    """`stop` from another thread, called while a slow reading is under way, does not meet the loop in the library."""
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    stub["slow_s"] = 0.02  # long enough to call in, shorter than `stop` waits
+    for _ in range(3):  # this thread might be held up for a whole reading, but not again and again
+        with bench.open() as device:
+            servo = s.Servo(device, tuning, RATE_HZ)
+            servo.compile()
+            servo.start()
+            while servo.ticks < 3 or not stub.busy():
+                pass
+            device.stop()
+            servo.stop()
+            assert servo.join(10.0) == s.Ended(s.STOPPED, OK)
+            servo.close()
+    assert stub["threads"] == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

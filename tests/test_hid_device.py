@@ -13,8 +13,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
+from compiled_code import called_in, functions
 from driver_contract import DriverContract, Servo
 from emulators.woodenhaptics import Arm, Woody
 from hid_devices import RIGS, Answering, described, ends, rig_options, woody
@@ -338,3 +340,17 @@ def test_a_device_that_is_not_attached() -> None:
     """A device that nobody plugged in is named by its ids; here no vendor has the ids asked for."""
     with pytest.raises(DeviceNotFound, match="no HID device fffe:fffd is attached: plug it in"):
         find(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
+
+
+def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
+    """Compiled afresh, the C functions name nothing outside themselves but system calls, clock and libm."""
+    allowed = {"read", "write", "poll", "clock_gettime", "__errno_location", "sin", "cos"}
+    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    for function in (exchange.read, exchange.write):
+        ir = numba.cfunc(exchange.IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm()
+        # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
+        bodies = functions(ir)
+        called = {name for body in bodies.values() for name in called_in(body)}
+        outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
+        assert "clock_gettime" in outside
+        assert outside <= allowed

@@ -90,7 +90,7 @@ print(ended, flush=True)
 def test_closed_loop_through_a_hidraw_node(rig: str, arm: str, generation: int, tmp_path: Path) -> None:
     """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
     kept = tmp_path / "records.npy"
-    program = (sys.executable, "-c", KEEP, rig, "paper-plane", "2500", str(kept))
+    program = (sys.executable, "-c", KEEP, rig, "paper-plane", "1700", str(kept))
     done, saw = beside({"arm": arm, "generation": generation, **STROKE}, *program)
     assert done.returncode == 0, done.stderr
     assert "Ended(ending=1, status=" in done.stdout
@@ -166,3 +166,18 @@ def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
         case = {"arm": "woody-2019", "generation": 2}
         done, _ = run(case, str(rig), "--duration", "0.005", "--scene", "frictionless-plane")
         assert said in done.stderr
+
+
+def test_a_second_program_finds_the_device_held() -> None:
+    """While one process has the device, the daemon is refused and told which process it is."""
+    hold = (
+        "import subprocess, sys\n"
+        "from softfinger.config.load import load_rig\n"
+        "from softfinger.server.app import open_device\n"
+        "with open_device(load_rig('woodenhaptics-2019').device, 1000.0):\n"
+        "    command = ['-m', 'softfinger.server.cli', 'run', '--rig', 'woodenhaptics-2019']\n"
+        "    print(subprocess.run([sys.executable, *command, '--endpoint', 'tcp://127.0.0.1:*']).returncode)\n"
+    )
+    done, _ = beside({"arm": "woody-2019", "generation": 2}, sys.executable, "-c", hold)
+    assert done.stdout.splitlines()[0] == "4"
+    assert re.search(r"/dev/hidraw0 is held by process \d+ \(python", done.stderr), done.stderr

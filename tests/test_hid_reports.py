@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import struct
+import tomllib
 from math import isfinite, nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,7 @@ from hypothesis import strategies as st
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
+from softfinger.config.schema import Rig
 from softfinger.drivers.hid import Options, reports
 from softfinger.drivers.hid.descriptor import announced
 from softfinger.drivers.hid.options import COMMANDED, SENSED, TYPES, InputField, InputReport, OutputField, OutputReport
@@ -199,3 +203,12 @@ def test_a_named_format_takes_changes() -> None:
     changed = rig_options("woodenhaptics-2015", reports=own).reports
     assert changed.output.field[0].scale == -1000.0
     assert changed.input == rig_options("woodenhaptics-2015").reports.input
+
+
+def test_the_description_in_the_docs_is_valid() -> None:
+    """The rig shown in docs/hid.md is taken as it stands."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "hid.md").read_text("utf-8")
+    found = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert found is not None
+    rig = build(Rig, tomllib.loads(found[1]), "docs/hid.md")
+    assert build(Options, rig.device.options, "docs/hid.md [device]").reports.input.id == 3

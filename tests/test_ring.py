@@ -82,7 +82,7 @@ def test_control_without_ring_tears():
     count_torn(values, np.zeros(64), 0, flag)
     write_plain(values, flag)
     torn = 0
-    for _ in range(20):  # on one busy processor the threads may not have run side by side
+    for _ in range(100):  # on one busy processor the threads may not have run side by side
         flag[0] = 0
         writer = threading.Thread(target=write_plain, args=(values, flag))
         writer.start()

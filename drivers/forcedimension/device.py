@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple, NoReturn
@@ -35,6 +36,9 @@ TORQUE_MAX_NM: Final = 1e2
 ZERO_TRIES: Final = 20
 LOCK_WAIT_S: Final = 0.1
 """How long `stop` waits for an exchange under way; one that takes longer hangs, and the device is stopped over it."""
+
+HANG_WAIT_S: Final = 0.3
+"""How long a call over a hanging one is waited for: the library may let it wait too."""
 
 LOOP_CALLS: Final = {
     exchange.GET_FRAME: "dhdGetPositionAndOrientationFrame",
@@ -81,31 +85,14 @@ class ForceDimension(Device):
         if not self._word[exchange.ARMED]:
             return
         self._word[exchange.ARMED] = 0  # before the lock: no force of the loop's follows the zero
-        held = self._lock()
-        try:
-            call = self._library
-            for _ in range(ZERO_TRIES):
-                # 1, TIMEGUARD, may mean that it was held back; -1 that the device is gone.
-                if call.dhdSetForceAndTorqueAndGripperForce(*(0.0,) * 7, self._id) in (0, 2):
-                    break
-                time.sleep(0.001)
-            call.dhdEnableForce(0, self._id)
-            call.dhdStop(self._id)
-            if self._options.brakes:
-                call.dhdSetBrakes(1, self._id)
-        finally:
-            if held:
-                exchange.unlock.ctypes(self._word.ctypes.data)
+        self._alone(self._take_force_off)
 
     def close(self) -> None:
         self.stop()
         if not self._word[exchange.OPEN]:
             return
-        held = self._lock()
         self._word[exchange.OPEN] = 0
-        self._library.drdClose(self._id)
-        if held:
-            exchange.unlock.ctypes(self._word.ctypes.data)
+        self._alone(lambda: self._library.drdClose(self._id))
         seen = self.counts
         if seen.reads_guarded or seen.writes_guarded or seen.saturated:
             log.info(
@@ -116,7 +103,9 @@ class ForceDimension(Device):
     def reason(self) -> str:
         said = []
         if self._word[exchange.ERROR]:
-            said.append(f"the library's error {self._word[exchange.ERROR]}")
+            number = int(self._word[exchange.ERROR])
+            text = self._library.dhdErrorGetStr(number) or b""
+            said.append(f"the library's error {number}, {text.decode(errors='replace')}")
         cause = int(self._word[exchange.CAUSE])
         if cause >= 0:
             said.append(library.FORCE_OFF_CAUSES.get(cause, f"the device gives no cause ({cause})"))
@@ -136,13 +125,40 @@ class ForceDimension(Device):
             return None
         return float(self._word.view(np.float64)[exchange.GRIPPER])
 
-    def _lock(self) -> bool:
+    def _take_force_off(self) -> None:
+        call = self._library
+        for _ in range(ZERO_TRIES):
+            # 1, TIMEGUARD, may mean that it was held back; -1 that the device is gone.
+            if call.dhdSetForceAndTorqueAndGripperForce(*(0.0,) * 7, self._id) in (0, 2):
+                break
+            time.sleep(0.001)
+        call.dhdEnableForce(0, self._id)
+        call.dhdStop(self._id)
+        if self._options.brakes:
+            call.dhdSetBrakes(1, self._id)
+
+    def _alone(self, work: Callable[[], object]) -> None:
+        """Run `work` while the loop is not in the library; where a call of the loop hangs, over it."""
+        block = self._word.ctypes.data
         deadline = time.monotonic() + LOCK_WAIT_S
-        while not exchange.lock.ctypes(self._word.ctypes.data):
+        while not exchange.lock.ctypes(block):
             if time.monotonic() > deadline:
-                return False
+                break
             time.sleep(0.0001)
-        return True
+        else:
+            try:
+                work()
+            finally:
+                exchange.unlock.ctypes(block)
+            return
+        over = threading.Thread(target=work, name="forcedimension stop", daemon=True)
+        over.start()
+        over.join(HANG_WAIT_S)
+        if over.is_alive():
+            log.error(
+                "%s: the library hangs and lets nothing past; what is left is the device's own watchdog: switch it off",
+                self._model.full_name,
+            )
 
     def _set_up(self, rate_hz: float) -> None:
         call, options, word = self._library, self._options, self._word
@@ -293,7 +309,8 @@ def _nothing_found(call: ctypes.CDLL, count: int) -> NoReturn:
 def _not_opened(call: ctypes.CDLL, number: int) -> DeviceError:
     code, text = call.dhdErrorGetLast(), library.error_text(call)
     if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
-        return DeviceBusy(f"device {number} is held by another process ({text}): end that one, then start again")
+        by = ", ".join(name for device in usb.attached() for name in usb.holders(device)) or "another process"
+        return DeviceBusy(f"device {number} is held by {by} ({text}): end that, then start again")
     if code == library.ERROR_NO_DEVICE:
         return DeviceNotFound(f"device {number} is not there any more ({text}): check cable and power")
     if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):

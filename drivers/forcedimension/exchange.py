@@ -15,6 +15,7 @@ from numba import types
 
 from softfinger.drivers.base import FORCE_OFF, LOST, OK, SAMPLE_BUTTONS, SAMPLE_SIZE, SAMPLE_TIME, STALE, TIMEOUT
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
+from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.foreign import call_int32
 from softfinger.proxy.kernels.jit import c_function, jit
 from softfinger.proxy.kernels.memory import exchange_int64, float64_at, int32_at, int64_at
@@ -65,7 +66,8 @@ STATUS_CAUSE: Final = 14
 CLOCK_MONOTONIC: Final = 1
 NS_PER_S: Final = 1_000_000_000
 NOT_A_ROTATION: Final = 0.01
-"""A row or column of a rotation matrix has length 1; one that is off by more than this was not sensed by an encoder."""
+"""How far the rows' lengths and the determinant may be from 1; a matrix that is off by more is a fault, not a sensed
+rotation. Rows of length 1 that span a volume of 1 are at right angles."""
 
 _clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, _CPointer(types.int64)))
 
@@ -110,14 +112,12 @@ def _take_frame(handle: int, sample: Any) -> None:
     sample[1] = -p[0]
     sample[2] = p[2]
     m = float64_at(handle + 8 * (FRAME + 3))
-    rotation = True
+    world = ((m[4], -m[3], m[5]), (-m[1], m[0], -m[2]), (m[7], -m[6], m[8]))
+    rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
     for i in range(3):
-        row = m[3 * i] * m[3 * i] + m[3 * i + 1] * m[3 * i + 1] + m[3 * i + 2] * m[3 * i + 2]
-        column = m[i] * m[i] + m[3 + i] * m[3 + i] + m[6 + i] * m[6 + i]
-        if not (abs(row - 1.0) < 2.0 * NOT_A_ROTATION and abs(column - 1.0) < 2.0 * NOT_A_ROTATION):
-            rotation = False
+        rotation = rotation and abs(vec3.norm(world[i]) - 1.0) < NOT_A_ROTATION
     if rotation:
-        q = from_matrix(((m[4], -m[3], m[5]), (-m[1], m[0], -m[2]), (m[7], -m[6], m[8])))
+        q = from_matrix(world)
         for k in range(4):
             sample[3 + k] = q[k]
     else:

@@ -40,6 +40,7 @@ _DOUBLE: Final = POINTER(c_double)
 PROTOTYPES: Final[Mapping[str, tuple[Any, tuple[Any, ...]]]] = {
     "dhdErrorGetLast": (c_int, ()),
     "dhdErrorGetLastStr": (c_char_p, ()),
+    "dhdErrorGetStr": (c_char_p, (c_int,)),
     "dhdGetSDKVersion": (None, (POINTER(c_int),) * 4),
     "dhdGetDeviceCount": (c_int, ()),
     "drdOpenID": (c_int, (_ID,)),

@@ -43,6 +43,19 @@ def attached() -> list[Attached]:
     return found
 
 
+def holders(device: Attached) -> list[str]:
+    """Processes that hold the device's node, as `name (pid)`: those that this user may look into, this one left out."""
+    found: list[str] = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            held = any(os.path.samefile(link, device.node) for link in (process / "fd").iterdir())
+            if held and process.name != str(os.getpid()):
+                found.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
+        except OSError:  # it has ended meanwhile, is another user's, or there is no node
+            continue
+    return sorted(found)
+
+
 def how_to_permit(device: Attached) -> str:
     """The message for a device that this user may not write to."""
     return (

@@ -13,7 +13,7 @@ from typing import Any
 from numba import types
 from numba.extending import overload
 
-from softfinger.proxy.kernels.jit import OPTIONS, jit
+from softfinger.proxy.kernels.jit import INLINED, jit
 
 
 def _kind_of(numba_type: types.Type) -> type | None:
@@ -64,6 +64,6 @@ def _declare(
         return kernels.get(compiled_key(node))
 
     choose.__signature__ = _bare_signature(declaration)  # type: ignore[attr-defined]
-    overload(call, jit_options=OPTIONS | {"forceinline": True})(choose)
+    overload(call, jit_options=INLINED)(choose)
     call.of = of  # type: ignore[attr-defined]
     return call

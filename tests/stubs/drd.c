@@ -7,6 +7,7 @@
  * Tests steer it through stub_set and stub_get, by the names in KNOBS, and read what it was asked to do.
  */
 #include <math.h>
+#include <pthread.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -29,16 +30,16 @@ static __thread int last_error;
  /* the hand's path, m, Hz and rad, in the library's frame: centre, amplitudes of a sine in x and y and a cosine in z, \
     and of a sine turn about an axis (0, 1, 2), or a turn that stays */ \
     X(x, 0) X(y, 0) X(z, 0.02) X(ax, 0) X(ay, 0) X(az, 0) X(hz, 1) X(turn, 0) X(axis, 0) \
-    X(turned, 0) \
+    X(turned, 0) X(mirror, 0) X(stretch, 0) \
  /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
-    X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(nan_at, -1) \
+    X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) X(nan_at, -1) \
     X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) \
  /* what was asked of it, to be read */ \
     X(opens, 0) X(closes, 0) X(reads, 0) X(writes, 0) X(force_on, 0) X(expert, 0) \
     X(watchdog, 0) X(threshold, 0) X(gravity, 1) X(brakes, 0) X(max_force, 0) X(moved, 0) \
     X(regulated, 0) X(cause, 0) X(fx, 0) X(fy, 0) X(fz, 0) X(torque_sent, 0) \
-    X(tx, 0) X(ty, 0) X(tz, 0) X(gripper_sent, 0) X(peak, 0) X(expert_misuse, 0) X(threads, 0) X(unplugged, 0)
+    X(tx, 0) X(ty, 0) X(tz, 0) X(disables, 0) X(stops, 0) X(gripper_sent, 0) X(peak, 0) X(expert_misuse, 0) X(threads, 0) X(unplugged, 0)
 
 #define X(name, first) double name;
 static struct { KNOBS } k;
@@ -69,6 +70,7 @@ static void put_back(void)
 
 void stub_set(const char *name, double value) { *at(name) = value; }
 double stub_get(const char *name) { return *at(name); }
+int stub_busy(void) { return inside; }
 void stub_reset(void)
 {
     for (const struct knob *one = knob; one->name; one++) *one->value = one->first;
@@ -117,18 +119,31 @@ static void pass(double dt)
             position[i] += h * velocity[i];
             speed += velocity[i] * velocity[i];
         }
+        /* The header does not say the unit; here it is mm/s. */
         if (k.threshold > 0 && sqrt(speed) > k.threshold * 1e-3 && k.force_on) force_off(VELOCITY);
     }
     if (k.watchdog > 0 && now_s - fed_s > k.watchdog * 125e-6 && k.force_on) force_off(WATCHDOG);
 }
 
-static void enter(void) { if (__sync_fetch_and_add(&inside, 1)) k.threads += 1; }
-static void leave(void) { __sync_fetch_and_sub(&inside, 1); }
+/* An exchange; with `exclusive`, a second one waits for the first. */
+static pthread_mutex_t one_at_a_time = PTHREAD_MUTEX_INITIALIZER;
+static __thread bool holds;
+static void enter(void)
+{
+    holds = k.exclusive != 0;
+    if (holds) pthread_mutex_lock(&one_at_a_time);
+    if (__sync_fetch_and_add(&inside, 1)) k.threads += 1;
+}
+static void leave(void)
+{
+    __sync_fetch_and_sub(&inside, 1);
+    if (holds) pthread_mutex_unlock(&one_at_a_time);
+}
 
 int dhdErrorGetLast(void) { return last_error; }
-const char *dhdErrorGetLastStr(void)
+const char *dhdErrorGetStr(int error)
 {
-    switch (last_error) {
+    switch (error) {
     case 0: return "no error";
     case COM: return "communication error";
     case BUSY: case IN_USE: return "device is already in use";
@@ -137,6 +152,7 @@ const char *dhdErrorGetLastStr(void)
     default: return "error";
     }
 }
+const char *dhdErrorGetLastStr(void) { return dhdErrorGetStr(last_error); }
 void dhdGetSDKVersion(int *a, int *b, int *c, int *d) { *a = 3; *b = 17; *c = 5; *d = 0; }
 int dhdGetDeviceCount(void) { return k.unplugged ? 0 : (int)k.devices; }
 
@@ -220,10 +236,10 @@ int dhdSetBrakes(int on, char id)
 int dhdEnableForce(unsigned char on, char id)
 {
     if (usable(id)) return -1;
-    if (on) { k.force_on = 1; k.cause = 0; fed_s = now_s; } else force_off(SOFTWARE);
+    if (on) { k.force_on = 1; k.cause = 0; fed_s = now_s; } else { k.disables += 1; force_off(SOFTWARE); }
     return 0;
 }
-int dhdStop(char id) { if (usable(id)) return -1; force_off(SOFTWARE); return 0; }
+int dhdStop(char id) { if (usable(id)) return -1; k.stops += 1; force_off(SOFTWARE); return 0; }
 unsigned dhdGetButtonMask(char id) { return usable(id) ? 0 : (unsigned)k.buttons; }
 int dhdGetGripperAngleRad(double *out, char id)
 {
@@ -275,6 +291,7 @@ int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double
     const double n = k.reads++;
     int code = 0;
     if (n == k.delay_at) usleep((useconds_t)(k.delay_s * 1e6));
+    if (k.slow_s > 0) usleep((useconds_t)(k.slow_s * 1e6));
     if (n == k.button_at) force_off(BUTTON);
     if (k.garbage) {
         code = garbage((double **)p, (double *)m);
@@ -293,6 +310,8 @@ int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double
         turned[i1][i1] = turned[i2][i2] = cos(a);
         turned[i1][i2] = -sin(a);
         turned[i2][i1] = sin(a);
+        if (k.mirror) turned[0][0] *= -1;
+        turned[1][1] += k.stretch;
         memcpy(m, turned, sizeof turned);
         for (int i = 0; i < 3; i++) *p[i] = position[i];
         memcpy(before, position, sizeof position);
