@@ -13,8 +13,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numba
 import numpy as np
 import pytest
+from compiled_code import called_in, functions
 from driver_contract import RATE_HZ, Bench, DriverContract, Servo
 from emulators import puck as emulated
 from hid_devices import ends
@@ -22,9 +24,10 @@ from scipy.spatial.transform import Rotation
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import build, load_rig, load_scene
-from softfinger.drivers import spacemouse
-from softfinger.drivers.base import LOST, OK, PROTOCOL, Device
-from softfinger.drivers.puck import Options
+from softfinger.drivers import simulated, spacemouse
+from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, Device
+from softfinger.drivers.libc import IO_SIGNATURE
+from softfinger.drivers.puck import Options, decode, make_setup, move
 from softfinger.drivers.simulated import Options as SimulatedOptions
 from softfinger.drivers.simulated import Simulated
 from softfinger.drivers.spacemouse import SpaceMouse, find, open_device
@@ -272,6 +275,55 @@ def test_any_bytes_leave_a_pose_or_a_fault() -> None:
                 assert max(map(abs, sample[:3])) <= 0.1
                 assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-12)  # rounding of a normalisation
     assert min(seen.values()) > 100
+
+
+@numba.njit
+def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.ndarray, buttons: np.ndarray) -> Any:
+    """How often each status came; -1 in place of the first when a deflection or a pose is none."""
+    seen = np.zeros(3, np.int64)
+    position, orientation = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    for n in range(len(counts)):
+        status = decode(reports[n], counts[n], deflection, buttons)
+        seen[0 if status == OK else 1 if status == STALE else 2] += 1
+        position, orientation = move(setup, position, orientation, deflection, 0.001)
+        unit = sum([q * q for q in orientation])
+        if not (np.abs(deflection).max() <= 32768.0 and abs(unit - 1.0) < 1e-12 and 0.0 <= buttons[0] < 2.0**48):
+            seen[0] = -1
+            return seen
+        for k in range(3):
+            if not abs(position[k]) <= 0.1:
+                seen[0] = -1
+                return seen
+    return seen
+
+
+def test_a_million_reports_leave_a_pose_in_the_box() -> None:
+    """10^6 reports of random bytes, lengths and kinds, decoded and followed: counts that an int16 holds, buttons that a
+    float64 holds, a position in the box, a unit quaternion."""
+    generator = np.random.default_rng(8)
+    total = np.zeros(3, np.int64)
+    deflection, buttons = np.zeros(6), np.zeros(1)
+    for _ in range(10):
+        reports = generator.integers(0, 256, (100_000, 64), dtype=np.uint8)
+        reports[::2, 0] = generator.integers(1, 4, 50_000)
+        counts = generator.integers(0, 65, 100_000)
+        total += wild(reports, counts, make_setup(Options()), deflection, buttons)
+    assert total.sum() == 1_000_000
+    assert total.min() > 10_000
+
+
+@pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led], ids=["spacemouse", "simulated"])
+def test_read_calls_libc_alone(function: Any) -> None:
+    """Compiled afresh, a read names nothing outside itself but system calls, clock and libm: no allocator, no
+    interpreter."""
+    allowed = {"read", "clock_gettime", "__errno_location", "sin", "cos", "atan2"}
+    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
+    bodies = functions(numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm())
+    called = {name for body in bodies.values() for name in called_in(body)}
+    outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
+    assert {"read", "clock_gettime"} <= outside
+    assert outside <= allowed
 
 
 def test_a_closed_device_reads_as_lost() -> None:
