@@ -8,10 +8,13 @@ import importlib
 import json
 import os
 import stat
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import HapticError
+from softfinger.config.load import load_rig
+from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import discovery, registry
 from softfinger.drivers.claims import Claim, claim_on
 from softfinger.drivers.discovery import Attached
@@ -36,13 +39,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Nothing is opened, so a device in use is not disturbed."
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--rig", help="rig whose library or firmware file counts for the devices of its driver")
 
 
 def run(args: argparse.Namespace) -> int:
+    rig = None if args.rig is None else load_rig(args.rig).device
     found = []
     for device in discovery.attached():
         claim = claim_on(device)
-        found.append((device, claim, diagnose(device, claim)))
+        found.append((device, claim, diagnose(device, claim, rig)))
     if args.json:
         print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in found]}, indent=2))
     else:
@@ -50,8 +55,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def diagnose(device: Attached, claim: Claim | None) -> Diagnosis:
-    """Why a device cannot be opened by its driver; the first reason of those that have to be mended in turn."""
+def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = None) -> Diagnosis:
+    """Why a device cannot be opened by its driver; the first reason of those that have to be mended in turn.
+
+    rig  names the files that its driver needs
+    """
     if claim is None:
         if device.bus == "hid":
             return Diagnosis("unclaimed", "no driver knows it", "if it is a haptic device, describe it: docs/hid.md")
@@ -70,23 +78,24 @@ def diagnose(device: Attached, claim: Claim | None) -> Diagnosis:
         return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device, claim))
     if (holder := discovery.holder(device.node)) is not None:
         return Diagnosis("busy", f"{device.node} is held by {holder}", f"kill {holder.pid}")
-    return needs(claim)
+    return needs(claim, rig.options if rig is not None and rig.driver == claim.driver else {})
 
 
-def needs(claim: Claim) -> Diagnosis:
-    """What a driver needs besides the device."""
+def needs(claim: Claim, options: Mapping[str, Any]) -> Diagnosis:
+    """What a driver needs besides the device, with the options of a rig for it."""
     if claim.driver == "forcedimension":
         from softfinger.drivers.forcedimension import library
 
         try:
-            library.load(None)
+            library.load(options.get("library_file"))
         except HapticError as error:
             return Diagnosis("library", str(error), f"export FDSDK=/path/to/sdk   # from {library.DOWNLOAD}")
-    if claim.driver == "falcon":
+    if claim.driver == "falcon" and not Path(firmware := options.get("firmware", "")).is_file():
+        named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"
         return Diagnosis(
             "firmware",
-            "it needs its firmware after every power-up, and the file may not be passed on with this program",
-            'firmware = "/path/to/novint.bin" under [device] of the rig',
+            f"it needs its firmware after every power-up, which does not come with this program, and {named}",
+            'firmware = "/path/to/firmware.bin" under [device] of the rig',
         )
     return Diagnosis("usable")
 

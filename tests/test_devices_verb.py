@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 from test_hid_emulated import WHY_NOT, beside
 
+from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import discovery, registry
-from softfinger.drivers.claims import claim_on
+from softfinger.drivers.claims import Claim, claim_on
 from softfinger.drivers.discovery import Attached
 from softfinger.server import devices
 from softfinger.server.devices import diagnose
@@ -191,8 +192,38 @@ def test_a_missing_library_is_told(root: Path, monkeypatch: pytest.MonkeyPatch) 
     assert "export FDSDK=" in found.remedy
 
 
-def test_a_falcon_needs_its_firmware_or_its_driver(root: Path) -> None:
-    """A Falcon that may be opened is not ready before its firmware is named."""
+def test_a_library_that_the_rig_names_counts(root: Path) -> None:
+    """The rig's own library file is what is looked for; another driver's rig has no say."""
+    node = root / "node"
+    node.write_bytes(b"")
+    omega = at(node, 0x1451, 0x0402, bus="usb")
+    named = DeviceConfig(driver="forcedimension", options={"library_file": str(root / "libdrd.so.9")})
+    assert "libdrd.so.9': there is no such file" in diagnose(omega, claim_on(omega), named).reason
+    other = DeviceConfig(driver="hid", options={"library_file": str(root / "libdrd.so.9")})
+    assert "libdrd.so.9" not in diagnose(omega, claim_on(omega), other).reason
+
+
+def test_a_falcon_needs_its_firmware(root: Path) -> None:
+    """A Falcon is ready once a rig names a firmware file that is there."""
+    claim = Claim("falcon", "usb", 0x0403, 0xCB48)
+    file = root / "firmware.bin"
+    assert "no rig named one" in devices.needs(claim, {}).reason
+    found = devices.needs(claim, {"firmware": str(file)})
+    assert found.state == "firmware"
+    assert "firmware.bin' is no file" in found.reason
+    file.write_bytes(b"\0")
+    assert devices.needs(claim, {"firmware": str(file)}).state == "usable"
+
+
+def test_a_driver_that_is_not_installed_is_told(root: Path) -> None:
+    """A claimed device whose driver this installation does not have is told so first."""
+    found = diagnose(at(root), Claim("no-such-driver", "hid", 0x046D, 0xC626))
+    assert found.state == "driver"
+    assert "'no-such-driver' is not in this installation" in found.reason
+
+
+def test_a_falcon_is_claimed(root: Path) -> None:
+    """A Falcon that may be opened is its driver's, and not ready before its firmware is named."""
     node = root / "node"
     node.write_bytes(b"")
     falcon = at(node, 0x0403, 0xCB48, bus="usb")
