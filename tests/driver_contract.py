@@ -60,6 +60,8 @@ class Bench(ABC):
 
     cannot: ClassVar[Mapping[str, str]] = {}
     refusals: ClassVar[Mapping[str, type[HapticError]]] = REFUSALS
+    resolution_n: ClassVar[float] = 1e-12
+    """How far the force displayed may be from the one written: of a device that counts in steps, what a step moves."""
 
     @abstractmethod
     def open(self) -> Device:
@@ -133,7 +135,7 @@ class DriverContract:
         servo = Servo(device)
         servo.read()
         assert servo.write(0.1, 0.2, 0.3, 0.0, 0.0, 0.0) in (OK, STALE)
-        assert bench.displayed()[:3] == pytest.approx((0.1, 0.2, 0.3), abs=1e-12)  # signs and order change, not values
+        assert bench.displayed()[:3] == pytest.approx((0.1, 0.2, 0.3), abs=bench.resolution_n)  # signs and order change
 
     def test_stop_may_be_repeated_and_disarms(self, device: Device) -> None:
         """After stop, however often, a force is not taken in full and reads go on."""
