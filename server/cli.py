@@ -32,9 +32,7 @@ VERBS: Final = {
     "check": Verb("softfinger.server.check", "validate rig and scene files"),
     "schema": Verb("softfinger.server.schema_verb", "JSON Schema of rigs and scenes, schema of the telemetry"),
     "warmup": Verb("softfinger.server.warmup", "compile the kernels ahead"),
-    "accuracy": Verb(
-        "softfinger.tools.accuracy.verb", "measure: rolling methods, speed against accuracy"
-    ),
+    "accuracy": Verb("softfinger.tools.accuracy.verb", "measure: rolling methods, speed against accuracy"),
     "stability": Verb("softfinger.tools.stability.verb", "measure: the stiffest stable wall, in closed loop"),
     "bench": Verb("softfinger.tools.bench.verb", "measure: cost per step, wake-up lateness, telemetry latency"),
 }

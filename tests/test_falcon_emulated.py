@@ -29,7 +29,6 @@ CONTRACT = Path(__file__).with_name("falcon_contract.py")
 pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 
 
-
 def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     """A command beside an emulated device; what it printed, and what the device saw."""
     done = subprocess.run(
@@ -72,7 +71,7 @@ def test_the_driver_contract() -> None:
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
     kept = tmp_path / "records.npy"
-    program = (sys.executable, "-c", KEEP, rig_with(tmp_path), "paper-plane", "3500", str(kept))
+    program = (sys.executable, "-c", KEEP, rig_with(tmp_path), "paper-plane", "1800", str(kept))
     done, saw = beside(STROKE, *program)
     assert done.returncode == 0, done.stderr
     assert "Ended(ending=1, status=" in done.stdout
@@ -80,6 +79,7 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     assert {0.0, 1.0, 2.0} == set(records[:, OFFSET["contact.mode"]])
     assert max(saw["most"]) > 100  # the forces reached the motors: 1 N is some 240 counts
     assert saw["motors"] == [0, 0, 0]
+    assert saw["state"] == 8, "the last packet leaves the light red"
 
     engine = Engine(load_scene("paper-plane"))
     position, orientation, force = (OFFSET[name] for name in ("probe.position", "probe.orientation", "force"))
@@ -101,7 +101,7 @@ def test_a_knob_pressed_through_the_plane_is_held(reversed_motors: bool, tmp_pat
     """A hand that means to be 6 mm below the plane is held near it by the motors, whichever way they turn."""
     gain = -6000.0 if reversed_motors else 6000.0
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
-    done, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "2.5")
+    done, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5")
     assert done.returncode == 0, done.stderr
     assert "device Novint Falcon 0403:cb48 at 1000 Hz" in done.stderr
     assert "force is zero" in done.stderr
@@ -152,7 +152,7 @@ def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path)
 def test_homing(tmp_path: Path) -> None:
     """A device that does not know its zeros is not used until the knob was out; then its places are true."""
     rig = rig_with(tmp_path, counts_per_nm=10000.0)
-    done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "3")
+    done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
     assert done.returncode == 0, done.stderr
     assert "pull the knob out all the way, then push it in, until the light is green" in done.stderr
     assert saw["found"] == [True, True, True]

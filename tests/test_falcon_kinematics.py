@@ -9,7 +9,7 @@ import pytest
 from emulators import falcon as other
 
 from softfinger.drivers.falcon import delta
-from softfinger.drivers.falcon.exchange import motor_counts
+from softfinger.drivers.falcon.reply import motor_counts
 
 RADIUS_M = 0.04
 SEED = 7

@@ -9,8 +9,9 @@ import pytest
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import FORCE_OFF, OK
-from softfinger.drivers.falcon import Options, delta, exchange, packets
+from softfinger.drivers.falcon import Options, block, delta, packets, reply
 from softfinger.proxy.kernels.jit import OPTIONS
+from softfinger.proxy.kernels.memory import uint8_at
 
 
 def packet(motors: tuple[int, int, int], state: int) -> bytes:
@@ -39,10 +40,10 @@ def test_every_count_survives() -> None:
         assert packets.decode(np.frombuffer(packet(counts, 0x75), np.uint8)) == (counts, 0x75)
 
 
-def block() -> np.ndarray:
-    word = np.zeros(exchange.WORDS, np.int64)
+def blank() -> np.ndarray:
+    word = np.zeros(block.WORDS, np.int64)
     real = word.view(np.float64)
-    real[exchange.POSITION : exchange.POSITION + 3] = real[exchange.CENTRE : exchange.CENTRE + 3] = delta.HOME
+    real[block.POSITION : block.POSITION + 3] = real[block.CENTRE : block.CENTRE + 3] = delta.HOME
     return word
 
 
@@ -51,8 +52,8 @@ def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
     """Feed bytes; the counts of every reply that came, and how many."""
     came = 0
     for byte in data:
-        if exchange.feed(handle, byte):
-            counts, _ = packets.decode(exchange.uint8_at(handle + 8 * exchange.NEWEST))
+        if reply.feed(handle, byte):
+            counts, _ = packets.decode(uint8_at(handle + 8 * block.NEWEST))
             for k in range(3):
                 out[came, k] = counts[k]
             came += 1
@@ -73,17 +74,17 @@ def test_a_million_packets_with_noise_between() -> None:
             wire[:, 9 + 4 * axis + nibble] += ((counts[:, axis] >> (4 * nibble)) & 15).astype(np.uint8)
     wire[:, 21] += rng.integers(0, 128, number).astype(np.uint8)
     wire[:, 23] = ord(">")
-    out, word = np.zeros((number + 10, 3), np.int64), block()
+    out, word = np.zeros((number + 10, 3), np.int64), blank()
     assert _stream(word.ctypes.data, wire.reshape(-1), out) == number
     np.testing.assert_array_equal(out[:number], counts)
-    assert word[exchange.GARBLED] >= number
+    assert word[block.GARBLED] >= number
 
 
 def test_noise_is_no_packet() -> None:
     """Of ten million random bytes none are taken for a reply: 12 nibbles and 3 fixed bytes come by chance once in
     256^3 16^12."""
     data = np.random.default_rng(4).integers(0, 256, 10_000_000).astype(np.uint8)
-    word = block()
+    word = blank()
     assert _stream(word.ctypes.data, data, np.zeros((10, 3), np.int64)) == 0
 
 
@@ -92,25 +93,25 @@ def test_a_packet_with_one_wrong_byte_is_dropped(broken: int) -> None:
     """No byte of a reply is taken unseen."""
     wire = bytearray(packet((1, 2, 3), 0))
     wire[broken] = 0x20
-    word = block()
+    word = blank()
     assert _stream(word.ctypes.data, np.frombuffer(bytes(wire), np.uint8), np.zeros((2, 3), np.int64)) == 0
 
 
 @numba.njit(**OPTIONS)
 def _pose(handle: int) -> int:
-    return int(exchange.pose(handle))
+    return int(reply.pose(handle))
 
 
 def answer(word: np.ndarray, counts: tuple[int, int, int], state: int) -> int:
-    word.view(np.uint8)[8 * exchange.NEWEST : 8 * exchange.NEWEST + 16] = np.frombuffer(packet(counts, state), np.uint8)
+    word.view(np.uint8)[8 * block.NEWEST : 8 * block.NEWEST + 16] = np.frombuffer(packet(counts, state), np.uint8)
     return _pose(word.ctypes.data)
 
 
 def test_any_counts_give_a_place_of_theirs_or_none() -> None:
-    """Whatever the encoders show, the sample is a place that has these angles, or no number, which the guard refuses."""
+    """Whatever the encoders show, the sample is a place with these angles, or no number, which the guard refuses."""
     rng = np.random.default_rng(5)
-    word = block()
-    sample = word.view(np.float64)[exchange.SAMPLE : exchange.SAMPLE + 9]
+    word = blank()
+    sample = word.view(np.float64)[block.SAMPLE : block.SAMPLE + 9]
     for row in rng.integers(-32768, 32768, (2000, 3)).tolist() + rng.integers(-1500, 1500, (2000, 3)).tolist():
         assert answer(word, (row[0], row[1], row[2]), packets.HOMED) == OK
         if np.isfinite(sample[:3]).all():
@@ -119,15 +120,15 @@ def test_any_counts_give_a_place_of_theirs_or_none() -> None:
             np.testing.assert_allclose(theta, wanted, atol=1e-11)  # the place is rounded to 1e-17 m of 0.1 m
         else:
             assert np.isnan(sample[:3]).all()
-    assert 0 < word[exchange.UNREACHED] < 4000
+    assert 0 < word[block.UNREACHED] < 4000
 
 
 def test_buttons_and_lost_homing() -> None:
     """Four buttons arrive as bits; homing that was there without being asked for, and goes, is a fault."""
-    word = block()
-    word[exchange.ARMED] = 1
+    word = blank()
+    word[block.ARMED] = 1
     assert answer(word, (0, 0, 0), 0x05) == OK  # whether the bits stay is the firmware's affair
-    assert word.view(np.float64)[exchange.SAMPLE + 8] == 5.0
+    assert word.view(np.float64)[block.SAMPLE + 8] == 5.0
     assert answer(word, (0, 0, 0), 0x70) == OK
     assert answer(word, (0, 0, 0), 0x30) == FORCE_OFF
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, DeviceIO
-from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
+from softfinger.drivers.falcon import block, delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
 
 log: Final = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ class Falcon(Device):
 
     def __init__(self, options: Options, line: usb.Line) -> None:
         self._options, self._line = options, line
-        self._word = np.zeros(exchange.WORDS, dtype=np.int64)
+        self._word = np.zeros(block.WORDS, dtype=np.int64)
         self.info = DeviceInfo(
             name=f"Novint Falcon {usb.VENDOR:04x}:{usb.PRODUCT:04x}",
             sensed_dof=3,
@@ -77,9 +77,9 @@ class Falcon(Device):
                     "several times smaller or larger; `counts_per_nm` in the rig sets it (docs/falcon.md)",
                     self.info.name, COUNTS_PER_NM,
                 )  # fmt: skip
-            self._word[exchange.LIGHTS] = packets.GREEN
-            self._word[exchange.SENSED] = 0  # the first sample is one of the servo's own time
-            self._word[exchange.ARMED] = 1
+            self._word[block.LIGHTS] = packets.GREEN
+            self._word[block.SENSED] = 0  # the first sample is one of the servo's own time
+            self._word[block.ARMED] = 1
         except BaseException:
             self.close()
             raise
@@ -91,23 +91,23 @@ class Falcon(Device):
         # pyusb has declared these already, in its own types: called by address, they need none.
         self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(call, "libusb_free_transfer"))
         allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(_address(call, "libusb_alloc_transfer"))
-        word[exchange.CONTEXT] = libusb.context
-        word[exchange.SUBMIT] = _address(call, "libusb_submit_transfer")
-        word[exchange.HANDLE_EVENTS] = _address(call, "libusb_handle_events_timeout_completed")
-        word[exchange.CANCEL] = _address(call, "libusb_cancel_transfer")
-        word[exchange.KICK] = round(options.kick_s * 1e9)
-        word[exchange.TIMEOUT_AFTER] = round(options.timeout_s * 1e9)
-        word[exchange.OPENED_AT] = time.monotonic_ns()
+        word[block.CONTEXT] = libusb.context
+        word[block.SUBMIT] = _address(call, "libusb_submit_transfer")
+        word[block.HANDLE_EVENTS] = _address(call, "libusb_handle_events_timeout_completed")
+        word[block.CANCEL] = _address(call, "libusb_cancel_transfer")
+        word[block.KICK] = round(options.kick_s * 1e9)
+        word[block.TIMEOUT_AFTER] = round(options.timeout_s * 1e9)
+        word[block.OPENED_AT] = time.monotonic_ns()
         real = word.view(np.float64)
-        real[exchange.CENTRE : exchange.CENTRE + 3] = options.centre_m
+        real[block.CENTRE : block.CENTRE + 3] = options.centre_m
         gain = options.counts_per_nm or COUNTS_PER_NM
-        real[exchange.GAIN] = -gain if options.motors_reversed else gain
-        real[exchange.POSITION : exchange.POSITION + 3] = delta.HOME
-        real[exchange.SAMPLE + 3] = 1.0  # it senses no rotation
+        real[block.GAIN] = -gain if options.motors_reversed else gain
+        real[block.POSITION : block.POSITION + 3] = delta.HOME
+        real[block.SAMPLE + 3] = 1.0  # it senses no rotation
         at = word.ctypes.data
         for place, endpoint, flag, buffer, length in (
-            (exchange.IN, usb.ENDPOINT_IN, exchange.IN_DONE, exchange.BUFFER_IN, exchange.IN_BYTES),
-            (exchange.OUT, usb.ENDPOINT_OUT, exchange.OUT_DONE, exchange.BUFFER_OUT, packets.SIZE),
+            (block.IN, usb.ENDPOINT_IN, block.IN_DONE, block.BUFFER_IN, exchange.IN_BYTES),
+            (block.OUT, usb.ENDPOINT_OUT, block.OUT_DONE, block.BUFFER_OUT, packets.SIZE),
         ):
             address = allocate(0)
             if not address:
@@ -117,14 +117,14 @@ class Falcon(Device):
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
             transfer.callback, transfer.user_data = exchange.done.address, at + 8 * flag
             transfer.buffer, transfer.length = at + 8 * buffer, length
-        word[exchange.OPEN] = 1
+        word[block.OPEN] = 1
         if exchange.begin.ctypes(at) < 0:
-            raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[exchange.ERROR]}): replug it")
+            raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[block.ERROR]}): replug it")
 
     def _home(self) -> None:
         """Wait until the device knows where its encoders' zeros are: the user moves the knob out and in."""
         word, read, write = self._word, exchange.read.ctypes, exchange.write.ctypes
-        word[exchange.LIGHTS] = packets.RED | packets.HOMING
+        word[block.LIGHTS] = packets.RED | packets.HOMING
         pointer = read.argtypes[1]
         sample, zero = np.zeros(SAMPLE_SIZE), np.zeros(6)
         until, told = time.monotonic() + self._options.homing_s, False
@@ -134,10 +134,12 @@ class Falcon(Device):
                 raise DeviceTimeout(f"{self.info.name} does not answer: switch it off and on, then start again")
             if status < 0:
                 raise DeviceLost(f"{self.info.name} is gone (status {status}): plug in its USB cable and its power")
-            if word[exchange.HOMED] == packets.HOMED:
+            if word[block.HOMED] == packets.HOMED:
                 return
             if not told:
-                log.warning("%s: pull the knob out all the way, then push it in, until the light is green", self.info.name)
+                log.warning(
+                    "%s: pull the knob out all the way, then push it in, until the light is green", self.info.name
+                )
                 told = True
             if time.monotonic() > until:
                 raise DeviceTimeout(
@@ -155,29 +157,30 @@ class Falcon(Device):
             log.error("%s: a packet has hung for %g s; no zero can follow it", self.info.name, STOP_WAIT_S)
 
     def close(self) -> None:
-        if not self._word[exchange.IN]:
+        if not self._word[block.IN]:
             self._line.close()
             return
-        self._word[exchange.LIGHTS] = packets.RED
+        self._word[block.LIGHTS] = packets.RED
+        self._word[block.PUSHES] = 1  # so that a last zero goes out in any case, and the light with it
         self.stop()
         if self._until_done(exchange.withdraw):
-            for place in (exchange.IN, exchange.OUT):
+            for place in (block.IN, block.OUT):
                 if self._word[place]:
                     self._free(int(self._word[place]))
         else:  # libusb may still write to them, and to the block: neither is given back
             log.error("%s: libusb does not end its transfers", self.info.name)
             _kept.append(self._word)
-        self._word[exchange.IN] = self._word[exchange.OUT] = 0
+        self._word[block.IN] = self._word[block.OUT] = 0
         self._line.close()
 
     def reason(self) -> str:
-        if self._word[exchange.STAYS_HOMED] and self._word[exchange.HOMED] != packets.HOMED:
+        if self._word[block.STAYS_HOMED] and self._word[block.HOMED] != packets.HOMED:
             return "it has lost the zeros of its encoders (its power was off?): start again and home it"
-        error = int(self._word[exchange.ERROR])
+        error = int(self._word[block.ERROR])
         return f"libusb's error {error}" if error else ""
 
     def counts(self, name: int) -> int:
-        """One of the counters of `exchange`: REPLIES, PASSED, WRITTEN, HELD, KICKS, CUT, GARBLED or UNREACHED."""
+        """One of the counters of `block`: REPLIES, PASSED, WRITTEN, HELD, KICKS, CUT, GARBLED or UNREACHED."""
         return int(self._word[name])
 
     def _until_done(self, function: Any) -> bool:

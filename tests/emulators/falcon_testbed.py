@@ -95,7 +95,9 @@ class Bed:
     def _add(self) -> None:
         blob = descriptors().hex().upper()
         names = "BUSNUM=001 DEVNUM=002 MAJOR=189 MINOR=1 PRODUCT=403/cb48/400 SUBSYSTEM=usb DEVTYPE=usb_device"
-        attributes = "busnum=1 devnum=2 bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
+        attributes = (
+            "busnum=1 devnum=2 bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
+        )
         lines = [f"P: {DEVICE}", f"N: {NODE.removeprefix('/dev/')}={blob}", f"E: DEVNAME={NODE}"]
         lines += [f"E: {one}" for one in names.split()] + [f"A: {one}\\n" for one in attributes.split()]
         self.bed.add_from_string("\n".join([*lines, f"H: descriptors={blob}", ""]))
