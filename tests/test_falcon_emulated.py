@@ -209,3 +209,15 @@ def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         done, _ = run({}, rig_with(tmp_path, serial=serial), "--duration", "0.005")
         assert said in done.stderr
+
+
+def test_a_weight_gives_the_gain() -> None:
+    """`calibrate` finds the emulated motors' gain with a weight, from a rig whose gain is another."""
+    case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}
+    words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "40", "--json")
+    done, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.rsplit("{", 1)[0])
+    # the hold may still change by 0.05 N from window to window when it is taken to rest, of 0.39 N
+    assert found["counts_per_nm"] == pytest.approx(4000.0, rel=0.13)
+    assert found["counts_per_nm_used"] == 10000.0

@@ -183,6 +183,11 @@ class Falcon(Device):
         """One of the counters of `block`: REPLIES, PASSED, WRITTEN, HELD, KICKS, CUT, GARBLED or UNREACHED."""
         return int(self._word[name])
 
+    @property
+    def counts_per_nm(self) -> float:
+        """Motor counts per N m at a leg that forces are sent with."""
+        return self._options.counts_per_nm or COUNTS_PER_NM
+
     def _until_done(self, function: Any) -> bool:
         until = time.monotonic() + STOP_WAIT_S
         while not function.ctypes(self._word.ctypes.data):

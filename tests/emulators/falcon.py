@@ -84,6 +84,8 @@ class Falcon:
         self.state = 0
         self.buttons = 0
         self.steps = 0
+        self.weight = 0.0
+        """N, hung on the knob."""
         self.most = [0, 0, 0]
         self.requests: list[tuple[int, int]] = []
         self.baud = self.latency_ms = 0
@@ -176,7 +178,8 @@ class Falcon:
         self.reply += b"<" + body + bytes([0x41 + (homed << 4 | self.buttons), 0x41]) + b">"
 
     def _move(self) -> None:
-        motors = self.displayed
+        x, y, z = self.displayed
+        motors = (x, y - self.weight, z)
         wanted = self.intention(self.steps * STEP_S)
         h = STEP_S / SUBSTEPS
         for _ in range(SUBSTEPS):

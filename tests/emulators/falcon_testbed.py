@@ -5,12 +5,13 @@
 Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The program's exit code is this one's; what the emulated
 device saw goes to the last line of standard output as JSON. The program reaches the device through the true libusb;
 here are the kernel's answers to libusb. It may ask for changes over the socket that FALCON_TESTBED names, in lines:
-`displayed`, `make CASE`, `mend`.
+`displayed`, `place`, `make CASE`, `mend`.
 
 The first argument, places in the world's frame: place (m), press (m: how far the hand then goes down), drag (m: and to
 the side), homed (false: the hand homes it), gain (motor counts per N m), firmware (bytes it wants first), spoil (tries
 spoilt), serial, and from which step on what happens: lost_after, mute_after, block_after (takes no more transfers out),
-garble_after (sends noise), unhomed_after (forgets its zeros), late_every (every so many, a reply comes 4 ms late).
+garble_after (sends noise), unhomed_after (forgets its zeros), weight_after (weight_kg
+is hung on the knob, which no hand holds with `hand` false), late_every (every so many, a reply comes 4 ms late).
 """
 
 from __future__ import annotations
@@ -80,6 +81,8 @@ class Bed:
             intention if homed else homing(intention), case.get("gain", -10000.0),
             None if firmware is None else random.Random(firmware).randbytes(firmware), case.get("spoil", 0), homed,
         )  # fmt: skip
+        if not case.get("hand", True):
+            self.falcon.hand_spring = self.falcon.hand_damper = 0.0
         self.strings = strings(case.get("serial", "SN42"))
         self.done: list[object] = []
         self.waiting: list[tuple[object, object, int, float]] = []
@@ -161,6 +164,10 @@ class Bed:
             falcon.reply[before:] = os.urandom(16)
         elif self._past("unhomed_after"):
             falcon.found = [False] * 3
+        if self._past("weight_after"):
+            falcon.weight = self.case["weight_kg"] * 9.80665
+        if self.made == "late":
+            self.ready_at = time.monotonic() + 0.02
         if late and falcon.steps % late == 0:
             self.ready_at = time.monotonic() + 0.004
 
@@ -216,6 +223,9 @@ class Bed:
         word, _, rest = line.partition(" ")
         if word == "displayed":
             right, up, out = (0.0, 0.0, 0.0) if self.lost else self.falcon.displayed
+            return json.dumps([right, -out, up])
+        if word == "place":
+            right, up, out = (p - c for p, c in zip(self.falcon.place, CENTRE, strict=True))
             return json.dumps([right, -out, up])
         node = os.path.join(self.bed.get_root_dir(), NODE.removeprefix("/"))
         if self.made == "not_found":
