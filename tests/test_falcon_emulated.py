@@ -132,20 +132,23 @@ def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
     ("case", "message"),
     [
         ({"lost_after": 100}, r"is gone .status -1 on (read|write)"),
+        ({"broken_after": 100}, r"is gone .status -1 on read.*libusb's error 1"),
         ({"mute_after": 100}, "no answer to a read in time: check cable and power"),
         ({"block_after": 100}, "no answer to a (read|write) in time"),
         ({"garble_after": 100}, "no answer to a read in time"),
         ({"unhomed_after": 100}, "lost the zeros of its encoders"),
     ],
-    ids=["unplugged", "mute", "blocked", "noise", "unhomed"],
+    ids=["unplugged", "broken", "mute", "blocked", "noise", "unhomed"],
 )
 def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path) -> None:
     """What goes wrong on the cable or in the device ends the daemon with its own message, and no force is left."""
     done, saw = run({"place": [0.0, 0.0, 0.005], **case}, rig_with(tmp_path), "--duration", "10")
     assert done.returncode != 0, done.stderr
     assert re.search(message, done.stderr), done.stderr
-    assert max(saw["most"]) > 0 or "block_after" not in case
-    if "block_after" not in case:  # nothing goes through any more, no zero either: the firmware's own affair
+    assert max(saw["most"]) > 0, "there was no force to take away"
+    if not {"block_after", "broken_after"} & set(
+        case
+    ):  # nothing goes through any more, no zero either: the firmware's own affair
         assert saw["motors"] == [0, 0, 0]
 
 
@@ -221,3 +224,13 @@ def test_a_weight_gives_the_gain() -> None:
     # the hold may still change by 0.05 N from window to window when it is taken to rest, of 0.39 N
     assert found["counts_per_nm"] == pytest.approx(4000.0, rel=0.13)
     assert found["counts_per_nm_used"] == 10000.0
+
+
+def test_a_force_of_the_wrong_sign_is_noticed() -> None:
+    """A knob that runs away ends `calibrate` with what to change, and without force."""
+    case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": 4000.0, "weight_kg": 0.1, "weight_after": 100}
+    words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "20")
+    done, saw = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
+    assert done.returncode == 4, done.stderr
+    assert "change motors_reversed in the rig" in done.stderr
+    assert saw["motors"] == [0, 0, 0]

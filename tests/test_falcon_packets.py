@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import FORCE_OFF, OK
-from softfinger.drivers.falcon import Options, block, delta, packets, reply
+from softfinger.drivers.falcon import Options, block, delta, exchange, packets, reply
 from softfinger.proxy.kernels.jit import OPTIONS
 from softfinger.proxy.kernels.memory import uint8_at
 
@@ -134,6 +135,21 @@ def test_buttons_and_lost_homing() -> None:
     assert word.view(np.float64)[block.SAMPLE + 8] == 5.0
     assert answer(word, (0, 0, 0), 0x70) == OK
     assert answer(word, (0, 0, 0), 0x30) == FORCE_OFF
+
+
+def test_exchange_allocates_nothing() -> None:
+    """The compiled read and write, compiled afresh, name no allocator; the control that allocates does."""
+    compile_fresh = numba.cfunc(exchange.IO_SIGNATURE, error_model="numpy")
+
+    def allocates(handle: int, values: Any) -> int:
+        return len(np.zeros(handle))
+
+    allocators = ("NRT_Allocate", "NRT_MemInfo_alloc", "malloc")
+    assert any(name in compile_fresh(allocates).inspect_llvm() for name in allocators)
+    for function in (exchange.read, exchange.write):
+        code = compile_fresh(function._pyfunc).inspect_llvm()
+        assert "inttoptr" in code  # it is the code that calls libusb
+        assert not any(name in code for name in allocators)
 
 
 def test_options_are_checked() -> None:

@@ -9,7 +9,8 @@ here are the kernel's answers to libusb. It may ask for changes over the socket 
 
 The first argument, places in the world's frame: place (m), press (m: how far the hand then goes down), drag (m: and to
 the side), homed (false: the hand homes it), gain (motor counts per N m), firmware (bytes it wants first), spoil (tries
-spoilt), serial, and from which step on what happens: lost_after, mute_after, block_after (takes no more transfers out),
+spoilt), serial, and from which step on what happens: lost_after, mute_after, broken_after (an error on the bus), block_after
+(takes no more transfers out),
 garble_after (sends noise), unhomed_after (forgets its zeros), weight_after (weight_kg
 is hung on the knob, which no hand holds with `hand` false), late_every (every so many, a reply comes 4 ms late).
 """
@@ -199,7 +200,10 @@ class Bed:
             urb, buffer, length, since = self.waiting[0]
             now = time.monotonic()
             ready = self.falcon.reply and now >= self.ready_at
-            if ready or now - since >= self.falcon.latency_ms / 1e3:
+            if self._past("broken_after"):
+                self.waiting.pop(0)
+                self._finish(urb, -EPROTO, 0)
+            elif ready or now - since >= self.falcon.latency_ms / 1e3:
                 data = self.falcon.read(length if ready else 2)
                 buffer.update(0, data)
                 self.waiting.pop(0)
