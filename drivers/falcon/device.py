@@ -117,6 +117,7 @@ class Falcon(Device):
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
             transfer.callback, transfer.user_data = exchange.done.address, at + 8 * flag
             transfer.buffer, transfer.length = at + 8 * buffer, length
+        _under_way[at] = word
         word[block.OPEN] = 1
         if exchange.begin.ctypes(at) < 0:
             raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[block.ERROR]}): replug it")
@@ -167,9 +168,9 @@ class Falcon(Device):
             for place in (block.IN, block.OUT):
                 if self._word[place]:
                     self._free(int(self._word[place]))
-        else:  # libusb may still write to them, and to the block: neither is given back
+            _under_way.pop(self._word.ctypes.data, None)
+        else:  # neither the transfers nor the block are given back
             log.error("%s: libusb does not end its transfers", self.info.name)
-            _kept.append(self._word)
         self._word[block.IN] = self._word[block.OUT] = 0
         self._line.close()
 
@@ -197,8 +198,8 @@ class Falcon(Device):
         return True
 
 
-_kept: Final[list[Any]] = []
-"""Blocks that libusb may still write to."""
+_under_way: Final[dict[int, Any]] = {}
+"""Blocks that libusb may write to, by their address: they outlive a device that is dropped without `close`."""
 
 
 def _address(library: ctypes.CDLL, name: str) -> int:

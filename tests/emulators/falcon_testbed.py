@@ -10,8 +10,9 @@ here are the kernel's answers to libusb. It may ask for changes over the socket 
 The first argument, places in the world's frame: place (m), press (m: how far the hand then goes down), drag (m: and to
 the side), homed (false: the hand homes it), gain (motor counts per N m), firmware (bytes it wants first), spoil (tries
 spoilt), serial, hand (false: nobody holds the knob), late_every (every so many, a reply comes 4 ms late), and from
-which step on what happens: lost_after, mute_after, broken_after (an error on the bus), block_after (takes no more transfers
-out), garble_after (sends noise), unhomed_after (forgets its zeros), weight_after (weight_kg is hung on the knob).
+which step on what happens: lost_after, mute_after, broken_after (an error on the bus), block_after (takes no more
+transfers out), garble_after (sends noise), unhomed_after (forgets its zeros), weight_after (weight_kg is hung on the
+knob).
 """
 
 from __future__ import annotations
@@ -119,6 +120,8 @@ class Bed:
         if request == CAPABILITIES:
             argument.resolve(0, 4).update(0, struct.pack("<I", 7))
         elif request == CLAIM:
+            # What a program before had under way ended when its node was closed, which umockdev does not tell.
+            self.waiting, self.blocked, self.done = [], [], []
             code = -EBUSY if self.made == "busy" else 0
         elif request == GET_DRIVER:
             code = -ENODATA
