@@ -43,7 +43,7 @@ EAGAIN, EBUSY, EINVAL, ENODEV, ENODATA, ENOENT, ENOTTY, EPROTO, ESHUTDOWN = 11, 
 SUBMIT, DISCARD, REAP, REAP_NOW = 0x8038550A, 0x550B, 0x4008550C, 0x4008550D
 CAPABILITIES, GET_DRIVER, CLAIM, RELEASE = 0x8004551A, 0x41045508, 0x8004550F, 0x80045510
 SET_CONFIGURATION, RESET, CLEAR_HALT, IOCTL, SET_INTERFACE = 0x80045505, 0x5514, 0x80045515, 0xC0105512, 0x80085504
-TAKEN = {RELEASE, SET_CONFIGURATION, RESET, CLEAR_HALT, SET_INTERFACE}
+TAKEN = {SET_CONFIGURATION, RESET, CLEAR_HALT, SET_INTERFACE}
 CONTROL, BULK = 2, 3
 DEVICE = "/devices/pci0000:00/0000:00:14.0/usb1/1-1"
 NODE = "/dev/bus/usb/001/002"
@@ -88,6 +88,7 @@ class Bed:
         self.done: list[object] = []
         self.waiting: list[tuple[object, object, int, float]] = []
         self.blocked: list[object] = []
+        self.claimed = False
         self.ready_at = 0.0
         self.ioctls = 0
         self.bed = UMockdev.Testbed.new()
@@ -120,9 +121,11 @@ class Bed:
         if request == CAPABILITIES:
             argument.resolve(0, 4).update(0, struct.pack("<I", 7))
         elif request == CLAIM:
-            # What a program before had under way ended when its node was closed, which umockdev does not tell.
-            self.waiting, self.blocked, self.done = [], [], []
-            code = -EBUSY if self.made == "busy" else 0
+            code = -EBUSY if self.made == "busy" or self.claimed else 0
+            self.claimed = self.claimed or code == 0
+        elif request == RELEASE:
+            # What is still under way ends with the node's closing, which umockdev does not tell.
+            self.claimed, self.waiting, self.blocked, self.done = False, [], [], []
         elif request == GET_DRIVER:
             code = -ENODATA
         elif request == SUBMIT:
