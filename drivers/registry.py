@@ -17,6 +17,7 @@ from softfinger.config.errors import DeviceError, DeviceNotFound
 
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
 BUILT_IN: Final = {
+    "falcon": "softfinger.drivers.falcon",
     "forcedimension": "softfinger.drivers.forcedimension",
     "hid": "softfinger.drivers.hid",
     "replay": "softfinger.drivers.replay",

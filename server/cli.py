@@ -36,6 +36,7 @@ VERBS: Final = {
     "warmup": Verb("softfinger.server.warmup", "compile the kernels ahead"),
     "accuracy": Verb("softfinger.tools.accuracy.verb", "measure: rolling methods, speed against accuracy"),
     "stability": Verb("softfinger.tools.stability.verb", "measure: the stiffest stable wall, in closed loop"),
+    "calibrate": Verb("softfinger.tools.calibrate", "measure: a Falcon's motor counts per N m, with a known weight"),
     "bench": Verb("softfinger.tools.bench.verb", "measure: cost per step, wake-up lateness, telemetry latency"),
 }
 """Every verb. A verb of `tools` is named, not imported: the server does not depend on the tools."""

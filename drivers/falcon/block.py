@@ -1,0 +1,53 @@
+"""The block of int64 words that a Falcon's C functions share with Python; its address is the device's handle."""
+
+from typing import Final
+
+# Words of the block. Counters first.
+REPLIES: Final = 0  # whole packets received
+PASSED: Final = 1  # of these, older ones passed over for a newer
+WRITTEN: Final = 2  # packets sent
+HELD: Final = 3  # forces not sent, because an answer or the bus was late
+KICKS: Final = 4  # zeros sent into a silence
+CUT: Final = 5  # forces that the motors could not give
+GARBLED: Final = 6  # pieces of the stream that were no packet
+UNREACHED: Final = 7  # encoder counts to which no place of the knob belongs
+# Settings:
+CONTEXT: Final = 8  # libusb's
+SUBMIT: Final = 9  # addresses of libusb's functions
+HANDLE_EVENTS: Final = 10
+CANCEL: Final = 11
+IN: Final = 12  # addresses of the transfers
+OUT: Final = 13
+KICK: Final = 14  # ns of silence
+TIMEOUT_AFTER: Final = 15  # ns of silence
+LIGHTS: Final = 16  # bits of the state byte, the homing request among them
+# Shared with other threads:
+OPEN: Final = 17
+ARMED: Final = 18
+LOCK: Final = 19  # held in every exchange
+# Of the exchange:
+IN_DONE: Final = 20  # set by libusb's call back; together with the next, each transfer's user data
+OUT_DONE: Final = 21
+AWAITED: Final = 22  # packets without an answer
+PUSHES: Final = 23  # whether the last packet sent was a force
+SENSED: Final = 24  # whether there is a sample to repeat
+HOMED: Final = 25  # bits of the last reply
+STAYS_HOMED: Final = 26  # the bits were seen without the homing request, so losing them means something
+HEARD_AT: Final = 27  # ns, when the newest reply was taken
+READ_AT: Final = 28  # ns, when the loop last read
+SENT_AT: Final = 29  # ns
+OPENED_AT: Final = 30  # ns
+FILL: Final = 31  # bytes in PACKET
+ERROR: Final = 32  # libusb's, at the failure
+# Memory:
+PACKET: Final = 33  # 16 bytes being put together
+NEWEST: Final = 35  # 16 bytes of the newest reply
+TIMESPEC: Final = 37  # two words, also a struct timeval
+COUNTS: Final = 39  # three, of the newest reply
+POSITION: Final = 42  # three float64: m, device's frame
+SAMPLE: Final = 45  # nine float64, the last one
+CENTRE: Final = 54  # three float64: m, device's frame
+GAIN: Final = 57  # a float64: motor counts per N m
+BUFFER_IN: Final = 58  # 64 bytes
+BUFFER_OUT: Final = 66  # 16 bytes
+WORDS: Final = 68

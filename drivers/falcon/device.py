@@ -1,0 +1,214 @@
+"""A Falcon behind the contract: memory of the exchange, homing, and zero force on every way out."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import time
+from functools import partial
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.falcon import block, delta, exchange, firmware, packets, usb
+from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
+
+log: Final = logging.getLogger(__name__)
+
+TORQUE_MAX_NM: Final = 1e2
+"""No motor turns the knob, but the torque is taken: it belongs to the contact and to telemetry."""
+FORCE_MAX_N: Final = 8.0
+STIFFNESS_MAX_N_PER_M: Final = 3000.0
+DAMPING_MAX_NS_PER_M: Final = 20.0
+RADIUS_M: Final = 0.04
+"""Recommended maxima for the device, about the workspace centre."""
+STOP_WAIT_S: Final = 1.0
+"""How long a stop waits for a packet under way. One that takes longer hangs in the bus."""
+PAUSE_S: Final = 0.001
+"""Between exchanges of homing, and between tries to stop."""
+
+_TRANSFER_BULK: Final = 2
+
+
+class Transfer(ctypes.Structure):
+    """struct libusb_transfer."""
+
+    _fields_: ClassVar[list[Any]] = [
+        ("dev_handle", ctypes.c_void_p),
+        ("flags", ctypes.c_uint8),
+        ("endpoint", ctypes.c_ubyte),
+        ("type", ctypes.c_ubyte),
+        ("timeout", ctypes.c_uint),
+        ("status", ctypes.c_int),
+        ("length", ctypes.c_int),
+        ("actual_length", ctypes.c_int),
+        ("callback", ctypes.c_void_p),
+        ("user_data", ctypes.c_void_p),
+        ("buffer", ctypes.c_void_p),
+        ("num_iso_packets", ctypes.c_int),
+    ]
+
+
+class Falcon(Device):
+    """An open device on a line behind which firmware runs; it owns the line from now on."""
+
+    def __init__(self, options: Options, line: usb.Line) -> None:
+        self._options, self._line = options, line
+        self._word = np.zeros(block.WORDS, dtype=np.int64)
+        self.info = DeviceInfo(
+            name=f"Novint Falcon {usb.VENDOR:04x}:{usb.PRODUCT:04x}",
+            sensed_dof=3,
+            actuated_dof=3,
+            force_max_n=FORCE_MAX_N,
+            torque_max_nm=TORQUE_MAX_NM,
+            stiffness_max_n_per_m=STIFFNESS_MAX_N_PER_M,
+            damping_max_ns_per_m=DAMPING_MAX_NS_PER_M,
+            workspace_min_m=(-RADIUS_M,) * 3,
+            workspace_max_m=(RADIUS_M,) * 3,
+        )
+        try:
+            self._set_up()
+            self._home()
+            if options.counts_per_nm is None:
+                log.warning(
+                    "%s: force is not calibrated: %g motor counts per N m are assumed, and the true number may be "
+                    "several times smaller or larger; `counts_per_nm` in the rig sets it (docs/falcon.md)",
+                    self.info.name, COUNTS_PER_NM,
+                )  # fmt: skip
+            self._word[block.LIGHTS] = packets.GREEN
+            self._word[block.SENSED] = 0  # the first sample is one of the servo's own time
+            self._word[block.ARMED] = 1
+        except BaseException:
+            self.close()
+            raise
+
+    def _set_up(self) -> None:
+        word, options = self._word, self._options
+        self._libusb = libusb = self._line.libusb()
+        call = libusb.library
+        # pyusb has declared these already, in its own types: called by address, they need none.
+        self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(call, "libusb_free_transfer"))
+        allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(_address(call, "libusb_alloc_transfer"))
+        word[block.CONTEXT] = libusb.context
+        word[block.SUBMIT] = _address(call, "libusb_submit_transfer")
+        word[block.HANDLE_EVENTS] = _address(call, "libusb_handle_events_timeout_completed")
+        word[block.CANCEL] = _address(call, "libusb_cancel_transfer")
+        word[block.KICK] = round(options.kick_s * 1e9)
+        word[block.TIMEOUT_AFTER] = round(options.timeout_s * 1e9)
+        word[block.OPENED_AT] = time.monotonic_ns()
+        real = word.view(np.float64)
+        real[block.CENTRE : block.CENTRE + 3] = options.centre_m
+        gain = options.counts_per_nm or COUNTS_PER_NM
+        real[block.GAIN] = -gain if options.motors_reversed else gain
+        real[block.POSITION : block.POSITION + 3] = delta.HOME
+        real[block.SAMPLE + 3] = 1.0  # it senses no rotation
+        at = word.ctypes.data
+        for place, endpoint, flag, buffer, length in (
+            (block.IN, usb.ENDPOINT_IN, block.IN_DONE, block.BUFFER_IN, exchange.IN_BYTES),
+            (block.OUT, usb.ENDPOINT_OUT, block.OUT_DONE, block.BUFFER_OUT, packets.SIZE),
+        ):
+            address = allocate(0)
+            if not address:
+                raise DeviceError("libusb has no memory for a transfer: close other programs")
+            word[place], word[flag] = address, 1
+            transfer = Transfer.from_address(address)
+            transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
+            transfer.callback, transfer.user_data = exchange.done.address, at + 8 * flag
+            transfer.buffer, transfer.length = at + 8 * buffer, length
+        _under_way[at] = word
+        word[block.OPEN] = 1
+        if exchange.begin.ctypes(at) < 0:
+            raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[block.ERROR]}): replug it")
+
+    def _home(self) -> None:
+        """Wait until the device knows where its encoders' zeros are: the user moves the knob out and in."""
+        word, read, write = self._word, exchange.read.ctypes, exchange.write.ctypes
+        word[block.LIGHTS] = packets.RED | packets.HOMING
+        pointer = read.argtypes[1]
+        sample, zero = np.zeros(SAMPLE_SIZE), np.zeros(6)
+        until, told = time.monotonic() + self._options.homing_s, False
+        while True:
+            status = read(word.ctypes.data, sample.ctypes.data_as(pointer))
+            if status == TIMEOUT:
+                raise DeviceTimeout(f"{self.info.name} does not answer: switch it off and on, then start again")
+            if status < 0:
+                raise DeviceLost(f"{self.info.name} is gone (status {status}): plug in its USB cable and its power")
+            if word[block.HOMED] == packets.HOMED:
+                return
+            if not told:
+                log.warning(
+                    "%s: pull the knob out all the way, then push it in, until the light is green", self.info.name
+                )
+                told = True
+            if time.monotonic() > until:
+                raise DeviceTimeout(
+                    f"{self.info.name} was not homed in {self._options.homing_s:g} s: pull the knob out all the way, "
+                    "then push it in, until the red light turns green; `homing_s` in the rig gives more time"
+                )
+            write(word.ctypes.data, zero.ctypes.data_as(pointer))
+            time.sleep(PAUSE_S)
+
+    def io(self) -> DeviceIO:
+        return DeviceIO(exchange.read.address, exchange.write.address, self._word.ctypes.data)
+
+    def stop(self) -> None:
+        if not self._until_done(exchange.silence):
+            log.error("%s: a packet has hung for %g s; no zero can follow it", self.info.name, STOP_WAIT_S)
+
+    def close(self) -> None:
+        if not self._word[block.IN]:
+            self._line.close()
+            return
+        self._word[block.LIGHTS] = packets.RED
+        self._word[block.PUSHES] = 1  # so that a last zero goes out in any case, and the light with it
+        self.stop()
+        if self._until_done(exchange.withdraw):
+            for place in (block.IN, block.OUT):
+                if self._word[place]:
+                    self._free(int(self._word[place]))
+            _under_way.pop(self._word.ctypes.data, None)
+        else:  # neither the transfers nor the block are given back
+            log.error("%s: libusb does not end its transfers", self.info.name)
+        self._word[block.IN] = self._word[block.OUT] = 0
+        self._line.close()
+
+    def reason(self) -> str:
+        if self._word[block.STAYS_HOMED] and self._word[block.HOMED] != packets.HOMED:
+            return "it has lost the zeros of its encoders (its power was off?): start again and home it"
+        error = int(self._word[block.ERROR])
+        return f"libusb's error {error}" if error else ""
+
+    def counts(self, name: int) -> int:
+        """One of the counters of `block`: REPLIES, PASSED, WRITTEN, HELD, KICKS, CUT, GARBLED or UNREACHED."""
+        return int(self._word[name])
+
+    @property
+    def counts_per_nm(self) -> float:
+        """Motor counts per N m at a leg that forces are sent with."""
+        return self._options.counts_per_nm or COUNTS_PER_NM
+
+    def _until_done(self, function: Any) -> bool:
+        until = time.monotonic() + STOP_WAIT_S
+        while not function.ctypes(self._word.ctypes.data):
+            if time.monotonic() > until:
+                return False
+            time.sleep(PAUSE_S / 10)
+        return True
+
+
+_under_way: Final[dict[int, Any]] = {}
+"""Blocks that libusb may write to, by their address: they outlive a device that is dropped without `close`."""
+
+
+def _address(library: ctypes.CDLL, name: str) -> int:
+    return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
+
+
+def open_device(options: Options, rate_hz: float) -> Falcon:
+    """Open the Falcon a rig names: firmware sent where none runs, homed by the user. Any `rate_hz` will do.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceTimeout or DeviceError, each with what to do.
+    """
+    return Falcon(options, firmware.start(partial(usb.open_line, options.serial), options.firmware))

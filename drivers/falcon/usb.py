@@ -1,0 +1,179 @@
+"""The Falcon on the bus: found, opened for this process alone, its serial chip set.
+
+Everything before the loop goes through pyusb; the loop takes pyusb's own libusb and handle, and calls libusb itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import usb.core
+import usb.util
+
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DevicePermission
+
+VENDOR: Final = 0x0403
+PRODUCT: Final = 0xCB48
+INTERFACE: Final = 0
+ENDPOINT_OUT: Final = 0x02
+ENDPOINT_IN: Final = 0x81
+PACKET_BYTES: Final = 64
+STATUS_BYTES: Final = 2
+"""In front of every packet from the chip: its modem status."""
+TIMEOUT_MS: Final = 1000
+
+NODES: Final = Path("/dev/bus/usb")
+RULE: Final = 'SUBSYSTEM=="usb", ATTRS{idVendor}=="0403", ATTRS{idProduct}=="cb48", MODE="0660", TAG+="uaccess"'
+RULE_FILE: Final = "/etc/udev/rules.d/60-falcon.rules"
+
+# Requests of the chip, and their values.
+_TO_CHIP: Final = 0x40  # vendor request, host to device
+PURGE: Final = 0
+PURGE_RECEIVED, PURGE_SENT = 1, 2
+MODEM: Final = 1
+RTS_LOW, DTR_LOW, DTR_HIGH = 0x0200, 0x0100, 0x0101
+FLOW: Final = 2
+NO_FLOW: Final = 0
+BAUD: Final = 3
+BAUD_9600, BAUD_140000, BAUD_1500000 = 0x4138, 0x0015, 0x0002
+LINE: Final = 4
+LINE_8N1: Final = 0x0008
+LATENCY: Final = 9
+LATENCY_BOOT_MS, LATENCY_RUN_MS = 16, 1
+
+
+class Libusb(NamedTuple):
+    """What the loop calls: libusb as pyusb has loaded it, its context, and the open device."""
+
+    library: ctypes.CDLL
+    context: int
+    handle: int
+
+
+class Line:
+    """An open Falcon: requests to its serial chip, bytes over it. DeviceLost when it does not take them."""
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+        self._waiting = bytearray()
+
+    def request(self, request: int, value: int) -> None:
+        try:
+            self._device.ctrl_transfer(_TO_CHIP, request, value, 0, None, TIMEOUT_MS)
+        except usb.core.USBError as error:
+            raise _gone(error) from error
+
+    def purge(self) -> None:
+        self.request(PURGE, PURGE_RECEIVED)
+        self.request(PURGE, PURGE_SENT)
+        self._waiting.clear()
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._device.write(ENDPOINT_OUT, data, TIMEOUT_MS)
+        except usb.core.USBError as error:
+            raise _gone(error) from error
+
+    def read(self, count: int, transfers: int) -> bytes:
+        """Up to `count` bytes, from at most so many transfers: a transfer without data takes the chip's latency."""
+        for _ in range(transfers):
+            if len(self._waiting) >= count:
+                break
+            try:
+                self._waiting += bytes(self._device.read(ENDPOINT_IN, PACKET_BYTES, TIMEOUT_MS))[STATUS_BYTES:]
+            except usb.core.USBTimeoutError:
+                break
+            except usb.core.USBError as error:
+                raise _gone(error) from error
+        data = bytes(self._waiting[:count])
+        del self._waiting[:count]
+        return data
+
+    def run_mode(self) -> None:
+        """Set the chip as the running firmware has it."""
+        self.purge()
+        self.request(LATENCY, LATENCY_RUN_MS)
+        self.request(BAUD, BAUD_1500000)
+        self.purge()
+
+    def libusb(self) -> Libusb:
+        # pyusb hands out neither; both stand in its context since 1.0, and this program asks for 1.3.
+        backend = self._device._ctx.backend
+        handle = self._device._ctx.handle.handle
+        return Libusb(backend.lib, int(backend.ctx.value), int(handle.value))
+
+    def close(self) -> None:
+        """Release the device. Any number of times."""
+        with contextlib.suppress(usb.core.USBError):  # it may be gone
+            usb.util.release_interface(self._device, INTERFACE)
+        usb.util.dispose_resources(self._device)
+
+
+def open_line(serial: str | None) -> Line:
+    """The one Falcon that is attached, or the one with this serial number, claimed for this process.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
+    """
+    try:
+        found: list[Any] = list(usb.core.find(find_all=True, idVendor=VENDOR, idProduct=PRODUCT))
+    except usb.core.NoBackendError as error:
+        raise DeviceError(
+            "libusb is not installed, and the Falcon is reached through it: `apt install libusb-1.0-0`"
+        ) from error
+    except usb.core.USBError as error:
+        raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb is there") from error
+    if not found:
+        raise DeviceNotFound(f"no Falcon ({_ids()}) is attached: plug in its USB cable and its power")
+    device = _choose(found, serial)
+    name = f"Falcon ({_ids()}) at {NODES}/{device.bus:03d}/{device.address:03d}"
+    try:
+        with contextlib.suppress(NotImplementedError):  # libusb where the system has no drivers to detach
+            if device.is_kernel_driver_active(INTERFACE):
+                device.detach_kernel_driver(INTERFACE)
+        usb.util.claim_interface(device, INTERFACE)
+    except usb.core.USBError as error:
+        usb.util.dispose_resources(device)
+        raise _unopened(name, error) from error
+    return Line(device)
+
+
+def _ids() -> str:
+    return f"{VENDOR:04x}:{PRODUCT:04x}"
+
+
+def _choose(found: list[Any], serial: str | None) -> Any:
+    if serial is None and len(found) == 1:
+        return found[0]
+    serials = {}
+    for device in found:
+        try:
+            serials[device.serial_number or ""] = device
+        except (usb.core.USBError, ValueError):  # ValueError: pyusb's word for a device it may not ask
+            serials[f"? at {NODES}/{device.bus:03d}/{device.address:03d}"] = device
+    listed = ", ".join(f"'{one}'" for one in sorted(serials))
+    if serial is None:
+        raise DeviceNotFound(f"{len(found)} Falcons are attached: name one with serial: {listed}")
+    if serial not in serials:
+        raise DeviceNotFound(f"no Falcon has the serial number '{serial}': attached are {listed}")
+    return serials[serial]
+
+
+def _unopened(name: str, error: usb.core.USBError) -> DeviceError:
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return DevicePermission(
+            f"{name} may not be opened by this user: put the line {RULE} into {RULE_FILE}, run "
+            "`sudo udevadm control --reload && sudo udevadm trigger`, and plug the device in again"
+        )
+    if error.errno == errno.EBUSY:
+        return DeviceBusy(f"{name} is held by another program: close that one first")
+    if error.errno in (errno.ENODEV, errno.ENOENT):
+        return DeviceNotFound(f"{name} is not there any more: plug in its USB cable and its power")
+    return DeviceError(f"{name} cannot be opened: {error}: unplug it, plug it in again")
+
+
+def _gone(error: usb.core.USBError) -> DeviceLost:
+    return DeviceLost(f"the Falcon does not take what it is sent ({error}): plug in its USB cable and its power")

@@ -1,0 +1,317 @@
+"""An emulated Falcon as a USB device of umockdev, and a program run beside it that sees no other devices.
+
+    umockdev-wrapper /usr/bin/python3 falcon_testbed.py '{"place": [0, 0, 0.01]}' program argument ...
+
+Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The program's exit code is this one's; what the emulated
+device saw goes to the last line of standard output as JSON. The program reaches the device through the true libusb;
+here are the kernel's answers to libusb. It may ask for changes over the socket that FALCON_TESTBED names, in lines:
+`displayed`, `place`, `make CASE`, `mend`.
+
+The first argument, places in the world's frame: place (m), press (m: how far the hand then goes down), drag (m: and to
+the side), homed (false: the hand homes it), gain (motor counts per N m), firmware (bytes it wants first), spoil (tries
+spoilt), serial, hand (false: nobody holds the knob), late_every (every so many, a reply comes 4 ms late), and from
+which step on what happens: lost_after, mute_after, broken_after (an error on the bus), block_after (takes no more
+transfers out), garble_after (sends noise), unhomed_after (forgets its zeros), weight_after (weight_kg is hung on the
+knob).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import gi
+
+gi.require_version("UMockdev", "1.0")
+from gi.repository import GLib, UMockdev  # noqa: E402
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from emulators.falcon import CENTRE, Falcon, homing  # noqa: E402
+from emulators.hand import stroke  # noqa: E402
+
+EAGAIN, EBUSY, EINVAL, ENODEV, ENODATA, ENOENT, ENOTTY, EPROTO, ESHUTDOWN = 11, 16, 22, 19, 61, 2, 25, 71, 108
+# From <linux/usbdevice_fs.h>.
+SUBMIT, DISCARD, REAP, REAP_NOW = 0x8038550A, 0x550B, 0x4008550C, 0x4008550D
+CAPABILITIES, GET_DRIVER, CLAIM, RELEASE = 0x8004551A, 0x41045508, 0x8004550F, 0x80045510
+SET_CONFIGURATION, RESET, CLEAR_HALT, IOCTL, SET_INTERFACE = 0x80045505, 0x5514, 0x80045515, 0xC0105512, 0x80085504
+TAKEN = {SET_CONFIGURATION, RESET, CLEAR_HALT, SET_INTERFACE}
+CONTROL, BULK = 2, 3
+DEVICE = "/devices/pci0000:00/0000:00:14.0/usb1/1-1"
+NODE = "/dev/bus/usb/001/002"
+
+
+def descriptors() -> bytes:
+    """Device and configuration, as the chip has them: one vendor interface, bulk in 0x81 and out 0x02."""
+    device = bytes([18, 1, 0, 2, 0, 0, 0, 8]) + struct.pack("<HHH", 0x0403, 0xCB48, 0x0400) + bytes([1, 2, 3, 1])
+    interface = bytes([9, 4, 0, 0, 2, 255, 255, 255, 0])
+    ends = b"".join(bytes([7, 5, end, 2, 64, 0, 0]) for end in (0x81, 0x02))
+    body = interface + ends
+    return device + bytes([9, 2]) + struct.pack("<H", 9 + len(body)) + bytes([1, 1, 0, 0x80, 45]) + body
+
+
+def strings(serial: str) -> dict[int, bytes]:
+    """String descriptors by index; 0 is the language."""
+    texts = {1: "FTDI", 2: "FALCON HAPTIC", 3: serial}
+    found = {n: bytes([2 + 2 * len(t), 3]) + t.encode("utf-16le") for n, t in texts.items()}
+    return {0: bytes([4, 3, 9, 4]), **found}
+
+
+class Bed:
+    """The node, and what happens to it."""
+
+    def __init__(self, case: dict) -> None:
+        self.case, self.made = case, ""
+        world = stroke(tuple(case.get("place", (0.0, 0.0, 0.01))), case.get("press", 0.0), case.get("drag", 0.0))
+
+        def intention(at: float) -> tuple[float, float, float]:
+            right, away, up = world(at)
+            return (CENTRE[0] + right, CENTRE[1] + up, CENTRE[2] - away)
+
+        homed = case.get("homed", True)
+        firmware = case.get("firmware")
+        self.falcon = Falcon(
+            intention if homed else homing(intention), case.get("gain", -10000.0),
+            None if firmware is None else random.Random(firmware).randbytes(firmware), case.get("spoil", 0), homed,
+        )  # fmt: skip
+        if not case.get("hand", True):
+            self.falcon.hand_spring = self.falcon.hand_damper = 0.0
+        self.strings = strings(case.get("serial", "SN42"))
+        self.done: list[object] = []
+        self.waiting: list[tuple[object, object, int, float]] = []
+        self.blocked: list[object] = []
+        self.claimed = False
+        self.ready_at = 0.0
+        self.ioctls = 0
+        self.bed = UMockdev.Testbed.new()
+        self._add()
+        self.node = UMockdev.IoctlBase()
+        self.node.connect("handle-ioctl", self._ioctl)
+        self.bed.attach_ioctl(NODE, self.node)
+
+    def _add(self) -> None:
+        blob = descriptors().hex().upper()
+        names = "BUSNUM=001 DEVNUM=002 MAJOR=189 MINOR=1 PRODUCT=403/cb48/400 SUBSYSTEM=usb DEVTYPE=usb_device"
+        attributes = (
+            "busnum=1 devnum=2 bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
+        )
+        lines = [f"P: {DEVICE}", f"N: {NODE.removeprefix('/dev/')}={blob}", f"E: DEVNAME={NODE}"]
+        lines += [f"E: {one}" for one in names.split()] + [f"A: {one}\\n" for one in attributes.split()]
+        self.bed.add_from_string("\n".join([*lines, f"H: descriptors={blob}", ""]))
+
+    def _past(self, event: str) -> bool:
+        return self.falcon.steps >= self.case.get(event, float("inf"))
+
+    @property
+    def lost(self) -> bool:
+        return self.made == "lost" or self._past("lost_after")
+
+    def _ioctl(self, _: object, client: object) -> bool:
+        request, argument = client.get_request(), client.get_arg()
+        self.ioctls += 1
+        code = 0
+        if request == CAPABILITIES:
+            argument.resolve(0, 4).update(0, struct.pack("<I", 7))
+        elif request == CLAIM:
+            code = -EBUSY if self.made == "busy" or self.claimed else 0
+            self.claimed = self.claimed or code == 0
+        elif request == RELEASE:
+            # What is still under way ends with the node's closing, which umockdev does not tell.
+            self.claimed, self.waiting, self.blocked, self.done = False, [], [], []
+        elif request == GET_DRIVER:
+            code = -ENODATA
+        elif request == SUBMIT:
+            code = self._submit(argument)
+        elif request in (REAP, REAP_NOW):
+            code = self._reap(argument)
+        elif request == DISCARD:
+            code = self._discard()
+        elif request not in TAKEN:
+            code = -ENOTTY
+        client.complete(-1 if code else 0, -code)
+        return True
+
+    def _submit(self, argument: object) -> int:
+        if self.lost:
+            self.falcon.motors = (0, 0, 0)  # no cable, no force
+            return -ENODEV
+        urb = argument.resolve(0, 56)
+        raw = bytes(urb.retrieve())
+        kind, end = raw[0], raw[1]
+        length = struct.unpack_from("<i", raw, 24)[0]
+        buffer = urb.resolve(16, length) if length else None
+        if kind == CONTROL:
+            self._control(urb, buffer)
+        elif end & 0x80:
+            self.waiting.append((urb, buffer, length, time.monotonic()))
+        elif self._past("block_after"):
+            self.blocked.append(urb)
+        else:
+            before = len(self.falcon.reply)
+            self.falcon.write(bytes(buffer.retrieve())[:length])
+            self._spoil(before)
+            self._finish(urb, 0, length)
+        return 0
+
+    def _spoil(self, before: int) -> None:
+        """What is done to the replies that have just been made."""
+        falcon, late = self.falcon, self.case.get("late_every")
+        if self.made == "timeout" or self._past("mute_after"):
+            del falcon.reply[before:]
+        elif self._past("garble_after"):
+            falcon.reply[before:] = os.urandom(16)
+        elif self._past("unhomed_after"):
+            falcon.found = [False] * 3
+        if self._past("weight_after"):
+            falcon.weight = self.case["weight_kg"] * 9.80665
+        if self.made == "late":
+            self.ready_at = time.monotonic() + 0.02
+        if late and falcon.steps % late == 0:
+            self.ready_at = time.monotonic() + 0.004
+
+    def _control(self, urb: object, buffer: object) -> None:
+        setup = bytes(buffer.retrieve())
+        kind, request, value, index, length = struct.unpack_from("<BBHHH", setup)
+        if kind == 0x80 and request == 6 and value >> 8 == 3 and (value & 255) in self.strings:
+            text = self.strings[value & 255][:length]
+            buffer.update(8, text)
+            self._finish(urb, 0, len(text))
+        elif kind & 0x80:
+            self._finish(urb, -EPROTO, 0)
+        else:
+            self.falcon.request(kind, request, value, index)
+            self._finish(urb, 0, length)
+
+    def _finish(self, urb: object, status: int, actual: int) -> None:
+        urb.update(4, struct.pack("<i", status))
+        urb.update(28, struct.pack("<i", actual))
+        self.done.append(urb)
+
+    def _reap(self, argument: object) -> int:
+        if self.lost:
+            self.falcon.motors = (0, 0, 0)
+            for urb in [one[0] for one in self.waiting] + self.blocked:
+                self._finish(urb, -ESHUTDOWN, 0)
+            self.waiting, self.blocked = [], []
+        elif self.waiting:
+            urb, buffer, length, since = self.waiting[0]
+            now = time.monotonic()
+            ready = self.falcon.reply and now >= self.ready_at
+            if self._past("broken_after"):
+                self.waiting.pop(0)
+                self._finish(urb, -EPROTO, 0)
+            elif ready or now - since >= self.falcon.latency_ms / 1e3:
+                data = self.falcon.read(length if ready else 2)
+                buffer.update(0, data)
+                self.waiting.pop(0)
+                self._finish(urb, 0, len(data))
+        if not self.done:
+            return -ENODEV if self.lost else -EAGAIN
+        argument.resolve(0, 8).set_ptr(0, self.done.pop(0))
+        return 0
+
+    def _discard(self) -> int:
+        # The request's argument is the address of a URB in the program, which umockdev does not show. Only a program
+        # that gives up discards, and then all that it has.
+        waiting = [one[0] for one in self.waiting] + self.blocked
+        self.waiting, self.blocked = [], []
+        for urb in waiting:
+            self._finish(urb, -ENOENT, 0)
+        return 0 if waiting else -EINVAL
+
+    def answer(self, line: str) -> str:
+        """One line of the program's."""
+        word, _, rest = line.partition(" ")
+        if word == "displayed":
+            right, up, out = (0.0, 0.0, 0.0) if self.lost else self.falcon.displayed
+            return json.dumps([right, -out, up])
+        if word == "place":
+            right, up, out = (p - c for p, c in zip(self.falcon.place, CENTRE, strict=True))
+            return json.dumps([right, -out, up])
+        node = os.path.join(self.bed.get_root_dir(), NODE.removeprefix("/"))
+        if self.made == "not_found":
+            self._add()
+            self.bed.attach_ioctl(NODE, self.node)
+            self.bed.uevent(f"/sys{DEVICE}", "add")
+        elif self.made == "permission":
+            os.chmod(node, 0o600)
+        self.made = rest if word == "make" else ""
+        if self.made == "not_found":
+            self.bed.uevent(f"/sys{DEVICE}", "remove")
+            self.bed.detach_ioctl(NODE)
+            self.bed.remove_device(f"/sys{DEVICE}")
+        elif self.made == "permission":
+            os.chmod(node, 0)
+        return "null"
+
+    def seen(self) -> dict:
+        """What the device was sent."""
+        f = self.falcon
+        return {
+            "steps": f.steps, "motors": f.motors, "most": f.most, "state": f.state, "place": f.place, "runs": f.runs,
+            "loads": f.loads, "requests": f.requests[:6], "found": f.found, "ioctls": self.ioctls,
+        }  # fmt: skip
+
+
+def serve(bed: Bed, path: str) -> None:
+    """Answer the program's lines, each in the thread that also answers libusb."""
+    server = socket.socket(socket.AF_UNIX)
+    server.bind(path)
+    server.listen()
+
+    def run() -> None:
+        while True:
+            end, _ = server.accept()
+            with end, end.makefile("rw") as stream:
+                for line in stream:
+                    answers: list[str] = []
+                    ready = threading.Event()
+
+                    def ask(text: str = line.strip(), into: list = answers, flag: threading.Event = ready) -> bool:
+                        into.append(bed.answer(text))
+                        flag.set()
+                        return False
+
+                    GLib.idle_add(ask, priority=GLib.PRIORITY_DEFAULT)
+                    ready.wait()
+                    stream.write(answers[0] + "\n")
+                    stream.flush()
+
+    threading.Thread(target=run, daemon=True).start()
+
+
+def main() -> int:
+    bed, loop, code = Bed(json.loads(sys.argv[1])), GLib.MainLoop(), []
+    folder = tempfile.mkdtemp()
+    path = os.path.join(folder, "testbed")
+    serve(bed, path)
+    os.environ["FALCON_TESTBED"] = path
+    command = sys.argv[2:]
+    if os.geteuid() == 0:  # to root, no file is forbidden
+        command = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", *command]
+
+    def run() -> None:
+        # The environment of the C library is passed on, to which umockdev has added where the emulated files are.
+        code.append(subprocess.run(command, check=False).returncode)
+        loop.quit()
+
+    threading.Thread(target=run, daemon=True).start()
+    loop.run()
+    os.remove(path)
+    os.rmdir(folder)
+    print(json.dumps(bed.seen()), flush=True)
+    return code[0]
+
+
+if __name__ == "__main__":
+    result = main()
+    sys.stdout.flush()
+    os._exit(result)  # umockdev's own threads would keep the process

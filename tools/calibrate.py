@@ -1,0 +1,174 @@
+"""How many motor counts a Falcon takes for a N m, from a weight of known mass.
+
+The knob is held where it is, by spring, damper and an integral that leaves no error. The change of the vertical force
+that holding takes when the weight is hung on the knob, in the counts that were sent, is the weight: with m g the true
+force and F the one that was meant, the true number of counts is F / (m g) times the one in use.
+
+Friction of the legs holds a part of the weight, one time more, another less: repeat, and take the mean.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import ConfigError, DeviceError, DeviceLost
+from softfinger.config.load import load_rig
+from softfinger.drivers.base import SAMPLE_SIZE, Device
+from softfinger.drivers.falcon import Falcon
+from softfinger.server.app import open_device
+from softfinger.tools import measure
+
+GRAVITY: Final = 9.80665
+MASS_KG: Final = (0.02, 0.4)
+"""Lighter is lost in friction, heavier is more than some Falcons hold with an unknown gain."""
+SPRING_N_PER_M: Final = 150.0
+DAMPER_NS_PER_M: Final = 3.0
+INTEGRAL_N_PER_MS: Final = 300.0
+"""A hold soft enough for a gain that is five times too small or too large."""
+FORCE_MAX_N: Final = 6.0
+ESCAPE_M: Final = 0.03
+"""A knob this far from where it is held runs away: the force has the wrong sign, or is much too small."""
+PAUSE_S: Final = 0.001
+WINDOW_S: Final = 1.0
+SETTLE_S: Final = 1.0
+STEADY_N: Final = 0.05
+"""Largest change of the holding force between two windows that counts as rest."""
+HUNG: Final = 0.1
+"""Share of the weight, as the gain in use has it, that the holding force has to change by for it to be hung."""
+
+Array = NDArray[np.float64]
+
+
+class Hold:
+    """Holds the knob; keeps time (s) and vertical force (N) of every exchange."""
+
+    def __init__(self, device: Device) -> None:
+        io = device.io()
+        function = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+        self._read, self._write, self._handle = function(io.read), function(io.write), io.handle
+        self._sample, self._wrench = np.zeros(SAMPLE_SIZE), np.zeros(6)
+        self._integral, self._speed = np.zeros(3), np.zeros(3)
+        self._exchange(self._read, self._sample, "read")
+        self._place = self._last = self._sample[:3].copy()
+        self._then = time.monotonic()
+        self.record: list[tuple[float, float]] = []
+
+    def tick(self) -> None:
+        """One exchange. Raises DeviceLost, or DeviceError when the knob runs away."""
+        time.sleep(PAUSE_S)
+        self._exchange(self._read, self._sample, "read")
+        now, place = time.monotonic(), self._sample[:3].copy()
+        if not np.isfinite(place).all():
+            place = self._last
+        dt = now - self._then
+        self._speed += 0.3 * ((place - self._last) / dt - self._speed)  # encoder counts make a rough slope
+        off = self._place - place
+        if np.linalg.norm(off) > ESCAPE_M:
+            raise DeviceError(
+                f"the knob has left its place by {100 * np.linalg.norm(off):.1f} cm: if it ran away by itself, change "
+                "motors_reversed in the rig; if the weight pulled it down, take a lighter one"
+            )
+        self._integral = np.clip(self._integral + INTEGRAL_N_PER_MS * off * dt, -FORCE_MAX_N, FORCE_MAX_N)
+        force = SPRING_N_PER_M * off - DAMPER_NS_PER_M * self._speed + self._integral
+        self._wrench[:3] = force * min(1.0, FORCE_MAX_N / max(float(np.linalg.norm(force)), 1e-9))
+        self._exchange(self._write, self._wrench, "write")
+        self._then, self._last = now, place
+        self.record.append((now, float(self._wrench[2])))
+
+    def run(self, seconds: float) -> None:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            self.tick()
+
+    def window(self, back: int = 0) -> float:
+        """Mean force (N) of the last window, or of the one so many windows back."""
+        end = self.record[-1][0] - back * WINDOW_S
+        return float(np.mean([force for at, force in self.record if end - WINDOW_S < at <= end]))
+
+    def rest(self, seconds: float, far: Callable[[float], bool]) -> float | None:
+        """Wait until the holding force is steady and `far` is true of it; that force, or None after `seconds`."""
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            self.run(WINDOW_S / 4)
+            if self.record[-1][0] - self.record[0][0] > 2 * WINDOW_S:
+                force = self.window()
+                if abs(force - self.window(1)) < STEADY_N and far(force):
+                    return force
+        return None
+
+    def _exchange(self, function: Any, values: Array, what: str) -> None:
+        status = function(self._handle, values.ctypes.data)
+        if status < 0:
+            raise DeviceLost(f"the Falcon has gone during calibration (status {status} on {what}): start again")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--rig", default="falcon", metavar="FILE", help="rig of a Falcon, or the name of a shipped one")
+    parser.add_argument("--mass", type=float, required=True, metavar="KG", help="of the weight, 0.02 to 0.4")
+    parser.add_argument("--hang", type=float, default=60.0, metavar="S", help="time to hang the weight (60)")
+    measure.add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns the exit code."""
+    if not MASS_KG[0] <= args.mass <= MASS_KG[1]:
+        raise ConfigError(
+            f"--mass {args.mass:g}: must be from {MASS_KG[0]:g} to {MASS_KG[1]:g} kg: take another weight"
+        )
+    if args.plot is not None:
+        measure.check_figure(args.plot)
+    rig = load_rig(args.rig)
+    with open_device(rig.device, rig.servo.rate_hz) as device:
+        if not isinstance(device, Falcon):
+            raise ConfigError(f"--rig {args.rig}: its driver is '{rig.device.driver}': name a rig with driver 'falcon'")
+        hold = Hold(device)
+        print("hold the knob where you want it, and let it go: it is held there", file=sys.stderr)
+        hold.run(SETTLE_S)
+        bare = hold.rest(args.hang, lambda _: True)
+        if bare is None:
+            raise DeviceError(f"the knob does not come to rest in {args.hang:g} s: let it hang free")
+        print(f"hang {args.mass:g} kg on the knob, within {args.hang:g} s", file=sys.stderr)
+        weight = args.mass * GRAVITY
+        loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG * weight)
+        if loaded is None:
+            raise DeviceError(f"no weight was felt in {args.hang:g} s: hang it on the knob when asked")
+        used = device.counts_per_nm
+    if loaded < bare:
+        raise DeviceError("the weight took force off instead of adding it: the knob was touched: start again")
+    result = {
+        "mass_kg": args.mass, "force_bare_n": bare, "force_loaded_n": loaded, "counts_per_nm_used": used,
+        "counts_per_nm": used * (loaded - bare) / weight,
+    }  # fmt: skip
+    if args.plot is not None:
+        _draw(args.plot, np.array(hold.record), result)
+    measure.show(
+        result,
+        args.json,
+        [
+            f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {used:g} counts per N m",
+            f"put this into the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
+            "repeat, and take the mean: friction of the legs holds some of the weight",
+        ],
+    )
+    return 0
+
+
+def _draw(path: Path, record: Array, result: dict[str, float]) -> None:
+    drawing = measure.figure(path)
+    axes = drawing.subplots()
+    axes.plot(record[:, 0] - record[0, 0], record[:, 1], linewidth=0.8)
+    for name in ("force_bare_n", "force_loaded_n"):
+        axes.axhline(result[name], linestyle="--", linewidth=0.8, color="black")
+    axes.set(
+        xlabel="time (s)", ylabel="vertical force meant (N)", title=f"{result['counts_per_nm']:.0f} counts per N m"
+    )
+    measure.save(drawing, path)
