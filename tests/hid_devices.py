@@ -6,11 +6,15 @@ A packet socket keeps the borders of reports as a hidraw node does, and needs no
 
 from __future__ import annotations
 
+import fcntl
+import os
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any, Self
 
 from emulators.woodenhaptics import Vector, Woody
@@ -126,3 +130,36 @@ def woody(
     fd, end = ends()
     with Answering(end, arm.answer) as answering, HidDevice(options, fd) as device:
         yield device, arm, answering
+
+
+class RefusedNode:
+    """A plain file in the place of a hidraw node that is held by another, or forbidden."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(dir="/tmp")
+        Path(self._folder.name).chmod(0o755)
+        self.path = Path(self._folder.name) / "hidraw9"
+        self._undo = ExitStack()
+
+    def make(self, case: str) -> None:
+        """From now on: busy or permission."""
+        self.path.write_bytes(b"")
+        if case == "busy":
+            fcntl.flock(self._undo.enter_context(self.path.open("rb")), fcntl.LOCK_EX)
+        elif case == "permission":
+            self.path.chmod(0)
+            user = os.geteuid()
+            if user == 0:  # whom no mode keeps out
+                os.seteuid(65534)
+                self._undo.callback(os.seteuid, user)
+
+    def mend(self) -> None:
+        """Undo `make`. Any number of times."""
+        self._undo.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.mend()
+        self._folder.cleanup()

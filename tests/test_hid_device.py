@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import math
 import os
@@ -12,14 +13,16 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import ClassVar
 
+import driver_contract
 import numba
 import numpy as np
 import pytest
 from compiled_code import called_in, functions
-from driver_contract import DriverContract, Servo
+from driver_contract import RATE_HZ, Servo
 from emulators.woodenhaptics import Arm, Woody
-from hid_devices import RIGS, Answering, described, ends, rig_options, woody
+from hid_devices import RIGS, Answering, RefusedNode, described, ends, rig_options, woody
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.config.load import build
@@ -31,13 +34,54 @@ COUNT_M = 3e-4
 """Half an encoder count at a motor is up to 0.13 mm at the end of the longest arm along each joint."""
 
 
+class Bench(driver_contract.Bench):
+    """An emulated arm at the end of a packet socket; refusals of a node on a plain file."""
+
+    # An encoder count and 1 mA of a motor are 8 mN at the end.
+    force_step_n: ClassVar[float] = 0.012
+
+    def __init__(self, rig: str, node: RefusedNode, undo: contextlib.ExitStack) -> None:
+        self.rig, self.node, self._undo = rig, node, undo
+        self.case = ""
+        self.device: HidDevice | None = None
+
+    def open(self) -> Device:
+        if self.case == "not_found":
+            return open_device(rig_options(self.rig, path="/dev/hidraw-none"), RATE_HZ)
+        if self.case:
+            return open_device(rig_options(self.rig, path=str(self.node.path)), RATE_HZ)
+        self.device, self.arm, self.answering = self._undo.enter_context(woody(self.rig))
+        return self.device
+
+    def displayed(self) -> tuple[float, ...]:
+        if self.answering.end.fileno() < 0:  # pulled out: its amplifiers have no power
+            return (0.0, 0.0, 0.0)
+        self.answering.settle(self.device)
+        return self.arm.arm.force(self.arm.place, tuple(i / 1e3 for i in self.arm.milliamperes))
+
+    def make(self, case: str) -> None:
+        if case == "lost":
+            self.answering.unplug()
+        elif case == "timeout":
+            self.answering.mute.set()
+            time.sleep(0.25)  # past the rig's timeout: the next read has waited long enough
+        else:
+            self.case = case
+            if case != "not_found":
+                self.node.make(case)
+
+    def mend(self) -> None:
+        self.node.mend()
+        self.case = ""
+
+
 @pytest.fixture(params=["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
-def device(request: pytest.FixtureRequest) -> Iterator[Device]:
-    with woody(request.param) as (opened, _, _):
-        yield opened
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    with RefusedNode() as node, contextlib.ExitStack() as undo:
+        yield Bench(request.param, node, undo)
 
 
-class TestContract(DriverContract):
+class TestContract(driver_contract.DriverContract):
     """The contract over both wire formats, an emulated arm behind each."""
 
 

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import math
-import os
 import socket
-import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -19,7 +16,7 @@ import pytest
 from compiled_code import called_in, functions
 from driver_contract import RATE_HZ, Bench, DriverContract, Servo
 from emulators import puck as emulated
-from hid_devices import ends
+from hid_devices import RefusedNode, ends
 from scipy.spatial.transform import Rotation
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
@@ -47,18 +44,17 @@ class PuckBench(Bench):
 
     cannot: ClassVar[Mapping[str, str]] = {"timeout": "a puck that nobody touches sends nothing, for ever"}
 
-    def __init__(self, folder: Path) -> None:
-        self.node = folder / "hidraw9"
+    def __init__(self, node: RefusedNode) -> None:
+        self.node = node
         self.end: socket.socket | None = None
         self.device: Any = None
         self.case = ""
-        self.undo = contextlib.ExitStack()
 
     def open(self) -> Device:
         if self.case == "not_found":
             return open_device(Options(), RATE_HZ)
         if self.case:
-            return open_device(Options(path=str(self.node)), RATE_HZ)
+            return open_device(Options(path=str(self.node.path)), RATE_HZ)
         self.unplug()
         fd, self.end = ends()
         self.device = SpaceMouse(Options(), fd, RATE_HZ)
@@ -72,18 +68,10 @@ class PuckBench(Bench):
             self.unplug()
             return
         self.case = case
-        self.node.write_bytes(b"")
-        if case == "busy":
-            fcntl.flock(self.undo.enter_context(self.node.open("rb")), fcntl.LOCK_EX)
-        elif case == "permission":
-            self.node.chmod(0)
-            user = os.geteuid()
-            if user == 0:  # whom no mode keeps out
-                os.seteuid(65534)
-                self.undo.callback(os.seteuid, user)
+        self.node.make(case)
 
     def mend(self) -> None:
-        self.undo.close()
+        self.node.mend()
         self.case = ""
 
     def unplug(self) -> None:
@@ -93,11 +81,9 @@ class PuckBench(Bench):
 
 @pytest.fixture
 def bench() -> Iterator[PuckBench]:
-    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
-        Path(folder).chmod(0o755)
-        made = PuckBench(Path(folder))
+    with RefusedNode() as node:
+        made = PuckBench(node)
         yield made
-        made.mend()
         made.unplug()
 
 
