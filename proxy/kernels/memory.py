@@ -38,6 +38,7 @@ int64_at: Any = intrinsic(_pointer_to(types.int64))
 
 int32_at: Any = intrinsic(_pointer_to(types.int32))
 """int32_at(address: int64) -> pointer to int32."""
+
 float32_at: Any = intrinsic(_pointer_to(types.float32))
 """float32_at(address: int64) -> pointer to float32."""
 
