@@ -54,7 +54,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         metavar="PATTERN",
         help="also what every feature of the scene format adds to a scene without it, or those whose names match, such "
-        "as 'torsion*'; each compiles a scene or two, 6 to 10 s, so all of them take some ten minutes the first time",
+        "as 'torsion*'; each compiles a scene or two, 2 to 5 s, so all of them take some three minutes the first time",
     )
     parser.add_argument("--blocks", type=int, default=100, help=f"blocks of {BLOCK} steps (default: %(default)s)")
     add_output_options(parser)
