@@ -46,7 +46,7 @@ def keep_passive(passivity: Any, energy: Energy, held: Vec3, moved: Vec3, mode: 
     dt              s       time since the last tick
     returns         Energy, force (3,) N
 
-    Of forces alone: no device here is driven in rotation by more than it is damped by itself.
+    Of forces alone: the moment's work is not counted.
     """
 
 
