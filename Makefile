@@ -78,7 +78,7 @@ bench: $(STAMP) ## Cost of a step, wake-up lateness beside C, tick-to-subscriber
 	$(BIN)/softfinger bench loop --seconds $(BENCH_SECONDS)
 	$(BIN)/softfinger bench telemetry --seconds $(BENCH_SECONDS)
 
-study: $(STAMP) ## Measure every figure and table of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
+study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)
 
 warmup: $(STAMP) ## Compile the kernels now rather than at the first start

@@ -1,4 +1,4 @@
-"""The study: every measured figure and table of docs/, made anew by one command.
+"""The study: the figures and tables of accuracy, rolling, stability and extremes in docs/, made anew by one command.
 
     python -m softfinger.tools.study docs             # or: make study
 
