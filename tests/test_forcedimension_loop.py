@@ -56,7 +56,7 @@ def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub, bench: StubBe
         assert ended == s.Ended(s.FINISHED, OK)
         records = records_of(servo)
         servo.close()
-        assert device.counts.reads == 2500
+        assert device.counts()["reads"] == 2500
     engine = Engine(scene, RATE_HZ)
     forces, modes = [], []
     for row in records:
