@@ -16,7 +16,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.errors import SafetyStop
+from softfinger.config.errors import ConfigError, SafetyStop
+from softfinger.config.limits import Range
 from softfinger.config.schema import Rig
 from softfinger.drivers.base import END, OK, SAMPLE_SIZE, Device
 from softfinger.drivers.libc import IO_SIGNATURE
@@ -50,6 +51,7 @@ BURST_NS: Final = 300_000_000
 of SCHED_FIFO that never sleeps, and of what anything else on a machine with one processor bears."""
 FORCE_CYCLES: Final = 3.0
 """Sine cycles in a push, under an envelope that begins and ends at zero."""
+SECONDS: Final = Range(0.1, 60.0, "a row of every tick is kept in memory")
 JOIN_S: Final = 2.0
 """An exchange that takes longer than this to end hangs; the device is stopped over it."""
 
@@ -254,8 +256,8 @@ class Exchange:
             if idle >= STALL_POLLS and ticks > 0:
                 self.device.stop()
                 raise SafetyStop(
-                    f"{self.device.info.name}: no exchange for {idle * STALL_POLL_S:.2f} s after exchange {ticks}: force "
-                    "was set to zero; the device hangs, or this machine starves the thread"
+                    f"{self.device.info.name}: no exchange for {idle * STALL_POLL_S:.2f} s after exchange {ticks}: "
+                    "force was set to zero; the device hangs, or this machine starves the thread"
                 )
         self._raise_crash()
         return part.rows if part.done.is_set() else part.rows[:0]
@@ -305,6 +307,12 @@ class Exchange:
         self._words[_ENOUGH] = 1
         if not self._over.wait(JOIN_S):
             self.device.stop()
+
+
+def check_seconds(seconds: float) -> None:
+    """ConfigError for a part that cannot be recorded."""
+    if not SECONDS.low <= seconds <= SECONDS.high:
+        raise ConfigError(f"--seconds {seconds:g}: must be from {SECONDS.low:g} to {SECONDS.high:g}: {SECONDS.reason}")
 
 
 def disarmed(rig: Rig) -> Guard:

@@ -101,4 +101,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 def burst_line(result: dict[str, Any]) -> str:
     """The figures of a part without pauses for people."""
-    return f"  without pauses: {result['exchanges_hz']:.0f} exchanges and {result['new_samples_hz']:.0f} new samples a second"
+    return (
+        f"  without pauses: {result['exchanges_hz']:.0f} exchanges a second, "
+        f"{result['new_samples_hz']:.0f} with a new sample"
+    )

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.limits import Range
 from softfinger.config.load import load_rig
 from softfinger.server.app import open_device
 from softfinger.server.progress import progress
-from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, disarmed
+from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, disarmed
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
 from softfinger.tools.measure import Array, add_output_options, check_figure, figure, save, show
-
-SECONDS: Final = Range(0.1, 60.0, "a row of every tick is kept in memory")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,10 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns the exit code. Zero force is all that the device is sent."""
-    if not SECONDS.low <= args.seconds <= SECONDS.high:
-        raise ConfigError(
-            f"--seconds {args.seconds:g}: must be from {SECONDS.low:g} to {SECONDS.high:g}: {SECONDS.reason}"
-        )
+    check_seconds(args.seconds)
     if args.plot is not None:
         check_figure(args.plot)
     rig = load_rig(args.rig)
