@@ -28,6 +28,7 @@ from softfinger.server import realtime, servo
 from softfinger.server.app import STALL_POLL_S, STALL_POLLS, device_failure
 from softfinger.server.clock import NS_PER_S, now_ns, period_ns, sleep_until
 from softfinger.server.guard import DISENGAGED, Guard, guard_wrench
+from softfinger.server.progress import progress
 from softfinger.server.servo import put_wrench
 
 Array = NDArray[np.float64]
@@ -189,6 +190,19 @@ def exchange_loop(
     return ending, status, 0 if pace.waiting == 1 else number
 
 
+def scratch() -> tuple[Any, ...]:
+    """Memory of the loop alone: timespec, sample, wrench."""
+    return np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6)
+
+
+def compile_exchange() -> None:
+    """Compile the loop, so that a device that is opened afterwards does not wait for it."""
+    like = (Io(0, 0, 0), Io(0, 0, 0), Pace(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    arguments = (*like, np.zeros(8, np.int64), *scratch(), np.zeros((1, ROW_SIZE)))
+    with progress("compiling the exchange (once for each version)"):
+        exchange_loop.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
+
+
 class _Part:
     """A part to record: what the loop is given, and what became of it."""
 
@@ -220,8 +234,8 @@ class Exchange:
         self._parts: queue.SimpleQueue[_Part] = queue.SimpleQueue()
         self._part: _Part | None = None
         io = device.io()
-        self._fixed = (Io(io.read, io.write, io.handle), Io(_nothing.address, _nothing.address, 1))
-        self._scratch = (self._words, np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6))
+        self._devices = (Io(io.read, io.write, io.handle), Io(_nothing.address, _nothing.address, 1))
+        self._scratch = (self._words, *scratch())
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="exchange", daemon=True)
 
@@ -289,15 +303,13 @@ class Exchange:
             self._over.set()
 
     def _arguments(self, part: _Part) -> tuple[Any, ...]:
-        return (*self._fixed, part.pace, part.push, self._guard, *self._scratch, part.rows)
+        return (*self._devices, part.pace, part.push, self._guard, *self._scratch, part.rows)
 
     def _raise_crash(self) -> None:
         if self.ended is not None and self.ended.error is not None:
             raise self.ended.error
 
     def __enter__(self) -> Self:
-        arguments = self._arguments(_Part(Pace(self._period, -1, 1), NO_PUSH, 0))
-        exchange_loop.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
         self._thread.start()
         return self
 

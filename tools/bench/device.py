@@ -12,7 +12,16 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.server.app import open_device
 from softfinger.server.progress import progress
-from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, disarmed
+from softfinger.tools.exchange import (
+    EMPTY_READ,
+    EMPTY_WRITE,
+    READ,
+    WRITE,
+    Exchange,
+    check_seconds,
+    compile_exchange,
+    disarmed,
+)
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
 from softfinger.tools.measure import Array, add_output_options, check_figure, figure, save, show
 
@@ -30,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
         check_figure(args.plot)
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
+    compile_exchange()
     with open_device(rig.device, rate) as device, Exchange(device, rig, disarmed(rig)) as exchange:
         with progress("measuring the exchange with the device"):
             rows = exchange.record(args.seconds)

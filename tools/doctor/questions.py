@@ -98,9 +98,8 @@ def _held_back(report: Report) -> str | None:
     counts = report["counts"]
     if "writes_guarded" not in counts:
         return None
-    return (
-        f"{counts['writes_guarded']} of {counts['writes']} forces, {counts['reads_guarded']} of {counts['reads']} reads"
-    )
+    forces, reads = (f"{counts[f'{what}_guarded']} of {counts[what]} {what}" for what in ("writes", "reads"))
+    return f"{forces}, {reads}"
 
 
 def _descriptor(report: Report) -> str | None:

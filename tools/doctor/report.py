@@ -15,10 +15,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.errors import ConfigError, DeviceError, HapticError, SafetyStop
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
-from softfinger.drivers import discovery, registry
+from softfinger.drivers import discovery
 from softfinger.drivers.base import Device
 from softfinger.server.app import open_device
 from softfinger.server.guard import Guard
@@ -27,7 +27,7 @@ from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answered
 from softfinger.tools.doctor.report_text import lines
 from softfinger.tools.doctor.session import FORCE_MIN_S, Session
-from softfinger.tools.exchange import Exchange, disarmed
+from softfinger.tools.exchange import Exchange, compile_exchange, disarmed
 from softfinger.tools.measure import show
 
 FORMAT: Final = 1
@@ -67,17 +67,20 @@ def run(args: argparse.Namespace) -> int:
     check_force(args.with_force, args.seconds, rig)
     guided = sys.stdin.isatty() and not args.no_prompts
     report, serials = begun(rig, guided)
-    failure: BaseException | None = None
+    failure: HapticError | KeyboardInterrupt | None = None
     with interruptible():
         try:
             record(rig, report, args.seconds, args.with_force)
             report["ended"], report["complete"] = "in full", True
         except KeyboardInterrupt as error:
             report["ended"], failure = "cut short by the user", error
-        except HapticError as error:
+        except (DeviceError, SafetyStop) as error:
             report["ended"], failure = "by a fault", error
-            if report["fault"] is None:
-                report["fault"] = {"message": str(error), "in_use": report["device"] is not None}
+            report["fault"] = {
+                "kind": type(error).__name__,
+                "message": str(error),
+                "in_use": report["device"] is not None,
+            }
     report["questions"] = answered(report)
     report = privacy.Privacy(serials).clean(report)
     write(file, report)
@@ -110,9 +113,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
             "system": f"{platform.system()} {platform.release()} {platform.machine()}",
             "python": platform.python_version(),
             "packages": machine.versions(),
-            "checks": [
-                f"{one.name}: {one.seen}" for one in (machine.kernel(), machine.virtual(), machine.processors())
-            ],
+            "checks": {one.name: one.seen for one in (machine.kernel(), machine.virtual(), machine.processors())},
         },
         "driver": rig.device.driver,
         "options": privacy.options(rig.device.options),
@@ -130,6 +131,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
         "buttons": None,
         "pushes": [],
         "counts": {},
+        "reason": "",
         "fault": None,
         "questions": [],
     }
@@ -158,7 +160,7 @@ def identity(device: discovery.Attached) -> dict[str, Any]:
 def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | None) -> None:
     """Open the device, run the session, and put all of it into `report`, whatever ends it. Zero force on every way
     out. Raises what opening raises, and the error of a device that failed in use."""
-    registry.load(rig.device.driver)
+    compile_exchange()  # before the device is open: it would wait for its first exchange
     with open_device(rig.device, rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
         report["maker_library"] = loaded_libraries()
@@ -170,12 +172,12 @@ def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | No
                 if failure is not None:
                     raise failure
         finally:
-            report["counts"] = device.counts()
+            report["counts"], report["reason"] = device.counts(), device.reason()
             report["realtime"] = {setting.name: setting.ok for setting in exchange.settings}
 
 
 def pushing(rig: Rig, device: Device, force_n: float) -> Guard:
-    """The rig's guard with no more force than was asked for; ConfigError where the device cannot push, or not so hard."""
+    """The rig's guard with no more force than was asked for; ConfigError where the device cannot push so hard."""
     if device.info.actuated_dof == 0:
         raise ConfigError(f"--with-force {force_n:g}: {device.info.name} displays no force: leave it out")
     if force_n > device.info.force_max_n:
@@ -187,10 +189,8 @@ def pushing(rig: Rig, device: Device, force_n: float) -> Guard:
 
 def loaded_libraries() -> list[str]:
     """File names of the maker's library in this process."""
-    names = {
-        Path(line.split()[-1]).name for line in machine.text(Path("/proc/self/maps")).splitlines() if LIBRARY in line
-    }
-    return sorted(names)
+    mapped = machine.text(Path("/proc/self/maps")).splitlines()
+    return sorted({Path(line.split()[-1]).name for line in mapped if LIBRARY in line})
 
 
 @contextmanager
