@@ -100,9 +100,14 @@ def test_a_push_stays_below_the_guard() -> None:
 def test_an_exception_in_the_middle_leaves_no_force() -> None:
     """Left by an interrupt during a push, the last wrench is zero and the device disarmed."""
     device = recording()
-    with pytest.raises(KeyboardInterrupt), device, Exchange(device, RIG, ARMED) as exchange:
-        exchange.record(0.1, Push((1.0, 0.0, 0.0), 1.0, 1.0))
-        raise KeyboardInterrupt
+
+    def interrupted() -> None:
+        with device, Exchange(device, RIG, ARMED) as exchange:
+            exchange.record(0.1, Push((1.0, 0.0, 0.0), 1.0, 1.0))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     written = device.written().wrench
     assert written.any()
     assert not written[-1].any()
@@ -148,7 +153,7 @@ def test_a_failing_device_ends_with_its_error(fault: Fault, error: type[DeviceEr
 def test_a_hanging_device_is_stopped() -> None:
     """An exchange that does not come back for a quarter of a second has its force taken off, and is said to hang."""
     with FaultyDevice(Options(fault="stall", at=100, stall_us=800_000)) as device:
-        with pytest.raises(SafetyStop, match="no exchange for 0.25 s"), Exchange(device, RIG, ARMED) as exchange:
+        with pytest.raises(SafetyStop, match=r"no exchange for 0\.25 s"), Exchange(device, RIG, ARMED) as exchange:
             exchange.record(1.0, Push((1.0, 0.0, 0.0), 3.0, 1.0))
         assert not device.wrenches[-1].any()
 
