@@ -109,10 +109,13 @@ def test_a_push_of_the_simulated_device_goes_its_way(home: Path) -> None:
     """A hand that stays is pushed along +x, +y, +z; the handle was nowhere further than that; --json is the report."""
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\n')
-    done = run(home, "report.json", "--rig", str(rig), "--seconds", "1", "--with-force", "2", "--json")
+    done = run(
+        home, "report.json", "--rig", str(rig), "--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png"
+    )
     assert done.returncode == 0, done.stderr
     found = checked(home / "report.json", home)
     assert json.loads(done.stdout) == found
+    assert (home / "times.png").read_bytes().startswith(b"\x89PNG")
     assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
     assert all(1.5 < push["largest_n"] <= 2.0 for push in found["pushes"])
     # 2 N against a hand of 1000 N/m are 2 mm, and at 3 Hz its mass lets it overshoot a little.

@@ -47,8 +47,10 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
             '[device]\ndriver = "replay"\nrecording = "tap"\n'
             f'[telemetry]\nendpoint = "tcp://127.0.0.1:{port}"\n[servo]\ncpu = {min(os.sched_getaffinity(0))}\n'
         )
-        done = run("--rig", str(rig), "--seconds", "0.3", "--json")
+        plot = rig.with_suffix(".png")
+        done = run("--rig", str(rig), "--seconds", "0.3", "--json", "--plot", str(plot))
     found: dict[str, Any] = json.loads(done.stdout)
+    assert plot.read_bytes().startswith(b"\x89PNG")
     return found | {"code": done.returncode, "stderr": done.stderr, "port": port}
 
 
@@ -218,6 +220,7 @@ def test_the_text_says_what_mends() -> None:
 @pytest.mark.parametrize(
     ("words", "pieces"),
     [
+        (["--plot", "x.doc"], ["--plot x.doc", ".png"]),
         (["--seconds", "0"], ["--seconds 0", "0.1 to 60"]),
         (["--rig", "nothing"], ["nothing", "replay"]),
         (["--scene", "moon"], ["moon", "paper-plane"]),

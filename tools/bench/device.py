@@ -59,11 +59,11 @@ def run(args: argparse.Namespace) -> int:
     lines.append("  real time: " + ", ".join(f"{k} {'yes' if v else 'no'}" for k, v in result["realtime"].items()))
     show(result, args.json, lines)
     if args.plot is not None:
-        draw(args.plot, rows, result)
+        draw(args.plot, rows, f"{name} at {rate:g} Hz")
     return 0
 
 
-def draw(path: Path, rows: Array, result: dict[str, Any]) -> None:
+def draw(path: Path, rows: Array, title: str) -> None:
     """Share of ticks whose read, write, and empty pair took longer than a time."""
     drawing = figure(path)
     axes = drawing.add_subplot()
@@ -72,7 +72,7 @@ def draw(path: Path, rows: Array, result: dict[str, Any]) -> None:
         axes.loglog(np.sort(values).clip(1e-9) * 1e6, 1.0 - np.arange(len(values)) / len(values), label=name)
     axes.set_xlabel("time, us")
     axes.set_ylabel("share of ticks that took longer")
-    axes.set_title(f"{result['device']} at {result['rate_hz']:g} Hz")
+    axes.set_title(title)
     axes.legend()
     axes.grid(True, alpha=0.3)
     save(drawing, path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -90,10 +91,13 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
     return Check("kernel cache", "could be better", seen, wanted, f"softfinger warmup {scene_name}   # after an update")
 
 
-def lateness(rig: Rig, scene: Scene, seconds: float) -> tuple[list[Check], dict[str, Any]]:
-    """Missed ticks and wake-up lateness of the servo on a recording, and the figures, beside the loop in C."""
+def lateness(rig: Rig, scene: Scene, seconds: float, plot: Path | None = None) -> tuple[list[Check], dict[str, Any]]:
+    """Missed ticks and wake-up lateness of the servo on a recording, and the figures, beside the loop in C; drawn to
+    `plot`."""
     runs, _ = loop.measure(without_device(rig), scene, seconds, busy=False)
     result = loop.evaluate({name: np.concatenate(parts) for name, parts in runs.items()}, rig.servo.rate_hz)
+    if plot is not None:
+        loop.draw(plot, runs, rig.servo.rate_hz)
     return judged(result), result
 
 

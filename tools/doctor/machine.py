@@ -42,7 +42,7 @@ def text(path: Path) -> str:
 
 
 def python() -> Check:
-    wanted = metadata.metadata("softfinger").get("Requires-Python") or "any"
+    wanted = metadata.metadata("softfinger")["Requires-Python"]
     return Check("Python", "good", f"{platform.python_implementation()} {platform.python_version()}", wanted)
 
 

@@ -23,6 +23,7 @@ from softfinger.drivers.base import Device
 from softfinger.server.app import open_device
 from softfinger.server.guard import Guard
 from softfinger.server.tuning import guard_limits
+from softfinger.tools.bench.device import draw
 from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answered
 from softfinger.tools.doctor.report_text import lines
@@ -70,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     failure: HapticError | KeyboardInterrupt | None = None
     with interruptible():
         try:
-            record(rig, report, args.seconds, args.with_force)
+            record(rig, report, args.seconds, args.with_force, args.plot)
             report["ended"], report["complete"] = "in full", True
         except KeyboardInterrupt as error:
             report["ended"], failure = "cut short by the user", error
@@ -157,23 +158,29 @@ def identity(device: discovery.Attached) -> dict[str, Any]:
     return seen
 
 
-def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | None) -> None:
-    """Open the device, run the session, and put all of it into `report`, whatever ends it. Zero force on every way
-    out. Raises what opening raises, and the error of a device that failed in use."""
+def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | None, plot: Path | None) -> None:
+    """Open the device, run the session, and put all of it into `report`, whatever ends it; draw the times to `plot`.
+
+    Zero force on every way out. Raises what opening raises, and the error of a device that failed in use.
+    """
     compile_exchange()  # before the device is open: it would wait for its first exchange
     with open_device(rig.device, rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
         report["maker_library"] = loaded_libraries()
         guard = disarmed(rig) if force_n is None else pushing(rig, device, force_n)
+        exchange = Exchange(device, rig, guard)
+        session = Session(exchange, device.info, report, seconds, report["guided"])
         try:
-            with Exchange(device, rig, guard) as exchange:
-                Session(exchange, device.info, report, seconds, report["guided"]).run(force_n)
+            with exchange:
+                session.run(force_n)
                 failure = exchange.failure()
                 if failure is not None:
                     raise failure
         finally:
             report["counts"], report["reason"] = device.counts(), device.reason()
             report["realtime"] = {setting.name: setting.ok for setting in exchange.settings}
+    if plot is not None and len(session.timing):
+        draw(plot, session.timing, f"{report['driver']} at {report['rate_hz']:g} Hz")
 
 
 def pushing(rig: Rig, device: Device, force_n: float) -> Guard:

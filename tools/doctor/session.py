@@ -10,7 +10,7 @@ import numpy as np
 from softfinger.drivers.base import DeviceInfo
 from softfinger.server.progress import progress
 from softfinger.tools.doctor import motions
-from softfinger.tools.exchange import FORCE_CYCLES, Exchange, Push
+from softfinger.tools.exchange import FORCE_CYCLES, ROW_SIZE, Exchange, Push
 from softfinger.tools.exchange_figures import burst_figures, figures
 from softfinger.tools.measure import Array
 
@@ -50,6 +50,8 @@ class Session:
         self._exchange, self._info, self._report = exchange, info, report
         self._seconds, self._guided = seconds, guided
         self._rows: list[Array] = []
+        self.timing = np.zeros((0, ROW_SIZE))
+        """Rows of the part that times the exchange."""
 
     def run(self, force_n: float | None) -> None:
         """All parts. Ends early where the device fails or a recording ends; its `failure` says which."""
@@ -66,9 +68,9 @@ class Session:
         self._report["rest"] = motions.rest(rows, self._info.sensed_dof > 3)
 
     def _timing(self) -> None:
-        rows = self._record("the exchange", self._seconds)
-        if len(rows):
-            self._report["exchange"] = figures(rows, self._exchange.rate_hz)
+        self.timing = self._record("the exchange", self._seconds)
+        if len(self.timing):
+            self._report["exchange"] = figures(self.timing, self._exchange.rate_hz)
         burst = self._exchange.burst()
         if len(burst):
             self._report["without_pauses"] = burst_figures(burst)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 from softfinger.config.errors import ConfigError, Unfit
@@ -12,7 +13,7 @@ from softfinger.config.schema import Rig
 from softfinger.tools.doctor import attached, loop, machine, report
 from softfinger.tools.doctor.check import STATES, Check, lines
 from softfinger.tools.exchange import check_seconds
-from softfinger.tools.measure import show
+from softfinger.tools.measure import add_output_options, check_figure, show
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -25,19 +26,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, default=3.0, help="of each loop, or of each part of a report (default: %(default)s)"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_options(parser)
     report.configure(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Check, or report; returns the exit code. Raises Unfit when something is bad, after all of it was printed."""
     check_seconds(args.seconds)
+    if args.plot is not None:
+        check_figure(args.plot)
     if args.device_report is not None:
         return report.run(args)
     if args.with_force is not None or args.no_prompts:
         raise ConfigError("--with-force and --no-prompts belong to a report: add --device-report")
     rig = load_rig(args.rig)
-    result = examine(rig, args.rig, args.scene, args.seconds)
+    result = examine(rig, args.rig, args.scene, args.seconds, args.plot)
     checks = [Check(**one) for one in result["checks"]]
     head = f"softfinger on this machine, for rig {args.rig} at {rig.servo.rate_hz:g} Hz and scene {args.scene}"
     tail = "  " + ", ".join(f"{result['states'][state]} {state}" for state in STATES)
@@ -47,11 +50,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def examine(rig: Rig, rig_name: str, scene_name: str, seconds: float) -> dict[str, Any]:
-    """Every check, and the figures behind those that were measured."""
+def examine(rig: Rig, rig_name: str, scene_name: str, seconds: float, plot: Path | None) -> dict[str, Any]:
+    """Every check, and the figures behind those that were measured; the lateness is drawn to `plot`."""
     scene = load_scene(scene_name)
     checks = machine.checks() + loop.settings(rig) + [loop.cache(rig, scene_name, scene)]
-    late, figures = loop.lateness(rig, scene, seconds)
+    late, figures = loop.lateness(rig, scene, seconds, plot)
     checks += [*late, loop.step(rig, scene_name, scene), loop.endpoint(rig), *attached.checks(rig)]
     counted = Counter(check.state for check in checks)
     return {
