@@ -9,6 +9,7 @@ import platform
 import pty
 import re
 import signal
+import socket
 import subprocess
 import sys
 import tomllib
@@ -17,13 +18,16 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+import test_falcon_emulated
+import test_spacemouse_emulated
 from drd_stub import stub_library  # noqa: F401  a fixture
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from test_hid_emulated import WHY_NOT, beside
 
+from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
-from softfinger.drivers import registry
+from softfinger.drivers import registry, spacemouse
 from softfinger.drivers.base import SAMPLE_BUTTONS
 from softfinger.proxy.kernels.jit import CACHE_DIR
 from softfinger.server.cli import main
@@ -149,10 +153,9 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     written all the same, and the exit code is that of the fault."""
     file = home / "report.json"
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.01]} | ({"lost_after": 300} if lost else {})
-    rig = home / "slow.toml"
-    text = (ROOT / "config" / "rigs" / "woodenhaptics-2019.toml").read_text(encoding="utf-8")
+    rig = Path(rig_file(home, "woodenhaptics-2019"))
     # what answers for the device is a process like any other: it must not wait for the exchange's thread
-    rig.write_text(text.replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
+    rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
     done, saw = beside(case, *COMMAND, *words)
     assert done.returncode == (4 if lost else 0), done.stderr
@@ -174,6 +177,35 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     if lost:
         assert found["fault"]["kind"] == "DeviceLost" and found["fault"]["in_use"]
         assert "is gone" in found["fault"]["message"]
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
+@pytest.mark.parametrize("driver", ["falcon", "spacemouse"])
+def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
+    """A Falcon behind libusb and a puck behind its node: in full, with their ids, what was measured, and counters."""
+    file = home / "report.json"
+    if driver == "falcon":
+        rig, beside_it = Path(test_falcon_emulated.rig_with(home, counts_per_nm=4000)), test_falcon_emulated.beside
+    else:
+        rig, beside_it = Path(rig_file(home, driver)), test_spacemouse_emulated.beside
+    rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
+    done, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
+    assert done.returncode == 0, done.stderr
+    found = checked(file, home)
+    (device,) = found["identity"]
+    assert f"{device['vendor_id']}:{device['product_id']}" == {"falcon": "0403:cb48", "spacemouse": "046d:c626"}[driver]
+    assert found["complete"]
+    assert "exchange-time" in {row["id"] for row in found["questions"] if row["measured"]}
+    assert found["counts"]["replies" if driver == "falcon" else "reads"] > 0
+
+
+def test_a_puck_is_not_pushed() -> None:
+    """A device without motors is refused a push, by its name."""
+    rig = load_rig("spacemouse")
+    left, right = socket.socketpair()
+    puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), left.detach(), RATE_HZ)
+    with right, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
+        report.pushing(rig, puck, 1.0)
 
 
 def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
+from compiled_code import called_in, functions
 from faulty_device import Fault, FaultyDevice, Options
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
 from softfinger.config.load import load_rig
 from softfinger.drivers import replay
 from softfinger.drivers.base import SAMPLE_SIZE, SAMPLE_TIME, STALE
+from softfinger.proxy.kernels.jit import OPTIONS
 from softfinger.server.cli import main
 from softfinger.server.guard import Guard
 from softfinger.tools.exchange import (
@@ -33,7 +37,9 @@ from softfinger.tools.exchange import (
     WRITE_STATUS,
     Exchange,
     Push,
+    compile_exchange,
     disarmed,
+    exchange_loop,
 )
 from softfinger.tools.exchange_figures import HISTOGRAM_S, burst_figures, figures, histogram
 
@@ -157,6 +163,21 @@ def test_a_hanging_device_is_stopped() -> None:
         with pytest.raises(SafetyStop, match=r"no exchange for 0\.25 s"), Exchange(device, RIG, ARMED) as exchange:
             exchange.record(1.0, Push((1.0, 0.0, 0.0), 3.0, 1.0))
         assert not device.wrenches[-1].any()
+
+
+def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
+    """A fresh compile names no allocator and no interpreter; through pointers it calls the device's two functions, the
+    two that do nothing, and the last zero."""
+    compile_exchange()
+    (signature,) = exchange_loop.signatures  # type: ignore[attr-defined]
+    fresh = numba.njit(**OPTIONS)(exchange_loop.py_func)  # type: ignore[attr-defined]
+    fresh.compile(signature)
+    bodies = functions(next(iter(fresh.inspect_llvm().values())))
+    called = {name for body in bodies.values() for name in called_in(body)}
+    outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
+    assert outside <= {"clock_gettime", "clock_nanosleep", "sin"}
+    assert {"clock_gettime", "clock_nanosleep"} <= outside
+    assert sum(len(re.findall(r"call [\w ]*%[\w.]+\(", body)) for body in bodies.values()) == 5
 
 
 def rows_of(count: int) -> np.ndarray:

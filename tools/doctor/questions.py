@@ -74,7 +74,7 @@ def _force_sign(report: Report) -> str | None:
 
 def _unplugged(report: Report) -> str | None:
     fault = report["fault"]
-    return fault["message"] if fault is not None and fault["in_use"] else None
+    return fault["message"] if fault is not None and fault["kind"] == "DeviceLost" else None
 
 
 def _library(report: Report) -> str | None:
@@ -90,7 +90,7 @@ def _force_on(report: Report) -> str | None:
     if report["exchange"] is None or report["exchange"]["seconds"] <= period:
         return None
     if report["fault"] is None:
-        return "yes: it was asked for while the report ran, and said nothing else"
+        return f"yes, within status_period_s = {period:g}: later it was not found to be anything else"
     return f"the report ended: {report['fault']['message']}" if report["fault"]["in_use"] else None
 
 
@@ -105,18 +105,6 @@ def _held_back(report: Report) -> str | None:
 def _descriptor(report: Report) -> str | None:
     texts = [one["report_descriptor"] for one in report["identity"] if one.get("report_descriptor")]
     return "; ".join(texts) or None
-
-
-def _homed(report: Report) -> str | None:
-    if report["exchange"] is None:
-        return None
-    return "they were not lost" if report["fault"] is None else None
-
-
-def _zeros(report: Report) -> str | None:
-    if report["rest"] is None or not report["guided"]:
-        return None
-    return f"at rest where the user left it: {', '.join(f'{v * 1e3:.2f}' for v in report['rest']['position_m'])} mm"
 
 
 def _us(seconds: float) -> str:
@@ -136,7 +124,5 @@ ANSWERS: Final[Mapping[str, Callable[[Report], str | None]]] = {
     "fd-held-back": _held_back,
     "hid-descriptor": _descriptor,
     "hid-write": _exchange,
-    "falcon-homed": _homed,
-    "falcon-zeros": _zeros,
 }
 """What a report can answer by itself, None where it has not measured it."""
