@@ -40,8 +40,8 @@ class Session:
     """Records the parts and puts what they say into `report`, part by part, so that one cut short has what was done.
 
     exchange  runs
+    seconds   length of each part but the first
     guided    whether somebody at a terminal is asked to move the handle
-    force_n   amplitude of the pushes, N; None for no push
     """
 
     def __init__(
@@ -54,7 +54,10 @@ class Session:
         """Rows of the part that times the exchange."""
 
     def run(self, force_n: float | None) -> None:
-        """All parts. Ends early where the device fails or a recording ends; its `failure` says which."""
+        """All parts; `force_n`: amplitude of the pushes, N, None for no push.
+
+        Where the device fails or a recording ends, the parts after that are empty; the exchange's `failure` says which.
+        """
         self._at_rest()
         self._timing()
         if self._guided:
@@ -87,7 +90,10 @@ class Session:
         self._report["buttons"] = {"masks": motions.masks(self._record("the buttons", self._seconds))}
 
     def _pushes(self, force_n: float) -> None:
-        self._ask(f"hold the handle lightly: it pushes to and fro with up to {force_n:g} N along each axis in turn")
+        warning = f"hold the handle lightly: it pushes to and fro with up to {force_n:g} N along each axis in turn"
+        if not self._guided:
+            print(warning, file=sys.stderr, flush=True)
+        self._ask(warning)
         frequency = FORCE_CYCLES / self._seconds
         for axis, name in enumerate(motions.AXES):
             x, y, z = (force_n if k == axis else 0.0 for k in range(3))
