@@ -220,17 +220,20 @@ def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
     assert not any(row["measured"] for row in found["questions"])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_report_that_is_cut_short_is_written(number: signal.Signals, home: Path) -> None:
-    """Interrupted while it measures: what was measured before is in it, and it says that it was cut short."""
+@pytest.mark.parametrize(("number", "part"), [(signal.SIGINT, "the exchange"), (signal.SIGTERM, "a push along x")])
+def test_a_report_that_is_cut_short_is_written(number: signal.Signals, part: str, home: Path) -> None:
+    """Interrupted while it measures, or while it pushes: what was measured before is in it, it says that it was cut
+    short, and the last force is zero."""
+    rig = home / "kept.toml"
+    rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\nforces = "forces.npz"\n')
     process = subprocess.Popen(
-        [*COMMAND, "--device-report", "--seconds", "60"],
+        [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "2", "--with-force", "1"],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=home,
         env=environment(home),
     )  # fmt: skip
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("recording the exchange"):
+        if line.startswith(f"recording {part}"):  # said half a second after the part has begun
             break
     process.send_signal(number)
     output, _ = process.communicate(timeout=60)
@@ -238,9 +241,12 @@ def test_a_report_that_is_cut_short_is_written(number: signal.Signals, home: Pat
     found = checked(home / "softfinger-replay-report.json", home)
     assert found["ended"] == "cut short by the user" and not found["complete"]
     assert found["rest"]["ticks"] == 1000
-    assert found["exchange"] is None
-    assert found["counts"]["writes"] > 1000
+    assert (found["exchange"] is not None) == (number == signal.SIGTERM)
+    assert found["pushes"] == []
     assert "cut short by the user" in output
+    force = np.load(home / "forces.npz")["force"]
+    assert force.any() == (number == signal.SIGTERM)
+    assert not force[-1].any()
 
 
 def test_somebody_at_a_terminal_is_asked(home: Path) -> None:
