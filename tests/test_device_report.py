@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,6 +46,8 @@ KEYS: Final = {
 }  # fmt: skip
 RATE_HZ: Final = 1000.0
 
+Here = Callable[..., str]
+
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
@@ -62,9 +65,23 @@ def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[st
     )  # fmt: skip
 
 
+@pytest.fixture
+def here(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Here:
+    """The verb as that user in this process; what it printed, once it has ended well."""
+    for name, value in environment(home).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.chdir(home)
+
+    def report_of(*words: str) -> str:
+        assert main(["doctor", "--device-report", *words]) == 0
+        return capsys.readouterr().out
+
+    return report_of
+
+
 def environment(home: Path) -> dict[str, str]:
     kept = os.environ | {"SOFTFINGER_CACHE_DIR": str(CACHE_DIR.parent)}
-    return kept | {"HOME": str(home), "USER": USER, "LOGNAME": USER, "HAPTICS": str(home)}
+    return kept | {"HOME": str(home), "USER": USER, "LOGNAME": USER}
 
 
 def checked(file: Path, home: Path) -> dict[str, Any]:
@@ -90,13 +107,12 @@ def rig_file(home: Path, name: str, *more: str) -> str:
     return str(path)
 
 
-def test_a_recording_is_reported(home: Path) -> None:
+def test_a_recording_is_reported(here: Here, home: Path) -> None:
     """From a file in the user's home: device, times, counters, the machine; complete, and nothing to ask."""
     (home / "mine.csv").write_bytes((ROOT / "config" / "recordings" / "tap.csv").read_bytes())
     rig = home / "mine.toml"
     rig.write_text(f'[device]\ndriver = "replay"\nrecording = "{home}/mine.csv"\n')
-    done = run(home, "--rig", str(rig), "--seconds", "0.3")
-    assert done.returncode == 0, done.stderr
+    output = here("--rig", str(rig), "--seconds", "0.3")
     found = checked(home / "softfinger-replay-report.json", home)
     assert found["complete"] and found["ended"] == "in full" and found["fault"] is None
     assert found["options"]["recording"] == "mine.csv"
@@ -107,19 +123,17 @@ def test_a_recording_is_reported(home: Path) -> None:
     assert found["counts"]["reads"] >= 1300 + found["without_pauses"]["exchanges"]
     assert found["moves"] == found["pushes"] == found["questions"] == found["identity"] == []
     assert {"system", "python", "packages", "checks"} == found["system"].keys()
-    assert "attach it to an issue" in done.stdout and "noise along x, y, z" in done.stdout
+    assert "attach it to an issue" in output and "noise along x, y, z" in output
 
 
-def test_a_push_of_the_simulated_device_goes_its_way(home: Path) -> None:
+def test_a_push_of_the_simulated_device_goes_its_way(here: Here, home: Path) -> None:
     """A hand that stays is pushed along +x, +y, +z; the handle was nowhere further than that; --json is the report."""
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\n')
-    done = run(
-        home, "report.json", "--rig", str(rig), "--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png"
-    )
-    assert done.returncode == 0, done.stderr
+    words = ("--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png")
+    output = here("report.json", "--rig", str(rig), *words)
     found = checked(home / "report.json", home)
-    assert json.loads(done.stdout) == found
+    assert json.loads(output) == found
     assert (home / "times.png").read_bytes().startswith(b"\x89PNG")
     assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
     assert all(1.5 < push["largest_n"] <= 2.0 for push in found["pushes"])

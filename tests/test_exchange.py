@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numba
@@ -46,7 +44,6 @@ from softfinger.tools.exchange_figures import HISTOGRAM_S, burst_figures, figure
 RIG = load_rig("replay", {"servo.realtime": "off"})
 RATE_HZ = RIG.servo.rate_hz
 ARMED = Guard(5.0, 0.3, 2000.0, 50.0, 0.01, 1.0)
-COMMAND = (sys.executable, "-m", "softfinger.server.cli", "bench", "device")
 
 
 def recording(**options: object) -> replay.Replay:
@@ -217,13 +214,12 @@ def test_histogram_counts_every_value_once() -> None:
     assert list(HISTOGRAM_S) == sorted(HISTOGRAM_S)
 
 
-def test_bench_device_prints_json_and_draws(tmp_path: Path) -> None:
+def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The verb on a simulated device: figures of every tick, ratios, a plot."""
     plot = tmp_path / "plot.png"
     words = ("--rig", "simulated", "--seconds", "0.3", "--json", "--plot", str(plot))
-    done = subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+    assert main(["bench", "device", *words]) == 0
+    result = json.loads(capsys.readouterr().out)
     assert result["device"] == "simulated omega.6"
     assert result["ticks"] == 300
     assert {"read", "write", "cycle", "late", "new_samples_hz", "stale_share", "sample_step_s"} <= result.keys()
