@@ -116,9 +116,8 @@ class HidDevice(Device):
         if fd >= 0:
             os.close(fd)
 
-    def counts(self, name: int) -> int:
-        """One of the counters of `exchange`: REPORTS, DRAINED, WRITTEN, KICKS, CUT or FOREIGN."""
-        return int(self._word[name])
+    def counts(self) -> dict[str, int]:
+        return {name: int(self._word[at]) for at, name in enumerate(exchange.COUNTERS)}
 
     def _calibrate(self) -> None:
         """Make the encoders show the calibration counts where the arm is now.
