@@ -102,7 +102,8 @@ def take(buffer: int, count: int, scratch: Any, newest: Any) -> int:
     scratch  (NUMBERS,), overwritten
 
     A frame is what stands between two newlines 64 bytes apart, so that after bytes lost, doubled or added the next
-    whole frame is found again. What has been cut or mended by chance has not its length, or not its eight numbers.
+    whole frame is found again. What has been cut or mended has not its length, or not its eight numbers, but for the
+    rare case that just 64 bytes remain of two; a digit that came wrong cannot be seen, for a frame has no checksum.
     """
     text, frames = uint8_at(buffer), 0
     for k in range(count):

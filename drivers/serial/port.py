@@ -44,14 +44,20 @@ def open_port(options: Options) -> tuple[int, str]:
 
 
 def close_port(fd: int) -> None:
-    """Let what was written leave, then close; bytes that the device does not take are thrown away."""
+    """Let what was written leave, then close; bytes that the device does not take in time are thrown away."""
     until = time.monotonic() + DRAIN_WAIT_S
     with contextlib.suppress(OSError, termios.error):  # gone already
-        while int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder) and time.monotonic() < until:
+        while _queued(fd) and time.monotonic() < until:
             time.sleep(0.001)
-        termios.tcflush(fd, termios.TCIOFLUSH)
+        if _queued(fd):  # and only then: a last zero that the system still hands on must not be thrown away
+            termios.tcflush(fd, termios.TCOFLUSH)
         fcntl.ioctl(fd, termios.TIOCNXCL)
     os.close(fd)
+
+
+def _queued(fd: int) -> int:
+    """Bytes written that have not left."""
+    return int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 
 def find(options: Options) -> str:
