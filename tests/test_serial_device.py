@@ -263,7 +263,8 @@ def test_damaged_frames_are_no_pose_and_no_force(spoil: Callable[[bytes], bytes]
         until = time.monotonic() + 0.03
         while time.monotonic() < until:
             status, sample = servo.read()
-            assert (status, sample[:3]) == (STALE, known[:3])
+            assert status in (STALE, PROTOCOL)  # the second after a pause that a busy machine makes
+            assert status == PROTOCOL or sample[:3] == known[:3]
             servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
             time.sleep(0.001)
         settle(device, cable)
@@ -286,9 +287,10 @@ def test_a_frame_in_parts_is_read_when_it_is_whole() -> None:
         servo = Servo(device)
         fresh(servo)
         whole = itself.frame().replace(b"10.000", b"11.000")
+        before = device.counts(exchange.BYTES)
         cable.say(whole[:40])
-        time.sleep(0.01)
-        assert servo.read()[0] == STALE
+        while device.counts(exchange.BYTES) < before + 40:
+            assert servo.read()[0] == STALE
         cable.say(whole[40:])
         assert fresh(servo)[0] == pytest.approx(0.011, abs=1e-9)  # rounding of mm to m
 
