@@ -26,6 +26,7 @@ from driver_contract import Servo
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 from hid_devices import RefusedNode
 from serial_devices import PLACE, board, fresh, opened, rig_options, settle
+from test_devices_verb import plug_serial
 
 from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
 from softfinger.config.errors import DeviceTimeout as NoAnswer
@@ -468,17 +469,6 @@ def test_a_port_without_permission() -> None:
         shutil.rmtree(folder)
 
 
-def plug(root: Path, name: str, vendor: str, product: str, serial: str = "", depth: str = "") -> None:
-    """A serial port on USB as the kernel lists it; `depth`: the folder of its own that a converter has."""
-    device = root / "sys/devices/usb1" / name.replace("tty", "port")
-    (device / "1-1:1.0" / depth).mkdir(parents=True)
-    for key, text in (("idVendor", vendor), ("idProduct", product), ("serial", serial), ("product", "Teensy")):
-        (device / key).write_text(text + "\n")
-    entry = root / discovery.TTY / name
-    entry.mkdir(parents=True)
-    (entry / "device").symlink_to(device / "1-1:1.0" / depth)
-
-
 def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One port of the rig's ids is taken; of several the serial number tells, and none is an error that lists what is
     there. A path of another device is refused."""
@@ -487,16 +477,16 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
     with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no serial port on USB is"):
         port.find(rig_options())
-    plug(tmp_path, "ttyUSB0", "0403", "6001", depth="ttyUSB0")
+    plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
     (tmp_path / discovery.TTY / "ttyS0").mkdir()
     with pytest.raises(DeviceNotFound, match=r"; attached are Teensy \(0403:6001\) at /dev/ttyUSB0$"):
         port.find(rig_options())
-    plug(tmp_path, "ttyACM1", "16c0", "0483", "SN42")
+    plug_serial(tmp_path, "ttyACM1", "16c0", "0483", "SN42")
     assert port.find(rig_options()) == "/dev/ttyACM1"
     assert port.find(rig_options(serial="SN42")) == "/dev/ttyACM1"
     with pytest.raises(DeviceNotFound, match=r"has the serial number 'SN43': attached are 'SN42'"):
         port.find(rig_options(serial="SN43"))
-    plug(tmp_path, "ttyACM0", "16c0", "0483", "SN43")
+    plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN43")
     assert port.find(rig_options(serial="SN43")) == "/dev/ttyACM0"
     with pytest.raises(
         DeviceNotFound, match=r"2 serial ports are 16c0:0483: name one with serial or path: /dev/ttyACM0"
