@@ -421,15 +421,21 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
     with board() as (_, _, cable):
         with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
             opened(cable)
-        code = f"import os; os.open({cable.path!r}, os.O_RDWR | os.O_NOCTTY)"
-        if os.geteuid() != 0:  # whom an exclusive port does not keep out
-            assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode != 0
-        assert (
-            subprocess.run(
-                [sys.executable, "-c", OPEN, cable.path], capture_output=True, text=True, timeout=120
-            ).stdout.strip()
-            == f"DeviceBusy {cable.path} is held by process {os.getpid()}"
-        )
+        command = [sys.executable, "-c", OPEN, cable.path]
+        other = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        assert other.stdout == f"DeviceBusy {cable.path} is held by process {os.getpid()}\n"
+        # A program that asks for no lock is kept out by the port itself, unless it runs as root.
+        user, mine = os.geteuid(), rig_options(path=cable.path)
+        if user == 0:
+            os.chmod(cable.path, 0o666)
+            os.seteuid(65534)
+        try:
+            with pytest.raises(OSError, match="Device or resource busy"):
+                os.open(cable.path, os.O_RDWR | os.O_NOCTTY)
+            with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
+                port.open_port(mine)
+        finally:
+            os.seteuid(user)
 
 
 OPEN = """
