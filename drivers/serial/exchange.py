@@ -42,6 +42,15 @@ WRITTEN: Final = 3  # frames sent
 HELD: Final = 4  # frames not sent, because the last one had no answer
 KICKS: Final = 5  # newlines sent into a silence
 CUT: Final = 6  # forces past the largest
+COUNTERS: Final = (
+    "bytes",
+    "frames",
+    "drained",
+    "written",
+    "held",
+    "kicks",
+    "cut",
+)  # names of these words, in their order
 FD: Final = 7
 ARMED: Final = 8
 LOCK: Final = 9  # held while something is written
