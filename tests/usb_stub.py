@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 import usb.backend.libusb1
-from driver_contract import RATE_HZ, Bench
 from drd_stub import COMPILER
+from driver_contract import RATE_HZ, Bench
 
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import SAMPLE_SIZE
@@ -99,7 +99,7 @@ def word(device: Falcon, place: int) -> int:
 def compiled(folder: Path, soname: str | None = None) -> Path:
     """The stand-in as a library in `folder`; with a soname it can take libusb's place in another process."""
     path = folder / SONAME
-    flags = "-std=gnu11 -O2 -Wall -Wextra -Werror -shared -fPIC".split()
+    flags = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
     name = [f"-Wl,-soname,{soname}"] if soname else []  # without: libusb itself may be loaded later on
     subprocess.run([str(COMPILER), *flags, *name, "-o", str(path), str(SOURCE), "-lm"], check=True)
     return path

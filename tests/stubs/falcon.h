@@ -32,9 +32,10 @@ enum { DEVICES = 2, QUEUE = 64, LOGGED = 8192, CHIP = 64, STATUS_BYTES = 2, PACK
     X(piece, 62) X(interrupt_every, 0) \
  /* faults: from this packet on (-1 never) it is unplugged, an error on the bus, takes no packet, completes nothing in, \
     is mute, forgets its zeros; or from now on: takes no packet, does not end what is cancelled, refuses what is \
-    submitted with this error; one handling of events takes so long; replies are spoilt in every way */ \
+    submitted with this error; one handling of events takes so long; replies are spoilt in every way; transfers that \
+    there is memory for */ \
     X(unplug_at, -1) X(break_at, -1) X(block_at, -1) X(hush_at, -1) X(mute_at, -1) X(unhome_at, -1) \
-    X(block, 0) X(stubborn, 0) X(refuse, 0) X(slow_s, 0) X(fuzz, 0) \
+    X(block, 0) X(stubborn, 0) X(refuse, 0) X(slow_s, 0) X(fuzz, 0) X(transfers, 16) \
  /* what was done to it, to be read */ \
     X(unplugged, 0) X(opens, 0) X(closes, 0) X(claimed, 0) X(steps, 0) X(forces, 0) X(most, 0) X(m0, 0) X(m1, 0) X(m2, 0) \
     X(state, 0) X(loads, 0) X(requests, 0) X(submits, 0) X(cancels, 0) X(flying, 0) X(allocated, 0) X(dropped, 0) \
@@ -163,26 +164,26 @@ static void frame(const int count[3], int bits, uint8_t out[PACKET])
     out[15] = '>';
 }
 
-/* A reply that may be any: whole, spoilt in one byte, noise, or a packet of counts that came from nowhere. */
-static void fuzz(struct falcon *f, uint8_t packet[PACKET])
+/* A reply with what may stand before it: noise, noise as long as a packet, a packet with a wrong byte, one cut short.
+ * Then comes a whole one, of the true counts or of counts from nowhere. */
+static void fuzz(struct falcon *f, const uint8_t packet[PACKET])
 {
     uint8_t out[REPLY_MAX];
-    int size = 0;
-    const uint64_t way = random_bits() % 8;
+    int size = 0, count[3];
     for (int k = random_bits() % 8; k > 0; k--) out[size++] = random_bits();
-    if (way < 2) {
-        packet[random_bits() % PACKET] ^= 1 << random_bits() % 8;
-    } else if (way == 2) {
-        for (int k = 0; k < PACKET; k++) packet[k] = random_bits();
-    } else if (way == 3) {
-        int count[3];
+    const int whole = random_bits() % 2 ? PACKET : (int)(random_bits() % PACKET), wrong = random_bits() % PACKET;
+    const bool bits = random_bits() % 4 == 0;
+    for (int k = 0; k < whole; k++) out[size++] = bits ? (uint8_t)random_bits() : packet[k];
+    if (!bits && wrong < whole && wrong != 13) out[size - whole + wrong] ^= 0x80;
+    else if (whole == PACKET) size--;
+    if (random_bits() % 4 == 0) {
         const int span = random_bits() % 2 ? 65536 : 3000;
         for (int n = 0; n < 3; n++) count[n] = (int)(random_bits() % span) - span / 2;
-        frame(count, packet[13] - 'A', packet);
+        frame(count, packet[13] - 'A', out + size);
+    } else {
+        memcpy(out + size, packet, PACKET);
     }
-    memcpy(out + size, packet, PACKET);
-    size += way == 4 ? (int)(random_bits() % PACKET) : PACKET;
-    queue(f, out, size, 0);
+    queue(f, out, size + PACKET, 0);
 }
 
 static void answer(struct falcon *f)

@@ -30,10 +30,9 @@ struct libusb_transfer {
     int num_iso_packets;
 };
 
-struct handle { int number; };
+struct handle { int number; bool claimed; };
 struct flight { struct libusb_transfer *transfer; bool taken, cancelled; double since; };
 
-static struct handle handle[DEVICES];
 static struct flight flight[FLIGHTS];
 static pthread_mutex_t guard = PTHREAD_MUTEX_INITIALIZER;
 static volatile int inside;
@@ -220,8 +219,8 @@ int libusb_open(void *dev, struct handle **out)
     if (lost(f)) return NO_DEVICE;
     if (f->forbidden) return ACCESS;
     f->opens += 1;
-    handle[number_of(dev)].number = number_of(dev);
-    *out = &handle[number_of(dev)];
+    *out = calloc(1, sizeof **out);
+    (*out)->number = number_of(dev);
     return 0;
 }
 void libusb_close(struct handle *h)
@@ -229,7 +228,7 @@ void libusb_close(struct handle *h)
     struct falcon *f = behind(h);
     pthread_mutex_lock(&guard);
     f->closes += 1;
-    f->claimed = 0;
+    if (h->claimed) f->claimed = 0;
     for (int n = 0; n < FLIGHTS; n++)  /* what is still under way is taken from its owner */
         if (flight[n].transfer && flight[n].transfer->dev_handle == h) {
             flight[n].transfer = 0;
@@ -237,6 +236,7 @@ void libusb_close(struct handle *h)
             f->dropped += 1;
         }
     pthread_mutex_unlock(&guard);
+    free(h);
 }
 int libusb_set_configuration(struct handle *h, int value) { (void)h; (void)value; return 0; }
 int libusb_get_configuration(struct handle *h, int *out) { (void)h; *out = 1; return 0; }
@@ -245,14 +245,15 @@ int libusb_claim_interface(struct handle *h, int number)
 {
     (void)number;
     if (lost(behind(h))) return NO_DEVICE;
-    if (behind(h)->held) return BUSY;
-    behind(h)->claimed = 1;
+    if (behind(h)->held || (behind(h)->claimed && !h->claimed)) return BUSY;
+    behind(h)->claimed = h->claimed = true;
     return 0;
 }
 int libusb_release_interface(struct handle *h, int number)
 {
     (void)number;
-    behind(h)->claimed = 0;
+    if (h->claimed) behind(h)->claimed = 0;
+    h->claimed = false;
     return behind(h)->unplugged ? NO_DEVICE : 0;
 }
 int libusb_reset_device(struct handle *h) { (void)h; return 0; }
@@ -306,7 +307,7 @@ int libusb_bulk_transfer(
     pthread_mutex_lock(&guard);
     if (lost(f)) {
         code = NO_DEVICE;
-    } else if (!f->claimed) {
+    } else if (!h->claimed) {
         f->misuse += 1;
         code = IO;
     } else if (end & 0x80) {
@@ -331,6 +332,7 @@ int libusb_interrupt_transfer(
 struct libusb_transfer *libusb_alloc_transfer(int packets)
 {
     (void)packets;
+    if (falcon[0].allocated >= falcon[0].transfers) return 0;
     falcon[0].allocated += 1;
     return calloc(1, sizeof(struct libusb_transfer));
 }
@@ -354,7 +356,7 @@ int libusb_submit_transfer(struct libusb_transfer *transfer)
     int code = 0;
     pthread_mutex_lock(&guard);
     struct flight *free_one = flying(0);
-    if (flying(transfer) || !free_one || !f->claimed) { f->misuse += 1; code = BUSY; }
+    if (flying(transfer) || !free_one || !transfer->dev_handle->claimed) { f->misuse += 1; code = BUSY; }
     else if (lost(f)) code = NO_DEVICE;
     else if (f->refuse) code = (int)f->refuse;
     if (!code) {
