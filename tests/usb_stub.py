@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import usb.backend.libusb1
-from drd_stub import COMPILER
+from drd_stub import COMPILER, compile_stub
 from driver_contract import RATE_HZ, Bench
 
 from softfinger.config.load import build, load_rig
@@ -96,15 +95,6 @@ def word(device: Falcon, place: int) -> int:
     return int(ctypes.c_int64.from_address(device.io().handle + 8 * place).value)
 
 
-def compiled(folder: Path, soname: str | None = None) -> Path:
-    """The stand-in as a library in `folder`; with a soname it can take libusb's place in another process."""
-    path = folder / SONAME
-    flags = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
-    name = [f"-Wl,-soname,{soname}"] if soname else []  # without: libusb itself may be loaded later on
-    subprocess.run([str(COMPILER), *flags, *name, "-o", str(path), str(SOURCE), "-lm"], check=True)
-    return path
-
-
 @contextmanager
 def in_place_of_libusb(path: Path) -> Iterator[None]:
     """pyusb's own loader finds this library, and whoever asks pyusb for its backend gets it."""
@@ -125,7 +115,8 @@ def usb_library() -> Iterator[Path]:
     if COMPILER is None:
         pytest.skip(NO_COMPILER)
     with tempfile.TemporaryDirectory(prefix="usb-") as folder:
-        yield compiled(Path(folder))
+        # without a soname: libusb itself may be loaded later on
+        yield compile_stub(SOURCE, Path(folder) / SONAME)
 
 
 @pytest.fixture
@@ -140,7 +131,7 @@ def stub(usb_library: Path) -> Iterator[UsbStub]:
 
 def child_environment(folder: Path, **knobs: float) -> dict[str, str]:
     """Environment of a process that finds the stand-in, in `folder`, where libusb would be."""
-    compiled(folder, SONAME)
+    compile_stub(SOURCE, folder / SONAME, f"-Wl,-soname,{SONAME}")
     settings = ",".join(f"{name}={value}" for name, value in knobs.items())
     return {
         **os.environ,
