@@ -36,6 +36,10 @@ class Diagnosis(NamedTuple):
     remedy: str = ""
 
 
+Found = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
+"""A device, who claims it, what is in the way, and what it said itself."""
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "List what is attached, which driver claims it, why it cannot be opened, and the command that mends it. "
@@ -48,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     rig = None if args.rig is None else load_rig(args.rig).device
-    found = []
+    found: list[Found] = []
     for device in discovery.attached():
         claim = claim_on(device)
         diagnosis, said = diagnose(device, claim, rig), None
@@ -172,7 +176,7 @@ def as_map(
     }
 
 
-def lines(found: list[tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]]) -> list[str]:
+def lines(found: list[Found]) -> list[str]:
     """The same for people: what a driver claims first, then the rest."""
     text = []
     for device, claim, diagnosis, said in sorted(found, key=lambda one: one[1] is None):

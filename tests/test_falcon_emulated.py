@@ -214,6 +214,18 @@ def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
         assert said in done.stderr
 
 
+def test_a_falcon_says_that_its_firmware_runs() -> None:
+    """`devices` does not touch it and says that it needs its firmware; with `--ask` it says itself that it has it."""
+    words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
+    for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
+        done, saw = beside({}, *words, *more)
+        assert done.returncode == 0, done.stderr
+        (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+        assert (device["driver"], device["state"], device["said"]) == ("falcon", state, said)
+        assert (saw["steps"] > 0) == (said is not None)
+        assert saw["most"] == [0, 0, 0]
+
+
 def test_a_weight_gives_the_gain() -> None:
     """`calibrate` finds the emulated motors' gain with a weight, from a rig whose gain is another."""
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}

@@ -132,12 +132,12 @@ RECORDED = {
     (10.0, 0.0, 0.0): (-679, 2529, -1862),
     (0.0, 10.0, 0.0): (2481, -669, -1691),
 }
-"""Motor counts that the maker's own driver sent for a force (N): packets recorded by libnifalcon's author."""
+"""Motor counts that the maker's driver sent for a force (N): packets traced by libnifalcon's author."""
 
 
 def test_motors_turn_as_in_recorded_packets() -> None:
     """With the shipped rig's sign every count for a recorded force has the recorded sign. Where the knob was is not
-    recorded; near the centre the signs do not depend on it."""
+    recorded; within 2 cm of the centre the signs do not depend on it."""
     options = build(Options, load_rig("falcon").device.options, "falcon [device]")
     gain = -COUNTS_PER_NM if options.motors_reversed else COUNTS_PER_NM
     for force, recorded in RECORDED.items():

@@ -74,8 +74,9 @@ class UsbStub:
         return self[number, "m0"], self[number, "m1"], self[number, "m2"]
 
     def log(self) -> np.ndarray:
-        """Of each packet since `logged` was set to 0: force and place, (n, 6), as `state` has them."""
-        out = np.zeros((int(self["logged"]), 6))
+        """Of each packet since `logged` was set to 0: force and place as `state` has them, and whether the host waited
+        for its answer, (n, 7)."""
+        out = np.zeros((int(self["logged"]), 7))
         self._library.stub_log(0, out.ctypes.data_as(ctypes.c_void_p), len(out))
         return out
 
@@ -105,7 +106,8 @@ def in_place_of_libusb(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        gc.collect()  # pyusb's objects give themselves back to the library that the module names then
+        if before[0] is not None and before[0]._name != str(path):
+            gc.collect()  # pyusb's objects give themselves back to the library that the module names then
         module._lib, module._lib_object = before[0] or module._lib, before[1]
 
 

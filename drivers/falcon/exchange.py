@@ -160,8 +160,8 @@ def _put(handle: int, motors: packets.Counts) -> int:
 def _await(handle: int) -> int:
     """Throw away what has come and wait for a reply of now; 1, or a status below 0."""
     word = int64_at(handle)
-    begun = _now(handle)
     came = _take(handle, 0)
+    begun = _now(handle)
     word[block.AWAITED] = 0
     asked_at = begun - word[block.KICK]
     while came >= 0:

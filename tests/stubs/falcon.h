@@ -55,6 +55,7 @@ struct falcon {
     unsigned head, tail;
     double dry, replies;
     double log[LOGGED][6];
+    bool waited[LOGGED];
 };
 static struct falcon falcon[DEVICES];
 static uint64_t noise = 88172645463325252ull;
@@ -231,6 +232,7 @@ static void packet_of_host(struct falcon *f)
         double *row = f->log[(int)f->logged];
         force_at(f, f->place, row);
         for (int i = 0; i < 3; i++) row[3 + i] = f->place[i];
+        f->waited[(int)f->logged] = false;
         f->logged += 1;
     }
     answer(f);

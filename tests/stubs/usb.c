@@ -90,14 +90,16 @@ void stub_state(int number, double out[6])
     out[4] = CENTRE[2] - f->place[2];
     out[5] = f->place[1] - CENTRE[1];
 }
-/* Of each packet taken since `logged` was 0: force on the hand when it came and place, as stub_state has them. */
+/* Of each packet taken since `logged` was 0: force on the hand when it came and place, as stub_state has them, and
+ * whether the host then waited: a loop that was held up asks anew, and no packet of a tick is waited for. */
 int stub_log(int number, double *out, int rows)
 {
     const struct falcon *f = &falcon[number];
     if (rows > (int)f->logged) rows = (int)f->logged;
-    for (int n = 0; n < rows; n++, out += 6) {
+    for (int n = 0; n < rows; n++, out += 7) {
         const double *row = f->log[n];
-        const double turned[6] = {row[0], -row[2], row[1], row[3] - CENTRE[0], CENTRE[2] - row[5], row[4] - CENTRE[1]};
+        const double turned[7] = {row[0], -row[2], row[1], row[3] - CENTRE[0], CENTRE[2] - row[5], row[4] - CENTRE[1],
+                                  f->waited[n]};
         memcpy(out, turned, sizeof turned);
     }
     return rows;
@@ -438,6 +440,9 @@ int libusb_handle_events_timeout_completed(void *ctx, struct timeval *wait, int 
     if (f->interrupt_every > 0 && fmod(handled, f->interrupt_every) == 0) {
         code = INTERRUPTED;
     } else {
+        if (wait->tv_usec > 0)
+            for (int n = 0; n < DEVICES; n++)
+                if (falcon[n].logged > 0 && falcon[n].logged <= LOGGED) falcon[n].waited[(int)falcon[n].logged - 1] = true;
         const double until = now_s() + wait->tv_sec + 1e-6 * wait->tv_usec;
         if (f->slow_s > 0) { usleep((useconds_t)(f->slow_s * 1e6)); f->slow_s = 0; }
         while (!complete_what_is_done(in) && now_s() < until) usleep(20);
