@@ -292,7 +292,7 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
     servo = Servo(device)
     servo.read()
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    stub["slow_s"] = 1.3  # two waits of half a second
+    stub["slow_s"] = 2.3  # two waits of a second
     statuses: list[int] = []
     loop = threading.Thread(target=lambda: statuses.append(servo.read()[0]))
     loop.start()
@@ -319,6 +319,21 @@ def test_opening_that_fails_half_way_gives_everything_back(
         bench.open()
     assert (stub["allocated"], stub["misuse"], stub["flying"]) == (0, 0, 0)
     assert stub["opens"] == stub["closes"]
+
+
+def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) -> None:
+    """Switched on: the file is sent again after a wrong echo, the hand pulls the knob out and in, and then its
+    place is the knob's."""
+    path = tmp_path / "firmware.bin"
+    path.write_bytes(bytes(range(250)) * 6)
+    stub.update(firmware=1500, spoil=1, homed=0)
+    with bench.open(firmware=str(path)) as device:
+        assert stub["loads"] == 2
+        status, sample = Servo(device).read()
+        assert status == OK
+        np.testing.assert_allclose(sample[:3], stub.state()[3:], rtol=0, atol=COUNT_M)
+    assert stub["most"] == 0, "a motor was driven before its place was known"
+    assert stub["misuse"] == 0
 
 
 def test_a_million_spoilt_replies(stub: UsbStub, bench: FalconBench) -> None:

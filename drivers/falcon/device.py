@@ -25,7 +25,7 @@ STIFFNESS_MAX_N_PER_M: Final = 3000.0
 DAMPING_MAX_NS_PER_M: Final = 20.0
 RADIUS_M: Final = 0.04
 """Recommended maxima for the device, about the workspace centre."""
-STOP_WAIT_S: Final = 0.5
+STOP_WAIT_S: Final = 1.0
 """How long a stop tries. A packet that hangs is withdrawn after the rig's `timeout_s`, 0.2 s at most; then a zero
 goes."""
 PAUSE_S: Final = 0.001

@@ -6,9 +6,9 @@ opened, by the addresses of its functions: no interpreter lock, and no allocatio
 One transfer in and one out are there for as long as the device is open. The one in is always under way; the chip
 completes it with a reply, or with its two status bytes alone. A packet of one tick is answered in the next, and nobody
 waits: while an answer is missing the tick repeats the last sample, and up to `DEPTH` packets may be without one, so
-that a late reply costs a tick and not the loop. After `kick_s` without a reply no force is sent, for where the knob
-is now a force for where it was may push it the wrong way, and a zero is sent every `kick_s`; after `timeout_s` it is
-given up.
+that a late reply costs a tick and not the loop; once the second has been without one for 5 ms, neither is waited for.
+After `kick_s` without a reply no force is sent, for where the knob is now a force for where it was may push it the
+wrong way, and a zero is sent every `kick_s`; after `timeout_s` it is given up.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ def _read_locked(handle: int, sample: Any) -> int:
         silence = now - word[block.HEARD_AT]
         if silence > word[block.TIMEOUT_AFTER]:
             return TIMEOUT
-        if silence > MISSING_NS and word[block.AWAITED] >= DEPTH:
+        if word[block.AWAITED] >= DEPTH and now - word[block.SENT_AT] > MISSING_NS:
             word[block.AWAITED] = 0
         if silence > word[block.KICK] and now - word[block.SENT_AT] > word[block.KICK]:
             kicked = _kick(handle)
