@@ -1,4 +1,4 @@
-"""A hidraw node, opened for this process alone, once it is known to be the device that was meant."""
+"""The node of a HID device, opened for this process alone, and known to be the device that was meant."""
 
 from __future__ import annotations
 
@@ -20,13 +20,26 @@ def open_path(path: str, vendor: int, product: int) -> int:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device.
     """
+    fd = open_locked(path, discovery.hid_rule(vendor, product))
+    try:
+        _check_device(fd, path, vendor, product)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def open_locked(path: str, rule: str) -> int:
+    """File descriptor of any node of a HID device, non-blocking, locked; `rule` of udev lets the user open it.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
+    """
     try:
         fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        raise _unopened(path, vendor, product, error) from error
+        raise _unopened(path, rule, error) from error
     try:
         _lock(fd, path)
-        _check_device(fd, path, vendor, product)
     except BaseException:
         os.close(fd)
         raise
@@ -37,15 +50,14 @@ def ids(vendor: int, product: int) -> str:
     return f"{vendor:04x}:{product:04x}"
 
 
-def _unopened(path: str, vendor: int, product: int, error: OSError) -> DeviceError:
+def _unopened(path: str, rule: str, error: OSError) -> DeviceError:
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or leave `path` out")
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(
             f"{path} may not be opened by this user: {reason}: write "
-            f"{discovery.hid_rule(vendor, product)} to {discovery.HID_RULE_FILE}, run `udevadm control --reload`, "
-            "and plug the device in again"
+            f"{rule} to {discovery.HID_RULE_FILE}, run `udevadm control --reload`, and plug the device in again"
         )
     if error.errno == errno.EBUSY:
         return DeviceBusy(f"{path} is held by another program: close that one first")

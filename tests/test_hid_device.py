@@ -28,7 +28,7 @@ from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, De
 from softfinger.config.load import build
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, Device
 from softfinger.drivers.hid import HidDevice, Options, exchange, open_device
-from softfinger.drivers.hid.node import find
+from softfinger.drivers.hid.link import find
 
 COUNT_M = 3e-4
 """Half an encoder count at a motor is up to 0.13 mm at the end of the longest arm along each joint."""
@@ -40,17 +40,17 @@ class Bench(driver_contract.Bench):
     # An encoder count and 1 mA of a motor are 8 mN at the end.
     force_step_n: ClassVar[float] = 0.012
 
-    def __init__(self, rig: str, node: RefusedNode, undo: contextlib.ExitStack) -> None:
-        self.rig, self.node, self._undo = rig, node, undo
+    def __init__(self, rig: str, through: str, node: RefusedNode, undo: contextlib.ExitStack) -> None:
+        self.rig, self.through, self.node, self._undo = rig, through, node, undo
         self.case = ""
         self.device: HidDevice | None = None
 
     def open(self) -> Device:
         if self.case == "not_found":
-            return open_device(rig_options(self.rig, path="/dev/hidraw-none"), RATE_HZ)
+            return open_device(rig_options(self.rig, path="/dev/hidraw-none", through=self.through), RATE_HZ)
         if self.case:
-            return open_device(rig_options(self.rig, path=str(self.node.path)), RATE_HZ)
-        self.device, self.arm, self.answering = self._undo.enter_context(woody(self.rig))
+            return open_device(rig_options(self.rig, path=str(self.node.path), through=self.through), RATE_HZ)
+        self.device, self.arm, self.answering = self._undo.enter_context(woody(self.rig, through=self.through))
         return self.device
 
     def displayed(self) -> tuple[float, ...]:
@@ -75,10 +75,13 @@ class Bench(driver_contract.Bench):
         self.case = ""
 
 
-@pytest.fixture(params=["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
+@pytest.fixture(
+    params=[("woodenhaptics-2015", "node"), ("woodenhaptics-polhem-v1", "node"), ("woodenhaptics-polhem-v1", "thread")],
+    ids=" ".join,
+)
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     with RefusedNode() as node, contextlib.ExitStack() as undo:
-        yield Bench(request.param, node, undo)
+        yield Bench(*request.param, node, undo)
 
 
 class TestContract(driver_contract.DriverContract):

@@ -15,9 +15,10 @@ from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, De
 from softfinger.drivers.hid import exchange, reports
 from softfinger.drivers.hid.chain import Chain, make_chain
 from softfinger.drivers.hid.exchange import Model
-from softfinger.drivers.hid.node import open_node
+from softfinger.drivers.hid.link import open_link
 from softfinger.drivers.hid.options import Chain as ChainOptions
 from softfinger.drivers.hid.options import Options, OutputReport
+from softfinger.drivers.hid.pump import Pump
 from softfinger.proxy.kernels.pack import flatten
 from softfinger.proxy.kernels.rotations import normalize
 
@@ -33,10 +34,10 @@ PRESET_NEAR: Final = 20.0
 
 
 class HidDevice(Device):
-    """An open device on the file descriptor `fd` of its node, which it owns from now on."""
+    """An open device on the file descriptor `fd`, which it owns from now on: of its node, or of `pump`, with that."""
 
-    def __init__(self, options: Options, fd: int) -> None:
-        self._options = options
+    def __init__(self, options: Options, fd: int, pump: Pump | None = None) -> None:
+        self._options, self.pump = options, pump
         given = options.kinematics
         self._chain: Chain | None = make_chain(given) if isinstance(given, ChainOptions) else None
         self._word = np.zeros(exchange.WORDS, dtype=np.int64)
@@ -108,6 +109,9 @@ class HidDevice(Device):
                 log.error("%s: a write has hung for %g s; no zero can follow it", self.info.name, STOP_WAIT_S)
                 return
             time.sleep(0.0001)
+        pump = self.pump
+        if pump is not None and not pump.flush(self.counts(exchange.WRITTEN), until) and pump.hangs_s():
+            log.error("%s: a write has hung for %.2g s; no zero has followed it yet", self.info.name, pump.hangs_s())
 
     def close(self) -> None:
         self.stop()
@@ -115,6 +119,14 @@ class HidDevice(Device):
         self._word[exchange.FD] = -1
         if fd >= 0:
             os.close(fd)
+        if self.pump is not None:
+            self.pump.close()
+
+    def reason(self) -> str:
+        if self.pump is None:
+            return ""
+        hung_s = self.pump.hangs_s()
+        return f"a write has been under way for {hung_s:.2g} s" if hung_s else self.pump.failure
 
     def counts(self, name: int) -> int:
         """One of the counters of `exchange`: REPORTS, DRAINED, WRITTEN, KICKS, CUT or FOREIGN."""
@@ -155,6 +167,13 @@ class HidDevice(Device):
             os.write(int(self._word[exchange.FD]), out.tobytes())
         except OSError as error:
             raise DeviceLost(f"{self.info.name} is gone: {error.strerror}: plug it in again") from error
+        self._word[exchange.WRITTEN] += 1
+        # Nothing follows it before it has gone: the pump passes a report over for a newer one.
+        if self.pump is not None and not self.pump.flush(
+            self.counts(exchange.WRITTEN), time.monotonic() + PRESET_WAIT_S
+        ):
+            because = f" ({self.reason()})" if self.reason() else ""
+            raise DeviceTimeout(f"{self.info.name} takes no report{because}: check its power, and its firmware")
 
     def _read_counts(self) -> NDArray[np.float64]:
         """Counts of encoders a, b, c in a report of now, without what is added to them."""
@@ -172,4 +191,5 @@ class HidDevice(Device):
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:
     """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
-    return HidDevice(options, open_node(options))
+    link = open_link(options)
+    return HidDevice(options, link.fd, link.pump)
