@@ -37,7 +37,7 @@ class HidDevice(Device):
     """An open device on the file descriptor `fd`, which it owns from now on: of its node, or of `pump`, with that."""
 
     def __init__(self, options: Options, fd: int, pump: Pump | None = None) -> None:
-        self._options, self.pump = options, pump
+        self._options, self.pump, self._told = options, pump, False
         given = options.kinematics
         self._chain: Chain | None = make_chain(given) if isinstance(given, ChainOptions) else None
         self._word = np.zeros(exchange.WORDS, dtype=np.int64)
@@ -103,15 +103,21 @@ class HidDevice(Device):
         return DeviceIO(exchange.read.address, exchange.write.address, self._word.ctypes.data)
 
     def stop(self) -> None:
-        until = time.monotonic() + STOP_WAIT_S
+        # However often it is asked to stop, a write under way has its time once.
+        hung_s = 0.0 if self.pump is None else self.pump.hangs_s()
+        until = time.monotonic() + STOP_WAIT_S - hung_s
         while not exchange.silence.ctypes(self._word.ctypes.data):
             if time.monotonic() > until:
-                log.error("%s: a write has hung for %g s; no zero can follow it", self.info.name, STOP_WAIT_S)
+                self._tell_no_zero(self.reason() or f"a write has hung for {STOP_WAIT_S:g} s")
                 return
             time.sleep(0.0001)
-        pump = self.pump
-        if pump is not None and not pump.flush(self.counts(exchange.WRITTEN), until) and pump.hangs_s():
-            log.error("%s: a write has hung for %.2g s; no zero has followed it yet", self.info.name, pump.hangs_s())
+        if self.pump is not None and not self.pump.flush(self.counts(exchange.WRITTEN), until):
+            self._tell_no_zero(self.reason())
+
+    def _tell_no_zero(self, why: str) -> None:
+        if not self._told:
+            self._told = True
+            log.error("%s: no zero has reached it: %s", self.info.name, why)
 
     def close(self) -> None:
         self.stop()
