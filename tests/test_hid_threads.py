@@ -48,7 +48,7 @@ class Linked:
             self.heard.append(data)
             return answer(data)
 
-        options = build(Options, described(**changes), "rig")
+        options = build(Options, described(**{"timeout_s": 0.2, **changes}), "rig")  # a busy machine answers late
         fd, end = ends()
         self.answering, self.api = Answering(end, note), Api(fd)
         link = pumped(self.api, options)
@@ -146,7 +146,7 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
             linked.push(3.0)
             time.sleep(0.001)
         assert status == TIMEOUT
-        assert time.monotonic() - begun < 5.0  # 0.11 s on a machine that is not held up
+        assert time.monotonic() - begun < 5.0  # 0.2 s, twice that if it talks, on a machine that is not held up
         assert "a write has been under way for" in linked.device.reason()
         stop.set()
         begun = time.monotonic()
@@ -253,7 +253,7 @@ def test_calibration_at_opening(rig: str) -> None:
 
 def test_a_calibration_that_fails_leaves_nothing_open() -> None:
     """A board without an answer, and one that takes no report, are told apart at opening; hidapi is closed."""
-    options = rig_options("woodenhaptics-2019", calibrate=True)
+    options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=0.2)  # a busy machine answers late
     for answer, error, said in (
         (None, DeviceTimeout, "sends no report"),
         (b"\0" * 64, DeviceError, "did not take the calibration"),
@@ -359,14 +359,14 @@ def test_any_bytes_leave_a_finite_pose_or_a_fault() -> None:
     generator = np.random.default_rng(12)
     with Linked() as linked:
         linked.until(lambda status: status == OK)
-        seen = {OK: 0, STALE: 0, PROTOCOL: 0}
+        seen = {"read": 0, "repeated": 0, "refused": 0}
         for n in range(3000):
             data = bytearray(generator.bytes(31 if n % 4 else int(generator.integers(1, 64))))
             if n % 3:
                 data[0] = 3
             linked.answering.end.send(data)
             status, sample = linked.servo.read()
-            seen[status] += 1
+            seen["refused" if status < 0 else "repeated" if status == STALE else "read"] += 1
             if status >= 0:
                 assert all(map(math.isfinite, sample))
                 assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-9)  # rounding of a normalisation

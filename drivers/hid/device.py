@@ -49,6 +49,7 @@ class HidDevice(Device):
         self._out[0] = spec.output.id
         self._values, self._command = np.zeros(reports.SENSED_SIZE), np.zeros(reports.COMMANDED_SIZE)
         self._sample = np.zeros(SAMPLE_SIZE)
+        self._zero = _encoded(spec.output, {})
         self._model = flatten(self._make_model())
         self._wire(fd, numbered)
         wrist = isinstance(given, ChainOptions) and given.wrist_counts_per_turn is not None
@@ -106,6 +107,8 @@ class HidDevice(Device):
         # However often it is asked to stop, a write under way has its time once.
         hung_s = 0.0 if self.pump is None else self.pump.hangs_s()
         until = time.monotonic() + STOP_WAIT_S - hung_s
+        if self.pump is not None:
+            self.pump.disarm(self._zero)
         while not exchange.silence.ctypes(self._word.ctypes.data):
             if time.monotonic() > until:
                 self._tell_no_zero(self.reason() or f"a write has hung for {STOP_WAIT_S:g} s")
@@ -164,13 +167,9 @@ class HidDevice(Device):
                 )
 
     def _send_preset(self, report: OutputReport, counts: NDArray[np.float64]) -> None:
-        table, out = reports.output_table(report), np.zeros(1 + report.bytes, np.uint8)
-        out[0] = report.id
-        values, scratch = np.zeros(reports.COMMANDED_SIZE), np.zeros(1, np.int64)
-        values[reports.PRESET : reports.PRESET + 3], values[reports.CONSTANT] = counts, 1.0
-        reports.encode_once(values, table, scratch, out)
+        data = _encoded(report, {reports.PRESET + k: float(counts[k]) for k in range(3)})
         try:
-            os.write(int(self._word[exchange.FD]), out.tobytes())
+            os.write(int(self._word[exchange.FD]), data)
         except OSError as error:
             raise DeviceLost(f"{self.info.name} is gone: {error.strerror}: plug it in again") from error
         self._word[exchange.WRITTEN] += 1
@@ -193,6 +192,16 @@ class HidDevice(Device):
         if status < 0:
             raise DeviceLost(f"{self.info.name} cannot be read (status {status}): plug it in again")
         return self._values[reports.COUNTS : reports.COUNTS + 3].copy()
+
+
+def _encoded(report: OutputReport, commanded: dict[int, float]) -> bytes:
+    """A report with its id in front; what is not in `commanded` (value by place) is 0."""
+    values, out = np.zeros(reports.COMMANDED_SIZE), np.zeros(1 + report.bytes, np.uint8)
+    out[0], values[reports.CONSTANT] = report.id, 1.0
+    for place, value in commanded.items():
+        values[place] = value
+    reports.encode_once(values, reports.output_table(report), np.zeros(1, np.int64), out)
+    return out.tobytes()
 
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:

@@ -46,7 +46,7 @@ def open_link(options: Options) -> Link:
 def pumped(device: HidApi, options: Options, held: int | None = None) -> Link:
     """The way through threads, for a device that is open in hidapi; `held` is closed with it."""
     report = options.reports.input
-    pump = Pump(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.kick_s, held)
+    pump = Pump(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.timeout_s, held)
     return Link(pump.fd, pump)
 
 

@@ -65,6 +65,7 @@ class Pump:
         """Reports of the driver that the device has taken, or a newer one in their place."""
         self.passed_over = 0
         """Of these, the ones a newer one took the place of."""
+        self._zero: bytes | None = None
         self._began: float | None = None  # s, monotonic clock: of the write under way
         self._ending = threading.Event()
         # A device that cannot be read may still take a zero: the writer goes on until the driver's end is closed.
@@ -84,6 +85,10 @@ class Pump:
         began = self._began
         lasted = 0.0 if began is None else time.monotonic() - began
         return lasted if lasted > self._patience_s else 0.0
+
+    def disarm(self, zero: bytes) -> None:
+        """From now on send `zero` in the place of whatever the driver has sent, also of what waits in the socket."""
+        self._zero = zero
 
     def flush(self, sent: int, until: float) -> bool:
         """Wait until the device has taken the first `sent` reports of the driver, or a newer one in their place.
@@ -133,12 +138,13 @@ class Pump:
     def _write(self) -> None:
         try:
             while reports := self._waiting():
+                report = self._zero or reports[-1]
                 self._began = time.monotonic()
-                count = self._device.write(reports[-1])
+                count = self._device.write(report)
                 hung_s, self._began = self.hangs_s(), None
-                if count != len(reports[-1]):
+                if count != len(report):
                     after = f" after {hung_s:.2g} s" if hung_s else ""
-                    raise OSError(f"a write of {len(reports[-1])} bytes came back as {count}{after}")
+                    raise OSError(f"a write of {len(report)} bytes came back as {count}{after}")
                 self.passed_over += len(reports) - 1
                 self.taken += len(reports)
         finally:
