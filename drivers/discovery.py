@@ -131,6 +131,11 @@ def hid_rule(vendor: int, product: int) -> str:
     return f'KERNEL=="hidraw*", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", TAG+="uaccess"'
 
 
+def usb_rule(vendor: int, product: int) -> str:
+    """The udev rule that lets the user at the machine open a device on the USB bus."""
+    return f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor:04x}", ATTR{{idProduct}}=="{product:04x}", TAG+="uaccess"'
+
+
 def _listed(folder: Path) -> list[str]:
     try:
         return os.listdir(folder)

@@ -52,7 +52,7 @@ def open_usb(path: str, options: Options) -> Opened:
             f"{path} is the device {seen.ids}, and the rig is for {ids(vendor, product)}: name the right one, or leave "
             "`path` out"
         )
-    held = open_locked(seen.node, rule(vendor, product))
+    held = open_locked(seen.node, discovery.usb_rule(vendor, product))
     device: Any = hid.device()
     try:
         try:
@@ -69,11 +69,6 @@ def open_usb(path: str, options: Options) -> Opened:
         os.close(held)
         raise
     return Opened(device, held)
-
-
-def rule(vendor: int, product: int) -> str:
-    """The udev rule that lets the user at the machine open the device on the bus."""
-    return f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor:04x}", ATTR{{idProduct}}=="{product:04x}", TAG+="uaccess"'
 
 
 def _on_bus(path: str) -> Attached | None:
