@@ -111,15 +111,17 @@ class HidDevice(Device):
             self.pump.disarm(self._zero)
         while not exchange.silence.ctypes(self._word.ctypes.data):
             if time.monotonic() > until:
-                self._tell_no_zero(self.reason() or f"a write has hung for {STOP_WAIT_S:g} s")
+                self._tell_no_zero()
                 return
             time.sleep(0.0001)
         if self.pump is not None and not self.pump.flush(self.counts(exchange.WRITTEN), until):
-            self._tell_no_zero(self.reason())
+            self._tell_no_zero()
 
-    def _tell_no_zero(self, why: str) -> None:
+    def _tell_no_zero(self) -> None:
+        """Once: the loop, the daemon and `close` each stop the device."""
         if not self._told:
             self._told = True
+            why = self.reason() or f"writes have not gone out for {STOP_WAIT_S:g} s"
             log.error("%s: no zero has reached it: %s", self.info.name, why)
 
     def close(self) -> None:
