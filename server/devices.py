@@ -76,7 +76,8 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
         return Diagnosis("unclaimed", "no driver knows it")
     if claim.driver not in registry.names():
         return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
-    if device.bus == "usb" and claim.bus in MODULES:
+    bare = device.bus == "usb" and claim.bus in MODULES
+    if bare and claim.driver != "hid":
         node, module = MODULES[claim.bus]
         return Diagnosis("node", f"the system gives it no {node}", f"sudo modprobe {module}, and plug it in again")
     if not os.path.exists(device.node):
@@ -89,6 +90,8 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
         return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device, claim))
     if (holder := discovery.holder(device.node)) is not None:
         return Diagnosis("busy", f"{device.node} is held by {holder}", f"kill {holder.pid}")
+    if bare:
+        return Diagnosis("usable", "the system gives it no hidraw node, so threads carry its reports over libusb")
     return needs(claim, options_for(claim, rig))
 
 
@@ -137,10 +140,12 @@ def how_to_permit(device: Attached, claim: Claim) -> str:
     """The command that lets this user open a node: a group that has the right already, else a udev rule."""
     if (group := discovery.group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"
-    if claim.bus == "hid":
+    if device.bus == "hid":
         rule, file = discovery.hid_rule(device.vendor, device.product), discovery.HID_RULE_FILE
     elif claim.bus == "serial":
         rule, file = discovery.serial_rule(device.vendor, device.product), discovery.SERIAL_RULE_FILE
+    elif claim.bus == "hid":
+        rule, file = discovery.usb_rule(device.vendor, device.product), discovery.HID_RULE_FILE
     else:
         usb = importlib.import_module(f"{registry.BUILT_IN[claim.driver]}.usb")  # where a driver over USB has its own
         rule, file = usb.RULE, usb.RULE_FILE

@@ -1,5 +1,7 @@
 """One tick with a hidraw node, from nopython: reports drained to the newest, one report written.
 
+The node may be the socket of `pump`, which behaves as one.
+
 The C functions share a block of int64 words with Python; its address is the device's handle. They call the C library
 on the node's file descriptor, without an allocation and without the interpreter lock.
 

@@ -48,6 +48,9 @@ COMMANDED: Final[tuple[str, ...]] = (
 )  # fmt: skip
 """What a field of an output report may mean: currents (A), forces (N), counts to preset, or always its `scale`."""
 
+Through = Literal["auto", "node", "thread"]
+"""What carries the reports: the loop itself at a hidraw node; threads at hidapi; the first where there is a node."""
+
 LIBRARY: Final = Path(__file__).with_name("reports.toml")
 
 Lengths = tuple[
@@ -193,7 +196,8 @@ class Options(Table, frozen=True, kw_only=True):
     vendor_id: Annotated[int, within(USB_ID, "USB vendor", 0x1234)]
     product_id: Annotated[int, within(USB_ID, "USB product", 0x0006)]
     serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
-    path: Annotated[str, said("node, in place of looking for one", "/dev/hidraw0")] | None = None
+    path: Annotated[str, said("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
+    through: Annotated[Through, said("the loop at the node, threads at hidapi, or what there is", "auto")] = "auto"
     reports: Reports
     kinematics: Chain | Cartesian
     mounting: Mounting = Mounting()
@@ -208,6 +212,8 @@ class Options(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if known(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
             yield "timeout_s", self.timeout_s, f"must be at least kick_s = {self.kick_s:g}, so that a kick can help"
+        if known(self.path, self.through) and self.through == "node" and not (self.path or "/").startswith("/"):
+            yield "path", self.path, 'is hidapi\'s name on USB, and through = "node" needs a node such as /dev/hidraw0'
         if not known(self.reports, self.kinematics):
             return
         reports, chain = self.reports, isinstance(self.kinematics, Chain)
