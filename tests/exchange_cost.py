@@ -1,15 +1,17 @@
 """What a driver's tick costs beside the C calls that it makes: `python tests/exchange_cost.py`, `make exchange-cost`.
 
 For each driver for hardware a device is opened on a stand-in: Force Dimension's on a stub of the maker's library, the
-Falcon on a stub of libusb, HID devices and the puck on a packet socket. One compiled loop then times the driver's read
-and write, called as the servo calls them, in turn with the same C calls made bare, with the same arguments on the same
-stand-in. Both go back to back, so the caches are warm. What the driver adds is the difference of the two medians; the
-range is that of the same difference over twenty parts of the run. The stand-in's own work is in both.
+Falcon on a stub of libusb, HID devices and the puck on a packet socket, the serial board on a stream socket. One
+compiled loop then times the driver's read and write, called as the servo calls them, in turn with the same C calls made
+bare, with the same arguments on the same stand-in. Both go back to back, so the caches are warm. What the driver adds
+is the difference of the two medians; the range is that of the same difference over twenty parts of the run. The
+stand-in's own work is in both.
 """
 
 from __future__ import annotations
 
 import argparse
+import socket
 import sys
 import tempfile
 import threading
@@ -23,8 +25,10 @@ import numpy as np
 from drd_stub import COMPILER, SOURCE, Stub, compile_stub
 from driver_contract import RATE_HZ, Servo
 from emulators.puck import combined
+from emulators.serialboard import FRAME_BYTES, Board
 from hid_devices import ends, rig_options
 from numpy.typing import NDArray
+from serial_devices import rig_options as serial_options
 from usb_stub import NO_COMPILER, SONAME, UsbStub, in_place_of_libusb
 from usb_stub import SOURCE as USB_SOURCE
 from usb_stub import options as falcon_options
@@ -38,18 +42,22 @@ from softfinger.drivers.forcedimension import exchange
 from softfinger.drivers.hid import HidDevice
 from softfinger.drivers.libc import IO_SIGNATURE, read_fd, write_fd
 from softfinger.drivers.puck import Options as PuckOptions
+from softfinger.drivers.serial import SerialDevice
+from softfinger.drivers.serial import exchange as port
 from softfinger.drivers.spacemouse import SpaceMouse
 from softfinger.proxy.kernels.atomics import call_device
 from softfinger.proxy.kernels.foreign import call_int32
 from softfinger.proxy.kernels.jit import OPTIONS
 from softfinger.proxy.kernels.memory import float64_at, int64_at
 from softfinger.server.clock import now_ns
+from softfinger.server.figures import figure, save
 from softfinger.tools import measure
 
 PARTS: Final = 20
 BUFFER: Final = 128
 """Bytes; the longest report on a packet socket here has 65."""
 TRIES: Final = 100
+WAKE_S: Final = 0.2
 COLUMNS: Final = ("driver", "bare", "own", "least", "most")
 FORCE: Final = (0.1, -0.2, 0.3)
 
@@ -151,6 +159,13 @@ def _socket_read(handle, sample):
 
 
 @numba.cfunc(IO_SIGNATURE)
+def _stream_read(handle, sample):
+    """The same words: a read that did not fill the buffer has read all."""
+    word = int64_at(handle)
+    return read_fd(word[0], word[1], BUFFER)
+
+
+@numba.cfunc(IO_SIGNATURE)
 def _socket_write(handle, wrench):
     word = int64_at(handle)
     return write_fd(word[0], word[1], word[2])
@@ -159,6 +174,23 @@ def _socket_write(handle, wrench):
 @numba.cfunc(IO_SIGNATURE)
 def _nothing(handle, values):
     return 0
+
+
+def answered(end: socket.socket, answer: bytes, exchange: Callable[[], Any]) -> Any:
+    """What an exchange of the driver gives that waits for an answer of now to what it sends."""
+
+    def once() -> None:
+        with suppress(TimeoutError):
+            end.recv(BUFFER)
+            end.send(answer)
+
+    end.settimeout(WAKE_S)
+    asked = threading.Thread(target=once)
+    asked.start()
+    given = exchange()
+    asked.join()
+    end.setblocking(False)
+    return given
 
 
 @contextmanager
@@ -190,25 +222,23 @@ def hid(_: Path) -> Iterator[Case]:
     fd, end = ends()
     answer, buffer = bytes(given.reports.input.bytes), np.zeros(BUFFER, np.uint8)
     with end, HidDevice(given, fd) as device:
-
-        def wake() -> None:
-            """Answer what the driver sends as it waits."""
-
-            def once() -> None:
-                with suppress(TimeoutError):
-                    end.recv(BUFFER)
-                    end.send(answer)
-
-            end.settimeout(0.2)
-            asked = threading.Thread(target=once)
-            asked.start()
-            Servo(device).read()
-            asked.join()
-            end.setblocking(False)
-
         words = np.array([fd, buffer.ctypes.data, 1 + given.reports.output.bytes])
         bare = DeviceIO(_socket_read.address, _socket_write.address, words.ctypes.data)
-        yield Case(device.io(), bare, end.fileno(), answer, wake)
+        yield Case(device.io(), bare, end.fileno(), answer, lambda: answered(end, answer, Servo(device).read))
+
+
+@contextmanager
+def serial(_: Path) -> Iterator[Case]:
+    """A WoodenHaptics of the third generation on a stream socket, which hands on bytes as a port does."""
+    near, far = socket.socketpair()
+    near.setblocking(False)
+    frame, buffer = Board(lambda _: (0.01, 0.02, -0.015)).frame(), np.zeros(BUFFER, np.uint8)
+
+    with far, answered(far, frame, lambda: SerialDevice(serial_options(), near.detach(), "a socket")) as device:
+        fd = int(device._word[port.FD])
+        words = np.array([fd, buffer.ctypes.data, FRAME_BYTES])
+        bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
+        yield Case(device.io(), bare, far.fileno(), frame, lambda: answered(far, frame, Servo(device).read))
 
 
 @contextmanager
@@ -227,6 +257,7 @@ CASES: Final[dict[str, Callable[[Path], AbstractContextManager[Case]]]] = {
     "forcedimension": force_dimension,
     "falcon": falcon,
     "hid": hid,
+    "serial": serial,
     "spacemouse": spacemouse,
 }
 
@@ -261,13 +292,13 @@ def result(seconds: NDArray[np.float64], whole: float) -> dict[str, Any]:
 
 def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
     """A bar for each driver: what it adds, with the range over the parts."""
-    drawing = measure.figure(path)
+    drawing = figure()
     axes = drawing.subplots()
     own = np.array([[one[key] for key in ("own", "least", "most")] for one in found.values()]) * 1e6
     reach = np.abs(own[:, 1:] - own[:, :1]).T
     axes.barh(list(found), own[:, 0], xerr=reach, capsize=4)
     axes.set_xlabel("own time of a tick, beside the same C calls made bare (us)")
-    measure.save(drawing, path)
+    save(drawing, path)
 
 
 def main() -> int:
@@ -279,8 +310,6 @@ def main() -> int:
     if args.ticks < 1:
         parser.error(f"--ticks {args.ticks}: must be 1 or more")
     try:
-        if args.plot is not None:
-            measure.check_figure(args.plot)
         found = {}
         for name in args.driver or CASES:
             if COMPILER is None and name in ("forcedimension", "falcon"):

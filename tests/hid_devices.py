@@ -179,7 +179,7 @@ def woody(
     **changes: Any,
 ) -> Iterator[tuple[HidDevice, Woody, Answering]]:
     """An open device with the emulated arm of its rig behind it; a thread of a busy machine may answer late."""
-    options = rig_options(rig, **{"timeout_s": 0.2, **changes})
+    options = rig_options(rig, **{"timeout_s": 0.5, **changes})
     arm = Woody(RIGS[rig], 1 if options.reports.name == "woodenhaptics-v1" else 2, intention)
     fd, end = ends()
     with Answering(end, arm.answer) as answering, opened(options, fd, through) as device:

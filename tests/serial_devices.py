@@ -26,7 +26,7 @@ def rig_options(**changes: Any) -> Options:
 
 def opened(cable: Cable, **changes: Any) -> SerialDevice:
     """The device at the end of a cable; a thread of a busy machine may answer late."""
-    return open_device(rig_options(**{"path": cable.path, "quiet_s": 0.1, **changes}), 1000.0)
+    return open_device(rig_options(**{"path": cable.path, "quiet_s": 0.1, "timeout_s": 0.5, **changes}), 1000.0)
 
 
 @contextmanager

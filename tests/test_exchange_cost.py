@@ -23,7 +23,7 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["ticks"] == 300
-    assert list(found["seconds"]) == ["forcedimension", "falcon", "hid", "spacemouse"]
+    assert list(found["seconds"]) == ["forcedimension", "falcon", "hid", "serial", "spacemouse"]
     for name, one in found["seconds"].items():
         # a stall of the machine may pass the drivers' own time limits
         assert one["whole"] > 0.9, name

@@ -44,6 +44,7 @@ class Bench(driver_contract.Bench):
 
     # An encoder count and 1 mA of a motor are 8 mN at the end.
     force_step_n: ClassVar[float] = 0.012
+    patience_s: ClassVar[float] = 10.0
 
     def __init__(self, rig: str, through: str, node: RefusedNode, undo: contextlib.ExitStack) -> None:
         self.rig, self.through, self.node, self._undo = rig, through, node, undo
@@ -69,7 +70,6 @@ class Bench(driver_contract.Bench):
             self.answering.unplug()
         elif case == "timeout":
             self.answering.mute.set()
-            time.sleep(0.25)  # past the rig's timeout: the next read has waited long enough
         else:
             self.case = case
             if case != "not_found":

@@ -46,6 +46,7 @@ class Bench(driver_contract.Bench):
     """An emulated board at the end of a pseudo terminal; refusals of a port on a plain file."""
 
     force_step_n: ClassVar[float] = STEP_N
+    patience_s: ClassVar[float] = 10.0
 
     def __init__(self, early_end: bool, node: RefusedNode, undo: contextlib.ExitStack) -> None:
         self.early_end, self.node, self._undo = early_end, node, undo
@@ -70,7 +71,6 @@ class Bench(driver_contract.Bench):
             self.cable.pull()
         elif case == "timeout":
             self.cable.mute.set()
-            time.sleep(0.25)  # past the rig's timeout: the next read has waited long enough
         else:
             self.case = case
             if case != "not_found":

@@ -31,8 +31,8 @@ LIFT_M = 0.012
 def rig(cable: Cable, **changes: Any) -> Rig:
     """The shipped rig on an emulated board; a thread of a busy machine may answer late."""
     base = {
-        "device.path": cable.path, "device.quiet_s": 0.1, "servo.realtime": "off", "guard.ramp_s": 0.01,
-        "telemetry.endpoint": "tcp://127.0.0.1:*",
+        "device.path": cable.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "servo.realtime": "off",
+        "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
     }  # fmt: skip
     return load_rig(RIG, base | changes)
 
@@ -107,7 +107,7 @@ def test_the_command_line_on_a_port(tmp_path: Path) -> None:
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
         mine = tmp_path / "rig.toml"
-        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\n'
+        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
         mine.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
         command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
         command += ["--scene", "paper-plane", "--endpoint"]

@@ -27,7 +27,12 @@ TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01
 COUNTS: Final = Range(1, 1e7, "the finest encoders give some million counts a turn")
 PRESET_COUNTS: Final = Range(-32768, 32767, "what a two-byte counter holds")
 CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices end at a few amperes")
-SILENCE_S: Final = Range(0.01, 0.2, "below, one kick has no time to work; above, the supervisor stops a stalled loop")
+SILENCE_S: Final = Range(
+    0.01, 0.2, "below, one kick has no time to work; above, force acts where the device was long ago"
+)
+GIVE_UP_S: Final = Range(
+    0.01, 2.0, "below, one kick has no time to work; above, a device that is gone would go unnoticed"
+)
 
 Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]
 TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32")
@@ -207,7 +212,7 @@ class Options(Table, frozen=True, kw_only=True):
     damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 8.0)]
     workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("about the workspace centre", 0.1)]
     kick_s: Annotated[float, within(SILENCE_S, "after so long without a report a zero is sent", 0.01)] = 0.01
-    timeout_s: Annotated[float, within(SILENCE_S, "after so long without a report the device is given up", 0.1)] = 0.1
+    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a report the device is given up", 0.1)] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
