@@ -491,7 +491,7 @@ def test_exchange_allocates_nothing() -> None:
 
 
 def test_page_lists_every_option() -> None:
-    """docs/devices.md has a row for each key of the rig, and no other."""
-    page = (Path(__file__).parents[1] / "docs" / "devices.md").read_text("utf-8")
-    part = page.split("### What a rig may say\n", 1)[1].split("\n### ", 1)[0]
+    """docs/forcedimension.md has a row for each key of the rig, and no other."""
+    page = (Path(__file__).parents[1] / "docs" / "forcedimension.md").read_text("utf-8")
+    part = page.split("## What a rig may say\n", 1)[1].split("\n## ", 1)[0]
     assert re.findall(r"^\| `(\w+)` \|", part, re.M) == list(forcedimension.Options.__struct_fields__)

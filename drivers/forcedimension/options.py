@@ -20,7 +20,7 @@ STATUS_S: Final = Range(0.001, 1.0, "asked at most every tick; a second is long 
 class Options(Table, frozen=True, kw_only=True):
     """Which device, which library, and what may be done to it. What moves the device or its weight is off."""
 
-    library_file: Annotated[str, said("file of libdrd; absent: looked for, see docs/devices.md")] | None = None
+    library_file: Annotated[str, said("file of libdrd; absent: looked for, see docs/forcedimension.md")] | None = None
     model: (
         Annotated[
             Literal[
