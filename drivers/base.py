@@ -6,9 +6,9 @@ both receive. The loop calls them without the GIL; it does not know which device
     int64 read(int64 handle, double sample[SAMPLE_SIZE])    -> status
     int64 write(int64 handle, const double wrench[6])       -> status
 
-`sample` is position (m), orientation quaternion w, x, y, z (fingertip to world), device time (s)
-and buttons; `wrench` is force (N) and torque (N m) on the hand. Both are in the world frame:
-vendor axes are turned inside the driver and nowhere else.
+`sample` is position (m), orientation quaternion w, x, y, z (fingertip to world), device time (s),
+buttons, and opening of the gripper (rad; 0 without one); `wrench` is force (N) and torque (N m) on
+the hand. Both are in the world frame: vendor axes are turned inside the driver and nowhere else.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ PROTOCOL: Final = -3
 FORCE_OFF: Final = -4
 """The device answers, but has turned its own force off; `Device.reason` says why."""
 
-SAMPLE_SIZE: Final = 9
+SAMPLE_SIZE: Final = 10
 SAMPLE_TIME: Final = 7
 SAMPLE_BUTTONS: Final = 8
+SAMPLE_GRIPPER: Final = 9
 
 
 class DeviceIO(NamedTuple):

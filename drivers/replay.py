@@ -14,7 +14,16 @@ import numpy as np
 
 from softfinger.config.schema import said
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import END, OK, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.base import (
+    END,
+    OK,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_TIME,
+    Device,
+    DeviceInfo,
+    DeviceIO,
+)
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample
 from softfinger.drivers.wrench_log import IO_SIGNATURE, READS, WrenchLog, Written
@@ -62,8 +71,8 @@ def _read(handle: int, sample: Any) -> int:
     pose = float64_at(word[SAMPLES] + index * 56)
     for k in range(7):
         sample[k] = pose[k]
-    sample[7] = n * float64_at(handle)[PERIOD]
-    sample[8] = 0.0
+    sample[SAMPLE_TIME] = n * float64_at(handle)[PERIOD]
+    sample[SAMPLE_BUTTONS] = sample[SAMPLE_GRIPPER] = 0.0
     return status
 
 

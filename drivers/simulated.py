@@ -17,7 +17,16 @@ from numba import carray
 
 from softfinger.config.devices import presets
 from softfinger.drivers import spacemouse, wrench_log
-from softfinger.drivers.base import END, OK, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.base import (
+    END,
+    OK,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_TIME,
+    Device,
+    DeviceInfo,
+    DeviceIO,
+)
 from softfinger.drivers.libc import monotonic_ns
 from softfinger.drivers.plant import (
     LINE_SIZE,
@@ -82,8 +91,9 @@ def _tell(sample: Any, plant: Plant, state: PlantState, n: int, buttons: float) 
         sample[k] = position[k]
     for k in range(4):
         sample[3 + k] = state.orientation[k]
-    sample[7] = n / plant.rate
-    sample[8] = buttons
+    sample[SAMPLE_TIME] = n / plant.rate
+    sample[SAMPLE_BUTTONS] = buttons
+    sample[SAMPLE_GRIPPER] = 0.0
 
 
 @c_function(IO_SIGNATURE)

@@ -17,7 +17,18 @@ from numba import carray
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers import discovery, wrench_log
-from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_BUTTONS, SAMPLE_TIME, STALE, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.base import (
+    LOST,
+    OK,
+    PROTOCOL,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_TIME,
+    STALE,
+    Device,
+    DeviceInfo,
+    DeviceIO,
+)
 from softfinger.drivers.claims import PUCKS
 from softfinger.drivers.discovery import Attached
 from softfinger.drivers.hidraw import open_path
@@ -145,6 +156,7 @@ def read(handle: int, sample: Any) -> int:
         sample[k] = state[k]
     sample[SAMPLE_TIME] = state[TIME]
     sample[SAMPLE_BUTTONS] = state[MASK]
+    sample[SAMPLE_GRIPPER] = 0.0
     return OK  # a puck at rest is silent: where the fingertip stays is a new sample all the same
 
 

@@ -72,6 +72,7 @@ FIELDS: Final = (
     Field("passivity.energy", 1, "float", "J", "", "work taken from the hand in this contact, less than 0 if owed"),
     Field("passivity.damping", 1, "float", "N s/m", "", "damping added because of what is owed"),
     Field("servo.device", 1, "int", "1", "", "status of this tick's device read and write"),
+    Field("gripper", 1, "float", "rad", "", "opening of the device's gripper, 0 without one"),
 )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from softfinger.drivers.base import END, SAMPLE_BUTTONS, SAMPLE_SIZE, Device
+from softfinger.drivers.base import END, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_SIZE, Device
 from softfinger.proxy.kernels.atomics import call_device, load_acquire, store_release
 from softfinger.proxy.kernels.jit import entry, jit
 from softfinger.proxy.kernels.model import Vec3
@@ -44,6 +44,7 @@ MISSED: Final = OFFSET["servo.missed"]
 BUSY: Final = OFFSET["servo.busy"]
 STATUS: Final = OFFSET["servo.device"]
 BUTTONS: Final = OFFSET["buttons"]
+GRIPPER: Final = OFFSET["gripper"]
 
 _eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
 
@@ -139,6 +140,7 @@ def servo_loop(
         record[BUSY] = busy / NS_PER_S
         record[STATUS] = max(status, status_out)
         record[BUTTONS] = sample[SAMPLE_BUTTONS]
+        record[GRIPPER] = sample[SAMPLE_GRIPPER]
         push(shared.ring, record)
         number += 1
         store_release(shared.progress, 0, number)

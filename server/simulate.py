@@ -20,9 +20,11 @@ from softfinger.proxy.kernels.jit import entry
 from softfinger.proxy.kernels.pack import flatten, pack, unpack
 from softfinger.proxy.state import CAUSE_NAMES, MODE_NAMES, OFFSET, RECORD_SIZE
 from softfinger.server.clock import NS_PER_S, period_ns
+from softfinger.server.figures import plot_file
 from softfinger.server.progress import CHUNK, progress
 from softfinger.server.results import write_results
 from softfinger.server.run import duration
+from softfinger.server.run_figure import draw_run
 from softfinger.server.tick import Memory, Tuning, begin, tick
 from softfinger.server.tuning import make_tuning
 
@@ -76,6 +78,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     felt.add_argument("--poses", help="CSV, npz or MCAP file, or the name of a shipped recording")
     felt.add_argument("--device", metavar="D", help="a device that is computed: simulated; it feels the force")
     parser.add_argument("--out", required=True, type=Path, help="where to: .csv, .npz or .mcap")
+    parser.add_argument(
+        "--plot", type=plot_file, metavar="FILE.png", help="draw depth, force, angles and modes (.png, .svg)"
+    )
     parser.add_argument("--duration", type=duration, metavar="S", help="with --device: how long (10)")
     parser.add_argument("--method", help="rolling method in place of the scene's")
     parser.add_argument("--rate", type=float, metavar="HZ", help="tick rate in place of the rig's (1000)")
@@ -103,6 +108,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         records = with_device(scene, rig, DURATION_S if args.duration is None else args.duration)
     write_results(args.out, records)
+    if args.plot is not None:
+        draw_run(records, args.plot)
     print(f"{args.out}: {len(records)} ticks at {rate:g} Hz; {summary(records)}")
     return 0
 

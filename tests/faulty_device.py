@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numba import types
 
-from softfinger.drivers.base import LOST, OK, PROTOCOL, TIMEOUT, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, DeviceIO
 from softfinger.proxy.kernels.jit import c_function
 from softfinger.proxy.kernels.memory import float64_at, int64_at
 
@@ -32,7 +32,7 @@ def _read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
     number = word[READS]
     word[READS] = number + 1
-    for i in range(9):
+    for i in range(SAMPLE_SIZE):
         sample[i] = 0.0
     sample[0] = 0.005 * np.sin(0.02 * number)
     sample[2] = 0.009

@@ -307,8 +307,6 @@ def test_recommendations() -> None:
             ["--turn-rate", "50", "--rate", "10", "--motion", "constant"],
             r"a step of 5 rad; .* raise --rate above 15.92",
         ),
-        (["--plot", "front.txt"], r"--plot front.txt: a figure is .png or .svg"),
-        (["--plot", "no/such/front.png"], r"--plot no/such/front.png: there is no folder no/such"),
         (["--figures", "/dev/null/figures"], r"--figures /dev/null/figures: Not a directory"),
         (["--surface", "torus", "--method", "rotation_vector"], r"rotation_vector is there for shapes with a closed"),
     ],

@@ -201,6 +201,27 @@ def test_bench_prints_json(kind, tmp_path):
         assert result["daemon"]["lost"] == 0 and result["daemon"]["messages"] > 0
 
 
+@pytest.mark.parametrize(
+    ("plot", "why"),
+    [("out.txt", "a figure is .png or .svg by its file name"), ("no/such/out.png", "there is no folder no/such")],
+)
+def test_plot_is_refused_before_the_work(plot, why):
+    """A figure that could not be saved is refused on the command line, with what is wrong and what to do."""
+    done = run("bench", "loop", "--seconds", "600", "--plot", plot)
+    assert done.returncode == 2 and f"--plot: {plot}: {why}" in done.stderr
+
+
+def test_run_is_drawn(tmp_path):
+    """`simulate --plot` draws the run: an SVG with every curve and mode named, and the same twice."""
+    drawn = []
+    for name in ("one.svg", "two.svg"):
+        done = run(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
+        assert done.returncode == 0, done.stderr
+        drawn.append((tmp_path / name).read_text())
+    assert drawn[0] == drawn[1]
+    assert all(f">{word}</text>" in drawn[0] for word in ("penetration", "norm", "torsion", "rolling", "time [s]"))
+
+
 def test_bench_refuses_a_feature_there_is_not():
     """A pattern that no feature matches is answered with the names there are, before anything is compiled."""
     done = run("bench", "step", "--features", "tosion*")

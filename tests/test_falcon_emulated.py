@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_hid_emulated import KEEP, STROKE, SYSTEM_PYTHON, WHY_NOT
+from closed_loop import assert_engine_agrees
+from test_hid_emulated import CLOSED_LOOP, STROKE, SYSTEM_PYTHON, WHY_NOT
 
 from softfinger.config.load import find, load_scene
 from softfinger.config.schema import Rig
 from softfinger.drivers.falcon import firmware
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.state import OFFSET
 
 TESTBED = Path(__file__).with_name("emulators") / "falcon_testbed.py"
@@ -71,28 +71,16 @@ def test_the_driver_contract() -> None:
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
     kept = tmp_path / "records.npy"
-    program = (sys.executable, "-c", KEEP, rig_with(tmp_path), "paper-plane", "1800", str(kept))
+    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "1800", str(kept))
     done, saw = beside(STROKE, *program)
     assert done.returncode == 0, done.stderr
-    assert "Ended(ending=1, status=" in done.stdout
     records = np.load(kept)
     assert {0.0, 1.0, 2.0} == set(records[:, OFFSET["contact.mode"]])
     assert max(saw["most"]) > 100  # the forces reached the motors: 1 N is some 240 counts
     assert saw["motors"] == [0, 0, 0]
     assert saw["state"] == 8, "the last packet leaves the light red"
 
-    engine = Engine(load_scene("paper-plane"))
-    position, orientation, force = (OFFSET[name] for name in ("probe.position", "probe.orientation", "force"))
-    passed = 0
-    for row in records:
-        step = engine.step(
-            row[position : position + 3], row[orientation : orientation + 4], float(row[OFFSET["dt"]])
-        )  # fmt: skip
-        assert step.mode == row[OFFSET["contact.mode"]]
-        if row[OFFSET["servo.guard"]] == 0:
-            # the same arithmetic, compiled into the loop and into the engine
-            np.testing.assert_allclose(row[force : force + 3], step.force, rtol=0, atol=1e-12)
-            passed += step.mode != 0
+    passed = assert_engine_agrees(records, load_scene("paper-plane"), 1000.0)
     assert passed > 100, "the guard left too few ticks in contact to compare"
 
 

@@ -27,7 +27,7 @@ from softfinger.config.errors import (
 )
 from softfinger.config.load import build
 from softfinger.drivers import forcedimension
-from softfinger.drivers.base import LOST, OK, STALE, TIMEOUT
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT
 from softfinger.drivers.forcedimension import exchange, library
 from softfinger.drivers.forcedimension.models import MODELS
 from softfinger.proxy.kernels.atomics import call_device
@@ -344,15 +344,13 @@ def test_torque_is_never_sent_where_no_motor_turns(kind: int, stub: Stub, bench:
 
 
 def test_buttons_and_gripper_are_read(stub: Stub, bench: StubBench) -> None:
-    """Every bit of the mask arrives, the highest included; the gripper's angle where there is one, else None."""
+    """Every bit of the mask arrives, the highest included; the gripper's angle where there is one, else 0."""
     stub.update(buttons=2.0**31 + 5, **OMEGA_6)
     with bench.open() as device:
-        assert Servo(device).read()[1][8] == 2.0**31 + 5
-        assert device.gripper_rad is None
+        assert Servo(device).read()[1][8:] == [2.0**31 + 5, 0.0]
     stub.update(type=35, gripper=1, gripper_rad=0.25, buttons=0)
     with bench.open() as device:
-        assert Servo(device).read()[1][8] == 0.0
-        assert device.gripper_rad == 0.25
+        assert Servo(device).read()[1][8:] == [0.0, 0.25]
 
 
 def test_one_and_two_are_success_and_are_counted(stub: Stub, bench: StubBench) -> None:
@@ -451,7 +449,7 @@ def test_a_million_readings_of_garbage(stub: Stub, bench: StubBench) -> None:
     with bench.open(status_period_s=1.0) as device:
         stub.update(garbage=1)
         io, out = device.io(), np.zeros(3, np.int64)
-        fuzz(io.read, io.write, io.handle, np.zeros(9), np.zeros(6), out, 1_000_000)
+        fuzz(io.read, io.write, io.handle, np.zeros(SAMPLE_SIZE), np.zeros(6), out, 1_000_000)
         assert out[:2].tolist() == [0, 0]
         assert stub["peak"] <= 12.0 and math.isfinite(stub.norm())
 

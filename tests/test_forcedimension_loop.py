@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from closed_loop import assert_engine_agrees, records_of_daemon
 from drd_stub import COMPILER, NO_COMPILER, Stub, StubBench, bench, stub, stub_library
 from driver_contract import RATE_HZ, Servo
 
@@ -21,7 +22,6 @@ from softfinger.config.load import build, load_rig, load_scene, shipped
 from softfinger.config.schema import Rig
 from softfinger.drivers import forcedimension
 from softfinger.drivers.base import FORCE_OFF, OK
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.state import MODE_NAMES, OFFSET, RECORD_SIZE
 from softfinger.server import servo as s
 from softfinger.server.app import Daemon
@@ -42,50 +42,32 @@ def records_of(servo: s.Servo) -> np.ndarray:
     return out[: servo.take(out)]
 
 
-def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub, bench: StubBench) -> None:
-    """Press, roll, slide and release by a hand on a simulated handle: the forces at the motors and the modes are those
-    that the contact step gives on the sensed poses; the wall holds the handle; no threads meet in the library."""
-    stub.update(**PRESSING)
-    scene = load_scene("paper-plane")
-    with bench.open(gravity_compensation=True) as device:
-        tuning = make_tuning(scene, load_rig("replay", {"guard.ramp_s": 0.01}).guard, device.info)
-        servo = s.Servo(device, tuning, RATE_HZ, 2500)
-        servo.compile()
-        servo.start()
-        ended = servo.join(60.0)
-        assert ended == s.Ended(s.FINISHED, OK)
-        records = records_of(servo)
-        servo.close()
-        assert device.counts.reads == 2500
-    engine = Engine(scene, RATE_HZ)
-    forces, modes = [], []
-    for row in records:
-        at = OFFSET["probe.position"]
-        turned = OFFSET["probe.orientation"]
-        step = engine.step(row[at : at + 3], row[turned : turned + 4], float(row[OFFSET["dt"]]))
-        forces.append(step.force)
-        modes.append(step.mode)
-    given = records[:, OFFSET["force"] : OFFSET["force"] + 3]
-    free = records[:, OFFSET["servo.guard"]] == 0
-    assert np.mean(free) > 0.9
-    # The same kernel on the same poses; the record's orientation has been normalised once more.
-    np.testing.assert_allclose(given[free], np.array(forces)[free], atol=1e-9)
-    assert records[:, OFFSET["contact.mode"]].tolist() == [float(mode) for mode in modes]
-    assert {MODE_NAMES[int(mode)] for mode in set(modes)} == set(MODE_NAMES)
-    assert 0.5 < np.abs(given[:, 2]).max() < 12.0
-    depth = 0.01 - records[:, OFFSET["probe.position"] + 2].min()
-    # Hand and wall, 1000 N/m each, share the 2 mm; at 1 Hz, inertia adds (1/14)^2 and damping shifts as little.
-    assert depth == pytest.approx(0.001, rel=0.05)
-    assert stub["threads"] == 0 and stub["torque_sent"] == 0
-    assert stub.norm() == 0.0 and stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
-
-
 def fd_rig(stub: Stub, **changes: Any) -> Rig:
     base = {
         "device.driver": "forcedimension", "device.library_file": str(stub.path), "servo.realtime": "off",
         "telemetry.endpoint": "tcp://127.0.0.1:*", "guard.ramp_s": 0.01,
     }  # fmt: skip
     return load_rig("replay", base | changes)
+
+
+def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
+    """Press, roll, slide and release by a hand on a simulated handle, through the whole daemon: forces and modes are
+    those of the contact step on the sensed poses, the gripper is told, the wall holds the handle, and no threads meet
+    in the library."""
+    stub.update(**PRESSING, gripper=1, gripper_rad=0.25)
+    scene = load_scene("paper-plane")
+    records = records_of_daemon(fd_rig(stub, **{"device.gravity_compensation": True}), scene, 2500)
+    compared = assert_engine_agrees(records, scene, RATE_HZ)
+    assert compared > 500  # of each 1000 ticks, some 400 are in the plane
+    assert set(records[:, OFFSET["contact.mode"]].tolist()) == set(range(len(MODE_NAMES)))
+    assert np.mean(records[:, OFFSET["servo.guard"]] == 0) > 0.9
+    assert set(records[:, OFFSET["gripper"]].tolist()) == {0.25}
+    assert 0.5 < np.abs(records[:, OFFSET["force"] + 2]).max() < 12.0
+    depth = 0.01 - records[:, OFFSET["probe.position"] + 2].min()
+    # Hand and wall, 1000 N/m each, share the 2 mm; at 1 Hz, inertia adds (1/14)^2 and damping shifts as little.
+    assert depth == pytest.approx(0.001, rel=0.05)
+    assert stub["threads"] == 0 and stub["torque_sent"] == 0
+    assert stub.norm() == 0.0 and stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
 
 
 @pytest.mark.parametrize(

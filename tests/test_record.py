@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drd_stub import COMPILER, NO_COMPILER, Stub, stub, stub_library
 from telemetry_records import join, put, synthetic
+from test_forcedimension_loop import PRESSING, fd_rig
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import load_rig, load_scene
@@ -18,33 +20,39 @@ from softfinger.drivers.replay import Options, Replay
 from softfinger.proxy.state import OFFSET
 from softfinger.server import cli
 from softfinger.server.app import Daemon
-from softfinger.server.client import NoTelemetry, subscribe
+from softfinger.server.client import NoTelemetry, record_of, subscribe
 from softfinger.server.record import Kept, record
 from softfinger.server.results import read_results
 from softfinger.server.telemetry import Publisher
 
+__all__ = ["stub", "stub_library"]  # fixtures
+
 RATE_HZ = 1000.0
 
 
-def recorded_daemon(path: Path, rate_hz: float = RATE_HZ, **rig: Any) -> tuple[Kept, np.ndarray]:
+def follow(daemon: Daemon, path: Path) -> Kept:
+    """Run a daemon to its end, and record it as another program does."""
+    done: list[Kept] = []
+
+    def take() -> None:
+        with subscribe(daemon.publisher.endpoint, ("contact", "event")) as wire:
+            done.append(record(wire, path, timeout_s=60.0))
+
+    thread = threading.Thread(target=take)
+    thread.start()
+    daemon.start()
+    daemon.wait(60.0)
+    daemon.close()
+    thread.join(30.0)
+    return done[0]
+
+
+def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[Kept, np.ndarray]:
     """Run the daemon on a shipped recording, record it, and give back what the device played."""
     changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": rate_hz}
-    changes |= {"device.recording": "tap", "device.loop": False, **rig}
+    changes |= {"device.recording": "tap", "device.loop": False}
     with Daemon(load_rig("replay", changes), load_scene("paper-plane")) as daemon:
-        samples = daemon.device.samples
-        done: list[Kept] = []
-
-        def follow() -> None:
-            with subscribe(daemon.publisher.endpoint, ("contact", "event")) as wire:
-                done.append(record(wire, path, timeout_s=60.0))
-
-        thread = threading.Thread(target=follow)
-        thread.start()
-        daemon.start()
-        daemon.wait(60.0)
-        daemon.close()
-        thread.join(30.0)
-    return done[0], samples
+        return follow(daemon, path), daemon.device.samples
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 700.0])
@@ -73,6 +81,29 @@ def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
     ticks = np.minimum(np.arange(kept.first_tick, kept.last_tick + 1), len(played) - 1)
     assert records[:, position : position + 3].tobytes() == played[ticks, :3].tobytes()
     assert len(load_poses(file).t) == kept.poses
+
+
+@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
+def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path) -> None:
+    """A hand on an omega.6 is recorded twice at once, as poses and as whole ticks; each pose that was sensed comes back
+    from a replay of the poses in the tick that it belongs to, to the bit."""
+    stub.update(**PRESSING)
+    file = tmp_path / "hand.csv"
+    with (
+        Daemon(fd_rig(stub), load_scene("paper-plane"), 1500) as daemon,
+        subscribe(daemon.publisher.endpoint, ("contact",)) as wire,
+    ):
+        kept = follow(daemon, file)
+        sensed = np.array([record_of(sample) for sample in iter(lambda: wire.receive(0.5), None)])
+    assert kept.lost == 0 and kept.poses > 1000
+    sensed = sensed[(sensed[:, OFFSET["tick"]] >= kept.first_tick) & (sensed[:, OFFSET["tick"]] <= kept.last_tick)]
+    again = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
+    # A deadline that the loop missed is in the time step of the next pose.
+    periods = np.rint(sensed[:, OFFSET["dt"]] * RATE_HZ).astype(int)
+    at = np.cumsum(periods) - periods[0] + len(again) - 1 - (np.sum(periods) - periods[0])
+    pose = slice(OFFSET["probe.position"], OFFSET["probe.position"] + 7)
+    assert len(sensed) > 1000 and np.ptp(sensed[:, OFFSET["probe.position"]]) > 0.005
+    assert again[at].tobytes() == np.ascontiguousarray(sensed[:, pose]).tobytes()
 
 
 def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[Kept, Path]:

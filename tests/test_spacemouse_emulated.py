@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_hid_emulated import KEEP, SYSTEM_PYTHON, WHY_NOT
+from closed_loop import assert_engine_agrees
+from test_hid_emulated import CLOSED_LOOP, SYSTEM_PYTHON, WHY_NOT
 
+from softfinger.config.load import load_scene
 from softfinger.proxy.state import OFFSET
 
 TESTBED = Path(__file__).with_name("emulators") / "puck_testbed.py"
@@ -41,18 +43,19 @@ def run(case: dict[str, Any], *words: str) -> tuple[subprocess.CompletedProcess[
 
 @pytest.mark.parametrize("reports", ["split", "combined"])
 def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Path) -> None:
-    """Pushed down and to the right, the fingertip of the servo's records goes there, into the plane; buttons arrive,
-    and the lamp is lit and put out."""
+    """Pushed down and to the right, the daemon's fingertip goes there, into the plane, with the engine's modes and
+    forces on the same poses; buttons arrive, and the lamp is lit and put out."""
     kept = tmp_path / "records.npy"
-    case = {"reports": reports, "push": {"up": -350, "right": 100}, "buttons": 5}
-    done, saw = beside(case, sys.executable, "-c", KEEP, "spacemouse", "paper-plane", "900", str(kept))
+    case = {"reports": reports, "push": {"up": -200, "right": 100}, "buttons": 5}
+    done, saw = beside(case, sys.executable, str(CLOSED_LOOP), "spacemouse", "paper-plane", "900", str(kept))
     assert done.returncode == 0, done.stderr
     records = np.load(kept)
     way = np.ptp(records[:, OFFSET["probe.position"] : OFFSET["probe.position"] + 3], axis=0)
-    assert way[0] / way[2] == pytest.approx((100 - 15) / (350 - 15), rel=1e-9)  # one time for both: rounding alone
+    assert way[0] / way[2] == pytest.approx((100 - 15) / (200 - 15), rel=1e-9)  # one time for both: rounding alone
     assert way[1] == 0.0
     assert way[2] > 0.02, "the puck's reports came too late"
-    assert records[-1, OFFSET["contact.mode"]] > 0
+    assert {0.0, 1.0} <= set(records[:, OFFSET["contact.mode"]])
+    assert assert_engine_agrees(records, load_scene("paper-plane"), 1000.0) > 50
     assert records[-1, OFFSET["buttons"]] == 5
     assert saw["written"] == ["0401", "0400"]
 

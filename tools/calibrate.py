@@ -25,6 +25,7 @@ from softfinger.config.load import load_rig
 from softfinger.drivers.base import SAMPLE_SIZE, Device
 from softfinger.drivers.falcon import Falcon
 from softfinger.server.app import open_device
+from softfinger.server.figures import figure, save
 from softfinger.tools import measure
 
 GRAVITY: Final = 9.80665
@@ -124,8 +125,6 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             f"--mass {args.mass:g}: must be from {MASS_KG[0]:g} to {MASS_KG[1]:g} kg: take another weight"
         )
-    if args.plot is not None:
-        measure.check_figure(args.plot)
     rig = load_rig(args.rig)
     with open_device(rig.device, rig.servo.rate_hz) as device:
         if not isinstance(device, Falcon):
@@ -163,7 +162,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(path: Path, record: Array, result: dict[str, float]) -> None:
-    drawing = measure.figure(path)
+    drawing = figure()
     axes = drawing.subplots()
     axes.plot(record[:, 0] - record[0, 0], record[:, 1], linewidth=0.8)
     for name in ("force_bare_n", "force_loaded_n"):
@@ -171,4 +170,4 @@ def _draw(path: Path, record: Array, result: dict[str, float]) -> None:
     axes.set(
         xlabel="time (s)", ylabel="vertical force meant (N)", title=f"{result['counts_per_nm']:.0f} counts per N m"
     )
-    measure.save(drawing, path)
+    save(drawing, path)

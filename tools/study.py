@@ -1,4 +1,4 @@
-"""The study: the figures and tables of accuracy, rolling, stability and extremes in docs/, made anew by one command.
+"""The study: figures of docs/, and tables of accuracy, rolling, stability and extremes, made anew by one command.
 
     python -m softfinger.tools.study docs             # or: make study
 
@@ -18,6 +18,7 @@ import json
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -64,14 +65,26 @@ def insert(page: str, tables: Mapping[str, str]) -> str:
     return BLOCK.sub(filled, page)
 
 
-def command(*words: str) -> dict[str, Any]:
-    """The result of a command of the program, run as its users do; its progress goes to the terminal."""
+def run(*words: str) -> bytes:
+    """What a command of the program prints, run as its users do; its progress goes to the terminal."""
     print(f"study: softfinger {' '.join(words)}", file=sys.stderr, flush=True)
-    done = subprocess.run([*PROGRAM, *words, "--json"], stdout=subprocess.PIPE, check=False)
+    done = subprocess.run([*PROGRAM, *words], stdout=subprocess.PIPE, check=False)
     if done.returncode != 0:
         raise HapticError(f"`softfinger {' '.join(words)}` ended with exit code {done.returncode}: see above")
-    found: dict[str, Any] = json.loads(done.stdout)
+    return done.stdout
+
+
+def command(*words: str) -> dict[str, Any]:
+    """The result of a command that measures."""
+    found: dict[str, Any] = json.loads(run(*words, "--json"))
     return found
+
+
+def draw_shipped_run(path: Path) -> None:
+    """The recording that `softfinger run` plays, as a picture."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = str(Path(folder) / "run.npz")
+        run("simulate", "--scene", "paper-plane", "--poses", "press-roll-spin-drag", "--out", out, "--plot", str(path))
 
 
 def make_tables(figures: Path, quick: bool) -> dict[str, str]:
@@ -82,6 +95,7 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
         drift, points, hostile, short = 20_000, "3", 4_000, ["--quick", "--surface", "plane", "torus"]
     found = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
     tables = {name: markdown(table(found)) for name, table in ACCURACY.items()}
+    draw_shipped_run(figures / "run.svg")
     command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
     for name in MAPS:
         plot = figures / f"stability-{name}.svg"

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from numba import types
 
-from softfinger.drivers.base import LOST, OK, SAMPLE_BUTTONS, STALE, TIMEOUT
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT
 from softfinger.drivers.falcon import block, packets
 from softfinger.drivers.falcon.reply import command, feed, pose
 from softfinger.proxy.kernels.foreign import call_int32
@@ -206,7 +206,7 @@ def _read_locked(handle: int, sample: Any) -> int:
             if kicked < 0:
                 return kicked
     kept = float64_at(handle + 8 * block.SAMPLE)
-    for k in range(SAMPLE_BUTTONS + 1):
+    for k in range(SAMPLE_SIZE):
         sample[k] = kept[k]
     return status
 
@@ -216,7 +216,7 @@ def read(handle: int, sample: Any) -> int:
     # Never wait here: who holds the lock is stopping the device.
     if exchange_int64(handle + 8 * block.LOCK, 1) != 0:
         kept = float64_at(handle + 8 * block.SAMPLE)
-        for k in range(SAMPLE_BUTTONS + 1):
+        for k in range(SAMPLE_SIZE):
             sample[k] = kept[k]
         return STALE
     status = _read_locked(handle, sample)

@@ -118,13 +118,6 @@ class ForceDimension(Device):
         """Exchanges so far. While the servo runs: each number as it was just now."""
         return Counts(*(int(value) for value in self._word[exchange.READS : exchange.SATURATED + 1]))
 
-    @property
-    def gripper_rad(self) -> float | None:
-        """Opening of the gripper at the last read, None for a device without one."""
-        if not self._word[exchange.HAS_GRIPPER]:
-            return None
-        return float(self._word.view(np.float64)[exchange.GRIPPER])
-
     def _take_force_off(self) -> None:
         call = self._library
         for _ in range(ZERO_TRIES):

@@ -13,7 +13,17 @@ from typing import Any, Final
 import numpy as np
 from numba import types
 
-from softfinger.drivers.base import FORCE_OFF, LOST, OK, SAMPLE_BUTTONS, SAMPLE_SIZE, SAMPLE_TIME, STALE, TIMEOUT
+from softfinger.drivers.base import (
+    FORCE_OFF,
+    LOST,
+    OK,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_SIZE,
+    SAMPLE_TIME,
+    STALE,
+    TIMEOUT,
+)
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.foreign import call_int32
@@ -149,6 +159,7 @@ def _read_locked(handle: int, sample: Any) -> int:
     _take_frame(handle, sample)
     sample[SAMPLE_TIME] = _device_time(handle)
     sample[SAMPLE_BUTTONS] = float(np.int64(buttons) & 0xFFFFFFFF)
+    sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * GRIPPER)[0]  # 0 as it was where there is none
     kept = float64_at(handle + 8 * SAMPLE)
     for k in range(SAMPLE_SIZE):
         kept[k] = sample[k]

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 from numba import carray, types
 
-from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_BUTTONS, SAMPLE_TIME, STALE, TIMEOUT
+from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_BUTTONS, SAMPLE_SIZE, SAMPLE_TIME, STALE, TIMEOUT
 from softfinger.drivers.hid.chain import Chain, angles_of, currents_for, forward, orientation_of
 from softfinger.drivers.hid.reports import (
     BUTTONS,
@@ -304,7 +304,7 @@ def read(handle: int, sample: Any) -> int:
     if paused:
         word[READ_AT] = _now(handle)  # waiting for the device is no pause of the loop
     kept = float64_at(word[SAMPLE])
-    for k in range(SAMPLE_BUTTONS + 1):
+    for k in range(SAMPLE_SIZE):
         sample[k] = kept[k]
     return status
 

@@ -47,7 +47,7 @@ def _read(handle, sample):
     sample[2] += block[HEIGHT]
     sample[3] = 1.0
     sample[7] = time
-    sample[8] = 0.0
+    sample[8] = sample[9] = 0.0
     return OK
 
 

@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from softfinger.server.figures import figure, save
 from softfinger.tools.accuracy.cases import METHODS
 from softfinger.tools.accuracy.front import front, grouped, standard
 from softfinger.tools.accuracy.paper import MOTIONS, exact_path, method_path
-from softfinger.tools.measure import figure, save
 
 COLUMNS: Final = 4
 ORDER_SURFACES: Final = ("ellipsoid", "torus")
@@ -30,7 +30,7 @@ def colour(method: str) -> str:
 def panels(path: Path, names: Sequence[str], columns: int) -> tuple[Any, list[Any]]:
     """A drawing with a panel for each name, axes shared."""
     rows = -(-len(names) // columns)
-    drawing = figure(path, 2.9 * columns + 0.6, 2.3 * rows + 0.8)
+    drawing = figure(2.9 * columns + 0.6, 2.3 * rows + 0.8)
     found = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, name in zip(found, names, strict=False):
         axes.set_title(name, fontsize="medium")
@@ -92,7 +92,7 @@ def draw_orders(result: dict[str, Any], path: Path) -> None:
 
 def draw_paper(result: dict[str, Any], path: Path) -> None:
     """The paths of the paper's experiment as the reference and the methods have them, and their largest differences."""
-    drawing = figure(path, 9.0, 6.4)
+    drawing = figure(9.0, 6.4)
     above, below = drawing.subplots(2, 2)
     lines: dict[str, Any] = {}
     for axes, bars, motion in zip(above, below, MOTIONS, strict=True):

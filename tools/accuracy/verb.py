@@ -17,6 +17,7 @@ from typing import Any, Final
 import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
+from softfinger.server.figures import unusable
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
@@ -24,7 +25,7 @@ from softfinger.tools.accuracy.front import fronts, orders, recommendations
 from softfinger.tools.accuracy.measure import DRIFT_BLOCK, DriftCase, run_block, run_drift_block
 from softfinger.tools.accuracy.paper import experiment, speed
 from softfinger.tools.accuracy.report import print_report, write_report
-from softfinger.tools.measure import add_output_options, check_figure, show
+from softfinger.tools.measure import add_output_options, show
 from softfinger.tools.sweep import add_sweep_options, run_cases
 
 RATES_HZ: Final = (4.0, 8.0, 16.0, 32.0, 64.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
@@ -82,7 +83,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     sweep, drift_cases = plan(args)
-    prepare_figures(args.plot, args.figures)
+    if args.figures is not None:
+        prepare_figures(args.figures)
     with progress("the paper's experiment"):
         paper, times = experiment(sweep.tolerance), speed(sweep.tolerance)
     # One thread: what is timed has no other beside it.
@@ -116,16 +118,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def prepare_figures(plot: Path | None, folder: Path | None) -> None:
+def prepare_figures(folder: Path) -> None:
     """Make the folder of the figures; ConfigError, before the work and not after it, where one could not be saved."""
-    if folder is not None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"--figures {folder}: {error.strerror}: name a folder that can be written") from error
-    for path in (plot, folder and folder / next(iter(FIGURES))):
-        if path is not None:
-            check_figure(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--figures {folder}: {error.strerror}: name a folder that can be written") from error
+    if (why := unusable(folder / next(iter(FIGURES)))) is not None:
+        raise ConfigError(f"--figures {folder}: {why}")
 
 
 def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:

@@ -13,11 +13,12 @@ from softfinger.proxy.kernels.jit import entry
 from softfinger.proxy.kernels.pack import flatten, unpack
 from softfinger.server.clock import now_ns
 from softfinger.server.closed_loop import Array, close_loop
+from softfinger.server.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.tick import Memory, Tuning, begin
 from softfinger.server.tuning import make_tuning
 from softfinger.tools.bench.step import reference_ns
-from softfinger.tools.measure import add_output_options, figure, show
+from softfinger.tools.measure import add_output_options, show
 
 TICKS: Final = 10_000
 """Ticks between two looks at the clock: a case of a study has some 1000."""
@@ -85,11 +86,11 @@ def run(args: argparse.Namespace) -> int:
     ]
     show(result, args.json, lines)
     if args.plot:
-        drawing = figure(args.plot, height=3.0)
+        drawing = figure(height=3.0)
         axes = drawing.add_subplot()
         axes.barh([row["plant"] for row in rows][::-1], [row["ns_per_tick"] for row in rows][::-1])
         axes.set_xlabel(f"ns per tick on {args.scene}")
-        drawing.savefig(args.plot)
+        save(drawing, args.plot)
     return 0
 
 

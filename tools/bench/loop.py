@@ -23,10 +23,11 @@ from softfinger.config.schema import Rig, Scene
 from softfinger.proxy.state import OFFSET, RECORD_SIZE
 from softfinger.server import realtime
 from softfinger.server.app import open_device
+from softfinger.server.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.servo import Servo
 from softfinger.server.tuning import make_tuning
-from softfinger.tools.measure import Array, add_output_options, figure, microseconds, quantiles, show
+from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")
@@ -189,7 +190,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def draw(path: Path, runs: dict[str, list[Array]], rate_hz: float) -> None:
-    drawing = figure(path)
+    drawing = figure()
     axes = drawing.add_subplot()
     for name, parts in runs.items():
         late = np.sort(np.concatenate(parts)[:, 0]) * 1e6
@@ -199,4 +200,4 @@ def draw(path: Path, runs: dict[str, list[Array]], rate_hz: float) -> None:
     axes.set_title(f"servo loop at {rate_hz:g} Hz")
     axes.legend()
     axes.grid(True, alpha=0.3)
-    drawing.savefig(path)
+    save(drawing, path)

@@ -108,7 +108,7 @@ int main(int count, char **words)
     int64_t deadline = now_ns() + period;
     for (long tick = 0; tick < ticks; tick++) {
         struct timespec t = {deadline / 1000000000LL, deadline % 1000000000LL};
-        double sample[9], wrench[6] = {0};
+        double sample[10], wrench[6] = {0};
         while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL) == EINTR)
             ;
         int64_t woke = now_ns();

@@ -15,9 +15,10 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.jit import entry
 from softfinger.server.clock import now_ns
 from softfinger.server.cost import BLOCK, bare, measure, touching_poses, without_parts
+from softfinger.server.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.features import Feature, all_features, corner_poses
-from softfinger.tools.measure import add_output_options, figure, show
+from softfinger.tools.measure import add_output_options, show
 
 REFERENCE_OPERATIONS: Final = 100
 CORNER: Final = "corner"
@@ -166,9 +167,9 @@ def draw(result: dict[str, Any], args: argparse.Namespace) -> None:
     steps = [(f"{s['scene']}: {row['variant']}", row["ns_per_step"]) for s in result["scenes"] for row in s["variants"]]
     added = [(row["feature"], row["marginal_ns"]) for row in result.get("features", [])]
     parts = [(rows, axis) for rows, axis in ((steps, "ns per step, back to back"), (added, "ns added")) if rows]
-    drawing = figure(args.plot, height=len(parts) + 0.3 * (len(steps) + len(added)))
+    drawing = figure(height=len(parts) + 0.3 * (len(steps) + len(added)))
     grid = drawing.subplots(len(parts), 1, squeeze=False, height_ratios=[1 + len(rows) for rows, _ in parts])
     for axes, (rows, axis) in zip(grid[:, 0], parts, strict=True):
         axes.barh([label for label, _ in rows][::-1], [cost for _, cost in rows][::-1])
         axes.set_xlabel(axis)
-    drawing.savefig(args.plot)
+    save(drawing, args.plot)

@@ -20,8 +20,9 @@ import numpy as np
 import zmq
 
 from softfinger.server.client import NoTelemetry
+from softfinger.server.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.tools.measure import Array, add_output_options, figure, microseconds, quantiles, show
+from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
 
 START_S: Final = 180.0
 """How long a cold daemon may take to compile."""
@@ -151,7 +152,7 @@ def send(endpoint: str, rate_hz: float) -> None:
 
 
 def draw(path: Path, found: dict[str, list[Array]]) -> None:
-    drawing = figure(path)
+    drawing = figure()
     axes = drawing.add_subplot()
     for name, parts in found.items():
         latency = np.sort(np.concatenate([part[:, 1] for part in parts])) * 1e6
@@ -160,7 +161,7 @@ def draw(path: Path, found: dict[str, list[Array]]) -> None:
     axes.set_ylabel("share of messages later than this")
     axes.legend()
     axes.grid(True, alpha=0.3)
-    drawing.savefig(path)
+    save(drawing, path)
 
 
 if __name__ == "__main__":

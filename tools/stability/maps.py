@@ -12,7 +12,8 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from softfinger.tools.measure import Array, figure, save
+from softfinger.server.figures import figure, save
+from softfinger.tools.measure import Array
 from softfinger.tools.stability.limit import Case
 from softfinger.tools.stability.predicted import linear_limit, passive_limit
 
@@ -87,7 +88,7 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
     """A panel for each map: what was found for each variant as marks, theory of the first one as lines."""
     names = list(dict.fromkeys(row["map"] for row in rows))
     variants = list(dict.fromkeys(row["variant"] for row in rows))
-    drawing = figure(path, 3.0 + 5.0 * len(names), 5.0)
+    drawing = figure(3.0 + 5.0 * len(names), 5.0)
     lines: dict[str, Any] = {}
     for name, axes in zip(names, drawing.subplots(1, len(names), squeeze=False)[0], strict=True):
         key, label, log = MAPS[name]

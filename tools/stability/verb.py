@@ -19,7 +19,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import unit
 from softfinger.config.validate import examine
-from softfinger.tools.measure import add_output_options, check_figure, figure, save, show
+from softfinger.server.figures import figure, save
+from softfinger.tools.measure import add_output_options, show
 from softfinger.tools.stability import extremes, runs
 from softfinger.tools.stability.limit import Case, compile_search, find_limits
 from softfinger.tools.stability.maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
@@ -78,8 +79,6 @@ def run(args: argparse.Namespace) -> int:
         value = getattr(args, flag)
         if value is not None and value < low:
             raise ConfigError(f"command line --{flag}: {value}: must be a whole number of at least {low}")
-    if args.plot:
-        check_figure(args.plot)
     if args.cases is not None:
         if args.plot:
             raise ConfigError("command line --plot: random runs have no plot: leave out --plot or --cases")
@@ -166,7 +165,7 @@ def _width(head: str) -> int:
 
 def draw_radius(path: Path, case: Case, row: Mapping[str, Any]) -> None:
     """Spectral radius of the linear loop against the stiffness, with what was found and the passivity bound."""
-    drawing = figure(path)
+    drawing = figure()
     axes = drawing.add_subplot()
     found = row["limit_n_per_m"]
     top = 2.0 * max(found or 0.0, row["predicted_n_per_m"], 1.0)

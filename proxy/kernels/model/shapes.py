@@ -1,0 +1,62 @@
+"""Surfaces that a fingertip can touch: their sizes, m, each in the frame of its shape."""
+
+from typing import NamedTuple
+
+from softfinger.proxy.kernels.model.vectors import Vec3
+
+
+class Plane(NamedTuple):
+    """Half space {x : normal . x <= offset}, touched from outside."""
+
+    normal: Vec3
+    offset: float
+
+
+class Sphere(NamedTuple):
+    """Sphere about the origin of its frame; `side` is +1 touched from outside, -1 from inside."""
+
+    radius: float
+    side: float
+
+
+class Cylinder(NamedTuple):
+    """Endless cylinder about the z axis; `side` as for Sphere."""
+
+    radius: float
+    side: float
+
+
+class CappedCylinder(NamedTuple):
+    """Solid cylinder about the z axis with flat ends at z = +-half_length, sharp rims, touched from outside."""
+
+    radius: float
+    half_length: float
+
+
+class Capsule(NamedTuple):
+    """Cylinder about the z axis with round ends, whose centres are at z = +-half_length; `side` as for Sphere."""
+
+    radius: float
+    half_length: float
+    side: float
+
+
+class Box(NamedTuple):
+    """Solid box |x_i| <= half_extents_i with sharp edges and corners, touched from outside."""
+
+    half_extents: Vec3
+
+
+class Ellipsoid(NamedTuple):
+    """Ellipsoid sum (x_i / semi_axes_i)^2 = 1; `side` as for Sphere."""
+
+    semi_axes: Vec3
+    side: float
+
+
+class Torus(NamedTuple):
+    """Ring of tube radius `minor` about the circle of radius `major` > `minor` in z = 0; `side` as for Sphere."""
+
+    major: float
+    minor: float
+    side: float
