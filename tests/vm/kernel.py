@@ -17,7 +17,7 @@ META_PACKAGE = "linux-image-amd64"
 WANTED = (
     *("virtio_pci", "9pnet_virtio", "9p"),
     *("dummy_hcd", "libcomposite", "usb_f_fs", "usb_f_hid", "usb_f_acm", "cdc-acm"),
-    *("hid-generic", "usbhid", "uhid"),
+    *("hid-generic", "hid-logitech", "usbhid", "uhid"),
 )
 """The file systems of this machine; a bus with both ends in the guest, and what stands at each."""
 
@@ -41,7 +41,8 @@ def find(cache: Path, package: str | None = None) -> Kernel:
     """
     name = package or newest()
     folder = cache / name
-    if not (folder / "order").exists():
+    wanted = folder / "wanted"  # which modules are kept there
+    if not wanted.exists() or tuple(wanted.read_text().split()) != WANTED:
         unpack(name, folder)
     order = (folder / "order").read_text().split()
     return Kernel(name, folder / "vmlinuz", tuple(folder / module for module in order))
@@ -70,7 +71,8 @@ def unpack(package: str, folder: Path) -> None:
         shutil.copy(image, kept / "vmlinuz")
         (tree,) = whole.glob("**/lib/modules/*")
         order = [_keep(path, kept) for path in in_order(tree, WANTED, package)]
-        (kept / "order").write_text("\n".join(order) + "\n")
+        (kept / "order").write_text("\n".join(order))
+        (kept / "wanted").write_text("\n".join(WANTED))
         if folder.exists():
             shutil.rmtree(folder)
         kept.rename(folder)

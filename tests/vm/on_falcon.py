@@ -12,17 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from driver_contract import RATE_HZ, Servo
-from kept_records import compare_with_engine
+from closed_loop import assert_engine_agrees
+from driver_contract import Servo
 from test_falcon_emulated import CONTRACT, FIRMWARE_BYTES, rig_with
 from test_hid_emulated import STROKE
 
-from softfinger.config.load import load_rig
+from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import OK
 from softfinger.proxy.state import OFFSET
 from softfinger.server.app import open_device
 from vm.guest import (
     NOBODY,
+    RATE_HZ,
     Gadget,
     Run,
     attached,
@@ -36,8 +37,11 @@ from vm.guest import (
 from vm.guest import loaded as loaded
 
 PRESS = {"place": [0.0, 0.0, 0.004]}
-IN_CONTACT = 300
+IN_CONTACT = 100
 """Packets after which the guard has let the whole force through and the hand lies on the plane."""
+
+TICKS = 1300
+"""A stroke of the hand takes 1200 packets, at one in a tick."""
 
 
 def listed(user: int | None = None, rig: str | None = None) -> list[dict[str, Any]]:
@@ -78,7 +82,7 @@ def test_closed_loop(tmp_path: Path, rig: str) -> None:
     """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
     kept = tmp_path / "records.npy"
     with gadget("falcon", **STROKE) as falcon:
-        run = keep(rig, "paper-plane", 12000, kept)
+        run = keep(rig, "paper-plane", TICKS, kept)
         assert run.end(120) == 0, run.err
         saw = falcon.seen()
     records = np.load(kept)
@@ -86,7 +90,9 @@ def test_closed_loop(tmp_path: Path, rig: str) -> None:
     assert max(saw["most"]) > 100  # the forces reached the motors: 1 N is some 240 counts
     assert saw["motors"] == [0, 0, 0]
     assert saw["state"] == 8, "the last packet leaves the light red"
-    assert compare_with_engine(records, "paper-plane") > 100, "too few ticks in contact to compare"
+    assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 100, (
+        "too few ticks in contact to compare"
+    )
 
 
 def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -> None:
@@ -94,7 +100,7 @@ def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -
     for _ in range(2):
         before = pressed.seen()["steps"]
         with daemon(rig) as running:
-            pressed.until(lambda saw, start=before: in_contact({**saw, "steps": saw["steps"] - start}))
+            running.until(pressed, lambda saw, start=before: in_contact({**saw, "steps": saw["steps"] - start}))
             assert running.stop() == 0, running.err
         assert "force is zero" in running.err
         assert pressed.seen()["motors"] == [0, 0, 0]
@@ -103,7 +109,7 @@ def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -
 def test_unplugged_under_force(pressed: Gadget, rig: str) -> None:
     """Pulled out while it pushes: device lost; a daemon beside it tells what went and what came; it opens again."""
     with other_daemon() as other, daemon(rig) as running:
-        pressed.until(in_contact)
+        running.until(pressed, in_contact)
         pressed.ask("make lost")
         assert running.end() == 4, running.err
         assert re.search(r"is gone .status -1 on (read|write).*plug it in again", running.err)
@@ -114,14 +120,14 @@ def test_unplugged_under_force(pressed: Gadget, rig: str) -> None:
         assert other.stop() == 0, other.err
     before = pressed.seen()["steps"]
     with daemon(rig) as running:
-        pressed.until(lambda saw: saw["steps"] > before + IN_CONTACT)
+        running.until(pressed, lambda saw: saw["steps"] > before + IN_CONTACT)
         assert running.stop() == 0, running.err
 
 
 def test_a_second_program_finds_it_held(pressed: Gadget, rig: str) -> None:
     """While a daemon has it, another is refused and `devices` says by whom; the first does not notice."""
     with daemon(rig) as running:
-        pressed.until(in_contact)
+        running.until(pressed, in_contact)
         with daemon(rig) as second:
             assert second.end() == 4, second.err
         assert "is held by another program: close that one first" in second.err
@@ -153,7 +159,7 @@ def test_faults_end_in_order(case: str, message: str, pressed: Gadget, rig: str)
     """An answer that does not come, an endpoint that takes nothing and one that is halted end the daemon with their own
     message; plugged in anew, the device works again."""
     with daemon(rig) as running:
-        pressed.until(in_contact)
+        running.until(pressed, in_contact)
         pressed.ask(f"make {case}")
         assert running.end() == 4, running.err
     assert re.search(message, running.err), running.err
@@ -164,7 +170,7 @@ def test_faults_end_in_order(case: str, message: str, pressed: Gadget, rig: str)
     pressed.ask("mend")
     before = pressed.seen()["steps"]
     with daemon(rig) as running:
-        pressed.until(lambda saw: saw["steps"] > before + 20)
+        running.until(pressed, lambda saw: saw["steps"] > before + 20)
         assert running.stop() == 0, running.err
 
 

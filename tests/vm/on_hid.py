@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from kept_records import compare_with_engine
+from closed_loop import assert_engine_agrees
 from test_hid_emulated import STROKE
-from vm import contract_hid
-from vm.guest import NOBODY, Gadget, attached, contract, daemon, gadget, keep, measured, other_daemon
-from vm.guest import loaded as loaded
-from vm.on_falcon import exchanges
 
-from softfinger.config.load import find
+from softfinger.config.load import find, load_scene
 from softfinger.config.schema import Rig
 from softfinger.proxy.state import OFFSET
+from vm import contract_hid
+from vm.guest import NOBODY, RATE_HZ, Gadget, attached, contract, daemon, gadget, keep, measured, other_daemon
+from vm.guest import loaded as loaded
+from vm.on_falcon import TICKS, exchanges
 
 PRESS = {"place": [0.0, 0.0, 0.004]}
-IN_CONTACT = 300
+IN_CONTACT = 100
 """Reports after which the guard has let the whole force through and the hand lies on the plane."""
 
 
@@ -66,14 +67,16 @@ def test_closed_loop(bus: str, tmp_path: Path, rig: str) -> None:
     """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
     kept = tmp_path / "records.npy"
     with gadget("woodenhaptics", bus=bus, **STROKE) as arm:
-        run = keep(rig, "paper-plane", 3000, kept)
+        run = keep(rig, "paper-plane", TICKS, kept)
         assert run.end(120) == 0, run.err
         saw = arm.seen()
     records = np.load(kept)
     assert {0.0, 1.0, 2.0} == set(records[:, OFFSET["contact.mode"]])
     assert max(saw["most"][1:]) > 100  # mA: the forces reached the arm
     assert saw["last"] == [0, 0, 0]
-    assert compare_with_engine(records, "paper-plane") > 100, "too few ticks in contact to compare"
+    assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 100, (
+        "too few ticks in contact to compare"
+    )
 
 
 def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -> None:
@@ -81,7 +84,7 @@ def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -
     for _ in range(2):
         before = pressed.seen()["reports"]
         with daemon(rig) as running:
-            pressed.until(lambda saw, start=before: in_contact({**saw, "reports": saw["reports"] - start}))
+            running.until(pressed, lambda saw, start=before: in_contact({**saw, "reports": saw["reports"] - start}))
             assert running.stop() == 0, running.err
         assert "force is zero" in running.err
         assert pressed.seen()["last"] == [0, 0, 0]
@@ -90,7 +93,7 @@ def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -
 def test_unplugged_under_force(pressed: Gadget, rig: str) -> None:
     """Pulled out while it pushes: device lost; a daemon beside it tells what went and what came; it opens again."""
     with other_daemon() as other, daemon(rig) as running:
-        pressed.until(in_contact)
+        running.until(pressed, in_contact)
         pressed.ask("make lost")
         assert running.end() == 4, running.err
         assert re.search(r"is gone .status -1 on (read|write).: plug it in again", running.err)
@@ -101,14 +104,14 @@ def test_unplugged_under_force(pressed: Gadget, rig: str) -> None:
         assert other.stop() == 0, other.err
     before = pressed.seen()["reports"]
     with daemon(rig) as running:
-        pressed.until(lambda saw: saw["reports"] > before + IN_CONTACT)
+        running.until(pressed, lambda saw: saw["reports"] > before + IN_CONTACT)
         assert running.stop() == 0, running.err
 
 
 def test_a_second_program_finds_it_held(pressed: Gadget, rig: str) -> None:
     """While a daemon has it, another is refused and told by whom, as `devices` tells; the first does not notice."""
     with daemon(rig) as running:
-        pressed.until(in_contact)
+        running.until(pressed, in_contact)
         with daemon(rig) as second:
             assert second.end() == 4, second.err
         assert f"is held by process {running.pid} (" in second.err
@@ -131,7 +134,7 @@ def test_another_user_is_told_the_rule(pressed: Gadget, rig: str) -> None:
 def test_an_arm_that_answers_no_more(pressed: Gadget, rig: str) -> None:
     """Reports that do not come end the daemon with a timeout, after a zero; then it opens again."""
     with daemon(rig) as running:
-        pressed.until(in_contact)
+        running.until(pressed, in_contact)
         pressed.ask("make timeout")
         assert running.end() == 4, running.err
     assert "no answer to a read in time: check cable and power" in running.err
@@ -139,16 +142,18 @@ def test_an_arm_that_answers_no_more(pressed: Gadget, rig: str) -> None:
     pressed.ask("mend")
     before = pressed.seen()["reports"]
     with daemon(rig) as running:
-        pressed.until(lambda saw: saw["reports"] > before + 20)
+        running.until(pressed, lambda saw: saw["reports"] > before + 20)
         assert running.stop() == 0, running.err
 
 
 def test_an_arm_that_takes_no_report(pressed: Gadget, rig: str) -> None:
     """A write that hangs in the kernel ends the daemon without the arm's help, and says that no zero could follow."""
     with daemon(rig) as running:
-        pressed.until(in_contact)
+        running.until(pressed, in_contact)
+        begun = time.monotonic()
         pressed.ask("make blocked")
         code = running.end()
+        measured("hid, usb: the daemon's end after the arm takes no more reports", [1e3 * (time.monotonic() - begun)])
     assert code in (4, 6), running.err
     assert re.search(r"no answer to a (read|write) in time|no tick for 0\.\d+ s", running.err), running.err
 

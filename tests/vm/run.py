@@ -12,6 +12,7 @@ import argparse
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -27,6 +28,7 @@ sys.path.insert(0, str(TESTS))
 from vm import initramfs, kernel  # noqa: E402
 
 QEMU = "qemu-system-x86_64"
+UDEV = "/lib/systemd/systemd-udevd"
 MEMORY_MB = 2048
 LIMIT_S = 1500.0
 SILENCE_S = 20.0
@@ -45,6 +47,7 @@ def main() -> int:
     parser.add_argument("--limit", type=float, default=LIMIT_S, help="seconds, then it is ended (default: %(default)g)")
     parser.add_argument("--plain", metavar="COMMAND", help="run this in the guest's shell in place of the tests")
     args, words = parser.parse_known_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the emulator goes too
     try:
         return boot(args.kernel, args.limit, args.plain or shlex.join(tests(words)))
     except kernel.VmError as error:
@@ -62,8 +65,9 @@ def tests(words: list[str]) -> list[str]:
 
 def boot(package: str | None, limit_s: float, command: str) -> int:
     """Make the machine, run the command in it; the exit code."""
-    if shutil.which(QEMU) is None:
-        raise kernel.VmError(f"{QEMU} is not installed: make vm-packages")
+    for needed in (QEMU, UDEV):
+        if shutil.which(needed) is None:
+            raise kernel.VmError(f"{needed} is not installed: make vm-packages")
     cache = cache_folder()
     with step("1/4 kernel"):
         found = kernel.find(cache, package)

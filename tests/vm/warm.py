@@ -6,14 +6,14 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from driver_contract import RATE_HZ, pulling  # noqa: E402
+from driver_contract import RATE_HZ, pulling
 
-from softfinger.config.load import load_rig, load_scene  # noqa: E402
-from softfinger.drivers import falcon, hid, spacemouse  # noqa: E402, F401  (compiled by their import)
-from softfinger.server.app import open_device  # noqa: E402
-from softfinger.server.servo import Servo  # noqa: E402
-from softfinger.server.tuning import make_tuning  # noqa: E402
-from softfinger.server.warmup import compile_engine, prune  # noqa: E402
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers import falcon, hid, spacemouse  # noqa: F401  (compiled by their import)
+from softfinger.server.app import open_device
+from softfinger.server.servo import Servo
+from softfinger.server.tuning import make_tuning
+from softfinger.server.warmup import compile_engine, prune
 
 SCENES = ("paper-plane", "frictionless-plane")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import time
 from pathlib import Path
 
@@ -11,6 +12,11 @@ CONTROLLERS = Path("/sys/class/udc")
 DEVICES = Path("/sys/bus/usb/devices")
 PLUG_S = 10.0
 """How long the emulated kernel may take to find a device."""
+
+
+def settle() -> None:
+    """Wait until udev has done what it does with a device: its mode, and telling programs of it."""
+    subprocess.run(["udevadm", "settle"], check=True)
 
 
 class Gadget:
@@ -66,6 +72,7 @@ class Gadget:
             if time.monotonic() > until:
                 raise TimeoutError(f"the kernel does not find the device on {self.controller}")
             time.sleep(0.01)
+        settle()
 
     def unplug(self) -> None:
         """Pull it out, and wait until the host's side has noticed. Any number of times."""
@@ -73,6 +80,7 @@ class Gadget:
             self.write("UDC", "\n")
         while self.node is not None:
             time.sleep(0.01)
+        settle()
 
     @property
     def node(self) -> str | None:

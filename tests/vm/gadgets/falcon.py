@@ -2,8 +2,8 @@
 
     python falcon.py SOCKET '{"place": [0, 0, 0.01]}'
 
-The case is that of the emulator (emulators/falcon.py). Lines over the socket: `displayed`, `place`, `seen`, `make CASE`,
-`mend`, `quit`; the cases:
+The case is that of the emulator (emulators/falcon.py), and serial. Lines over the socket: `displayed`, `place`, `seen`,
+`make CASE`, `mend`, `quit`; the cases:
 
 not_found, lost   unplugged
 busy              another program has it
@@ -28,9 +28,10 @@ from contextlib import suppress
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from emulators.falcon import from_case, to_world  # noqa: E402
-from vm.gadgets.configfs import Gadget  # noqa: E402
-from vm.gadgets.serving import serve  # noqa: E402
+from emulators.falcon import from_case, to_world
+
+from vm.gadgets.configfs import Gadget
+from vm.gadgets.serving import serve
 
 MOUNT = Path("/run/ffs-falcon")
 PACKET = 64

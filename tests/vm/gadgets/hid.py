@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from vm.gadgets.configfs import PLUG_S, Gadget
+from vm.gadgets.configfs import PLUG_S, Gadget, settle
 
 HIDRAW = Path("/sys/class/hidraw")
 POLL_MS = 100
@@ -68,8 +68,9 @@ class HidDevice(ABC):
         until = time.monotonic() + PLUG_S
         while (self.node is not None and os.path.exists(self.node)) != there:
             if time.monotonic() > until:
-                raise TimeoutError(f"node {self.node}, wanted {there}")
+                raise TimeoutError(f"the device's node is {self.node}")
             time.sleep(0.01)
+        settle()
 
 
 class UsbHid(HidDevice):

@@ -2,8 +2,8 @@
 
     python puck.py SOCKET '{"push": {"up": -350}, "buttons": 5}'
 
-Keys of the case: product (number), push (deflection in counts by the words of emulators/puck.py), buttons, reports: split
-or combined. Lines over the socket: `seen`, `make lost`, `mend`, `quit`.
+Keys of the case: push (deflection in counts by the words of emulators/puck.py), buttons, reports: split
+(a SpaceNavigator) or combined. Lines over the socket: `seen`, `make lost`, `mend`, `quit`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from emulators import puck  # noqa: E402
-from vm.gadgets.hid import Uhid  # noqa: E402
-from vm.gadgets.serving import serve  # noqa: E402
+from emulators import puck
+
+from vm.gadgets.hid import Uhid
+from vm.gadgets.serving import serve
 
 REPORT_PERIOD_S = 0.016
 
@@ -50,9 +51,9 @@ class Puck:
         self.written: list[str] = []
         combined = case.get("reports") == "combined"
         self.kind = puck.combined if combined else puck.split
+        ids = (0x256F, 0xC62E) if combined else (0x046D, 0xC626)
         self.device = Uhid(
-            0x046D, case.get("product", 0xC626), "SpaceNavigator", descriptor(combined),
-            lambda report: self.written.append(report.hex()),
+            *ids, "SpaceNavigator", descriptor(combined), lambda report: self.written.append(report.hex())
         )  # fmt: skip
         self.device.plug()
         threading.Thread(target=self._report, daemon=True).start()

@@ -2,8 +2,9 @@
 
     python woodenhaptics.py SOCKET '{"arm": "woody-2019", "bus": "usb", "place": [0, 0, 0.01]}'
 
-Keys of the case: arm (a row of the emulator's table), bus (usb or uhid), place (m), press (m: how far the hand then goes
-down), drag (m: and to the side). Lines over the socket: `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`; cases:
+Keys of the case: arm (a row of the emulator's table), bus (usb or uhid), place (m), press (m: how far the hand then
+goes down), drag (m: and to the side). Lines over the socket: `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`;
+the cases:
 
 not_found, lost   unplugged
 busy              another program has locked its node
@@ -23,17 +24,18 @@ import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from emulators.hand import stroke  # noqa: E402
-from emulators.woodenhaptics import Woody  # noqa: E402
-from vm.gadgets.hid import HidDevice, Uhid, UsbHid  # noqa: E402
-from vm.gadgets.serving import serve  # noqa: E402
+from emulators.hand import stroke
+from emulators.woodenhaptics import Woody
+
+from vm.gadgets.hid import HidDevice, Uhid, UsbHid
+from vm.gadgets.serving import serve
 
 IDS = (0x16C0, 0x0486)
 REPORT_BYTES = 64
 # Vendor page, one input and one output report of 64 bytes, not numbered.
 DESCRIPTOR = bytes.fromhex("06abff0a0002a1017508150026ff00954009018102954009029102c0")
-SETTLE_S = 0.05
-"""Longer than a report under way takes; an emulated processor is slow."""
+SETTLED_S, SETTLE_S = 0.05, 1.0
+"""No report for so long: none is under way any more, nor in the kernel's queue. And how long that is waited for."""
 
 
 class Board:
@@ -44,6 +46,7 @@ class Board:
         self.woody = Woody(case.get("arm", "woody-2019"), 2, intention)
         self.lock = threading.Lock()
         self.mute = False
+        self.taken_at = time.monotonic()
         self.held: int | None = None
         self.device: HidDevice
         if case.get("bus", "usb") == "usb":
@@ -55,13 +58,19 @@ class Board:
     def take(self, report: bytes) -> None:
         with self.lock:
             answer = self.woody.answer(report)
+            self.taken_at = time.monotonic()
         if not self.mute:
             self.device.send(answer)
+
+    def _settle(self) -> None:
+        until = time.monotonic() + SETTLE_S
+        while time.monotonic() < min(until, self.taken_at + SETTLED_S):
+            time.sleep(0.005)
 
     def answer(self, line: str) -> object:
         word, _, rest = line.partition(" ")
         if word in ("displayed", "seen"):
-            time.sleep(SETTLE_S)
+            self._settle()
         with self.lock:
             woody = self.woody
             if word == "displayed":
