@@ -43,9 +43,12 @@ START_S = 30.0
 RATE_HZ = 100.0
 """Of the loops here: a tick takes a millisecond on an emulated processor, which has the device to emulate as well."""
 FIGURES = Path("/run/vm/figures")
+TRIES = 3
 NOBODY = 65534
 PR_SET_KEEPCAPS, CAPABILITY_VERSION, DAC_OVERRIDE, DAC_READ_SEARCH = 8, 0x20080522, 1, 2
 ALL_CAPABILITIES = (1 << 41) - 1
+
+Wanted = Callable[[dict[str, Any]], bool]
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -65,6 +68,8 @@ class Gadget:
                 time.sleep(0.02)
         except BaseException:
             self._process.kill()
+            self._process.wait()
+            self._folder.cleanup()
             raise
 
     def ask(self, line: str) -> Any:
@@ -87,9 +92,9 @@ class Gadget:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._process.poll() is None:
-            self.ask("quit")
         try:
+            if self._process.poll() is None:
+                self.ask("quit")
             self._process.wait(START_S)
         finally:
             self._process.kill()
@@ -168,13 +173,21 @@ class Run:
             assert time.monotonic() < until, f"does not say {text!r}:\n{self.err}"
             time.sleep(0.05)
 
-    def until(self, device: Gadget, wanted: Callable[[dict[str, Any]], bool], seconds: float = 60.0) -> None:
-        """Wait until what the device has seen is so."""
+    def until(self, device: Gadget, wanted: Wanted, seconds: float = 60.0) -> bool:
+        """Wait until what the device has seen is so; False when the processor starved the loop instead."""
         until = time.monotonic() + seconds
         while not wanted(saw := device.seen()):
-            assert not self._ended(), f"ended with {self.code}:\n{self.err}"
+            if self._ended():
+                assert self.starved, f"ended with {self.code}:\n{self.err}"
+                return False
             assert time.monotonic() < until, f"in {seconds} s the device saw {saw}"
             time.sleep(0.05)
+        return True
+
+    @property
+    def starved(self) -> bool:
+        """Whether it gave up a device that nothing was done to: an emulated processor had no time for one of them."""
+        return self.code != 0 and "no answer to a" in self.err
 
     def end(self, seconds: float = 60.0) -> int:
         """Wait for the end; the exit code."""
@@ -235,7 +248,18 @@ def other_daemon() -> Run:
     return daemon("replay")
 
 
-def keep(rig: str, scene: str, ticks: int, path: Path) -> Run:
+@contextmanager
+def pushing(rig: str, device: Gadget, wanted: Wanted) -> Iterator[Run]:
+    """A daemon that has come so far that what the device has seen is `wanted`; one that starved is started again."""
+    for _ in range(TRIES):
+        with daemon(rig) as running:
+            if running.until(device, wanted):
+                yield running
+                return
+    raise AssertionError(f"starved {TRIES} times:\n{running.err}")
+
+
+def keep(rig: str, scene: str, ticks: int, path: Path) -> None:
     """The daemon for so many ticks; all of them, as a subscriber got them, go to `path` (.npy)."""
     changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": RATE_HZ}
 
@@ -243,7 +267,12 @@ def keep(rig: str, scene: str, ticks: int, path: Path) -> Run:
         np.save(path, records_of_daemon(load_rig(rig, changes), load_scene(scene), ticks))
         return 0
 
-    return Run(work)
+    for _ in range(TRIES):
+        with Run(work) as running:
+            if running.end(120) == 0:
+                return
+        assert running.starved, running.err
+    raise AssertionError(f"starved {TRIES} times:\n{running.err}")
 
 
 def attached(user: int | None = None, rig: str | None = None) -> list[dict[str, Any]]:

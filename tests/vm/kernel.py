@@ -17,7 +17,7 @@ META_PACKAGE = "linux-image-amd64"
 WANTED = (
     *("virtio_pci", "9pnet_virtio", "9p"),
     *("dummy_hcd", "libcomposite", "usb_f_fs", "usb_f_hid", "usb_f_acm", "cdc-acm"),
-    *("hid-generic", "hid-logitech", "usbhid", "uhid"),
+    *("hid-generic", "usbhid", "uhid"),
 )
 """The file systems of this machine; a bus with both ends in the guest, and what stands at each."""
 

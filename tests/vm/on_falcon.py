@@ -33,6 +33,7 @@ from vm.guest import (
     keep,
     measured,
     other_daemon,
+    pushing,
 )
 from vm.guest import loaded as loaded
 
@@ -82,8 +83,7 @@ def test_closed_loop(tmp_path: Path, rig: str) -> None:
     """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
     kept = tmp_path / "records.npy"
     with gadget("falcon", **STROKE) as falcon:
-        run = keep(rig, "paper-plane", TICKS, kept)
-        assert run.end(120) == 0, run.err
+        keep(rig, "paper-plane", TICKS, kept)
         saw = falcon.seen()
     records = np.load(kept)
     assert {0.0, 1.0, 2.0} == set(records[:, OFFSET["contact.mode"]])
@@ -99,8 +99,9 @@ def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -
     """Ctrl-C while it pushes: in order, motors at zero; the next daemon opens the device that the first has closed."""
     for _ in range(2):
         before = pressed.seen()["steps"]
-        with daemon(rig) as running:
-            running.until(pressed, lambda saw, start=before: in_contact({**saw, "steps": saw["steps"] - start}))
+        with pushing(
+            rig, pressed, lambda saw, start=before: in_contact({**saw, "steps": saw["steps"] - start})
+        ) as running:
             assert running.stop() == 0, running.err
         assert "force is zero" in running.err
         assert pressed.seen()["motors"] == [0, 0, 0]
@@ -108,8 +109,7 @@ def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -
 
 def test_unplugged_under_force(pressed: Gadget, rig: str) -> None:
     """Pulled out while it pushes: device lost; a daemon beside it tells what went and what came; it opens again."""
-    with other_daemon() as other, daemon(rig) as running:
-        running.until(pressed, in_contact)
+    with other_daemon() as other, pushing(rig, pressed, in_contact) as running:
         pressed.ask("make lost")
         assert running.end() == 4, running.err
         assert re.search(r"is gone .status -1 on (read|write).*plug it in again", running.err)
@@ -119,15 +119,13 @@ def test_unplugged_under_force(pressed: Gadget, rig: str) -> None:
         other.says("attached: FALCON HAPTIC (0403:cb48) at /dev/bus/usb/")
         assert other.stop() == 0, other.err
     before = pressed.seen()["steps"]
-    with daemon(rig) as running:
-        running.until(pressed, lambda saw: saw["steps"] > before + IN_CONTACT)
+    with pushing(rig, pressed, lambda saw: saw["steps"] > before + IN_CONTACT) as running:
         assert running.stop() == 0, running.err
 
 
 def test_a_second_program_finds_it_held(pressed: Gadget, rig: str) -> None:
     """While a daemon has it, another is refused and `devices` says by whom; the first does not notice."""
-    with daemon(rig) as running:
-        running.until(pressed, in_contact)
+    with pushing(rig, pressed, in_contact) as running:
         with daemon(rig) as second:
             assert second.end() == 4, second.err
         assert "is held by another program: close that one first" in second.err
@@ -158,8 +156,7 @@ def test_another_user_is_told_the_rule(pressed: Gadget, rig: str) -> None:
 def test_faults_end_in_order(case: str, message: str, pressed: Gadget, rig: str) -> None:
     """An answer that does not come, an endpoint that takes nothing and one that is halted end the daemon with their own
     message; plugged in anew, the device works again."""
-    with daemon(rig) as running:
-        running.until(pressed, in_contact)
+    with pushing(rig, pressed, in_contact) as running:
         pressed.ask(f"make {case}")
         assert running.end() == 4, running.err
     assert re.search(message, running.err), running.err
@@ -169,8 +166,7 @@ def test_faults_end_in_order(case: str, message: str, pressed: Gadget, rig: str)
     pressed.ask("make lost")
     pressed.ask("mend")
     before = pressed.seen()["steps"]
-    with daemon(rig) as running:
-        running.until(pressed, lambda saw: saw["steps"] > before + 20)
+    with pushing(rig, pressed, lambda saw: saw["steps"] > before + 20) as running:
         assert running.stop() == 0, running.err
 
 

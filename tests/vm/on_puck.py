@@ -29,8 +29,7 @@ def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
         assert (found["state"], found["name"], found["rigs"]) == (
             "usable", "SpaceNavigator", ["simulated-spacemouse", "spacemouse"],
         )  # fmt: skip
-        run = keep("spacemouse", "paper-plane", 200, kept)
-        assert run.end(120) == 0, run.err
+        keep("spacemouse", "paper-plane", 200, kept)
         assert puck.seen()["written"] == ["0401", "0400"]
     records = np.load(kept)
     way = np.ptp(records[:, OFFSET["probe.position"] : OFFSET["probe.position"] + 3], axis=0)
@@ -50,9 +49,9 @@ def test_unplugged_in_use() -> None:
             puck.ask("make lost")
             assert running.end() == 4, running.err
         assert "spacemouse SpaceNavigator is gone (status -1 on read): plug it in again" in running.err
-        other.says("detached: SpaceNavigator (046d:c626) at /dev/hidraw")
+        other.says("detached: SpaceNavigator (256f:c635) at /dev/hidraw")
         puck.ask("mend")
-        other.says("attached: SpaceNavigator (046d:c626) at /dev/hidraw")
+        other.says("attached: SpaceNavigator (256f:c635) at /dev/hidraw")
         with daemon("spacemouse", "--duration", "0.2") as again:
             assert again.end() == 0, again.err
         assert other.stop() == 0, other.err

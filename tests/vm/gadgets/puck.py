@@ -3,7 +3,7 @@
     python puck.py SOCKET '{"push": {"up": -350}, "buttons": 5}'
 
 Keys of the case: push (deflection in counts by the words of emulators/puck.py), buttons, reports: split
-(a SpaceNavigator) or combined. Lines over the socket: `seen`, `make lost`, `mend`, `quit`.
+or combined. Lines over the socket: `seen`, `make lost`, `mend`, `quit`.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class Puck:
         self.written: list[str] = []
         combined = case.get("reports") == "combined"
         self.kind = puck.combined if combined else puck.split
-        ids = (0x256F, 0xC62E) if combined else (0x046D, 0xC626)
+        # Of the older maker's ids, the kernel's own driver wants to see a USB interface, which uhid has none of.
+        ids = (0x256F, 0xC62E if combined else 0xC635)
         self.device = Uhid(
             *ids, "SpaceNavigator", descriptor(combined), lambda report: self.written.append(report.hex())
         )  # fmt: skip
