@@ -60,6 +60,12 @@ class SafetyStop(HapticError):
     exit_code = 6
 
 
+class Unfit(HapticError):
+    """`doctor` found something that keeps this machine from running the rig."""
+
+    exit_code = 10
+
+
 class AddressInUse(HapticError):
     """A telemetry endpoint that cannot be bound."""
 

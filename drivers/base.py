@@ -89,6 +89,13 @@ class Device(ABC):
         """What the device itself says of its last failure; empty where it says nothing. After the loop has ended."""
         return ""
 
+    def counts(self) -> dict[str, int]:
+        """What the driver has counted since the device was opened, by name; empty where it counts nothing.
+
+        While the servo runs: each number as it was just now.
+        """
+        return {}
+
     def __enter__(self) -> Self:
         return self
 

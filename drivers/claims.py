@@ -1,6 +1,6 @@
 """Which driver a device belongs to, by its USB ids, without an import of that driver.
 
-A device that a rig of this program describes (`driver = "hid"`) belongs to that rig.
+A device whose ids a rig of this program names (`driver = "hid"` or `"serial"`) belongs to that rig.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Claim(NamedTuple):
 def claim_on(device: Attached) -> Claim | None:
     """Who claims a device, with the shipped rigs for it; None if nobody does.
 
-    A driver over hidraw claims the device on the USB bus too: it is there without a node when the system's HID
-    support is missing.
+    A driver over hidraw or a serial port claims the device on the USB bus too: it is there without a node when the
+    system's support for these is missing.
     """
     for claim in claims():
         if claim.vendor == device.vendor and claim.product in (None, device.product):
@@ -64,4 +64,4 @@ def _claims() -> Iterator[Claim]:
         yield Claim("spacemouse", "hid", vendor, product, of("spacemouse"))
     for (driver, vendor_id, product_id), names in rigs.items():
         if vendor_id is not None and product_id is not None:
-            yield Claim(driver, "hid", vendor_id, product_id, tuple(names))
+            yield Claim(driver, "serial" if driver == "serial" else "hid", vendor_id, product_id, tuple(names))

@@ -1,4 +1,5 @@
-"""What is attached to this machine: its USB devices and hidraw nodes, who holds them, and who may open them.
+"""What is attached to this machine: its USB devices, hidraw nodes and serial ports, who holds them, and who may open
+them.
 
 Nothing is opened: names and numbers come from the system's tables, so that a look disturbs no device in use.
 On Linux these are sysfs, which also tells what this user may not open; elsewhere USB is asked through pyusb.
@@ -6,19 +7,26 @@ On Linux these are sysfs, which also tells what this user may not open; elsewher
 
 from __future__ import annotations
 
+import grp
 import os
-from collections.abc import Iterator
+import stat
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
-Bus = Literal["usb", "hid"]
+Bus = Literal["usb", "hid", "serial"]
 
 ROOT: Final = Path("/")
 USB: Final = Path("sys/bus/usb/devices")
 HIDRAW: Final = Path("sys/class/hidraw")
+TTY: Final = Path("sys/class/tty")
+USB_PORTS: Final = ("ttyACM", "ttyUSB")
+"""How the names of serial ports on USB begin; the table also has every terminal of the system."""
 
 RELOAD: Final = "sudo udevadm control --reload && sudo udevadm trigger"
 HID_RULE_FILE: Final = "/etc/udev/rules.d/70-softfinger-hid.rules"
+SERIAL_RULE_FILE: Final = "/etc/udev/rules.d/70-softfinger-serial.rules"
+READ_AND_WRITE_BY_GROUP: Final = stat.S_IRGRP | stat.S_IWGRP
 
 
 class Attached(NamedTuple):
@@ -50,10 +58,13 @@ class Holder(NamedTuple):
 
 
 def attached(root: Path = ROOT) -> list[Attached]:
-    """Every hidraw node and every USB device that has none, hubs left out. `root` holds sys and dev."""
-    nodes = list(hidraw_nodes(root))
-    as_hid = {(one.vendor, one.product) for one in nodes}
-    return [*nodes, *(one for one in usb_devices(root) if (one.vendor, one.product) not in as_hid)]
+    """Every hidraw node and serial port on USB, and every USB device that has neither, hubs left out.
+
+    root  holds sys and dev
+    """
+    nodes = [*hidraw_nodes(root), *serial_ports(root)]
+    seen = {(one.vendor, one.product) for one in nodes}
+    return [*nodes, *(one for one in usb_devices(root) if (one.vendor, one.product) not in seen)]
 
 
 def has_usb(root: Path = ROOT) -> bool:
@@ -65,24 +76,39 @@ def names(root: Path = ROOT) -> frozenset[str]:
     """Names under which the system lists what is attached; cheap enough to be asked every second."""
     return frozenset(
         str(folder / name)
-        for folder in (USB, HIDRAW)
+        for folder, is_one in ((USB, _is_device), (HIDRAW, bool), (TTY, _is_port))
         for name in _listed(root / folder)
-        if folder == HIDRAW or _is_device(name)
+        if is_one(name)
     )
 
 
 def described(name: str, root: Path = ROOT) -> Attached | None:
     """The device of one of `names`; None when it is gone already, or is a hub."""
     path = root / name
+    if path.parent == root / TTY:
+        return _serial_port(path)
     return _hidraw_node(path) if path.parent == root / HIDRAW else _usb_device(path)
 
 
 def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
     """Every hidraw node, in the order of its number."""
     folder = root / HIDRAW
-    for name in sorted(_listed(folder), key=lambda text: (len(text), text)):
+    for name in _in_order(_listed(folder)):
         if (found := _hidraw_node(folder / name)) is not None:
             yield found
+
+
+def serial_ports(root: Path = ROOT) -> Iterator[Attached]:
+    """Every serial port on USB, in the order of its number."""
+    folder = root / TTY
+    for name in _in_order(filter(_is_port, _listed(folder))):
+        if (found := _serial_port(folder / name)) is not None:
+            yield found
+
+
+def serial_port(node: str, root: Path = ROOT) -> Attached | None:
+    """The device behind a port's node, which may be a link to it; None if the port is not one on USB."""
+    return _serial_port(root / TTY / os.path.basename(os.path.realpath(node)))
 
 
 def usb_devices(root: Path = ROOT) -> Iterator[Attached]:
@@ -131,6 +157,28 @@ def hid_rule(vendor: int, product: int) -> str:
     return f'KERNEL=="hidraw*", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", TAG+="uaccess"'
 
 
+def serial_rule(vendor: int, product: int) -> str:
+    """The udev rule that lets the user at the machine open a serial port, and keeps ModemManager from trying it."""
+    return (
+        f'SUBSYSTEM=="tty", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", '
+        'TAG+="uaccess", ENV{ID_MM_DEVICE_IGNORE}="1"'
+    )
+
+
+def group_with_access(node: str) -> str | None:
+    """A group other than root's that may read and write a node."""
+    try:
+        seen = os.stat(node)
+        opens = seen.st_gid != 0 and seen.st_mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
+        return grp.getgrgid(seen.st_gid).gr_name if opens else None
+    except (OSError, KeyError):
+        return None
+
+
+def _in_order(names: Iterable[str]) -> list[str]:
+    return sorted(names, key=lambda text: (len(text), text))
+
+
 def _listed(folder: Path) -> list[str]:
     try:
         return os.listdir(folder)
@@ -141,6 +189,10 @@ def _listed(folder: Path) -> list[str]:
 def _is_device(name: str) -> bool:
     """Interfaces have a colon in their name (1-1:1.0), and root hubs none but their own (usb1)."""
     return ":" not in name and not name.startswith("usb")
+
+
+def _is_port(name: str) -> bool:
+    return name.startswith(USB_PORTS)
 
 
 def _text(path: Path) -> str:
@@ -174,6 +226,16 @@ def _usb_device(path: Path) -> Attached | None:
     bus, number = (_number(_text(path / key), 10) for key in ("busnum", "devnum"))
     node = "" if bus is None or number is None else _usb_node(bus, number)
     return Attached("usb", vendor, product, _text(path / "product") or "USB device", _text(path / "serial"), node)
+
+
+def _serial_port(path: Path) -> Attached | None:
+    # `device` leads to the port's interface, which lies in the folder of its USB device.
+    for folder in (path / "device").resolve().parents:
+        vendor, product = (_number(_text(folder / key), 16) for key in ("idVendor", "idProduct"))
+        if vendor is not None and product is not None:
+            name = _text(folder / "product") or "serial port"
+            return Attached("serial", vendor, product, name, _text(folder / "serial"), f"/dev/{path.name}")
+    return None
 
 
 def _usb_node(bus: int, number: int) -> str:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
 import stat
 import struct
 from typing import Final
 
-from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
+from softfinger.config.errors import DeviceError
 from softfinger.drivers import discovery
+from softfinger.drivers.nodes import open_locked
 
 _GET_INFO: Final = 0x80084803  # an ioctl request of <linux/hidraw.h>
 
@@ -20,12 +20,12 @@ def open_path(path: str, vendor: int, product: int) -> int:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device.
     """
+    fd = open_locked(
+        path,
+        f"write {discovery.hid_rule(vendor, product)} to {discovery.HID_RULE_FILE}, run `udevadm control --reload`, "
+        "and plug the device in again",
+    )
     try:
-        fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError as error:
-        raise _unopened(path, vendor, product, error) from error
-    try:
-        _lock(fd, path)
         _check_device(fd, path, vendor, product)
     except BaseException:
         os.close(fd)
@@ -35,32 +35,6 @@ def open_path(path: str, vendor: int, product: int) -> int:
 
 def ids(vendor: int, product: int) -> str:
     return f"{vendor:04x}:{product:04x}"
-
-
-def _unopened(path: str, vendor: int, product: int, error: OSError) -> DeviceError:
-    reason = error.strerror or str(error)
-    if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or leave `path` out")
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return DevicePermission(
-            f"{path} may not be opened by this user: {reason}: write "
-            f"{discovery.hid_rule(vendor, product)} to {discovery.HID_RULE_FILE}, run `udevadm control --reload`, "
-            "and plug the device in again"
-        )
-    if error.errno == errno.EBUSY:
-        return DeviceBusy(f"{path} is held by another program: close that one first")
-    return DeviceError(f"{path} cannot be opened: {reason}")
-
-
-def _lock(fd: int, path: str) -> None:
-    # hidraw itself lets any number of programs write to one device; two that command forces must not.
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        who = discovery.holder(path) or "another process"
-        raise DeviceBusy(f"{path} is held by {who}: end that one first") from error
-    except OSError:
-        pass  # a node on a file system without locks
 
 
 def _check_device(fd: int, path: str, wanted_vendor: int, wanted_product: int) -> None:

@@ -21,6 +21,7 @@ BUILT_IN: Final = {
     "forcedimension": "softfinger.drivers.forcedimension",
     "hid": "softfinger.drivers.hid",
     "replay": "softfinger.drivers.replay",
+    "serial": "softfinger.drivers.serial",
     "simulated": "softfinger.drivers.simulated",
     "spacemouse": "softfinger.drivers.spacemouse",
 }

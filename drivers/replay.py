@@ -116,6 +116,9 @@ class Replay(Device):
     def close(self) -> None:
         self._log.close()
 
+    def counts(self) -> dict[str, int]:
+        return self._log.counts()
+
     @property
     def reads(self) -> int:
         """Reads so far."""

@@ -192,6 +192,9 @@ class Simulated(Device):
     def reason(self) -> str:
         return f"its hand is led by {self._led_by}" if self._led_by else ""
 
+    def counts(self) -> dict[str, int]:
+        return self._log.counts() | (self._puck.counts() if self._puck is not None else {})
+
     def written(self) -> Written:
         """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
         return self._log.written()

@@ -185,6 +185,10 @@ class Puck:
             self._word[FD] = -1
             os.close(fd)
 
+    def counts(self) -> dict[str, int]:
+        """Reports received, and those of them that were of other kinds."""
+        return {"reports": int(self._word[REPORTS]), "foreign": int(self._word[FOREIGN])}
+
     def _light(self, report: bytes) -> None:
         if self._led:
             with contextlib.suppress(OSError):  # some have no lamp, and one that is gone needs none
@@ -223,6 +227,9 @@ class SpaceMouse(Device):
     def close(self) -> None:
         self._log.close()
         self._puck.close()
+
+    def counts(self) -> dict[str, int]:
+        return self._log.counts() | self._puck.counts()
 
     def written(self) -> Written:
         """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""

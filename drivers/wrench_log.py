@@ -137,6 +137,10 @@ class WrenchLog:
         """Wrenches kept once and overwritten since, because a run was longer than the log."""
         return max(0, int(self._word[WRITES]) - len(self._rows))
 
+    def counts(self) -> dict[str, int]:
+        """Reads, and wrenches taken."""
+        return {"reads": int(self._word[READS]), "writes": int(self._word[WRITES])}
+
     def written(self) -> Written:
         """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
         before = int(self._word[WRITES])

@@ -110,7 +110,7 @@ class Daemon:
         if ended.error is not None:
             raise ended.error
         if ended.ending in (servo.READ_FAILED, servo.WRITE_FAILED):
-            raise _device_failure(self.device, ended)
+            raise device_failure(self.device, ended)
         return True
 
     def close(self) -> None:
@@ -181,7 +181,8 @@ class Daemon:
         self.servo.stop()
 
 
-def _device_failure(device: base.Device, ended: servo.Ended) -> HapticError:
+def device_failure(device: base.Device, ended: servo.Ended) -> HapticError:
+    """The error of a device that failed on a read or a write, in its own words and with what to do."""
     doing = "read" if ended.ending == servo.READ_FAILED else "write"
     name, said = device.info.name, device.reason()
     because = f" ({said})" if said else ""

@@ -2,7 +2,7 @@
 
 Exit codes: 0 done or stopped in order, 1 a defect in this program, 2 a bad command line or configuration,
 3 a recording that cannot be used, 4 a device, 5 real-time settings refused, 6 a safety stop, 7 an address
-in use, 8 a message that breaks the protocol, 9 no telemetry arrived.
+in use, 8 a message that breaks the protocol, 9 no telemetry arrived, 10 `doctor` found something bad.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ VERBS: Final = {
     "monitor": Verb("softfinger.server.monitor", "live dashboard of a running daemon"),
     "record": Verb("softfinger.server.record", "poses of a running daemon, for replay"),
     "devices": Verb("softfinger.server.devices", "what is attached, and why it cannot be opened"),
+    "doctor": Verb("softfinger.tools.doctor.verb", "is this machine good enough; a report of an attached device"),
     "check": Verb("softfinger.server.check", "validate rig and scene files"),
     "schema": Verb("softfinger.server.schema_verb", "JSON Schema of rigs and scenes, schema of the telemetry"),
     "warmup": Verb("softfinger.server.warmup", "compile the kernels ahead"),

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import grp
 import importlib
 import json
 import os
-import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -19,7 +17,8 @@ from softfinger.drivers import discovery, registry
 from softfinger.drivers.claims import Claim, claim_on
 from softfinger.drivers.discovery import Attached
 
-READ_AND_WRITE_BY_GROUP: Final = stat.S_IRGRP | stat.S_IWGRP
+MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "cdc_acm")}
+"""What the system gives a device of a bus, and the module of the kernel that makes it."""
 
 
 class Diagnosis(NamedTuple):
@@ -66,8 +65,9 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
         return Diagnosis("unclaimed", "no driver knows it")
     if claim.driver not in registry.names():
         return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
-    if claim.bus == "hid" and device.bus == "usb":
-        return Diagnosis("node", "the system gives it no hidraw node", "sudo modprobe usbhid, and plug it in again")
+    if device.bus == "usb" and claim.bus in MODULES:
+        node, module = MODULES[claim.bus]
+        return Diagnosis("node", f"the system gives it no {node}", f"sudo modprobe {module}, and plug it in again")
     if not os.path.exists(device.node):
         return Diagnosis(
             "node",
@@ -102,27 +102,16 @@ def needs(claim: Claim, options: Mapping[str, Any]) -> Diagnosis:
 
 def how_to_permit(device: Attached, claim: Claim) -> str:
     """The command that lets this user open a node: a group that has the right already, else a udev rule."""
-    if (group := _group_with_access(device.node)) is not None:
+    if (group := discovery.group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"
     if claim.bus == "hid":
         rule, file = discovery.hid_rule(device.vendor, device.product), discovery.HID_RULE_FILE
+    elif claim.bus == "serial":
+        rule, file = discovery.serial_rule(device.vendor, device.product), discovery.SERIAL_RULE_FILE
     else:
         usb = importlib.import_module(f"{registry.BUILT_IN[claim.driver]}.usb")  # where a driver over USB has its own
         rule, file = usb.RULE, usb.RULE_FILE
     return f"echo '{rule}' | sudo tee -a {file} && {discovery.RELOAD}"
-
-
-def _group_with_access(node: str) -> str | None:
-    """A group other than root's that may write to a node."""
-    try:
-        seen = os.stat(node)
-        return grp.getgrgid(seen.st_gid).gr_name if seen.st_gid and _open_to_group(seen.st_mode) else None
-    except (OSError, KeyError):
-        return None
-
-
-def _open_to_group(mode: int) -> bool:
-    return mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
 
 
 def as_map(device: Attached, claim: Claim | None, diagnosis: Diagnosis) -> dict[str, object]:

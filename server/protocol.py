@@ -82,7 +82,7 @@ EVENT_EXTRA_KEYS: Final = {
     ),
     "device": (
         Key("device", "str", "", "", "its name, as the system has it"),
-        Key("bus", "str", "", "", "hid for a hidraw node, usb for a device on the bus"),
+        Key("bus", "str", "", "", "hid for a hidraw node, serial for a serial port, usb for a device on the bus"),
         Key("ids", "str", "", "", "vendor and product in hexadecimal digits, such as 046d:c626"),
         Key("serial", "str", "", "", "serial number, empty if it has none"),
         Key("node", "str", "", "", "node that a driver opens, empty if there is none"),

@@ -20,6 +20,11 @@ DAMPING_MAX_NS_PER_M: Final = 20.0
 
 def make_tuning(scene: schema.Scene, guard: schema.Guard, device: DeviceInfo | None = None) -> Tuning:
     """Parameters of the servo for a scene and a guard; what the device allows is never exceeded."""
+    return Tuning(build_scene(scene), guard_limits(guard, device), _passivity(scene.passivity))
+
+
+def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard:
+    """The guard of a rig, armed, lowered to what the device allows."""
     force, torque = guard.force_max_n, guard.torque_max_nm
     if device is not None and force > device.force_max_n:
         log.warning("guard.force_max_n = %g N is lowered to the device's %g N", force, device.force_max_n)
@@ -27,8 +32,7 @@ def make_tuning(scene: schema.Scene, guard: schema.Guard, device: DeviceInfo | N
     if device is not None and torque > device.torque_max_nm:
         log.warning("guard.torque_max_nm = %g N m is lowered to the device's %g N m", torque, device.torque_max_nm)
         torque = device.torque_max_nm
-    limits = Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
-    return Tuning(build_scene(scene), limits, _passivity(scene.passivity))
+    return Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
 
 
 def _passivity(wanted: schema.Passivity | None) -> Passivity | None:

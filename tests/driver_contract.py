@@ -132,6 +132,20 @@ class DriverContract:
         times = [servo.read()[1][7] for _ in range(20)]
         assert times == sorted(times)
 
+    def test_counts_never_fall(self, device: Device) -> None:
+        """Counters have names, are whole numbers from 0 up, and only ever rise; where there are any, one follows
+        the exchanges."""
+        servo = Servo(device)
+        before = device.counts()
+        for _ in range(20):
+            servo.read()
+            servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        after = device.counts()
+        assert before.keys() == after.keys()
+        assert all(type(value) is int for value in after.values())
+        assert all(0 <= before[name] <= after[name] for name in before)
+        assert not after or after != before
+
     def test_write_is_taken_while_armed(self, device: Device, bench: Bench) -> None:
         """An open device takes a small force, and displays it in the world frame."""
         servo = Servo(device)

@@ -17,7 +17,7 @@ from driver_contract import RATE_HZ, Bench, DriverContract, Servo
 
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import OK, STALE
-from softfinger.drivers.falcon import Falcon, Options, block, open_device
+from softfinger.drivers.falcon import Falcon, Options, open_device
 
 
 class Emulated(Bench):
@@ -84,7 +84,7 @@ def test_a_force_past_the_motors_is_limited(bench: Emulated) -> None:
         x, y, z = bench.displayed()
         assert 5.0 < np.linalg.norm((x, y, z)) < 50.0
         np.testing.assert_allclose((x / z, y / z), (0.75, 0.0), atol=0.01)  # the knob moves before it is asked
-        assert device.counts(block.CUT) == 1
+        assert device.counts()["cut"] == 1
         servo.read()
         assert servo.write(float("nan"), 0.0, 0.0, 0.0, 0.0, 0.0) == STALE
         assert not any(bench.displayed())
@@ -96,14 +96,14 @@ def test_late_replies_cost_ticks(bench: Emulated) -> None:
         servo = Servo(device)
         servo.read()
         bench.make("late")
-        statuses, written = [], device.counts(block.WRITTEN)
+        statuses, written = [], device.counts()["written"]
         before = servo.read()[1]
         for _ in range(10):
             servo.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
             status, sample = servo.read()
             if status == STALE and OK not in statuses:
                 assert sample == before
-                assert device.counts(block.WRITTEN) - written <= 2
+                assert device.counts()["written"] - written <= 2
             statuses.append(status)
         assert set(statuses) <= {OK, STALE}
         assert STALE in statuses

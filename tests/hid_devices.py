@@ -20,7 +20,7 @@ from typing import Any, Self
 from emulators.woodenhaptics import Vector, Woody
 
 from softfinger.config.load import build, load_rig
-from softfinger.drivers.hid import HidDevice, Options, exchange
+from softfinger.drivers.hid import HidDevice, Options
 
 RIGS = {
     "woodenhaptics-2019": "woody-2019",
@@ -92,7 +92,7 @@ class Answering:
     def settle(self, device: HidDevice) -> None:
         """Wait until every report of the driver has been taken, and answered."""
         until = time.monotonic() + 10.0
-        while self.answered < device.counts(exchange.WRITTEN):
+        while self.answered < device.counts()["written"]:
             assert time.monotonic() < until, "the emulated device does not take its reports"
             time.sleep(0.0002)
 

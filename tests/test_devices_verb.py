@@ -53,6 +53,19 @@ def plug_hid(root: Path, number: int, ids: str, name: str = "Puck") -> str:
     return str(discovery.HIDRAW / f"hidraw{number}")
 
 
+def plug_serial(root: Path, name: str, vendor: str, product: str, serial: str = "") -> str:
+    """A serial port on USB as the kernel lists it; its name in the table. One of a converter (ttyUSB) has a folder of
+    its own in that of its interface."""
+    device = root / "sys/devices/usb1" / f"1-{name}"
+    port = device / "1-1:1.0" / (name if name.startswith("ttyUSB") else "")
+    port.mkdir(parents=True)
+    write(device, idVendor=vendor, idProduct=product, serial=serial, product="Teensy")
+    entry = root / discovery.TTY / name
+    entry.mkdir(parents=True)
+    (entry / "device").symlink_to(port)
+    return str(discovery.TTY / name)
+
+
 def at(node: Path | str, vendor: int = 0x046D, product: int = 0xC626, bus: discovery.Bus = "hid") -> Attached:
     return Attached(bus, vendor, product, "thing", "", str(node))
 
@@ -67,9 +80,16 @@ def test_tables_are_read(root: Path) -> None:
     plug_hid(root, 10, "0003:0000046D:0000C626")
     plug_hid(root, 2, "0003:000016C0:00000486", "Arm = left")
     plug_hid(root, 3, "damaged")
+    plug_usb(root, "1-4", "16c0", "0483", bDeviceClass="02")
+    plug_serial(root, "ttyACM0", "16c0", "0483", "SN42")
+    plug_serial(root, "ttyUSB0", "0403", "6001")
+    for name in ("ttyS0", "tty", "ptmx", "ttyACM7"):  # of the machine itself; pulled out while the table was read
+        (root / discovery.TTY / name).mkdir()
     assert discovery.attached(root) == [
         Attached("hid", 0x16C0, 0x0486, "Arm = left", "SN7", "/dev/hidraw2"),
         Attached("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw10"),
+        Attached("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0"),
+        Attached("serial", 0x0403, 0x6001, "Teensy", "", "/dev/ttyUSB0"),
         Attached("usb", 0x1451, 0x0402, "omega.x haptic device", "0042", "/dev/bus/usb/001/007"),
     ]
 
@@ -88,6 +108,7 @@ def test_a_system_without_tables_has_no_devices(tmp_path: Path) -> None:
         (0x1451, 0xFFFF, "forcedimension", "omega-6"),
         (0x16C0, 0x0486, "hid", "woodenhaptics-2019"),
         (0x1234, 0x0006, "hid", "woodenhaptics-2015"),
+        (0x16C0, 0x0483, "serial", "woodenhaptics-v3"),
         (0x256F, 0xC63A, "spacemouse", "spacemouse"),
     ],
 )
@@ -122,27 +143,32 @@ def test_a_node_that_is_not_there(root: Path) -> None:
     bare = at("/dev/bus/usb/001/002", bus="usb")
     assert diagnose(bare, claim_on(bare)).state == "node"
     assert "usbhid" in diagnose(bare, claim_on(bare)).remedy
+    bare = at("/dev/bus/usb/001/002", 0x16C0, 0x0483, bus="usb")
+    assert "no serial port" in diagnose(bare, claim_on(bare)).reason
+    assert "cdc_acm" in diagnose(bare, claim_on(bare)).remedy
 
 
 @pytest.mark.parametrize(
-    ("mode", "group", "vendor", "bus", "remedy"),
+    ("mode", "group", "vendor", "product", "bus", "remedy"),
     [
-        (0o600, 0, 0x046D, "hid", 'ATTRS{idVendor}=="046d", ATTRS{idProduct}=="c626", TAG+="uaccess"'),
-        (0o600, 20, 0x046D, "hid", "udevadm control --reload"),
-        (0o660, 20, 0x046D, "hid", "usermod -aG dialout"),
-        (0o640, 20, 0x1451, "usb", 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1451"'),
+        (0o600, 0, 0x046D, 0xC626, "hid", 'ATTRS{idVendor}=="046d", ATTRS{idProduct}=="c626", TAG+="uaccess"'),
+        (0o600, 20, 0x046D, 0xC626, "hid", "udevadm control --reload"),
+        (0o660, 20, 0x046D, 0xC626, "hid", "usermod -aG dialout"),
+        (0o640, 20, 0x1451, 0xC626, "usb", 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1451"'),
+        (0o660, 20, 0x16C0, 0x0483, "serial", "usermod -aG dialout"),
+        (0o600, 0, 0x16C0, 0x0483, "serial", 'SUBSYSTEM=="tty", ATTRS{idVendor}=="16c0", ATTRS{idProduct}=="0483"'),
     ],
 )
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user's group, which only root may do")
 def test_permission_is_diagnosed(
-    root: Path, mode: int, group: int, vendor: int, bus: discovery.Bus, remedy: str
+    root: Path, mode: int, group: int, vendor: int, product: int, bus: discovery.Bus, remedy: str
 ) -> None:
     """A node that this user may not write to: the udev rule that lets him, or the group that has the right."""
     node = root / "node"
     node.write_bytes(b"")
     node.chmod(mode)
     os.chown(node, 0, group)
-    device = at(node, vendor, bus=bus)
+    device = at(node, vendor, product, bus)
     registry.load("forcedimension")  # whose rule is asked for; another user has no cache to compile it into
     os.seteuid(65534)
     try:

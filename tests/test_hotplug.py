@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_devices_verb import plug_hid, plug_usb, root  # noqa: F401  (a fixture)
+from test_devices_verb import plug_hid, plug_serial, plug_usb, root  # noqa: F401  (a fixture)
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers import discovery
@@ -20,6 +20,7 @@ from softfinger.server.client import subscribe
 from softfinger.server.hotplug import Hotplug
 
 PUCK = Attached("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw3")
+TEENSY = Attached("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0")
 OMEGA = Attached("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/007")
 
 
@@ -34,6 +35,10 @@ def test_changes_are_told_once(root: Path) -> None:  # noqa: F811
     shutil.rmtree(root / name)
     shutil.rmtree(root / discovery.USB / "1-1")
     assert seen.changes() == [("detached", OMEGA), ("detached", PUCK)]
+    name = plug_serial(root, "ttyACM0", "16c0", "0483", "SN42")
+    assert seen.changes() == [("attached", TEENSY)]
+    shutil.rmtree(root / name)
+    assert seen.changes() == [("detached", TEENSY)]
     assert seen.changes() == []
 
 

@@ -11,6 +11,7 @@ KICKS: Final = 4  # zeros sent into a silence
 CUT: Final = 5  # forces that the motors could not give
 GARBLED: Final = 6  # pieces of the stream that were no packet
 UNREACHED: Final = 7  # encoder counts to which no place of the knob belongs
+COUNTERS: Final = ("replies", "passed", "written", "held", "kicks", "cut", "garbled", "unreached")  # in their order
 # Settings:
 CONTEXT: Final = 8  # libusb's
 SUBMIT: Final = 9  # addresses of libusb's functions

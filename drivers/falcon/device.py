@@ -180,9 +180,8 @@ class Falcon(Device):
         error = int(self._word[block.ERROR])
         return f"libusb's error {error}" if error else ""
 
-    def counts(self, name: int) -> int:
-        """One of the counters of `block`: REPLIES, PASSED, WRITTEN, HELD, KICKS, CUT, GARBLED or UNREACHED."""
-        return int(self._word[name])
+    def counts(self) -> dict[str, int]:
+        return {name: int(self._word[at]) for at, name in enumerate(block.COUNTERS)}
 
     @property
     def counts_per_nm(self) -> float:

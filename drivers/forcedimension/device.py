@@ -12,7 +12,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
@@ -50,15 +50,13 @@ LOOP_CALLS: Final = {
 }
 
 
-class Counts(NamedTuple):
-    """Exchanges so far: reads, those that repeated the last reading, wrenches sent, those that the library held back
-    (TIMEGUARD), those that the motors could not give in full."""
-
-    reads: int
-    reads_guarded: int
-    writes: int
-    writes_guarded: int
-    saturated: int
+COUNTERS: Final = {
+    "reads": exchange.READS,
+    "reads_guarded": exchange.READS_GUARDED,
+    "writes": exchange.WRITES,
+    "writes_guarded": exchange.WRITES_GUARDED,
+    "saturated": exchange.SATURATED,
+}
 
 
 class ForceDimension(Device):
@@ -93,11 +91,11 @@ class ForceDimension(Device):
             return
         self._word[exchange.OPEN] = 0
         self._alone(lambda: self._library.drdClose(self._id))
-        seen = self.counts
-        if seen.reads_guarded or seen.writes_guarded or seen.saturated:
+        reads, repeated, writes, held, cut = self.counts().values()
+        if repeated or held or cut:
             log.info(
                 "%s: of %d reads %d repeated the last reading; of %d forces %d were held back, %d at the motors' limit",
-                self._model.full_name, seen.reads, seen.reads_guarded, seen.writes, seen.writes_guarded, seen.saturated,
+                self._model.full_name, reads, repeated, writes, held, cut,
             )  # fmt: skip
 
     def reason(self) -> str:
@@ -113,10 +111,8 @@ class ForceDimension(Device):
             said.append(f"its error word is {self._word[exchange.FAULTY]}")
         return "; ".join(said)
 
-    @property
-    def counts(self) -> Counts:
-        """Exchanges so far. While the servo runs: each number as it was just now."""
-        return Counts(*(int(value) for value in self._word[exchange.READS : exchange.SATURATED + 1]))
+    def counts(self) -> dict[str, int]:
+        return {name: int(self._word[at]) for name, at in COUNTERS.items()}
 
     def _take_force_off(self) -> None:
         call = self._library

@@ -22,7 +22,7 @@ from softfinger.drivers.hid import options
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.jit import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.rotations import multiply
+from softfinger.proxy.kernels.rotations import about_x, about_y, about_z, multiply
 
 
 class Chain(NamedTuple):
@@ -119,20 +119,5 @@ def orientation_of(chain: Chain, angles: Vec3, wrist: Vec3) -> Quaternion:
     wrist  (3,) counts of encoders d, e, f
     """
     d, e, f = wrist[0] * chain.wrist[0], wrist[1] * chain.wrist[1], wrist[2] * chain.wrist[2]
-    base = multiply(_about_z(angles[0]), _about_y(0.5 * pi - angles[2]))
-    return multiply(base, multiply(multiply(_about_x(d), _about_y(e)), _about_x(f)))
-
-
-@jit
-def _about_x(angle: float) -> Quaternion:
-    return (cos(0.5 * angle), sin(0.5 * angle), 0.0, 0.0)
-
-
-@jit
-def _about_y(angle: float) -> Quaternion:
-    return (cos(0.5 * angle), 0.0, sin(0.5 * angle), 0.0)
-
-
-@jit
-def _about_z(angle: float) -> Quaternion:
-    return (cos(0.5 * angle), 0.0, 0.0, sin(0.5 * angle))
+    base = multiply(about_z(angles[0]), about_y(0.5 * pi - angles[2]))
+    return multiply(base, multiply(multiply(about_x(d), about_y(e)), about_x(f)))

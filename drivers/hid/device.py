@@ -19,7 +19,6 @@ from softfinger.drivers.hid.node import open_node
 from softfinger.drivers.hid.options import Chain as ChainOptions
 from softfinger.drivers.hid.options import Options, OutputReport
 from softfinger.proxy.kernels.pack import flatten
-from softfinger.proxy.kernels.rotations import normalize
 
 log: Final = logging.getLogger(__name__)
 
@@ -76,11 +75,8 @@ class HidDevice(Device):
             raise
 
     def _make_model(self) -> Model:
-        mounting = self._options.mounting
-        x, y, z = (float(v) for v in mounting.position_m)
-        w, i, j, k = (float(v) for v in mounting.orientation_wxyz)
         chain = exchange.NO_CHAIN if self._chain is None else self._chain
-        return Model(chain, (x, y, z), normalize((w, i, j, k)), self._options.force_max_n)
+        return Model(chain, *self._options.mounting.frame(), self._options.force_max_n)
 
     def _wire(self, fd: int, numbered: bool) -> None:
         word, spec = self._word, self._options.reports
@@ -116,9 +112,8 @@ class HidDevice(Device):
         if fd >= 0:
             os.close(fd)
 
-    def counts(self, name: int) -> int:
-        """One of the counters of `exchange`: REPORTS, DRAINED, WRITTEN, KICKS, CUT or FOREIGN."""
-        return int(self._word[name])
+    def counts(self) -> dict[str, int]:
+        return {name: int(self._word[at]) for at, name in enumerate(exchange.COUNTERS)}
 
     def _calibrate(self) -> None:
         """Make the encoders show the calibration counts where the arm is now.

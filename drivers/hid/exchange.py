@@ -55,6 +55,7 @@ WRITTEN: Final = 2  # reports sent, kicks included
 KICKS: Final = 3  # zero reports sent into a silence
 CUT: Final = 4  # wrenches that the motors could not give
 FOREIGN: Final = 5  # reports of another id, passed over
+COUNTERS: Final = ("reports", "drained", "written", "kicks", "cut", "foreign")  # names of these words, in their order
 FD: Final = 6
 ARMED: Final = 7
 LOCK: Final = 8  # held while a report is written

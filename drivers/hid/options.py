@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from math import hypot
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
@@ -14,7 +13,8 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Component, Coordinate, Table, known, said, sized, within
+from softfinger.config.schema import Complaint, Coordinate, Table, known, said, sized, within
+from softfinger.drivers.mounting import Mounting
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 REPORT_ID: Final = Range(0, 255, "one byte; 0 where the device does not number its reports")
@@ -185,21 +185,6 @@ class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
     wrist_aligned: Annotated[
         tuple[bool, bool, bool], said("whether joints D, E, F turn with their counts", [False, True, False])
     ] = (True, True, True)
-
-
-class Mounting(Table, frozen=True, kw_only=True):
-    """Where the device stands: its frame in the world."""
-
-    position_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("device's origin in the world", [0.0, 0.0, 0.0])
-    ] = (0.0, 0.0, 0.0)
-    orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component], said("device to world", [1.0, 0.0, 0.0, 0.0])
-    ] = (1.0, 0.0, 0.0, 0.0)
-
-    def faults(self) -> Iterator[Complaint]:
-        if known(self.orientation_wxyz) and hypot(*self.orientation_wxyz) == 0.0:
-            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
 
 
 class Options(Table, frozen=True, kw_only=True):

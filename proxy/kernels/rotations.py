@@ -48,6 +48,21 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 @jit
+def about_x(angle: float) -> Quaternion:
+    return (cos(0.5 * angle), sin(0.5 * angle), 0.0, 0.0)
+
+
+@jit
+def about_y(angle: float) -> Quaternion:
+    return (cos(0.5 * angle), 0.0, sin(0.5 * angle), 0.0)
+
+
+@jit
+def about_z(angle: float) -> Quaternion:
+    return (cos(0.5 * angle), 0.0, 0.0, sin(0.5 * angle))
+
+
+@jit
 def rotate(q: Quaternion, v: Vec3) -> Vec3:
     """Coordinates of `v` after the rotation `q`: v + 2 w (u x v) + 2 u x (u x v), u the vector part."""
     u = (q[1], q[2], q[3])

@@ -1,4 +1,4 @@
-"""`bench`: what a step costs, how late the servo wakes, how long telemetry takes."""
+"""`bench`: what a step costs, how late the servo wakes, how long a device and telemetry take."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ KINDS: Final = {
     "step": ("softfinger.tools.bench.step", "cost of the contact step, back to back"),
     "closed-loop": ("softfinger.tools.bench.closed_loop", "ticks per second with a simulated device, offline"),
     "loop": ("softfinger.tools.bench.loop", "lateness and execution time of the servo loop, beside a C loop"),
+    "device": ("softfinger.tools.bench.device", "time of an exchange with a device, beside one that does nothing"),
     "telemetry": ("softfinger.tools.bench.telemetry", "time from tick to subscriber, and what was lost"),
 }
 

@@ -1,0 +1,32 @@
+"""Where a device stands: its frame in the world, as a rig gives it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import hypot
+from typing import Annotated
+
+from softfinger.config.schema import Complaint, Component, Coordinate, Table, known, said
+from softfinger.proxy.kernels.model import Quaternion, Vec3
+from softfinger.proxy.kernels.rotations import normalize
+
+
+class Mounting(Table, frozen=True, kw_only=True):
+    """Where the device stands: its frame in the world."""
+
+    position_m: Annotated[
+        tuple[Coordinate, Coordinate, Coordinate], said("device's origin in the world", [0.0, 0.0, 0.0])
+    ] = (0.0, 0.0, 0.0)
+    orientation_wxyz: Annotated[
+        tuple[Component, Component, Component, Component], said("device to world", [1.0, 0.0, 0.0, 0.0])
+    ] = (1.0, 0.0, 0.0, 0.0)
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.orientation_wxyz) and hypot(*self.orientation_wxyz) == 0.0:
+            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
+
+    def frame(self) -> tuple[Vec3, Quaternion]:
+        """Origin of the device in the world (m), and the unit quaternion device to world."""
+        x, y, z = (float(v) for v in self.position_m)
+        w, i, j, k = (float(v) for v in self.orientation_wxyz)
+        return (x, y, z), normalize((w, i, j, k))

@@ -1,0 +1,152 @@
+"""Frames as text: eight numbers from the device, seven to it, in 64 bytes that end with a newline.
+
+    from the device   x y z (mm)  tA lambda tD tE (rad)  info        "  -59.276   13.383 -148.002  0.0919 ..."
+    to the device     fx fy fz (mN)  2 0 0 0                         "100 -20 5 2 0 0 0        ..."
+
+Numbers are decimal, with blanks between them. Behind the last one there may be blanks, and a newline that stands in
+front of the padding: the device's firmware prints one there.
+
+Source of the format and of the angles' unit: forsslund/haptikfabrikenapi, src/uhaptikfabriken.h, which hands the
+angles to sin and cos as they are.
+"""
+
+from __future__ import annotations
+
+from math import floor
+from typing import Any, Final
+
+from numba import types
+
+from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.memory import uint8_at
+from softfinger.proxy.kernels.model import Vec3
+
+FRAME_BYTES: Final = 64
+NEWLINE: Final = 10
+
+# Places of the numbers of the device's frame.
+POSITION: Final = 0
+ANGLES: Final = 3
+INFO: Final = 7
+NUMBERS: Final = 8
+
+DIGITS_MAX: Final = 12
+"""Digits of a number that are read: as a whole number and a power of ten both are exact, and one division rounds."""
+REACH_MM: Final = 10_000.0
+"""No desktop device reaches as far: a coordinate beyond is no place."""
+ANGLE_MAX_RAD: Final = 100.0
+"""Sixteen turns: no joint of an arm with cables goes as far."""
+INFO_MAX: Final = 32768.0
+"""A number of two bytes."""
+MILLI: Final = 1000.0
+FORCE_COMMAND: Final = 2
+"""Fourth number to the device: the first three are forces."""
+LOOKBACK: Final = FRAME_BYTES
+"""Bytes that stand in front of new ones: a frame that has come in part, and the newline before it."""
+
+_BLANK: Final = 32
+_PLUS: Final = 43
+_MINUS: Final = 45
+_POINT: Final = 46
+_ZERO: Final = 48
+
+
+@jit
+def decode(frame: int, values: Any) -> bool:
+    """Read the numbers of the frame at address `frame` into `values` (NUMBERS,), in mm and rad; False where it is none.
+
+    Decimal digits alone are numbers: an exponent, nan, inf, more than DIGITS_MAX digits, a number too few or too many
+    and any other byte refuse the frame, and so does a number that no device can mean.
+    """
+    text = uint8_at(frame)
+    if text[FRAME_BYTES - 1] != NEWLINE:
+        return False
+    at = 0  # never passes the last byte, which is neither blank nor digit
+    for n in range(NUMBERS):
+        while text[at] == _BLANK:
+            at += 1
+        negative = text[at] == _MINUS
+        if negative or text[at] == _PLUS:
+            at += 1
+        whole, digits, scale, in_fraction = 0, 0, 1.0, False
+        while True:
+            digit = int(text[at]) - _ZERO
+            if 0 <= digit <= 9:
+                whole = 10 * whole + digit
+                digits += 1
+                if in_fraction:
+                    scale *= 10.0
+                if digits > DIGITS_MAX:
+                    return False
+            elif text[at] == _POINT and not in_fraction and n != INFO:
+                in_fraction = True
+            else:
+                break
+            at += 1
+        if digits == 0 or not (text[at] == _BLANK or (n == INFO and text[at] == NEWLINE)):
+            return False
+        value = whole / scale
+        if value > (REACH_MM if n < ANGLES else ANGLE_MAX_RAD if n < INFO else INFO_MAX):
+            return False
+        values[n] = -value if negative else value
+    while text[at] == _BLANK or (text[at] == NEWLINE and at < FRAME_BYTES - 1):
+        at += 1
+    return at == FRAME_BYTES - 1
+
+
+@jit
+def take(buffer: int, count: int, scratch: Any, newest: Any) -> int:
+    """How many frames `count` new bytes complete; the numbers of the last one in `newest`, as `decode` gives them.
+
+    buffer   address of LOOKBACK bytes from before and the new ones behind them; the last of all are moved to its front
+    scratch  (NUMBERS,), overwritten
+
+    A frame is what stands between two newlines 64 bytes apart, so that after bytes lost, doubled or added the next
+    whole frame is found again. What has been cut or mended has not its length, or not its eight numbers, but for the
+    rare case that just 64 bytes remain of two; a digit that came wrong cannot be seen, for a frame has no checksum.
+    """
+    text, frames = uint8_at(buffer), 0
+    for k in range(count):
+        if text[k] == NEWLINE and text[k + LOOKBACK] == NEWLINE and decode(buffer + k + 1, scratch):
+            frames += 1
+            for n in range(NUMBERS):
+                newest[n] = scratch[n]
+    for k in range(LOOKBACK):
+        text[k] = text[count + k]
+    return frames
+
+
+@jit
+def _put(text: Any, at: int, value: int) -> int:
+    """Write a whole number of at most five digits; the place behind it."""
+    if value < 0:
+        text[at] = _MINUS
+        at += 1
+        value = -value
+    unit = 10_000
+    while unit > 1 and value < unit:
+        unit //= 10
+    while unit > 0:
+        text[at] = types.uint8(_ZERO + value // unit % 10)
+        at += 1
+        unit //= 10
+    return at
+
+
+@jit
+def encode(force: Vec3, frame: int) -> None:
+    """Write a force (N, within options.FORCE_MAX_N) as the frame at address `frame`, to the nearest mN."""
+    text, at = uint8_at(frame), 0
+    for k in range(3):
+        at = _put(text, at, floor(MILLI * force[k] + 0.5))
+        text[at] = _BLANK
+        at += 1
+    at = _put(text, at, FORCE_COMMAND)
+    for _ in range(3):
+        text[at] = _BLANK
+        text[at + 1] = _ZERO
+        at += 2
+    while at < FRAME_BYTES - 1:
+        text[at] = _BLANK
+        at += 1
+    text[FRAME_BYTES - 1] = NEWLINE

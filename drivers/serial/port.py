@@ -1,0 +1,115 @@
+"""The system's serial port of a device: found by its USB ids, opened for this process alone, set to raw bytes."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import sys
+import termios
+import time
+from typing import Final
+
+from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.drivers import discovery
+from softfinger.drivers.hidraw import ids
+from softfinger.drivers.nodes import open_locked
+from softfinger.drivers.serial.options import Options
+
+DRAIN_WAIT_S: Final = 0.2
+"""How long what was written has to leave before the port is closed; the system's own close would wait for 30 s."""
+
+
+def open_port(options: Options) -> tuple[int, str]:
+    """File descriptor of the device's port, raw, non-blocking, locked, empty; and its path.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is no port or another device.
+    """
+    if not sys.platform.startswith("linux"):
+        raise DeviceError(f"driver 'serial' opens serial ports of Linux, and this is {sys.platform}")
+    path = options.path or find(options)
+    _check_ids(path, options)
+    fd = open_locked(path, _how_to_permit(path, options))
+    try:
+        if not os.isatty(fd):
+            raise DeviceError(f"{path} is no serial port: name a /dev/ttyACMN, or leave `path` out")
+        try:
+            _set_raw(fd)
+        except (OSError, termios.error) as error:
+            raise DeviceError(f"{path} cannot be set to raw bytes: {error}: plug the device in again") from error
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd, path
+
+
+def close_port(fd: int) -> None:
+    """Let what was written leave, then close; bytes that the device does not take in time are thrown away."""
+    until = time.monotonic() + DRAIN_WAIT_S
+    with contextlib.suppress(OSError, termios.error):  # gone already
+        while _queued(fd) and time.monotonic() < until:
+            time.sleep(0.001)
+        if _queued(fd):  # and only then: a last zero that the system still hands on must not be thrown away
+            termios.tcflush(fd, termios.TCOFLUSH)
+        fcntl.ioctl(fd, termios.TIOCNXCL)
+    os.close(fd)
+
+
+def _queued(fd: int) -> int:
+    """Bytes written that have not left."""
+    return int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
+
+
+def find(options: Options) -> str:
+    """Path of the port of the one device with the rig's ids; DeviceNotFound when there is none or more than one."""
+    ports = list(discovery.serial_ports())
+    wanted = ids(options.vendor_id, options.product_id)
+    theirs = [port for port in ports if port.ids == wanted]
+    matching = [port for port in theirs if options.serial in (None, port.serial)]
+    if len(matching) == 1:
+        return matching[0].node
+    if matching:
+        listed = ", ".join(f"{port.node} (serial '{port.serial}')" for port in matching)
+        raise DeviceNotFound(f"{len(matching)} serial ports are {wanted}: name one with serial or path: {listed}")
+    if theirs:
+        serials = ", ".join(f"'{port.serial}'" for port in theirs)
+        raise DeviceNotFound(
+            f"no serial port {wanted} has the serial number '{options.serial}': attached are {serials}"
+        )
+    others = ", ".join(str(port) for port in ports)
+    there = f"attached are {others}" if ports else "no serial port on USB is attached"
+    raise DeviceNotFound(
+        f"no serial port {wanted} is attached: plug the device in and switch it on, correct vendor_id and product_id, "
+        f"or name its port with path; {there}"
+    )
+
+
+def _check_ids(path: str, options: Options) -> None:
+    """DeviceError when a port belongs to another USB device; one that is not on USB has no ids to compare."""
+    port = discovery.serial_port(path)
+    wanted = ids(options.vendor_id, options.product_id)
+    if port is not None and port.ids != wanted:
+        raise DeviceError(
+            f"{path} is the device {port.ids} ({port.name}), and the rig is for {wanted}: name the right port, or "
+            "leave `path` out"
+        )
+
+
+def _how_to_permit(path: str, options: Options) -> str:
+    if (group := discovery.group_with_access(path)) is not None:
+        return f"run `sudo usermod -aG {group} $USER`, and log in again"
+    rule = discovery.serial_rule(options.vendor_id, options.product_id)
+    return f"write {rule} to {discovery.SERIAL_RULE_FILE}, run `udevadm control --reload`, and plug the device in again"
+
+
+def _set_raw(fd: int) -> None:
+    # `flock` keeps our own programs out, this one everything that does not run as root.
+    fcntl.ioctl(fd, termios.TIOCEXCL)
+    settings = termios.tcgetattr(fd)
+    settings[0] = settings[1] = settings[3] = 0  # nothing is translated, echoed or held back
+    settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL | termios.HUPCL
+    settings[4] = settings[5] = termios.B115200
+    # Without a byte to wait for, a read with nothing there would return 0, as if the device were gone.
+    settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
+    termios.tcsetattr(fd, termios.TCSANOW, settings)
+    termios.tcflush(fd, termios.TCIOFLUSH)

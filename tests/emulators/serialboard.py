@@ -1,0 +1,148 @@
+"""WoodenHaptics' third generation with a hand on it, behind a pseudo terminal. Python alone.
+
+Written from the published format of the frames; nothing here comes from the driver. The board answers each frame and
+each newline with a frame of its own, one for one, and keeps a force until the next. Each frame of the host moves the
+handle by one millisecond, so that a slow connection changes no physics.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from math import atan2, hypot
+from typing import Self
+
+from emulators.hand import Vector
+
+FRAME_BYTES = 64
+STEP_S = 0.001
+SUBSTEPS = 4
+FOOT_M = 0.2
+"""The arm's vertical axis stands so far behind the middle of its workspace."""
+
+
+class Board:
+    """A handle of 0.15 kg with friction of bearings, and a hand that pulls it towards where it wants to be.
+
+    intention  place (m, device's frame) that the hand wants at a time (s)
+    early_end  whether a newline stands behind the last number as well as at the end of a frame
+    """
+
+    mass, bearing, hand_spring, hand_damper = 0.15, 1.5, 300.0, 8.0
+
+    def __init__(self, intention: Callable[[float], Vector], early_end: bool = False) -> None:
+        self.intention, self.early_end = intention, early_end
+        self.place, self.speed = intention(0.0), (0.0, 0.0, 0.0)
+        self.wrist = (0.1, -0.2)
+        """Angles D and E (rad)."""
+        self.info = 0
+        self.force: Vector = (0.0, 0.0, 0.0)
+        """What the motors give now (N)."""
+        self.steps = self.wakes = 0
+        self.sent: list[tuple[int, ...]] = []
+        """Numbers of every frame of the host."""
+        self.faults: list[bytes] = []
+        """Lines that were neither a frame nor a newline alone."""
+
+    def angles(self) -> tuple[float, float, float, float]:
+        """tA, lambda, tD, tE (rad): the arm faces its handle, and dips towards it."""
+        x, y, z = self.place
+        return (atan2(y, x + FOOT_M), atan2(z, hypot(x + FOOT_M, y)), *self.wrist)
+
+    def answer(self, line: bytes) -> bytes:
+        """Take what came up to a newline; the frame that answers it."""
+        words = line.split()
+        if line == b"\n":
+            self.wakes += 1
+        elif len(line) != FRAME_BYTES or len(words) != 7 or words[3:] != [b"2", b"0", b"0", b"0"]:
+            self.faults.append(line)
+        else:
+            numbers = tuple(int(word) for word in words)
+            self.sent.append(numbers)
+            self.force = (numbers[0] / 1e3, numbers[1] / 1e3, numbers[2] / 1e3)
+            self._move()
+        return self.frame()
+
+    def frame(self) -> bytes:
+        """What the board sends now: mm to three places, rad to four."""
+        x, y, z = (1e3 * p for p in self.place)
+        a, b, d, e = self.angles()
+        text = f"{x: 8.3f} {y: 8.3f} {z: 8.3f} {a: 7.4f} {b: 7.4f} {d: 7.4f} {e: 7.4f} {self.info}"
+        return (text + "\n" * self.early_end).ljust(FRAME_BYTES - 1).encode() + b"\n"
+
+    def _move(self) -> None:
+        wanted = self.intention(self.steps * STEP_S)
+        h = STEP_S / SUBSTEPS
+        for _ in range(SUBSTEPS):
+            pull = [
+                f + self.hand_spring * (w - p) - (self.hand_damper + self.bearing) * v
+                for f, w, p, v in zip(self.force, wanted, self.place, self.speed, strict=True)
+            ]
+            vx, vy, vz = (v + h * f / self.mass for v, f in zip(self.speed, pull, strict=True))
+            self.speed = (vx, vy, vz)
+            x, y, z = (p + h * v for p, v in zip(self.place, self.speed, strict=True))
+            self.place = (x, y, z)
+        self.steps += 1
+
+
+class Cable:
+    """A pseudo terminal with a board at its far end, in a thread."""
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self._far, self._near = os.openpty()
+        os.set_blocking(self._far, False)
+        self.path = os.ttyname(self._near)
+        self.mute = threading.Event()
+        """Set: the board hears, and says nothing."""
+        self.deaf = threading.Event()
+        """Set: the board reads nothing."""
+        self.spoil: Callable[[bytes], bytes] = bytes
+        """What the line does to an answer."""
+        self.heard = 0
+        """Bytes heard and answered."""
+        self._pulled = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        poll, rest = select.poll(), b""
+        poll.register(self._far, select.POLLIN)
+        while not self._pulled.is_set():
+            if self.deaf.is_set() or not poll.poll(5):
+                time.sleep(0.0002)
+                continue
+            rest += os.read(self._far, 4096)
+            while b"\n" in rest:
+                line, rest = rest[: rest.index(b"\n") + 1], rest[rest.index(b"\n") + 1 :]
+                answer = self.board.answer(line)
+                if not self.mute.is_set():
+                    self.say(self.spoil(answer))
+                self.heard += len(line)
+
+    def say(self, data: bytes) -> None:
+        """Send bytes to the host as they are; what has no room because nobody reads is lost."""
+        with suppress(BlockingIOError):
+            os.write(self._far, data)
+
+    def pull(self) -> None:
+        """Unplug the board. Any number of times."""
+        if not self._pulled.is_set():
+            self._pulled.set()
+            self._thread.join()
+            os.close(self._near)
+            os.close(self._far)
+
+    @property
+    def pulled(self) -> bool:
+        return self._pulled.is_set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.pull()

@@ -1,0 +1,184 @@
+"""Frames as text: published examples, every number exactly, any bytes at all, and a stream that loses its place."""
+
+from __future__ import annotations
+
+import re
+from math import floor
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfinger.drivers.serial import frames
+from softfinger.drivers.serial.frames import FRAME_BYTES, LOOKBACK, NUMBERS
+
+# A frame that the maker's program shows as one of its device (haptikfabrikenapi, src/uhaptikfabriken.h).
+PUBLISHED = b" -59.276   13.383 -148.002   0.0919 -1.8483  1.0370 -1.9512 0"
+NUMBER = rb"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
+FRAME = re.compile(rb" *(" + NUMBER + rb")" + 6 * (rb" +(" + NUMBER + rb")") + rb" +([+-]?[0-9]+)[ \n]*\n")
+
+
+def framed(text: bytes) -> bytes:
+    return text.ljust(FRAME_BYTES - 1) + b"\n"
+
+
+@numba.njit
+def decode_all(given: Any, values: Any, usable: Any) -> None:
+    for n in range(len(given)):
+        usable[n] = frames.decode(given[n].ctypes.data, values[n])
+
+
+@numba.njit
+def feed(stream: Any, sizes: Any, buffer: Any, found: Any) -> int:
+    """Hand a stream over in pieces of these sizes; the numbers of each piece's last frame go to `found`."""
+    at = came = 0
+    scratch, newest = np.zeros(NUMBERS), np.zeros(NUMBERS)
+    for size in sizes:
+        buffer[LOOKBACK : LOOKBACK + size] = stream[at : at + size]
+        at += size
+        if frames.take(buffer.ctypes.data, size, scratch, newest) > 0:
+            found[came] = newest
+            came += 1
+    return came
+
+
+@numba.njit
+def encode_once(x: float, y: float, z: float, frame: Any) -> None:
+    frames.encode((x, y, z), frame.ctypes.data)
+
+
+def decoded(*given: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers (n, NUMBERS) of frames, and which of them are frames."""
+    rows = np.frombuffer(b"".join(given), np.uint8).reshape(-1, FRAME_BYTES)
+    values, usable = np.full((len(rows), NUMBERS), np.nan), np.zeros(len(rows), np.bool_)
+    decode_all(rows, values, usable)
+    return values, usable
+
+
+def encoded(*force: float) -> bytes:
+    out = np.zeros(FRAME_BYTES + 1, np.uint8)
+    encode_once(*force, out)
+    assert out[-1] == 0
+    return out[:-1].tobytes()
+
+
+def expected(frame: bytes) -> list[float] | None:
+    """The numbers by a regular expression and Python's own float; None where the bytes are no frame."""
+    match = FRAME.fullmatch(frame)
+    if match is None or any(sum(48 <= c <= 57 for c in text) > frames.DIGITS_MAX for text in match.groups()):
+        return None
+    values = [float(text) for text in match.groups()]
+    largest = [frames.REACH_MM] * 3 + [frames.ANGLE_MAX_RAD] * 4 + [frames.INFO_MAX]
+    return values if all(abs(value) <= most for value, most in zip(values, largest, strict=True)) else None
+
+
+@pytest.mark.parametrize("end", [b"", b"\n"], ids=["one newline", "two newlines"])
+def test_the_published_frame(end: bytes) -> None:
+    """The maker's own example is read to its digits, with and without the newline before the padding."""
+    values, usable = decoded(framed(PUBLISHED + end))
+    assert usable.all()
+    assert values[0].tolist() == [-59.276, 13.383, -148.002, 0.0919, -1.8483, 1.0370, -1.9512, 0.0]
+
+
+def test_frames_to_the_device() -> None:
+    """Millinewtons to the nearest, the command for forces, three zeros, blanks and a newline: 64 bytes."""
+    assert encoded(0.1, -2.0, 3.3333) == framed(b"100 -2000 3333 2 0 0 0")
+    assert encoded(0.0, -0.0, 0.0) == framed(b"0 0 0 2 0 0 0")
+    assert encoded(-0.0004, 0.0006, 0.009) == framed(b"0 1 9 2 0 0 0")
+    assert encoded(32.0, -32.0, 10.0) == framed(b"32000 -32000 10000 2 0 0 0")
+
+
+@given(st.tuples(*[st.floats(-32.0, 32.0)] * 3))
+def test_every_force_is_written_to_the_nearest_millinewton(force: tuple[float, float, float]) -> None:
+    """Any force that options allow comes out as whole numbers, in a frame of its length."""
+    words = encoded(*force).split()
+    assert [int(word) for word in words] == [*(floor(1e3 * f + 0.5) for f in force), 2, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"nan 0 0 0 0 0 0 0", b"0 inf 0 0 0 0 0 0", b"0 0 -inf 0 0 0 0 0", b"1e3 0 0 0 0 0 0 0", b"0x1 0 0 0 0 0 0 0",
+        b"0 0 0 0 0 0 0", b"0 0 0 0 0 0 0 0 0", b"0 0 0 0 0 0 0 0.0", b"0 0 0 0 0 0 0 32769", b"- 0 0 0 0 0 0 0",
+        b"1.2.3 0 0 0 0 0 0 0", b"-59.276-13.383 0 0 0 0 0 0", b". 0 0 0 0 0 0 0", b"10000.1 0 0 0 0 0 0 0",
+        b"0 0 0 100.1 0 0 0 0", b"1234567890123 0 0 0 0 0 0 0", b"0.0000000000000 0 0 0 0 0 0 0", b"0\n0 0 0 0 0 0 0",
+        b"\n0 0 0 0 0 0 0 0", b"0\t0 0 0 0 0 0 0", b"0 0 0 0 0 0 0 0\0", b"0 0 0 0 0 0 0 0 x", b"", b"9" * 63,
+    ],
+)  # fmt: skip
+def test_what_is_no_frame_is_refused(text: bytes) -> None:
+    """Not a number, too long, too large, too many or too few, a stray byte: never a pose."""
+    assert not decoded(framed(text))[1].any()
+    assert expected(framed(text)) is None
+
+
+def test_a_frame_has_its_newline_last() -> None:
+    """Without the newline at its end, 64 bytes are no frame."""
+    assert not decoded(framed(PUBLISHED)[:-1] + b" ")[1].any()
+
+
+def test_a_million_damaged_frames() -> None:
+    """Frames with bytes replaced at random: within bounds or refused, some of them compared with Python's reading."""
+    generator = np.random.default_rng(17)
+    alphabet = np.frombuffer(b"0123456789" * 4 + b" .-+ .-+einfax,\n\r\0\xff\x80", np.uint8)
+    base = np.frombuffer(framed(PUBLISHED) + framed(PUBLISHED + b"\n"), np.uint8).reshape(2, FRAME_BYTES)
+    accepted, block = 0, 100_000
+    for _ in range(10):
+        rows = np.tile(base, (block // 2, 1))
+        for _ in range(3):
+            at = generator.integers(0, FRAME_BYTES, block)
+            rows[np.arange(block), at] = alphabet[generator.integers(0, len(alphabet), block)]
+        values, usable = np.full((block, NUMBERS), np.nan), np.zeros(block, np.bool_)
+        decode_all(rows, values, usable)
+        good = values[usable]
+        accepted += len(good)
+        assert np.isfinite(good).all()
+        assert np.abs(good[:, :3]).max() <= frames.REACH_MM
+        assert np.abs(good[:, 3:7]).max() <= frames.ANGLE_MAX_RAD
+        for n in range(2000):
+            said = expected(rows[n].tobytes())
+            assert (said is not None) == usable[n], rows[n].tobytes()
+            assert said is None or said == values[n].tolist()
+    assert 100_000 < accepted < 900_000
+
+
+def numbered(n: int) -> bytes:
+    """A frame whose numbers all tell n, so that one made of two can be told; either kind of end in turn."""
+    mm, rad = n / 1e3, n / 1e4
+    text = f"{mm: 8.3f} {-mm: 8.3f} {2 * mm: 8.3f} {rad: 7.4f} {-rad: 7.4f} {rad: 7.4f} 0 {n}"
+    return framed(text.encode() + b"\n" * (n % 2))
+
+
+def test_a_stream_finds_its_place_again() -> None:
+    """20 000 frames with bytes lost, doubled, changed and put in, in pieces of any size: every whole frame behind a
+    whole one is found, and nothing is read that was not sent. No two neighbours are damaged, and none by a frame's
+    length: where just 64 bytes remain of two frames, nothing in the format tells."""
+    generator = np.random.default_rng(23)
+    stream, whole = bytearray(), []
+    for n in range(20_000):
+        frame = numbered(n)
+        kind = generator.integers(0, 8) if not whole or whole[-1] else None
+        at, size = generator.integers(0, FRAME_BYTES), int(generator.integers(1, 40))
+        if kind == 0:
+            frame = frame[:at] + frame[at + size :]
+        elif kind == 1:
+            frame = frame[:at] + frame[at : at + size] + frame[at:]
+        elif kind == 2:
+            frame = frame[:at] + generator.bytes(size) + frame[at:]
+        whole.append(frame == numbered(n))
+        stream += frame
+    sizes = generator.integers(1, FRAME_BYTES + 1, len(stream) // 16)  # so that a piece ends one frame at most
+    sizes = sizes[np.cumsum(sizes) <= len(stream)]
+    found = np.zeros((len(sizes), NUMBERS))
+    buffer = np.full(LOOKBACK + FRAME_BYTES, frames.NEWLINE, np.uint8)
+    found = found[: feed(np.frombuffer(bytes(stream), np.uint8), sizes, buffer, found)]
+    tells = found[:, 7]
+    for column, scale in enumerate((1e3, -1e3, 500.0, 1e4, -1e4, 1e4)):
+        np.testing.assert_allclose(found[:, column] * scale, tells, atol=1e-6)  # rounding of numbers below 2e4
+    assert (np.diff(tells) > 0).all()
+    certain = {n for n in range(1, 19_999) if whole[n] and whole[n - 1]}
+    assert certain <= set(tells.astype(int).tolist())
+    assert len(certain) > 5000
+    assert not all(whole)

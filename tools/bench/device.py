@@ -1,0 +1,77 @@
+"""`bench device`: what the exchange with a rig's device takes, beside an exchange with functions that do nothing."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_rig
+from softfinger.server.app import open_device
+from softfinger.server.figures import figure, save
+from softfinger.server.progress import progress
+from softfinger.tools.exchange import (
+    EMPTY_READ,
+    EMPTY_WRITE,
+    READ,
+    WRITE,
+    Exchange,
+    check_seconds,
+    compile_exchange,
+    disarmed,
+)
+from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
+from softfinger.tools.measure import Array, add_output_options, show
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=5.0, help="at the rig's rate (default: %(default)s)")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns the exit code. Zero force is all that the device is sent."""
+    check_seconds(args.seconds)
+    rig = load_rig(args.rig)
+    rate = rig.servo.rate_hz
+    compile_exchange()
+    with open_device(rig.device, rate) as device, Exchange(device, rig, disarmed(rig)) as exchange:
+        with progress("measuring the exchange with the device"):
+            rows = exchange.record(args.seconds)
+            burst = exchange.burst()
+        failure = exchange.failure()
+        if failure is not None:
+            raise failure
+        name, settings = device.info.name, exchange.settings
+    if len(rows) == 0:
+        raise ConfigError(f"--rig {args.rig}: the recording ended before the first exchange: let it loop")
+    result: dict[str, Any] = {"rig": args.rig, "device": name, "rate_hz": rate} | figures(rows, rate)
+    result["without_pauses"] = burst_figures(burst) if len(burst) else None
+    result["realtime"] = {setting.name: setting.ok for setting in settings}
+    lines = [f"exchange with {name} at {rate:g} Hz, {len(rows)} ticks", *table(result)]
+    if len(burst):
+        lines.append(burst_line(result["without_pauses"]))
+    lines.append("  real time: " + ", ".join(f"{k} {'yes' if v else 'no'}" for k, v in result["realtime"].items()))
+    show(result, args.json, lines)
+    if args.plot is not None:
+        draw(args.plot, rows, f"{name} at {rate:g} Hz")
+    return 0
+
+
+def draw(path: Path, rows: Array, title: str) -> None:
+    """Share of ticks whose read, write, and empty pair took longer than a time."""
+    drawing = figure()
+    axes = drawing.add_subplot()
+    parts = {"read": rows[:, READ], "write": rows[:, WRITE], "empty pair": rows[:, EMPTY_READ] + rows[:, EMPTY_WRITE]}
+    for name, values in parts.items():
+        axes.loglog(np.sort(values).clip(1e-9) * 1e6, 1.0 - np.arange(len(values)) / len(values), label=name)
+    axes.set_xlabel("time, us")
+    axes.set_ylabel("share of ticks that took longer")
+    axes.set_title(title)
+    axes.legend()
+    axes.grid(True, alpha=0.3)
+    save(drawing, path)

@@ -1,0 +1,1 @@
+"""`softfinger doctor`: whether this machine is good enough, and a report of a device that an issue can carry."""

@@ -1,0 +1,108 @@
+"""What reaches devices on this machine: libraries, the maker's library, and what is attached."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Final
+
+from softfinger.config.errors import HapticError
+from softfinger.config.schema import Rig
+from softfinger.drivers import discovery
+from softfinger.drivers.claims import Claim, claim_on, claims
+from softfinger.drivers.discovery import Attached
+from softfinger.server.devices import diagnose
+from softfinger.tools.doctor.check import STATES, Check, State
+
+OVER_USB: Final = ("falcon", "forcedimension")
+OVER_HID: Final = ("hid", "spacemouse")
+
+
+def checks(rig: Rig) -> list[Check]:
+    """All of them; what the rig does not need is at worst said."""
+    return [libusb(rig), hidapi(rig), maker_library(rig), *devices(rig, discovery.attached())]
+
+
+def _missing(needed: bool) -> State:
+    return STATES[1 + needed]
+
+
+def libusb(rig: Rig) -> Check:
+    import usb.backend.libusb1
+
+    there = usb.backend.libusb1.get_backend() is not None
+    return Check(
+        "libusb",
+        "good" if there else _missing(rig.device.driver in OVER_USB),
+        "found" if there else "not found",
+        "there, for a Falcon",
+        "apt install libusb-1.0-0",
+    )
+
+
+def hidapi(rig: Rig) -> Check:
+    missing = []
+    for name in ("hid", "hidraw"):
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            missing.append(f"{name} cannot be imported: {error}")
+    return Check(
+        "hidapi",
+        _missing(rig.device.driver in OVER_HID) if missing else "good",
+        "; ".join(missing) or "modules hid and hidraw found",
+        "both modules, for HID devices",
+        "pip install --force-reinstall hidapi, and apt install libusb-1.0-0 libudev1",
+    )
+
+
+def maker_library(rig: Rig) -> Check:
+    """Force Dimension's library, which does not come with this program; only its own devices need it."""
+    from softfinger.drivers.forcedimension import library
+
+    needed = rig.device.driver == "forcedimension"
+    wanted = "there, for devices of Force Dimension"
+    try:
+        library.load(rig.device.options.get("library_file") if needed else None)
+    except HapticError as error:
+        if not needed:
+            return Check("Force Dimension's library", "good", "not here, and this rig does not need it", wanted)
+        remedy = f"export FDSDK=/path/to/sdk   # from {library.DOWNLOAD}"
+        return Check("Force Dimension's library", "bad", str(error), wanted, remedy)
+    return Check("Force Dimension's library", "good", "found", wanted)
+
+
+def devices(rig: Rig, found: list[Attached]) -> list[Check]:
+    """Each device that a driver claims, as `devices` diagnoses it; bad where it is the rig's and cannot be used."""
+    driver, wanted = rig.device.driver, "usable"
+    seen, own = [], False
+    for device in found:
+        claim, mine = claim_on(device), is_of(rig, device)
+        if claim is None and mine:  # the rig describes it, and no shipped one does
+            claim = Claim(driver, device.bus, device.vendor, device.product)
+        if claim is None:
+            continue
+        own = own or mine
+        diagnosis = diagnose(device, claim, rig.device)
+        state: State = "good" if diagnosis.state == "usable" else _missing(mine)
+        said = f": {diagnosis.reason}" if diagnosis.reason else ""
+        seen.append(
+            Check(f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{said}", wanted, diagnosis.remedy)
+        )
+    if not own and driver in {claim.driver for claim in claims()}:
+        remedy = "plug it in and switch it on; softfinger devices lists what is attached"
+        seen.append(
+            Check("device of the rig", "bad", f"nothing that driver {driver} of this rig drives", "attached", remedy)
+        )
+    if not seen:
+        seen.append(
+            Check("devices", "good", "none attached that a driver claims; the rig needs none", "what the rig needs")
+        )
+    return seen
+
+
+def is_of(rig: Rig, device: Attached) -> bool:
+    """Whether a device may be the one that a rig names: by its ids where the rig has them, else by its driver."""
+    options, claim = rig.device.options, claim_on(device)
+    if "vendor_id" in options:
+        return (device.vendor, device.product) == (options["vendor_id"], options.get("product_id"))
+    return claim is not None and claim.driver == rig.device.driver

@@ -1,0 +1,35 @@
+"""One thing that `doctor` looks at."""
+
+from __future__ import annotations
+
+from typing import Final, Literal, NamedTuple
+
+State = Literal["good", "could be better", "bad"]
+STATES: Final[tuple[State, ...]] = ("good", "could be better", "bad")
+
+
+class Check(NamedTuple):
+    """What was seen, what is wanted, and the command or setting that mends it; no remedy where it is good."""
+
+    name: str
+    state: State
+    seen: str
+    wanted: str
+    remedy: str = ""
+
+
+def graded(value: float, fair: float, bad: float) -> State:
+    """State of a number that is good up to `fair` and bad above `bad`."""
+    return STATES[(value > fair) + (value > bad)]
+
+
+def lines(checks: list[Check]) -> list[str]:
+    """The checks for people: the state, what was seen, and below it what to do."""
+    text = []
+    for check in checks:
+        text.append(f"  {check.state:<16}{check.name}: {check.seen}")
+        if check.state != "good":
+            text.append(f"  {'':<16}  wanted: {check.wanted}")
+            if check.remedy:
+                text.append(f"  {'':<16}  mend it: {check.remedy}")
+    return text

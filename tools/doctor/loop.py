@@ -1,0 +1,153 @@
+"""What the servo does on this machine: real-time settings really made, ticks really run, a step really timed."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import AddressInUse, HapticError
+from softfinger.config.load import load_rig
+from softfinger.config.schema import Rig, Scene
+from softfinger.proxy.kernels.jit import CACHE_DIR
+from softfinger.server import realtime
+from softfinger.server.app import open_device
+from softfinger.server.cost import measure as step_cost
+from softfinger.server.cost import touching_poses
+from softfinger.server.progress import progress
+from softfinger.server.servo import Servo
+from softfinger.server.telemetry import Publisher
+from softfinger.server.tuning import make_tuning
+from softfinger.tools.bench import loop
+from softfinger.tools.doctor.check import STATES, Check, graded
+
+MISSED_FAIR: Final = 1e-4
+"""Share of missed ticks: one in ten seconds at 1 kHz. A missed tick holds the force for one more period."""
+MISSED_BAD: Final = 1e-2
+"""One in a hundred is felt as roughness of a stiff wall."""
+LATE_FAIR: Final = 0.1
+"""p99 of the lateness over the period. A sample a tenth of a period off makes a velocity that is a tenth off."""
+LATE_BAD: Final = 0.5
+"""Past half a period the device's exchange, which takes its own part, no longer fits."""
+STEP_FAIR: Final = 0.1
+"""Cost of a step over the period: on top of it come the exchange, lateness and, with cold caches, as much again."""
+STEP_BAD: Final = 0.5
+STEP_BLOCKS: Final = 10
+
+
+def without_device(rig: Rig) -> Rig:
+    """The rig's loop on a recording: nothing is displayed while the machine is measured."""
+    keys = ("rate_hz", "realtime", "priority", "cpu")
+    values = {f"servo.{key}": getattr(rig.servo, key) for key in keys}
+    return load_rig("replay", {key: value for key, value in values.items() if value is not None})
+
+
+def settings(rig: Rig) -> list[Check]:
+    """Each real-time setting made in a thread of its own, and given back."""
+    made: list[realtime.Setting] = []
+    thread = threading.Thread(target=lambda: made.extend(_apply(rig)))
+    thread.start()
+    thread.join()
+    found = []
+    for setting in made:
+        needed = rig.servo.realtime == "require" and setting.name in realtime.REQUIRED
+        state = STATES[0] if setting.ok else STATES[1 + needed]
+        wanted = "granted" + (": the rig requires it" if needed else "")
+        found.append(Check(f"real time, {setting.name}", state, setting.detail, wanted, setting.advice))
+    return found
+
+
+def _apply(rig: Rig) -> list[realtime.Setting]:
+    applied = realtime.apply("auto", rig.servo.priority, rig.servo.cpu)
+    applied.undo()
+    return applied.settings
+
+
+def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
+    """Whether compiled kernels are kept, and were there; compiles what is not."""
+    bare = without_device(rig)
+    begun = time.monotonic()
+    with progress("compiling the kernels"), open_device(bare.device, bare.servo.rate_hz) as device:
+        servo = Servo(device, make_tuning(scene, bare.guard), bare.servo.rate_hz)
+        warm = servo.compile()
+        servo.close()
+    took = time.monotonic() - begun
+    wanted = "a folder that this user may write to, with the kernels of the scene in it"
+    try:
+        CACHE_DIR.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=CACHE_DIR):
+            pass
+    except OSError as error:
+        seen = f"{CACHE_DIR} cannot be written to: {error.strerror}: every start compiles, now {took:.1f} s"
+        remedy = "export SOFTFINGER_CACHE_DIR=/a/folder/of/yours"
+        return Check("kernel cache", "bad", seen, wanted, remedy)
+    if warm:
+        return Check("kernel cache", "good", f"{CACHE_DIR} is warm for {scene_name}", wanted)
+    seen = f"{CACHE_DIR} was cold for {scene_name}: compiled now, in {took:.1f} s"
+    return Check("kernel cache", "could be better", seen, wanted, f"softfinger warmup {scene_name}   # after an update")
+
+
+def lateness(rig: Rig, scene: Scene, seconds: float, plot: Path | None = None) -> tuple[list[Check], dict[str, Any]]:
+    """Missed ticks and wake-up lateness of the servo on a recording, and the figures, beside the loop in C; drawn to
+    `plot`."""
+    runs, _ = loop.measure(without_device(rig), scene, seconds, busy=False)
+    result = loop.evaluate({name: np.concatenate(parts) for name, parts in runs.items()}, rig.servo.rate_hz)
+    if plot is not None:
+        loop.draw(plot, runs, rig.servo.rate_hz)
+    return judged(result), result
+
+
+def judged(result: dict[str, Any]) -> list[Check]:
+    """The checks of the figures of `tools.bench.loop.evaluate`."""
+    period, servo = 1.0 / result["rate_hz"], result["servo"]
+    share, late = servo["missed"] / servo["ticks"], servo["late"]["p99"]
+    beside = "no C compiler here to compare with (install gcc)"
+    if "c" in result:
+        theirs = result["c"]["late"]["p99"]
+        beside = f"the same loop in C {theirs * 1e6:.0f} us, {theirs / period:.1%}"
+    quiet = "end other programs, set servo.cpu to a processor of its own, isolcpus= on the kernel's command line"
+    return [
+        Check(
+            "ticks in time",
+            graded(share, MISSED_FAIR, MISSED_BAD),
+            f"{servo['missed']} of {servo['ticks']} missed ({share:.3%}) at {result['rate_hz']:g} Hz",
+            f"at most {MISSED_FAIR:.2%}; above {MISSED_BAD:.0%} it is felt",
+            f"mend what is named above; {quiet}; or a lower servo.rate_hz",
+        ),
+        Check(
+            "wake-up lateness",
+            graded(late / period, LATE_FAIR, LATE_BAD),
+            f"p99 {late * 1e6:.0f} us, {late / period:.1%} of the period; {beside}",
+            f"at most {LATE_FAIR:.0%} of the period; above {LATE_BAD:.0%} a tick does not fit",
+            f"mend what is named above; {quiet}",
+        ),
+    ]
+
+
+def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
+    """Cost of one contact step in contact, in relation to the period."""
+    with progress("measuring the contact step"):
+        cost = step_cost(scene, touching_poses(scene), STEP_BLOCKS)
+    share = cost.median_ns * 1e-9 * rig.servo.rate_hz
+    return Check(
+        "contact step",
+        graded(share, STEP_FAIR, STEP_BAD),
+        f"{cost.median_ns:.0f} ns on {scene_name}, {share:.3%} of the period",
+        f"at most {STEP_FAIR:.0%} of the period",
+        f"softfinger check {scene_name} --explain says what each part costs; or a lower servo.rate_hz",
+    )
+
+
+def endpoint(rig: Rig) -> Check:
+    """Whether the rig's telemetry endpoint can be bound; it is released at once."""
+    where, wanted = rig.telemetry.endpoint, "free to be bound"
+    try:
+        Publisher(where).close()
+    except HapticError as error:
+        holder = "end the program that holds it" if isinstance(error, AddressInUse) else "choose another"
+        return Check("telemetry endpoint", "bad", str(error), wanted, f"{holder}, or run with --endpoint ANOTHER")
+    return Check("telemetry endpoint", "good", f"{where} is free", wanted)

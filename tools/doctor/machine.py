@@ -1,0 +1,168 @@
+"""What the machine says of itself: Python, packages, system, processors, clock. Nothing is measured here.
+
+Files of the system are read below `root`, so that a test can give another machine's.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Final
+
+from softfinger.tools.doctor.check import Check
+
+ROOT: Final = Path("/")
+CPUS: Final = Path("sys/devices/system/cpu")
+CLOCK: Final = Path("sys/devices/system/clocksource/clocksource0/current_clocksource")
+
+FAST_CLOCKS: Final = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
+"""Sources that the C library reads without a system call; the loop reads the clock three times a tick."""
+RESOLUTION_S: Final = 1e-6
+"""Coarser means no high-resolution timers: sleeps then end on the scheduler's tick, 1 to 10 ms apart."""
+PROCESSORS: Final = 2
+"""One for the servo, one for the rest: on a single one every message delays a tick."""
+CONTAINER_WORDS: Final = re.compile(r"docker|containerd|kubepods|libpod|lxc")
+
+
+def checks(root: Path = ROOT) -> list[Check]:
+    """All of them, in the order in which they are shown."""
+    return [python(), packages(), kernel(root), virtual(root), processors(root), frequency(root), clock(root)]
+
+
+def text(path: Path) -> str:
+    """First content of a system's file, empty where it is not."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip("\0\n ")
+    except OSError:
+        return ""
+
+
+def python() -> Check:
+    wanted = metadata.metadata("softfinger")["Requires-Python"]
+    return Check("Python", "good", f"{platform.python_implementation()} {platform.python_version()}", wanted)
+
+
+def versions() -> dict[str, str]:
+    """Version of every package that softfinger needs, empty where it is not installed; extras are left out."""
+    found = {}
+    for requirement in metadata.requires("softfinger") or []:
+        name, _, condition = requirement.partition(";")
+        if "extra" in condition:
+            continue
+        name = (re.match(r"[A-Za-z0-9_.-]+", name) or [name])[0]
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = ""
+    return found
+
+
+def packages() -> Check:
+    found = versions()
+    missing = [name for name, version in found.items() if not version]
+    seen = ", ".join(f"{name} {version or 'MISSING'}" for name, version in found.items())
+    return Check(
+        "packages", "bad" if missing else "good", seen, "every one installed", f"pip install {' '.join(missing)}"
+    )
+
+
+def kernel(root: Path = ROOT) -> Check:
+    system, release, version = platform.system(), platform.release(), platform.version()
+    seen = f"{system} {release}"
+    wanted = "Linux with PREEMPT_RT, which bounds the worst tick"
+    if system != "Linux":
+        return Check(
+            "system", "could be better", seen, wanted, "run on Linux: real-time settings are made with its calls"
+        )
+    if text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
+        return Check("system", "good", f"{seen}, PREEMPT_RT", wanted)
+    return Check(
+        "system",
+        "could be better",
+        f"{seen}, not PREEMPT_RT",
+        wanted,
+        "apt install linux-image-rt-amd64, or your distribution's PREEMPT_RT kernel, and boot it",
+    )
+
+
+def virtual(root: Path = ROOT) -> Check:
+    """A virtual machine or a container: the first is stalled by its host, the second may lack rights and nodes."""
+    seen = []
+    machine = " ".join(filter(None, (text(root / "sys/class/dmi/id" / key) for key in ("sys_vendor", "product_name"))))
+    if re.search(r"^flags\s*:.*\bhypervisor\b", text(root / "proc/cpuinfo"), re.MULTILINE):
+        seen.append(f"virtual machine{f' ({machine})' if machine else ''}, {stolen(root)}")
+    if (
+        (root / ".dockerenv").exists()
+        or (root / "run/.containerenv").exists()
+        or CONTAINER_WORDS.search(text(root / "proc/1/cgroup"))
+    ):
+        seen.append("container")
+    advice = []
+    if any(one.startswith("virtual") for one in seen):
+        advice.append("run on the machine itself: a host stalls its guests for milliseconds")
+    if "container" in seen:
+        advice.append("give a container what docs/docker.md lists")
+    return Check(
+        "bare machine",
+        "could be better" if seen else "good",
+        "; ".join(seen) or "neither virtual machine nor container",
+        "neither virtual machine nor container",
+        "; ".join(advice),
+    )
+
+
+def stolen(root: Path = ROOT) -> str:
+    """Share of the time that the host has taken from this machine since it was started."""
+    words = text(root / "proc/stat").partition("\n")[0].split()[1:9]
+    if len(words) < 8 or not sum(map(int, words)):
+        return "time taken by its host unknown"
+    return f"{int(words[7]) / sum(map(int, words)):.2%} of its time taken by its host"
+
+
+def processors(root: Path = ROOT) -> Check:
+    usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
+    seen = f"{len(usable)} of {os.cpu_count()} may be used"
+    if text(root / CPUS / "smt" / "active") == "1":
+        seen += ", two threads to a core"
+    if isolated := text(root / CPUS / "isolated"):
+        seen += f", isolated: {isolated}"
+    return Check(
+        "processors",
+        "good" if len(usable) >= PROCESSORS else "could be better",
+        seen,
+        f"{PROCESSORS} or more",
+        "give this process another processor: taskset, or --cpus and --cpuset-cpus of a container",
+    )
+
+
+def frequency(root: Path = ROOT) -> Check:
+    """The governor of every processor; one that saves power lets a processor wake slowly, and at a low clock."""
+    found = {text(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
+    wanted = "governor performance, or no scaling"
+    if not found:
+        return Check("processor frequency", "good", "no scaling to be seen", wanted)
+    good = found == {"performance"}
+    seen = f"governor {', '.join(sorted(found))}"
+    return Check(
+        "processor frequency",
+        "good" if good else "could be better",
+        seen,
+        wanted,
+        "sudo cpupower frequency-set -g performance",
+    )
+
+
+def clock(root: Path = ROOT) -> Check:
+    source, resolution = text(root / CLOCK), time.get_clock_info("monotonic").resolution
+    seen = f"{source or 'source unknown'}, resolution {resolution * 1e9:.0f} ns"
+    wanted = f"one of {', '.join(FAST_CLOCKS)}; a resolution of {RESOLUTION_S * 1e9:.0f} ns or finer"
+    if resolution > RESOLUTION_S:
+        return Check("clock", "bad", seen, wanted, "boot a kernel with CONFIG_HIGH_RES_TIMERS, without highres=off")
+    if source and source not in FAST_CLOCKS:
+        remedy = f"echo tsc | sudo tee /{CLOCK}   # where available_clocksource beside it lists tsc"
+        return Check("clock", "could be better", seen, wanted, remedy)
+    return Check("clock", "good", seen, wanted)

@@ -1,0 +1,177 @@
+"""What the rows of a report's parts say of the handle: noise at rest, which axis moved and in which sense, what a
+push did."""
+
+from __future__ import annotations
+
+from math import atan2, degrees
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.drivers.base import SAMPLE_BUTTONS
+from softfinger.tools.exchange import FORCE, SAMPLE
+from softfinger.tools.measure import Array
+
+AXES: Final = "xyz"
+
+MOVED_M: Final = 0.005
+"""A motion that was asked for is some centimetres; less than this is a hand that did not move."""
+TURNED_RAD: Final = 0.1
+CLEAR: Final = 2.0
+"""A motion is along an axis when that component is so many times the next largest."""
+ENDS: Final = 0.1
+"""Share of a part at either end whose median is taken for where the handle was."""
+
+SHARE_MIN: Final = 0.5
+"""Of the variance of the motion, what a push has to account for to be its cause."""
+PUSHED_M: Final = 2e-5
+"""A response smaller than the steps of common encoders is none."""
+SPRINGY_DEG: Final = 15.0
+"""Lags nearer than this to 0 are those of a handle held by a springy hand; nearer to half a cycle, those of a free mass
+or of a force of the wrong sign, which are not told apart."""
+
+
+def finite(rows: Array) -> Array:
+    """The rows whose pose is all numbers."""
+    return rows[np.isfinite(rows[:, SAMPLE : SAMPLE + 7]).all(axis=1)]
+
+
+def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
+    """Place and standard deviation per axis, m, and of the rotation about each world axis, rad; None without rows."""
+    kept = finite(rows)
+    if len(kept) < 2:
+        return None
+    place = kept[:, SAMPLE : SAMPLE + 3]
+    about = np.array([rotation(kept[0], row) for row in kept]) if turns else None
+    return {
+        "ticks": len(kept),
+        "not_finite": len(rows) - len(kept),
+        "position_m": place.mean(axis=0).tolist(),
+        "position_std_m": place.std(axis=0).tolist(),
+        "rotation_std_rad": about.std(axis=0).tolist() if about is not None else None,
+    }
+
+
+def reach(rows: Array) -> dict[str, list[float]] | None:
+    """Where the handle has been: smallest and largest coordinates, m."""
+    kept = finite(rows)[:, SAMPLE : SAMPLE + 3]
+    if len(kept) == 0:
+        return None
+    return {"position_min_m": kept.min(axis=0).tolist(), "position_max_m": kept.max(axis=0).tolist()}
+
+
+def masks(rows: Array) -> list[int]:
+    """Button masks that were seen."""
+    return sorted({int(value) for value in rows[:, SAMPLE + SAMPLE_BUTTONS] if np.isfinite(value)})
+
+
+def rotation(before: Array, after: Array) -> Array:
+    """Rotation vector (3,) rad, world frame, from the orientation of one row to that of another; the shorter way."""
+    w0, x0, y0, z0 = before[SAMPLE + 3 : SAMPLE + 7]
+    w1, x1, y1, z1 = after[SAMPLE + 3 : SAMPLE + 7]
+    # after times the conjugate of before
+    w = w1 * w0 + x1 * x0 + y1 * y0 + z1 * z0
+    v = np.array([
+        -w1 * x0 + x1 * w0 - y1 * z0 + z1 * y0,
+        -w1 * y0 + y1 * w0 - z1 * x0 + x1 * z0,
+        -w1 * z0 + z1 * w0 - x1 * y0 + y1 * x0,
+    ])  # fmt: skip
+    size = float(np.linalg.norm(v))
+    if size == 0.0:
+        return np.zeros(3)
+    angle: Array = v * (2.0 * atan2(size, abs(w)) / size * (1.0 if w >= 0.0 else -1.0))
+    return angle
+
+
+def translated(rows: Array) -> Array:
+    """How far (3,) m the handle went from the beginning of a part to its end."""
+    kept = finite(rows)
+    count = max(1, round(ENDS * len(kept)))
+    way: Array = np.median(kept[-count:, SAMPLE : SAMPLE + 3], axis=0) - np.median(
+        kept[:count, SAMPLE : SAMPLE + 3], axis=0
+    )
+    return way
+
+
+def move(asked: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | None:
+    """What came of a motion that was asked for. `kind`: translation or rotation; `expected`: an axis, as '+x'."""
+    kept = finite(rows)
+    if len(kept) == 0:
+        return None
+    turned = kind == "rotation"
+    vector = rotation(kept[0], kept[-1]) if turned else translated(kept)
+    seen = along(vector, TURNED_RAD if turned else MOVED_M)
+    return {
+        "asked": asked,
+        "kind": kind,
+        "expected": expected,
+        "seen": seen,
+        "agrees": seen == expected,
+        "vector": vector.tolist(),
+        "unit": "rad" if turned else "m",
+    }
+
+
+def along(vector: Array, least: float) -> str:
+    """The axis and sense of a vector (3,), as '+x'; in words where there is none."""
+    sizes = np.abs(vector)
+    if sizes.max() < least:
+        return "no motion"
+    order = np.argsort(sizes)
+    if sizes[order[2]] < CLEAR * sizes[order[1]]:
+        return "not along one axis"
+    largest = int(order[2])
+    return f"{'+' if vector[largest] > 0.0 else '-'}{AXES[largest]}"
+
+
+def push(axis: int, frequency_hz: float, rate_hz: float, rows: Array) -> dict[str, Any] | None:
+    """What a push along an axis did, from the motion that goes with the force that was written.
+
+    The motion is fitted by the force and by the force a quarter of a cycle late, beside a slow drift. Lag is by how
+    much of a cycle the motion comes behind the force: 0 for a handle on a spring, a quarter for one that is braked,
+    half a cycle for a free mass. Whatever holds it, if it is passive, is within; a force of the wrong sign is outside.
+
+    rows  (n, ROW_SIZE) of the push; None where it has no pose or no force
+    """
+    kept = np.isfinite(rows[:, SAMPLE : SAMPLE + 3]).all(axis=1)
+    force, place = rows[:, FORCE + axis], rows[:, SAMPLE : SAMPLE + 3]
+    if kept.sum() < 8 or not force.any():
+        return None
+    late = 2.0 * np.pi * frequency_hz / rate_hz * np.cumsum(force)
+    t = np.linspace(-1.0, 1.0, len(rows))
+    drift = np.stack([np.ones_like(t), t, t * t], axis=1)[kept]
+    basis, motion = (_without(drift, part[kept]) for part in (np.stack([force, late], axis=1), place))
+    found, *_ = np.linalg.lstsq(basis, motion, rcond=None)
+    fitted = basis @ found
+    k = int(np.argmax((fitted**2).sum(axis=0)))
+    share = float((fitted[:, k] ** 2).sum() / max((motion[:, k] ** 2).sum(), 1e-300))
+    compliance = float(np.hypot(*found[:, k]))
+    lag = degrees(atan2(found[1, k], found[0, k]))
+    largest = float(np.abs(force).max())
+    return {
+        "axis": f"+{AXES[axis]}",
+        "largest_n": largest,
+        "frequency_hz": frequency_hz,
+        "moved_axis": AXES[k],
+        "m_per_n": compliance,
+        "lag_deg": lag,
+        "share": share,
+        "seen": _verdict(AXES[k], compliance * largest, lag, share),
+    }
+
+
+def _without(drift: Array, values: Array) -> Array:
+    """`values` (n, k) without the part that `drift` (n, m) accounts for."""
+    fit, *_ = np.linalg.lstsq(drift, values, rcond=None)
+    rest_of: Array = values - drift @ fit
+    return rest_of
+
+
+def _verdict(axis: str, size_m: float, lag_deg: float, share: float) -> str:
+    if size_m < PUSHED_M:
+        return "no motion"
+    if share < SHARE_MIN:
+        return f"not clear: the push accounts for {share:.0%} of the motion"
+    if abs(lag_deg) > 180.0 - SPRINGY_DEG:
+        return f"moves along {axis}; a free handle, or the wrong sign: hold it lightly and push again"
+    return f"{'-' if lag_deg < -SPRINGY_DEG else '+'}{axis}"

@@ -1,0 +1,128 @@
+"""What only hardware can show: questions.toml, and the answers that a report has measured."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+FILE: Final = Path(__file__).with_name("questions.toml")
+FAST_HZ: Final = 4000.0
+
+Report = Mapping[str, Any]
+
+
+class Question(NamedTuple):
+    """A question by its id, the drivers that have it, and how a user can answer it."""
+
+    id: str
+    drivers: tuple[str, ...]
+    question: str
+    how: str
+
+
+@cache
+def questions() -> tuple[Question, ...]:
+    """All of them, in the order of the file."""
+    rows = tomllib.loads(FILE.read_text(encoding="utf-8"))["question"]
+    return tuple(Question(row["id"], tuple(row["drivers"]), row["question"], row["how"]) for row in rows)
+
+
+def answered(report: Report) -> list[dict[str, Any]]:
+    """The questions of a report's driver, each with the answer that was measured, or with how to get it."""
+    found = []
+    for one in questions():
+        if report["driver"] in one.drivers:
+            answer = ANSWERS[one.id](report) if one.id in ANSWERS else None
+            row = {"id": one.id, "question": one.question, "measured": answer is not None}
+            found.append(row | {"answer": answer if answer is not None else f"not answered: {one.how}"})
+    return found
+
+
+def _exchange(report: Report) -> str | None:
+    if (seen := report["exchange"]) is None:
+        return None
+    read, write = seen["read"], seen["write"]
+    return (
+        f"read {_us(read['p50'])} (p99 {_us(read['p99'])}), write {_us(write['p50'])} (p99 {_us(write['p99'])}), "
+        f"{seen['new_samples_hz']:.0f} new samples a second at {report['rate_hz']:g} Hz"
+    )
+
+
+def _frame(report: Report) -> str | None:
+    moves = [move for move in report["moves"] if move["kind"] == "translation"]
+    return "; ".join(f"{move['asked']}: {move['seen']}" for move in moves) or None
+
+
+def _rotation(report: Report) -> str | None:
+    turns = [move for move in report["moves"] if move["kind"] == "rotation"]
+    return "; ".join(f"{move['asked']}: {move['seen']}" for move in turns) or None
+
+
+def _buttons(report: Report) -> str | None:
+    seen = report["buttons"]
+    if seen is None:
+        return None
+    return f"masks {', '.join(map(str, seen['masks']))} were seen" if any(seen["masks"]) else "none was seen"
+
+
+def _force_sign(report: Report) -> str | None:
+    return "; ".join(f"force along {push['axis']}: {push['seen']}" for push in report["pushes"]) or None
+
+
+def _unplugged(report: Report) -> str | None:
+    fault = report["fault"]
+    return fault["message"] if fault is not None and fault["kind"] == "DeviceLost" else None
+
+
+def _library(report: Report) -> str | None:
+    return ", ".join(report["maker_library"]) or None
+
+
+def _fast(report: Report) -> str | None:
+    return _exchange(report) if report["rate_hz"] >= FAST_HZ else None
+
+
+def _force_on(report: Report) -> str | None:
+    period = report["options"].get("status_period_s", 0.05)
+    if report["exchange"] is None or report["exchange"]["seconds"] <= period:
+        return None
+    if report["fault"] is None:
+        return f"yes, within status_period_s = {period:g}: later it was not found to be anything else"
+    return f"the report ended: {report['fault']['message']}" if report["fault"]["in_use"] else None
+
+
+def _held_back(report: Report) -> str | None:
+    counts = report["counts"]
+    if "writes_guarded" not in counts:
+        return None
+    forces, reads = (f"{counts[f'{what}_guarded']} of {counts[what]} {what}" for what in ("writes", "reads"))
+    return f"{forces}, {reads}"
+
+
+def _descriptor(report: Report) -> str | None:
+    texts = [one["report_descriptor"] for one in report["identity"] if one.get("report_descriptor")]
+    return "; ".join(texts) or None
+
+
+def _us(seconds: float) -> str:
+    return f"{seconds * 1e6:.1f} us"
+
+
+ANSWERS: Final[Mapping[str, Callable[[Report], str | None]]] = {
+    "exchange-time": _exchange,
+    "frame": _frame,
+    "rotation": _rotation,
+    "buttons": _buttons,
+    "force-sign": _force_sign,
+    "unplugged": _unplugged,
+    "fd-library": _library,
+    "fd-fast": _fast,
+    "fd-force-on": _force_on,
+    "fd-held-back": _held_back,
+    "hid-descriptor": _descriptor,
+    "hid-write": _exchange,
+}
+"""What a report can answer by itself, None where it has not measured it."""

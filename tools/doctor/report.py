@@ -1,0 +1,229 @@
+"""`doctor --device-report`: a rig's device opened through its driver, measured, and written down for an issue."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.errors import ConfigError, DeviceError, HapticError, SafetyStop
+from softfinger.config.load import load_rig
+from softfinger.config.schema import Rig
+from softfinger.drivers import discovery
+from softfinger.drivers.base import Device
+from softfinger.server.app import open_device
+from softfinger.server.guard import Guard
+from softfinger.server.tuning import guard_limits
+from softfinger.tools.bench.device import draw
+from softfinger.tools.doctor import attached, machine, privacy
+from softfinger.tools.doctor.questions import answered
+from softfinger.tools.doctor.report_text import lines
+from softfinger.tools.doctor.session import FORCE_MIN_S, Session
+from softfinger.tools.exchange import Exchange, compile_exchange, disarmed
+from softfinger.tools.measure import show
+
+FORMAT: Final = 1
+"""Raised when a key changes its meaning."""
+INTERRUPTED: Final = 130
+"""Exit code after Ctrl-C, as a shell has it."""
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+LIBRARY: Final = "libdrd"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--device-report",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="open the rig's device and write what it is and does to a JSON file (softfinger-DRIVER-report.json). "
+        "Zero force is all that it is sent. On a terminal you are asked to move the handle",
+    )
+    parser.add_argument(
+        "--with-force",
+        type=float,
+        metavar="N",
+        help="also push: a slow sine of at most N newtons along x, y, z in turn, faded in and out, never above what "
+        "rig and device allow. THE HANDLE MOVES: hold it lightly, and take 1 first",
+    )
+    parser.add_argument("--no-prompts", action="store_true", help="ask for nothing, also on a terminal")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record, write and print the report; returns the exit code. Raises what kept the device from being opened or
+    ended its exchange, after the report was written."""
+    rig = load_rig(args.rig)
+    file = Path(args.device_report or f"softfinger-{rig.device.driver}-report.json")
+    if not file.parent.is_dir() or file.is_dir():
+        raise ConfigError(f"--device-report {file}: there is no folder {file.parent}, or it is one: name a file")
+    check_force(args.with_force, args.seconds, rig)
+    guided = sys.stdin.isatty() and not args.no_prompts
+    report, serials = begun(rig, guided)
+    failure: HapticError | KeyboardInterrupt | None = None
+    with interruptible():
+        try:
+            record(rig, report, args.seconds, args.with_force, args.plot)
+            report["ended"], report["complete"] = "in full", True
+        except KeyboardInterrupt as error:
+            report["ended"], failure = "cut short by the user", error
+        except (DeviceError, SafetyStop) as error:
+            report["ended"], failure = "by a fault", error
+            report["fault"] = {
+                "kind": type(error).__name__,
+                "message": str(error),
+                "in_use": report["device"] is not None,
+            }
+    report["questions"] = answered(report)
+    report = privacy.Privacy(serials).clean(report)
+    write(file, report)
+    show(report, args.json, lines(report, file))
+    if isinstance(failure, HapticError):
+        raise failure
+    return INTERRUPTED if failure is not None else 0
+
+
+def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
+    """ConfigError for pushes that the rig does not allow, or that are too fast."""
+    if force_n is None:
+        return
+    limit = rig.guard.force_max_n
+    if not 0.0 < force_n <= limit:
+        raise ConfigError(f"--with-force {force_n:g}: must be above 0 and at most guard.force_max_n = {limit:g} N")
+    if seconds < FORCE_MIN_S:
+        raise ConfigError(f"--seconds {seconds:g}: with --with-force at least {FORCE_MIN_S:g}: a push is to be slow")
+
+
+def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
+    """A report with everything that is known before the device is opened, and the serial numbers to be shortened."""
+    found = [one for one in discovery.attached() if attached.is_of(rig, one)]
+    report: dict[str, Any] = {
+        "report": FORMAT,
+        "complete": False,
+        "ended": "",
+        "softfinger": version("softfinger"),
+        "system": {
+            "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+            "python": platform.python_version(),
+            "packages": machine.versions(),
+            "checks": {one.name: one.seen for one in (machine.kernel(), machine.virtual(), machine.processors())},
+        },
+        "driver": rig.device.driver,
+        "options": privacy.options(rig.device.options),
+        "rate_hz": rig.servo.rate_hz,
+        "guided": guided,
+        "identity": [identity(one) for one in found],
+        "maker_library": [],
+        "device": None,
+        "realtime": {},
+        "rest": None,
+        "exchange": None,
+        "without_pauses": None,
+        "range": None,
+        "moves": [],
+        "buttons": None,
+        "pushes": [],
+        "counts": {},
+        "reason": "",
+        "fault": None,
+        "questions": [],
+    }
+    return report, [one.serial for one in found]
+
+
+def identity(device: discovery.Attached) -> dict[str, Any]:
+    """A device as the system lists it; of a hidraw node also the report descriptor, read without opening it."""
+    seen: dict[str, Any] = {
+        "bus": device.bus,
+        "vendor_id": f"{device.vendor:04x}",
+        "product_id": f"{device.product:04x}",
+        "name": device.name,
+        "serial": privacy.shortened(device.serial),
+        "node": device.node,
+    }
+    if device.bus == "hid":
+        path = discovery.ROOT / discovery.HIDRAW / Path(device.node).name / "device" / "report_descriptor"
+        try:
+            seen["report_descriptor"] = path.read_bytes().hex()
+        except OSError:
+            seen["report_descriptor"] = ""
+    return seen
+
+
+def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | None, plot: Path | None) -> None:
+    """Open the device, run the session, and put all of it into `report`, whatever ends it; draw the times to `plot`.
+
+    Zero force on every way out. Raises what opening raises, and the error of a device that failed in use.
+    """
+    compile_exchange()  # before the device is open: it would wait for its first exchange
+    with open_device(rig.device, rig.servo.rate_hz) as device:
+        report["device"] = asdict(device.info)
+        report["maker_library"] = loaded_libraries()
+        guard = disarmed(rig) if force_n is None else pushing(rig, device, force_n)
+        exchange = Exchange(device, rig, guard)
+        session = Session(exchange, device.info, report, seconds, report["guided"])
+        try:
+            with exchange:
+                session.run(force_n)
+                failure = exchange.failure()
+                if failure is not None:
+                    raise failure
+        finally:
+            report["counts"], report["reason"] = device.counts(), device.reason()
+            report["realtime"] = {setting.name: setting.ok for setting in exchange.settings}
+    if plot is not None and len(session.timing):
+        draw(plot, session.timing, f"{report['driver']} at {report['rate_hz']:g} Hz")
+
+
+def pushing(rig: Rig, device: Device, force_n: float) -> Guard:
+    """The rig's guard with no more force than was asked for; ConfigError where the device cannot push so hard."""
+    if device.info.actuated_dof == 0:
+        raise ConfigError(f"--with-force {force_n:g}: {device.info.name} displays no force: leave it out")
+    if force_n > device.info.force_max_n:
+        raise ConfigError(
+            f"--with-force {force_n:g}: {device.info.name} takes {device.info.force_max_n:g} N at most: ask for less"
+        )
+    return guard_limits(rig.guard, device.info)._replace(force_max=force_n)
+
+
+def loaded_libraries() -> list[str]:
+    """File names of the maker's library in this process."""
+    mapped = machine.text(Path("/proc/self/maps")).splitlines()
+    return sorted({Path(line.split()[-1]).name for line in mapped if LIBRARY in line})
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """The first of SIGNALS raises KeyboardInterrupt; later ones are ignored, so that nothing keeps the force from
+    being taken off and the report from being written."""
+
+    def first(*_: object) -> None:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, first) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def write(file: Path, report: dict[str, Any]) -> None:
+    """Write the file whole or not at all. ConfigError where it cannot be written."""
+    part = file.with_name(f".{file.name}.part")
+    try:
+        part.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+        os.replace(part, file)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise ConfigError(f"--device-report {file}: cannot be written: {error.strerror}: name another file") from error

@@ -1,0 +1,52 @@
+"""A device report for people: what an issue needs to be read, and what is still open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from softfinger.tools.exchange_figures import burst_line, table
+
+Report = Mapping[str, Any]
+
+
+def lines(report: Report, file: Path) -> list[str]:
+    """The short text. `file` is where the whole report is."""
+    text = [f"device report of driver {report['driver']}, softfinger {report['softfinger']}: {report['ended']}"]
+    if report["fault"] is not None:
+        text.append(f"  fault: {report['fault']['message']}")
+    if report["device"] is not None:
+        text.append(f"  {report['device']['name']} at {report['rate_hz']:g} Hz, {report['system']['system']}")
+    text += [f"  on {one['bus']} {one['vendor_id']}:{one['product_id']} {one['name']}" for one in report["identity"]]
+    text += _measured(report)
+    if report["counts"]:
+        text.append("  the driver counted: " + ", ".join(f"{name} {value}" for name, value in report["counts"].items()))
+    if report["questions"]:
+        text.append("what only hardware can show")
+    for one in report["questions"]:
+        text += [f"  {one['question']}", f"    {one['answer']}"]
+    text.append(f"the whole report is in {file}: attach it to an issue")
+    return text
+
+
+def _measured(report: Report) -> list[str]:
+    text = []
+    if report["exchange"] is not None:
+        text += table(report["exchange"])
+    if report["without_pauses"] is not None:
+        text.append(burst_line(report["without_pauses"]))
+    if (rest := report["rest"]) is not None:
+        noise = ", ".join(f"{value * 1e6:.1f}" for value in rest["position_std_m"])
+        held = "at rest" if report["guided"] else "in the first second, nobody was asked to hold it still"
+        text.append(f"  noise along x, y, z, {held}: {noise} um")
+    if (span := report["range"]) is not None:
+        pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)
+        text.append("  was from " + ", ".join(f"{low * 1e3:.1f} to {high * 1e3:.1f}" for low, high in pairs) + " mm")
+    for one in report["moves"]:
+        wanted = "" if one["agrees"] else f", and {one['expected']} was expected"
+        text.append(f"  {one['asked']}: {one['seen']}{wanted}")
+    if report["buttons"] is not None:
+        text.append(f"  button masks: {', '.join(map(str, report['buttons']['masks']))}")
+    text += [f"  push along {one['axis']}: {one['seen']}" for one in report["pushes"]]
+    return text

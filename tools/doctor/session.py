@@ -1,0 +1,118 @@
+"""The parts of a device report, one after the other, and what the user is asked to do in each."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from softfinger.drivers.base import DeviceInfo
+from softfinger.server.progress import progress
+from softfinger.tools.doctor import motions
+from softfinger.tools.exchange import FORCE_CYCLES, ROW_SIZE, Exchange, Push
+from softfinger.tools.exchange_figures import burst_figures, figures
+from softfinger.tools.measure import Array
+
+REST_S: Final = 1.0
+"""Long enough for noise of the mains, short enough for a hand to keep still."""
+FORCE_MIN_S: Final = 1.0
+"""A push of three cycles is faster than a handle follows in less."""
+
+
+class Asked(NamedTuple):
+    """A motion that the user is asked for, and the axis along or about which it has to come out."""
+
+    words: str
+    kind: str
+    expected: str
+
+
+TRANSLATIONS: Final = (
+    Asked("move the handle to the right", "translation", "+x"),
+    Asked("move the handle away from you", "translation", "+y"),
+    Asked("move the handle up", "translation", "+z"),
+)
+TURN: Final = Asked("turn the handle counter-clockwise, seen from above", "rotation", "+z")
+
+
+class Session:
+    """Records the parts and puts what they say into `report`, part by part, so that one cut short has what was done.
+
+    exchange  runs
+    seconds   length of each part but the first
+    guided    whether somebody at a terminal is asked to move the handle
+    """
+
+    def __init__(
+        self, exchange: Exchange, info: DeviceInfo, report: dict[str, Any], seconds: float, guided: bool
+    ) -> None:
+        self._exchange, self._info, self._report = exchange, info, report
+        self._seconds, self._guided = seconds, guided
+        self._rows: list[Array] = []
+        self.timing = np.zeros((0, ROW_SIZE))
+        """Rows of the part that times the exchange."""
+
+    def run(self, force_n: float | None) -> None:
+        """All parts; `force_n`: amplitude of the pushes, N, None for no push.
+
+        Where the device fails or a recording ends, the parts after that are empty; the exchange's `failure` says which.
+        """
+        self._at_rest()
+        self._timing()
+        if self._guided:
+            self._moves()
+        if force_n is not None:
+            self._pushes(force_n)
+
+    def _at_rest(self) -> None:
+        self._ask("let go of the handle, or hold it still")
+        rows = self._record("the handle at rest", REST_S)
+        self._report["rest"] = motions.rest(rows, self._info.sensed_dof > 3)
+
+    def _timing(self) -> None:
+        self.timing = self._record("the exchange", self._seconds)
+        if len(self.timing):
+            self._report["exchange"] = figures(self.timing, self._exchange.rate_hz)
+        burst = self._exchange.burst()
+        if len(burst):
+            self._report["without_pauses"] = burst_figures(burst)
+
+    def _moves(self) -> None:
+        asked = [*TRANSLATIONS, *([TURN] if self._info.sensed_dof > 3 else [])]
+        for one in asked:
+            self._ask(f"{one.words}, within {self._seconds:g} s, and keep it there")
+            found = motions.move(one.words, one.kind, one.expected, self._record(one.words, self._seconds))
+            if found is not None:
+                self._report["moves"].append(found)
+                print(f"  seen: {found['seen']}", file=sys.stderr)
+        self._ask(f"press each button in turn, within {self._seconds:g} s")
+        self._report["buttons"] = {"masks": motions.masks(self._record("the buttons", self._seconds))}
+
+    def _pushes(self, force_n: float) -> None:
+        warning = f"hold the handle lightly: it pushes to and fro with up to {force_n:g} N along each axis in turn"
+        if not self._guided:
+            print(warning, file=sys.stderr, flush=True)
+        self._ask(warning)
+        frequency = FORCE_CYCLES / self._seconds
+        for axis, name in enumerate(motions.AXES):
+            x, y, z = (force_n if k == axis else 0.0 for k in range(3))
+            rows = self._record(f"a push along {name}", self._seconds, Push((x, y, z), frequency, self._seconds))
+            found = motions.push(axis, frequency, self._exchange.rate_hz, rows)
+            if found is not None:
+                self._report["pushes"].append(found)
+
+    def _record(self, what: str, seconds: float, push: Push | None = None) -> Array:
+        with progress(f"recording {what}"):
+            rows = self._exchange.record(seconds) if push is None else self._exchange.record(seconds, push)
+        self._rows.append(rows)
+        self._report["range"] = motions.reach(np.concatenate(self._rows))
+        return rows
+
+    def _ask(self, words: str) -> None:
+        """Wait for Enter. The device is exchanged with all the while."""
+        if not self._guided or self._exchange.ended is not None:
+            return
+        print(f"{words}; Enter to begin", file=sys.stderr, flush=True)
+        if not sys.stdin.readline():  # the terminal was closed
+            raise KeyboardInterrupt

@@ -1,0 +1,64 @@
+"""`softfinger doctor`: checks of the machine, or a report of the device of a rig."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from softfinger.config.errors import ConfigError, Unfit
+from softfinger.config.load import load_rig, load_scene
+from softfinger.config.schema import Rig
+from softfinger.tools.doctor import attached, loop, machine, report
+from softfinger.tools.doctor.check import STATES, Check, lines
+from softfinger.tools.exchange import check_seconds
+from softfinger.tools.measure import add_output_options, show
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Is this machine good enough: what it is, what it grants, what the servo loop does on it. Exit code 0 when "
+        "nothing is bad. With --device-report: a file on the device of a rig, to be attached to an issue."
+    )
+    parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")
+    parser.add_argument("--scene", default="paper-plane", help="scene whose step is timed (default: %(default)s)")
+    parser.add_argument(
+        "--seconds", type=float, default=3.0, help="of each loop, or of each part of a report (default: %(default)s)"
+    )
+    add_output_options(parser)
+    report.configure(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check, or report; returns the exit code. Raises Unfit when something is bad, after all of it was printed."""
+    check_seconds(args.seconds)
+    if args.device_report is not None:
+        return report.run(args)
+    if args.with_force is not None or args.no_prompts:
+        raise ConfigError("--with-force and --no-prompts belong to a report: add --device-report")
+    rig = load_rig(args.rig)
+    result = examine(rig, args.rig, args.scene, args.seconds, args.plot)
+    checks = [Check(**one) for one in result["checks"]]
+    head = f"softfinger on this machine, for rig {args.rig} at {rig.servo.rate_hz:g} Hz and scene {args.scene}"
+    tail = "  " + ", ".join(f"{result['states'][state]} {state}" for state in STATES)
+    show(result, args.json, [head, *lines(checks), tail])
+    if bad := [check.name for check in checks if check.state == "bad"]:
+        raise Unfit(f"{len(bad)} of {len(checks)} checks are bad: {', '.join(bad)}: see what mends each")
+    return 0
+
+
+def examine(rig: Rig, rig_name: str, scene_name: str, seconds: float, plot: Path | None) -> dict[str, Any]:
+    """Every check, and the figures behind those that were measured; the lateness is drawn to `plot`."""
+    scene = load_scene(scene_name)
+    checks = machine.checks() + loop.settings(rig) + [loop.cache(rig, scene_name, scene)]
+    late, figures = loop.lateness(rig, scene, seconds, plot)
+    checks += [*late, loop.step(rig, scene_name, scene), loop.endpoint(rig), *attached.checks(rig)]
+    counted = Counter(check.state for check in checks)
+    return {
+        "rig": rig_name,
+        "scene": scene_name,
+        "states": {state: counted[state] for state in STATES},
+        "checks": [check._asdict() for check in checks],
+        "loop": figures,
+    }

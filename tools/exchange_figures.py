@@ -1,0 +1,107 @@
+"""What the rows of an exchange say: how long it takes beside one that does nothing, and how new its samples are."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.drivers.base import SAMPLE_TIME, STALE
+from softfinger.tools.exchange import (
+    EMPTY_READ,
+    EMPTY_WRITE,
+    LATE,
+    READ,
+    READ_STATUS,
+    SAMPLE,
+    START,
+    WRITE,
+    WRITE_STATUS,
+)
+from softfinger.tools.measure import Array, microseconds, quantiles
+
+HISTOGRAM_S: Final = tuple(float(f"{base}e{power}") for power in range(-8, 0) for base in (1, 2, 5))
+"""Edges of the histogram's bins: 10 ns to half a second, three to a decade."""
+
+TIMES: Final = ("read", "write", "cycle")
+
+
+def figures(rows: Array, rate_hz: float) -> dict[str, Any]:
+    """Times of a part, s, over the whole and as medians over blocks of a second; ratios to the empty exchange.
+
+    rows  (n, ROW_SIZE), n at least 1
+    """
+    block = max(1, min(round(rate_hz), len(rows)))
+    read, write = rows[:, READ], rows[:, WRITE]
+    empty_read, empty_write = rows[:, EMPTY_READ], rows[:, EMPTY_WRITE]
+    result: dict[str, Any] = {"ticks": len(rows), "seconds": elapsed(rows)}
+    pairs = ((read, empty_read), (write, empty_write), (read + write, empty_read + empty_write))
+    for name, (values, reference) in zip(TIMES, pairs, strict=True):
+        mine, theirs = quantiles(values, block), quantiles(reference, block)
+        ratios = {at: mine["blocks"][at] / max(theirs["blocks"][at], 1e-9) for at in ("p50", "p99")}
+        result[name] = mine | {"empty": theirs, "over_empty": ratios, "histogram": histogram(values)}
+    result["late"] = quantiles(rows[:, LATE], block)
+    return result | freshness(rows)
+
+
+def freshness(rows: Array) -> dict[str, Any]:
+    """Share of reads and writes with status STALE, new samples a second, and steps of the device's time."""
+    stale = rows[:, READ_STATUS] == STALE
+    steps = np.diff(rows[~stale, SAMPLE + SAMPLE_TIME])
+    fresh = int(np.sum(~stale))
+    return {
+        "stale_share": float(np.mean(stale)),
+        "limited_share": float(np.mean(rows[:, WRITE_STATUS] == STALE)),
+        "new_samples_hz": fresh / max(elapsed(rows), 1e-9),
+        "sample_step_s": {"min": float(steps.min()), "p50": float(np.median(steps)), "max": float(steps.max())}
+        if len(steps) and np.isfinite(steps).all()
+        else None,
+    }
+
+
+def elapsed(rows: Array) -> float:
+    """Time from the first tick to the end of the last one, as if that were as long as the median; s."""
+    if len(rows) < 2:
+        return float(rows[0, READ] + rows[0, WRITE])
+    return float(rows[-1, START] - rows[0, START] + np.median(np.diff(rows[:, START])))
+
+
+def burst_figures(rows: Array) -> dict[str, Any]:
+    """The same of a part without pauses: exchanges and new samples a second. The loop's own work is in them."""
+    return {"exchanges": len(rows), "exchanges_hz": len(rows) / max(elapsed(rows), 1e-9)} | freshness(rows)
+
+
+def histogram(values: Array) -> list[list[float]]:
+    """Pairs of a bin's upper edge (s) and the count in it, for bins that have any; the last bin has no end."""
+    counts = np.bincount(np.searchsorted(HISTOGRAM_S, values), minlength=len(HISTOGRAM_S) + 1)
+    edges = (*HISTOGRAM_S, float(values.max()))
+    return [[edge, int(count)] for edge, count in zip(edges, counts, strict=True) if count]
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    """The figures of a paced part for people."""
+    lines = [
+        "  us; in brackets the median over blocks of 1 s; empty: functions that do nothing, in the same ticks",
+        f"  {'':<14}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")),
+    ]
+    for name in TIMES:
+        for label, found in ((name, result[name]), ("  empty", result[name]["empty"])):
+            cells = (f"{microseconds(found[q])} ({microseconds(found['blocks'][q])})" for q in found["blocks"])
+            lines.append(f"  {label:<14}" + "".join(f"{cell:>22}" for cell in cells))
+    ratios = (f"{name} {result[name]['over_empty']['p50']:.1f}" for name in TIMES)
+    lines.append(f"  times the empty exchange, p50: {', '.join(ratios)}")
+    step = result["sample_step_s"]
+    steps = "" if step is None else f"; device time steps by {step['p50'] * 1e3:.3f} ms (p50)"
+    lines.append(
+        f"  {result['new_samples_hz']:.1f} new samples a second, "
+        f"{result['stale_share']:.2%} of the reads repeat one{steps}"
+    )
+    return lines
+
+
+def burst_line(result: dict[str, Any]) -> str:
+    """The figures of a part without pauses for people."""
+    return (
+        f"  without pauses: {result['exchanges_hz']:.0f} exchanges a second, "
+        f"{result['new_samples_hz']:.0f} with a new sample"
+    )
