@@ -7,6 +7,7 @@ import random
 import re
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +51,8 @@ def listed(user: int | None = None, rig: str | None = None) -> list[dict[str, An
     return [one for one in attached(user, rig) if (one["vendor_id"], one["product_id"]) == ("0403", "cb48")]
 
 
-def in_contact(saw: dict[str, Any]) -> bool:
-    return bool(saw["steps"] > IN_CONTACT and any(saw["motors"]))
+def in_contact(saw: dict[str, Any], before: int = 0) -> bool:
+    return bool(saw["steps"] > before + IN_CONTACT and any(saw["motors"]))
 
 
 @pytest.fixture
@@ -99,9 +100,7 @@ def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -
     """Ctrl-C while it pushes: in order, motors at zero; the next daemon opens the device that the first has closed."""
     for _ in range(2):
         before = pressed.seen()["steps"]
-        with pushing(
-            rig, pressed, lambda saw, start=before: in_contact({**saw, "steps": saw["steps"] - start})
-        ) as running:
+        with pushing(rig, pressed, partial(in_contact, before=before)) as running:
             assert running.stop() == 0, running.err
         assert "force is zero" in running.err
         assert pressed.seen()["motors"] == [0, 0, 0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,8 @@ def listed(user: int | None = None) -> list[dict[str, Any]]:
     return [one for one in attached(user) if (one["vendor_id"], one["product_id"]) == ("16c0", "0486")]
 
 
-def in_contact(saw: dict[str, Any]) -> bool:
-    return bool(saw["reports"] > IN_CONTACT and any(saw["motors"]))
+def in_contact(saw: dict[str, Any], before: int = 0) -> bool:
+    return bool(saw["reports"] > before + IN_CONTACT and any(saw["motors"]))
 
 
 @pytest.fixture
@@ -82,9 +83,7 @@ def test_stopped_it_leaves_no_force_and_opens_again(pressed: Gadget, rig: str) -
     """Ctrl-C while it pushes: in order, currents at zero; the next daemon opens what the first has closed."""
     for _ in range(2):
         before = pressed.seen()["reports"]
-        with pushing(
-            rig, pressed, lambda saw, start=before: in_contact({**saw, "reports": saw["reports"] - start})
-        ) as running:
+        with pushing(rig, pressed, partial(in_contact, before=before)) as running:
             assert running.stop() == 0, running.err
         assert "force is zero" in running.err
         assert pressed.seen()["last"] == [0, 0, 0]
