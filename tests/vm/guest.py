@@ -28,8 +28,9 @@ import pytest
 from closed_loop import records_of_daemon
 
 from softfinger.config.load import load_rig, load_scene
-from softfinger.server import cli, devices, hotplug  # noqa: F401  (imported here, once)
-from softfinger.server import run as run_verb  # noqa: F401
+from softfinger.server import cli, hotplug
+from softfinger.server import devices as _devices  # noqa: F401  (imported here, once)
+from softfinger.server import run as _run  # noqa: F401
 from softfinger.server.app import open_device
 from softfinger.server.servo import Servo
 from softfinger.server.tuning import make_tuning
@@ -244,8 +245,11 @@ def daemon(rig: str, *words: str, user: int | None = None) -> Run:
 
 
 def other_daemon() -> Run:
-    """The daemon on another device, which goes on whatever happens to those of the guest."""
-    return daemon("replay")
+    """The daemon on another device, which goes on whatever happens to those of the guest, and has seen which there are."""
+    running = daemon("replay")
+    running.says("real time")
+    time.sleep(hotplug.PERIOD_S)
+    return running
 
 
 @contextmanager

@@ -26,9 +26,7 @@ def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
     kept = tmp_path / "records.npy"
     with gadget("puck", reports=reports, push={"up": -200, "right": 100}, buttons=5) as puck:
         (found,) = listed()
-        assert (found["state"], found["name"], found["rigs"]) == (
-            "usable", "SpaceNavigator", ["simulated-spacemouse", "spacemouse"],
-        )  # fmt: skip
+        assert (found["state"], found["name"], found["rigs"]) == ("usable", "SpaceNavigator", ["spacemouse"])
         keep("spacemouse", "paper-plane", 200, kept)
         assert puck.seen()["written"] == ["0401", "0400"]
     records = np.load(kept)
