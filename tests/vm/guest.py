@@ -245,7 +245,7 @@ def daemon(rig: str, *words: str, user: int | None = None) -> Run:
 
 
 def other_daemon() -> Run:
-    """The daemon on another device, which goes on whatever happens to those of the guest, and has seen which there are."""
+    """The daemon on another device, which goes on whatever happens to those of the guest, and has seen them."""
     running = daemon("replay")
     running.says("real time")
     time.sleep(hotplug.PERIOD_S)

@@ -9,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from driver_contract import RATE_HZ, pulling
 
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers import falcon, hid, spacemouse  # noqa: F401  (compiled by their import)
+from softfinger.drivers import falcon, hid, serial, spacemouse  # noqa: F401  (compiled by their import)
 from softfinger.server.app import open_device
 from softfinger.server.servo import Servo
 from softfinger.server.tuning import make_tuning
