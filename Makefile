@@ -26,7 +26,8 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-vm emulators vm-packages lint bench study warmup wheel constraints docker-check clean distclean
+.PHONY: help setup run test test-vm emulators vm-packages lint bench exchange-cost study warmup wheel constraints \
+    docker-check clean distclean
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -85,6 +86,9 @@ bench: $(STAMP) ## Cost of a step, wake-up lateness beside C, tick-to-subscriber
 	$(BIN)/softfinger bench step
 	$(BIN)/softfinger bench loop --seconds $(BENCH_SECONDS)
 	$(BIN)/softfinger bench telemetry --seconds $(BENCH_SECONDS)
+
+exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that it makes, on the tests' stand-ins (ARGS=--json, --plot FILE)
+	@exec $(BIN)/python tests/exchange_cost.py $(ARGS)
 
 study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)

@@ -175,6 +175,11 @@ def group_with_access(node: str) -> str | None:
         return None
 
 
+def usb_rule(vendor: int, product: int) -> str:
+    """The udev rule that lets the user at the machine open a device on the USB bus."""
+    return f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor:04x}", ATTR{{idProduct}}=="{product:04x}", TAG+="uaccess"'
+
+
 def _in_order(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda text: (len(text), text))
 

@@ -1,4 +1,4 @@
-"""A hidraw node, opened for this process alone, once it is known to be the device that was meant."""
+"""The node of a HID device, opened for this process alone, and known to be the device that was meant."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 
 from softfinger.config.errors import DeviceError
 from softfinger.drivers import discovery
-from softfinger.drivers.nodes import open_locked
+from softfinger.drivers.nodes import by_rule, open_locked
 
 _GET_INFO: Final = 0x80084803  # an ioctl request of <linux/hidraw.h>
 
@@ -20,11 +20,7 @@ def open_path(path: str, vendor: int, product: int) -> int:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device.
     """
-    fd = open_locked(
-        path,
-        f"write {discovery.hid_rule(vendor, product)} to {discovery.HID_RULE_FILE}, run `udevadm control --reload`, "
-        "and plug the device in again",
-    )
+    fd = open_locked(path, by_rule(discovery.hid_rule(vendor, product), discovery.HID_RULE_FILE))
     try:
         _check_device(fd, path, vendor, product)
     except BaseException:

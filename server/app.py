@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -28,6 +29,10 @@ STALL_POLL_S: Final = 0.05
 """The servo has stalled when so many looks in a row, this far apart, find no new tick: a quarter of a second, which
 is longer than any host stall seen and shorter than a hand needs to be hurt. Counting looks, not time: a process that
 was suspended as a whole did not stall."""
+
+STUCK_S: Final = 1.0
+"""A servo that has stalled and not ended within this is stuck in its device: nobody waits for it any more."""
+WAIT_POLL_S: Final = 0.25
 
 BATCH: Final = 256
 
@@ -60,7 +65,7 @@ class Daemon:
         self._report = report
         self._rig = rig
         self._failure: HapticError | None = None
-        self._started = False
+        self._started = self._stuck = False
         self.publisher = Publisher(rig.telemetry.endpoint, rig.telemetry.every, guard_names=GUARD_NAMES)
         try:
             self.device = open_device(rig.device, rig.servo.rate_hz)
@@ -102,9 +107,12 @@ class Daemon:
         Raises what ended it, if that was not a stop, the last tick or the end of a recording:
         DeviceLost, DeviceTimeout, SafetyStop, RealtimeError or a programming error.
         """
-        ended = self.servo.join(timeout_s)
-        if ended is None:
-            return False
+        until = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
+        while (ended := self.servo.join(max(0.0, min(WAIT_POLL_S, until - time.monotonic())))) is None:
+            if self._stuck and self._failure is not None:
+                raise self._failure
+            if time.monotonic() >= until:
+                return False
         if self._failure is not None:
             raise self._failure
         if ended.error is not None:
@@ -160,13 +168,13 @@ class Daemon:
     def _supervise(self) -> None:
         """Zero the device when ticks stop coming though nobody asked them to."""
         seen, idle = -1, 0
-        while self.servo.running:
+        while self.servo.looping:
             time.sleep(STALL_POLL_S)
             ticks = self.servo.ticks
             idle = idle + 1 if ticks == seen else 0
             seen = ticks
             # The slowest loop ticks ten times between two looks. Before the first tick real-time settings are made.
-            if idle >= STALL_POLLS and ticks > 0 and self.servo.running:
+            if idle >= STALL_POLLS and ticks > 0 and self.servo.looping:
                 self.device.stop()
                 stalled = SafetyStop(
                     f"no tick for {idle * STALL_POLL_S:.2f} s after tick {ticks}: force was set to zero; "
@@ -174,6 +182,7 @@ class Daemon:
                 )
                 self._fail(stalled)
                 self.publisher.event("fault", "stalled", message=str(stalled))
+                self._stuck = self.servo.join(STUCK_S) is None
                 return
 
     def _fail(self, error: HapticError) -> None:

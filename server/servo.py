@@ -265,6 +265,11 @@ class Servo:
         return not self._done.is_set()
 
     @property
+    def looping(self) -> bool:
+        """Whether ticks are still to come; after the last one the device is stopped, and then `running` ends."""
+        return self._ended is None
+
+    @property
     def ticks(self) -> int:
         """Ticks done so far."""
         return int(self.shared.progress[0])

@@ -28,6 +28,13 @@ COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
 NO_COMPILER = "the stand-in for the maker's library is C, and there is no compiler (cc, gcc, clang) to build it"
 
 
+def compile_stub(source: Path, path: Path, *flags: str) -> Path:
+    """A C file as a shared library at `path`."""
+    always = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+    subprocess.run([str(COMPILER), *always, *flags, "-o", str(path), str(source), "-lm"], check=True)
+    return path
+
+
 class Stub:
     """The library as tests steer it: `stub["fail_read"] = 0`, `stub["watchdog"]`."""
 
@@ -71,10 +78,7 @@ def stub_library() -> Iterator[Path]:
         pytest.skip(NO_COMPILER)
     with tempfile.TemporaryDirectory(prefix="drd-") as folder:
         os.chmod(folder, 0o755)
-        path = Path(folder) / "libdrd.so.3.17.5"
-        flags = "-std=gnu11 -O2 -Wall -Wextra -Werror -shared -fPIC"
-        subprocess.run([COMPILER, *flags.split(), "-o", str(path), str(SOURCE), "-lm"], check=True)
-        yield path
+        yield compile_stub(SOURCE, Path(folder) / "libdrd.so.3.17.5")
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from typing import ClassVar, Final
@@ -62,8 +63,8 @@ class Bench(ABC):
     refusals: ClassVar[Mapping[str, type[HapticError]]] = REFUSALS
     force_step_n: ClassVar[float] = 1e-12
     """How far a displayed force may be from the one written: a device's own steps; here rounding alone."""
-    patience: ClassVar[int] = 1
-    """Reads within which a failure has to be told; more than one for a device that is asked without waiting."""
+    patience_s: ClassVar[float] = 0.0
+    """Time in which a failure has to be told; 0: by the next read. More for a device that is not waited for."""
 
     @abstractmethod
     def open(self) -> Device:
@@ -240,8 +241,7 @@ class DriverContract:
             servo.read()
             servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
             bench.make(case)
-            told = next((status for _ in range(bench.patience) if (status := servo.read()[0]) < 0), OK)
-            assert told == FAULTS[case], case
+            assert first_failure(servo, bench.patience_s) == FAULTS[case], case
             device.stop()
             device.close()
             assert not any(bench.displayed()), case
@@ -267,6 +267,14 @@ class DriverContract:
                 assert not any(bench.displayed()), case
                 servo.close()
             bench.mend()
+
+
+def first_failure(servo: Servo, patience_s: float) -> int:
+    """Status of the first read that fails, or of the last one in that time."""
+    until = time.monotonic() + patience_s
+    while (status := servo.read()[0]) >= 0 and time.monotonic() < until:
+        pass
+    return status
 
 
 def failing() -> Callable[[], None]:

@@ -1,13 +1,14 @@
 """HID devices for the tests: the driver's end of a packet socket, an emulated device in a thread at the other.
 
-A packet socket keeps the borders of reports as a hidraw node does, and needs no privilege; what only a node has
-(enumeration, descriptor, permissions) is proven on umockdev.
+A packet socket keeps the borders of reports as a hidraw node does, and needs no privilege; for the way through threads
+it stands behind hidapi's calls. What only a node has (enumeration, descriptor, permissions) is proven on umockdev.
 """
 
 from __future__ import annotations
 
 import fcntl
 import os
+import select
 import socket
 import tempfile
 import threading
@@ -21,6 +22,7 @@ from emulators.woodenhaptics import Vector, Woody
 
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.hid import HidDevice, Options
+from softfinger.drivers.hid.link import pumped
 
 RIGS = {
     "woodenhaptics-2019": "woody-2019",
@@ -92,7 +94,11 @@ class Answering:
     def settle(self, device: HidDevice) -> None:
         """Wait until every report of the driver has been taken, and answered."""
         until = time.monotonic() + 10.0
-        while self.answered < device.counts()["written"]:
+        sent, passed_over = device.counts()["written"], 0
+        if device.pump is not None:
+            assert device.pump.flush(sent, until), "hidapi does not take the driver's reports"
+            passed_over = device.pump.passed_over
+        while self.answered < sent - passed_over:
             assert time.monotonic() < until, "the emulated device does not take its reports"
             time.sleep(0.0002)
 
@@ -111,6 +117,53 @@ class Answering:
         self.unplug()
 
 
+class Api:
+    """hidapi's device, with the end of a packet socket in the place of its bus."""
+
+    def __init__(self, fd: int) -> None:
+        self._end = socket.socket(fileno=fd)
+        self.held = threading.Event()
+        """While it is not set, writes hang."""
+        self.held.set()
+        self.hung = threading.Event()
+        """Set once a write hangs."""
+        self.refuses = False
+        """Whether writes fail, as libusb's do after a second."""
+        self.closed = 0
+
+    def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
+        if not select.select([self._end], [], [], timeout_ms / 1e3)[0]:
+            return []
+        try:
+            data = self._end.recv(max_length)
+        except OSError:
+            data = b""
+        if not data:
+            raise OSError("read error")
+        return list(data)
+
+    def write(self, buff: bytes) -> int:
+        if not self.held.is_set():
+            self.hung.set()
+            self.held.wait()
+        try:
+            return -1 if self.refuses else self._end.send(buff)
+        except OSError:
+            return -1
+
+    def close(self) -> None:
+        self.closed += 1
+        self._end.close()
+
+
+def opened(options: Options, fd: int, through: str = "node") -> HidDevice:
+    """The driver on an end of a packet socket: as a node, or through threads at hidapi's calls."""
+    if through == "node":
+        return HidDevice(options, fd)
+    link = pumped(Api(fd), options)
+    return HidDevice(options, link.fd, link.pump)
+
+
 def ends() -> tuple[int, socket.socket]:
     """The driver's file descriptor, non-blocking, and the device's end."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -122,13 +175,14 @@ def ends() -> tuple[int, socket.socket]:
 def woody(
     rig: str = "woodenhaptics-2019",
     intention: Callable[[float], Vector] = lambda _: (0.01, 0.02, -0.015),
+    through: str = "node",
     **changes: Any,
 ) -> Iterator[tuple[HidDevice, Woody, Answering]]:
     """An open device with the emulated arm of its rig behind it; a thread of a busy machine may answer late."""
-    options = rig_options(rig, **{"timeout_s": 0.2, **changes})
+    options = rig_options(rig, **{"timeout_s": 0.5, **changes})
     arm = Woody(RIGS[rig], 1 if options.reports.name == "woodenhaptics-v1" else 2, intention)
     fd, end = ends()
-    with Answering(end, arm.answer) as answering, HidDevice(options, fd) as device:
+    with Answering(end, arm.answer) as answering, opened(options, fd, through) as device:
         yield device, arm, answering
 
 

@@ -13,7 +13,7 @@ from emulators.serialboard import FRAME_BYTES, Board, Cable
 
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import OK
-from softfinger.drivers.serial import Options, SerialDevice, exchange, open_device
+from softfinger.drivers.serial import Options, SerialDevice, open_device
 
 RIG = "woodenhaptics-v3"
 PLACE = (0.01, 0.02, -0.015)
@@ -26,7 +26,7 @@ def rig_options(**changes: Any) -> Options:
 
 def opened(cable: Cable, **changes: Any) -> SerialDevice:
     """The device at the end of a cable; a thread of a busy machine may answer late."""
-    return open_device(rig_options(**{"path": cable.path, "quiet_s": 0.1, **changes}), 1000.0)
+    return open_device(rig_options(**{"path": cable.path, "quiet_s": 0.1, "timeout_s": 0.5, **changes}), 1000.0)
 
 
 @contextmanager
@@ -41,7 +41,7 @@ def board(
 def settle(device: SerialDevice, cable: Cable) -> None:
     """Wait until the board has heard everything that the driver has sent."""
     until = time.monotonic() + 10.0
-    while cable.heard < FRAME_BYTES * device.counts(exchange.WRITTEN) + device.counts(exchange.KICKS):
+    while cable.heard < FRAME_BYTES * device.counts()["written"] + device.counts()["kicks"]:
         assert time.monotonic() < until, "the emulated board does not take its frames"
         time.sleep(0.0002)
 

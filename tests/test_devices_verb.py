@@ -136,7 +136,7 @@ def test_a_node_that_may_be_opened_is_usable(root: Path) -> None:
 
 
 def test_a_node_that_is_not_there(root: Path) -> None:
-    """A device whose node is missing, and a HID device without any, are told apart and mended."""
+    """A device whose node is missing, and a puck without any, are told apart and mended."""
     gone = at(root / "hidraw5")
     assert diagnose(gone, claim_on(gone)).state == "node"
     assert "--device" in diagnose(gone, claim_on(gone)).remedy
@@ -146,6 +146,23 @@ def test_a_node_that_is_not_there(root: Path) -> None:
     bare = at("/dev/bus/usb/001/002", 0x16C0, 0x0483, bus="usb")
     assert "no serial port" in diagnose(bare, claim_on(bare)).reason
     assert "cdc_acm" in diagnose(bare, claim_on(bare)).remedy
+
+
+def test_an_arm_without_a_hidraw_node(root: Path) -> None:
+    """Threads carry its reports if its node on the bus may be opened; else it is that node which is to be mended."""
+    node = root / "002"
+    arm = at(node, 0x16C0, 0x0486, bus="usb")
+    assert diagnose(arm, claim_on(arm)).state == "node"
+    assert f"docker run --device {node}" in diagnose(arm, claim_on(arm)).remedy
+    node.write_bytes(b"")
+    found = diagnose(arm, claim_on(arm))
+    assert found.state == "usable"
+    assert "no hidraw node" in found.reason
+    rule = 'SUBSYSTEM=="usb", ATTR{idVendor}=="16c0", ATTR{idProduct}=="0486", TAG+="uaccess"'
+    assert rule in devices.how_to_permit(at("", 0x16C0, 0x0486, bus="usb"), claim_on(arm))
+    with node.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert diagnose(arm, claim_on(arm)).state == "busy"
 
 
 @pytest.mark.parametrize(
@@ -281,3 +298,15 @@ def test_an_emulated_device_is_listed() -> None:
     assert (
         "/dev/hidraw0  16c0:0486  Emulated arm\n    driver hid: softfinger run --rig woodenhaptics-2019" in done.stdout
     )
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
+def test_an_emulated_device_without_hidraw_is_listed() -> None:
+    """An arm on the USB bus alone: its node there, usable, and why through threads."""
+    done, saw = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
+    assert done.returncode == 0, done.stderr
+    (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+    assert (device["bus"], device["node"], device["serial"]) == ("usb", "/dev/bus/usb/001/002", "SN42")
+    assert (device["driver"], device["state"]) == ("hid", "usable")
+    assert "threads carry its reports" in device["reason"]
+    assert saw["reports"] == 0, "a look sends nothing to the device"

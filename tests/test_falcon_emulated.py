@@ -202,6 +202,56 @@ def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
         assert said in done.stderr
 
 
+def test_a_falcon_says_that_its_firmware_runs() -> None:
+    """`devices` does not touch it and says that it needs its firmware; with `--ask` it says itself that it has it."""
+    words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
+    for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
+        done, saw = beside({}, *words, *more)
+        assert done.returncode == 0, done.stderr
+        (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+        assert (device["driver"], device["state"], device["said"]) == ("falcon", state, said)
+        assert (saw["steps"] > 0) == (said is not None)
+        assert saw["most"] == [0, 0, 0]
+
+
+TWO = """
+import sys
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.falcon import Options, open_device
+from driver_contract import RATE_HZ, Servo
+given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 0.2}
+first, second = (open_device(build(Options, {**given, "serial": name}, "rig"), RATE_HZ) for name in ("SN1", "SN2"))
+ends = [Servo(first), Servo(second)]
+for turn in range(30):
+    samples = [end.read() for end in ends]
+    for end in ends:
+        end.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+first.close()
+for turn in range(30):
+    status, sample = ends[1].read()
+    assert status in (0, 1), status
+    ends[1].write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+print([sample[2] for _, sample in samples], sample[2], ends[0].read()[0], flush=True)
+second.close()
+"""
+
+
+def test_two_falcons_through_libusb() -> None:
+    """Both are open by their serial numbers, each exchange is with its own knob, and closing one leaves the other."""
+    case = {"place": [0.0, 0.0, 0.03], "serial": "SN1", "second": {"place": [0.0, 0.0, 0.045], "serial": "SN2"}}
+    code = f"import sys; sys.path.insert(0, {str(TESTBED.parents[1])!r})\n{TWO}"
+    done, saw = beside(case, sys.executable, "-c", code)
+    assert done.returncode == 0, done.stderr
+    first, second, later, closed = (float(part) for part in re.findall(r"-?[\d.]+", done.stdout.splitlines()[-2]))
+    # 0.1 N against the hand's 300 N/m, and half a count at each leg
+    assert first == pytest.approx(0.03, abs=4e-4)
+    assert second == pytest.approx(0.045, abs=4e-4)
+    assert later == pytest.approx(0.045, abs=4e-4)
+    assert closed == -1
+    for one, least in ((saw, 30), (saw["second"], 60)):
+        assert one["steps"] >= least and max(one["most"]) > 0 and one["motors"] == [0, 0, 0]
+
+
 def test_a_weight_gives_the_gain() -> None:
     """`calibrate` finds the emulated motors' gain with a weight, from a rig whose gain is another."""
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from emulators import falcon as other
 
-from softfinger.drivers.falcon import delta
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.falcon import Options, delta
+from softfinger.drivers.falcon.options import COUNTS_PER_NM
 from softfinger.drivers.falcon.reply import motor_counts
 
 RADIUS_M = 0.04
@@ -117,6 +119,30 @@ def test_no_force_where_the_legs_cannot_give_it() -> None:
         assert not able
         assert torque == (0.0, 0.0, 0.0)
         assert motor_counts(10000.0, place, (0.0, 0.0, 1.0)) == ((0, 0, 0), True)
+
+
+RECORDED = {
+    (0.0, 0.0, -100.0): (4095, 3906, 4034),
+    (0.0, 0.0, -50.0): (2752, 2780, 2888),
+    (0.0, 0.0, -25.0): (1311, 1453, 1526),
+    (0.0, 0.0, -12.5): (661, 731, 766),
+    (0.0, -12.5, 0.0): (-2900, 27, 929),
+    (-12.5, 0.0, 0.0): (399, -3087, 1135),
+    (1.0, 0.0, 0.0): (-65, 136, -159),
+    (10.0, 0.0, 0.0): (-679, 2529, -1862),
+    (0.0, 10.0, 0.0): (2481, -669, -1691),
+}
+"""Motor counts that the maker's driver sent for a force (N): packets traced by libnifalcon's author."""
+
+
+def test_motors_turn_as_in_recorded_packets() -> None:
+    """With the shipped rig's sign every count for a recorded force has the recorded sign. Where the knob was is not
+    recorded; within 2 cm of the centre the signs do not depend on it."""
+    options = build(Options, load_rig("falcon").device.options, "falcon [device]")
+    gain = -COUNTS_PER_NM if options.motors_reversed else COUNTS_PER_NM
+    for force, recorded in RECORDED.items():
+        counts, _ = motor_counts(gain, delta.HOME, force)
+        assert np.sign(counts).tolist() == np.sign(recorded).tolist(), force
 
 
 def test_counts_are_scaled_together() -> None:

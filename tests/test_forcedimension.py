@@ -26,12 +26,16 @@ from softfinger.config.errors import (
     HapticError,
 )
 from softfinger.config.load import build
+from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import forcedimension
 from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT
+from softfinger.drivers.claims import Claim
+from softfinger.drivers.discovery import Attached
 from softfinger.drivers.forcedimension import exchange, library
 from softfinger.drivers.forcedimension.models import MODELS
 from softfinger.proxy.kernels.atomics import call_device
 from softfinger.proxy.kernels.jit import entry
+from softfinger.server import devices
 
 __all__ = ["bench", "stub", "stub_library"]  # fixtures
 
@@ -176,6 +180,23 @@ def test_device_is_chosen_by_serial_model_and_number(stub: Stub, bench: StubBenc
     with pytest.raises(DeviceNotFound, match="unknown type 60"):
         bench.open()
     assert stub["opens"] == stub["closes"]
+
+
+def test_a_device_is_asked_without_force(stub: Stub) -> None:
+    """`devices --ask`: model, serial number, system type and calibration by the library; nothing moves, no force is
+    switched on, and it is closed again; a device that another program holds is busy."""
+    claim = Claim("forcedimension", "usb", 0x1451, None)
+    rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
+    stub.update(type=34, wrist=1, initialized=0)
+    omega = Attached("usb", 0x1451, 0x0402, "omega.x haptic device", "", "/dev/bus/usb/001/005")
+    diagnosis, said = devices.ask(omega, claim, rig)
+    assert diagnosis == devices.Diagnosis("usable")
+    assert said == {"model": "omega.6 right", "serial": 1230, "system_type": 34, "calibrated": False}
+    assert stub["opens"] == stub["closes"] == 1
+    assert stub["moved"] == stub["force_on"] == stub["writes"] == 0
+    stub["held"] = 1
+    diagnosis, said = devices.ask(omega, claim, rig)
+    assert (diagnosis.state, said) == ("busy", None)
 
 
 def test_watchdog_shorter_than_two_ticks_is_refused(bench: StubBench) -> None:

@@ -1,4 +1,7 @@
-"""The whole program on an emulated WoodenHaptics behind a hidraw node of umockdev: enumeration, descriptor, servo loop.
+"""The whole program on an emulated WoodenHaptics of umockdev: enumeration, descriptor, servo loop, faults.
+
+Each way that reports may take: the loop at a hidraw node, threads at hidapi's hidraw backend, and threads at its libusb
+backend where the device is on the USB bus alone.
 
 Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi: `apt install umockdev gir1.2-umockdev-1.0 python3-gi`.
 """
@@ -22,7 +25,13 @@ from softfinger.config.load import find, load_scene
 from softfinger.config.schema import Rig
 from softfinger.proxy.state import OFFSET
 
-TESTBED = Path(__file__).with_name("emulators") / "testbed.py"
+EMULATORS = Path(__file__).with_name("emulators")
+TESTBEDS = {"hidraw": "testbed.py", "usb": "hid_usb_testbed.py"}
+"""By what the emulated system has of the device: key `bus` of a case."""
+WAYS = {"node": ("hidraw", "auto"), "thread": ("hidraw", "thread"), "usb": ("usb", "auto")}
+"""What the system has of the device, and `through` of the rig."""
+TICKS = {"node": 1700, "thread": 2500, "usb": 2500}
+"""Ticks in which a stroke of 1.2 s is done: each report moves the emulated arm by 1 ms, and threads pass some over."""
 CLOSED_LOOP = Path(__file__).with_name("closed_loop.py")
 SYSTEM_PYTHON = "/usr/bin/python3"
 
@@ -47,8 +56,9 @@ STROKE = {"place": [0.0, 0.0, 0.012], "press": 0.006, "drag": 0.02}
 
 def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     """A command beside an emulated device; what it printed, and what the device saw."""
+    testbed = EMULATORS / TESTBEDS[case.get("bus", "hidraw")]
     done = subprocess.run(
-        ["umockdev-wrapper", SYSTEM_PYTHON, str(TESTBED), json.dumps(case), *command],
+        ["umockdev-wrapper", SYSTEM_PYTHON, str(testbed), json.dumps(case), *command],
         capture_output=True, text=True, timeout=120, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
     )  # fmt: skip
     lines = done.stdout.splitlines()
@@ -62,17 +72,33 @@ def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.Complet
     return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words)
 
 
+def rig_with(folder: Path, name: str, **keys: object) -> str:
+    """A shipped rig with more keys in [device], as a file."""
+    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
+    path = folder / f"{name}-{len(list(folder.iterdir()))}.toml"
+    path.write_text(find(name, Rig).read_text().replace('driver = "hid"\n', f'driver = "hid"\n{lines}'))
+    return str(path)
+
+
 @pytest.mark.parametrize(
-    ("rig", "arm", "generation"),
-    [("woodenhaptics-2019", "woody-2019", 2), ("woodenhaptics-2015", "woody-2015", 1)],
+    ("way", "rig", "arm", "generation"),
+    [
+        ("node", "woodenhaptics-2019", "woody-2019", 2),
+        ("node", "woodenhaptics-2015", "woody-2015", 1),
+        ("thread", "woodenhaptics-2015", "woody-2015", 1),
+        ("usb", "woodenhaptics-2019", "woody-2019", 2),
+    ],
 )  # fmt: skip
-def test_closed_loop_through_a_hidraw_node(rig: str, arm: str, generation: int, tmp_path: Path) -> None:
+def test_closed_loop_under_the_daemon(way: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
     """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
     kept = tmp_path / "records.npy"
-    program = (sys.executable, str(CLOSED_LOOP), rig, "paper-plane", "1700", str(kept))
-    done, saw = beside({"arm": arm, "generation": generation, **STROKE}, *program)
+    bus, through = WAYS[way]
+    name = rig_with(tmp_path, rig, through=through)
+    program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[way]), str(kept))
+    done, saw = beside({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
     assert done.returncode == 0, done.stderr
     records = np.load(kept)
+    assert set(np.diff(records[:, OFFSET["tick"]])) == {1.0}, "the subscriber has lost ticks"
     modes = records[:, OFFSET["contact.mode"]]
     assert {0.0, 1.0, 2.0} == set(modes)
     # The forces reached the arm, and stopped its hand above where it meant to go.
@@ -97,55 +123,140 @@ def test_an_arm_pressed_through_the_plane_is_held() -> None:
     assert saw["place"][2] == pytest.approx(0.010 - depth, abs=3e-4)  # an encoder count is 0.1 mm, bearings hold none
 
 
+OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
+
+
 @pytest.mark.parametrize(
-    ("case", "code", "message"),
+    ("way", "case", "code", "message"),
     [
-        ({"lost_after": 300}, 4, "is gone .status -1 on (read|write).: plug it in again"),
-        ({"short_after": 300}, 4, "answered what is not in its protocol .status -3 on read."),
-        ({"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
-        ({"mute_after": 0}, 4, "no answer to a read in time: check cable and power"),
+        *((way, {"lost_after": 300}, 4, "is gone .status -1 on (read|write).*: plug it in again") for way in WAYS),
+        ("node", {"short_after": 300}, 4, "answered what is not in its protocol .status -3 on read."),
+        ("usb", {"short_after": 300}, 4, "answered what is not in its protocol .status -3 on read."),
+        ("node", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
+        ("usb", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
+        ("node", {"mute_after": 0}, 4, "no answer to a read in time: check cable and power"),
+        # a node's write hangs the loop itself, which the supervisor sees
+        ("node", {"block_after": 300}, 6, "no tick for 0.25 s .*the device's exchange hangs"),
+        ("thread", {"block_after": 300}, 4, r"no answer to a read in time \(a write has been under way for 1"),
+        # libusb gives a write up after a second, which is while `stop` waits for the zero
+        ("usb", {"block_after": 300}, 4, r"in time \((a write has been under way|hid writer: a write .* -1 after) "),
         (
-            {"descriptor": "06abff0a0002a1017508150026ff00952009018102954009029102c0"},
+            "node",
+            {"descriptor": OTHER_DESCRIPTOR},
             4,
             "/dev/hidraw0 has other reports than the rig: the device announces input 32 bytes, output 64 bytes; "
             "the rig describes input 64 bytes, output 64 bytes: correct ",
         ),
-        ({"descriptor": "06abff0a0002a10175"}, 4, "its report descriptor is damaged: item 0x75 at byte 8 of 9 is cut"),
-        ({"generation": 1}, 4, "no HID device 16c0:0486 is attached: plug it in .*; attached are 1234:0006"),
+        ("usb", {"descriptor": OTHER_DESCRIPTOR}, 4, "1-1:1.0 has other reports than the rig: .* announces input 32 b"),
+        (
+            "node", {"descriptor": "06abff0a0002a10175"}, 4,
+            "its report descriptor is damaged: item 0x75 at byte 8 of 9 is cut",
+        ),
+        ("node", {"generation": 1}, 4, "no HID device 16c0:0486 is attached: plug it in .*; attached are 1234:0006"),
+        ("usb", {"generation": 1}, 4, "no HID device 16c0:0486 is attached: plug it in"),
+        ("usb", {"claimed": True}, 4, "1-1:1.0 ./dev/bus/usb/001/002. cannot be claimed through hidapi: another pro"),
+        ("node", {"permission": "0"}, 4, "/dev/hidraw0 may not be opened by this user: .*KERNEL==.hidraw"),
+        ("usb", {"permission": "0"}, 4, "/dev/bus/usb/001/002 may not be opened by this user: .*SUBSYSTEM==.usb"),
     ],
-    ids=["unplugged", "short", "mute", "mute-from-the-start", "descriptor", "damaged-descriptor", "another-device"],
 )  # fmt: skip
-def test_faults_end_in_order(case: dict[str, Any], code: int, message: str) -> None:
+def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
     """What goes wrong on the cable, or is another device, ends the daemon with its own message and exit code."""
-    whole = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
-    done, saw = run(whole, "woodenhaptics-2019", "--duration", "3", "--scene", "frictionless-plane")
+    bus, through = WAYS[way]
+    whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
+    rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
+    done, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane")
     assert done.returncode == code, done.stderr
     assert re.search(message, done.stderr), done.stderr
     if "short_after" in case or "mute_after" in case:
         assert not any(saw["last"]), "the last report was no zero"
+    if "block_after" in case:
+        assert re.search("no zero has reached it: (hid writer: a write|a write|writes) ", done.stderr)
 
 
 def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
     """The emulated device has serial SN42: that one is opened, another one is asked for in vain."""
-    text = find("woodenhaptics-2019", Rig).read_text()
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
-        rig = tmp_path / "rig.toml"
-        rig.write_text(text.replace('driver = "hid"', f'driver = "hid"\nserial = "{serial}"'))
-        case = {"arm": "woody-2019", "generation": 2}
-        done, _ = run(case, str(rig), "--duration", "0.005", "--scene", "frictionless-plane")
+        rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)
+        done, _ = run(
+            {"arm": "woody-2019", "generation": 2}, rig, "--duration", "0.005", "--scene", "frictionless-plane"
+        )
         assert said in done.stderr
 
 
-def test_a_second_program_finds_the_device_held() -> None:
+TRY = """
+import sys
+from softfinger.config.errors import DeviceError
+from softfinger.config.load import load_rig
+from softfinger.server.app import open_device
+for name in sys.argv[1:]:
+    try:
+        with open_device(load_rig(name).device, 1000.0):
+            print("opened")
+    except DeviceError as error:
+        print(type(error).__name__, error)
+"""
+"""Open the device of each rig; a line for each that says what came of it."""
+
+
+def test_a_listed_node_that_is_not_there(tmp_path: Path) -> None:
+    """In a container that has the bus and not the node, the bus is taken, unless the rig wants the node."""
+    tries: list[tuple[dict[str, object], str]] = [
+        ({}, "opened"),
+        ({"through": "thread", "serial": "SN42"}, "opened"),
+        ({"path": "1-1:1.0"}, "opened"),
+        (
+            {"serial": "SN43"},
+            "DeviceNotFound no HID device 16c0:0486 has the serial number 'SN43': attached are 'SN42'",
+        ),
+        ({"path": "1-2:1.0"}, "DeviceNotFound no USB device is at 1-2:1.0: plug"),
+        ({"path": "/dev/hidraw0"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
+        ({"through": "node"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
+    ]
+    rigs = [rig_with(tmp_path, "woodenhaptics-2019", **keys) for keys, _ in tries]
+    other = rig_with(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
+    case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
+    done, _ = beside(case, sys.executable, "-c", TRY, *rigs, other)
+    assert done.returncode == 0, done.stderr
+    *said, of_the_other = done.stdout.splitlines()[:-1]
+    assert [line.startswith(wanted) for line, (_, wanted) in zip(said, tries, strict=True)] == [True] * 7, said
+    assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, and the rig is for 1234:0006")
+
+
+def test_a_rig_that_wants_a_node_is_told_that_there_is_none(tmp_path: Path) -> None:
+    """A device on the bus alone, for a rig with through = "node": not absent, but without hidraw, and what to do."""
+    rig = rig_with(tmp_path, "woodenhaptics-2019", through="node")
+    done, _ = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
+    said = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
+    assert re.match(said, done.stdout), done.stderr
+
+
+HOLD = """
+import subprocess, sys
+hold = '''
+import sys
+from softfinger.config.load import load_rig
+from softfinger.server.app import open_device
+with open_device(load_rig(sys.argv[1]).device, 1000.0):
+    print("open", flush=True)
+    sys.stdin.read()
+'''
+pipe = subprocess.PIPE
+with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, stdout=pipe, text=True) as holder:
+    assert holder.stdout.readline() == "open\\n"
+    for rig in sys.argv[1:]:
+        words = ["run", "--rig", rig, "--endpoint", "tcp://127.0.0.1:*", "--duration", "0.01"]
+        print(subprocess.run([sys.executable, "-m", "softfinger.server.cli", *words]).returncode, flush=True)
+    holder.stdin.close()
+"""
+"""A process that has the device of the first rig open, while the daemon is tried on each rig."""
+
+
+@pytest.mark.parametrize(("way", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
+def test_a_second_program_finds_the_device_held(way: str, node: str, tmp_path: Path) -> None:
     """While one process has the device, the daemon is refused and told which process it is."""
-    hold = (
-        "import subprocess, sys\n"
-        "from softfinger.config.load import load_rig\n"
-        "from softfinger.server.app import open_device\n"
-        "with open_device(load_rig('woodenhaptics-2019').device, 1000.0):\n"
-        "    command = ['-m', 'softfinger.server.cli', 'run', '--rig', 'woodenhaptics-2019']\n"
-        "    print(subprocess.run([sys.executable, *command, '--endpoint', 'tcp://127.0.0.1:*']).returncode)\n"
-    )
-    done, _ = beside({"arm": "woody-2019", "generation": 2}, sys.executable, "-c", hold)
-    assert done.stdout.splitlines()[0] == "4"
-    assert re.search(r"/dev/hidraw0 is held by process \d+ \(python", done.stderr), done.stderr
+    bus, through = WAYS[way]
+    rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
+    case = {"bus": bus, "arm": "woody-2019", "generation": 2}
+    done, _ = beside(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
+    assert done.stdout.splitlines()[:2] == ["4", "4"], done.stderr
+    assert len(re.findall(rf"{node} is held by process \d+ \(python", done.stderr)) == 2, done.stderr

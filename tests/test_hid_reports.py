@@ -177,6 +177,7 @@ def _with(path: str, value: Any) -> dict[str, Any]:
         ("reports", "woodenhaptics-v3", "'woodenhaptics-v3': not in the library"),
         ("timeout_s", 0.005, "timeout_s = 0.005: must be"),
         ("calibrate", True, "only a chain has a calibration pose"),
+        ("through", "usb", "through = 'usb': must be one of 'auto', 'node', 'thread'"),
         ("mounting", {"orientation_wxyz": [0, 0, 0, 0]}, "all zero is no orientation"),
         ("reports.preset", {"bytes": 8, "field": []}, "preset.bytes = 8: must be an output report like the other"),
     ],
@@ -185,6 +186,14 @@ def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message:
     """Each fault of a description is named with its key, what was given, and what would be right."""
     with pytest.raises(ConfigError, match=message):
         build(Options, _with(path, value), "rig [device]")
+
+
+def test_a_name_on_usb_is_no_node() -> None:
+    """hidapi's name of an interface is a path for threads, and not for the loop at a node."""
+    build(Options, described(path="1-2.3:1.0", through="thread"), "rig")
+    build(Options, described(path="/dev/hidraw3", through="node"), "rig")
+    with pytest.raises(ConfigError, match=r"path = '1-2.3:1.0': is hidapi's name on USB, .* such as /dev/hidraw0"):
+        build(Options, described(path="1-2.3:1.0", through="node"), "rig")
 
 
 def test_one_fault_gives_one_line() -> None:

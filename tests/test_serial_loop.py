@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from closed_loop import assert_engine_agrees, records_of_daemon
 from emulators.hand import stroke
 from emulators.serialboard import Board, Cable
 from serial_devices import PLACE, RIG
@@ -20,10 +21,8 @@ from serial_devices import PLACE, RIG
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
 from softfinger.config.load import find, load_rig, load_scene
 from softfinger.config.schema import Rig
-from softfinger.proxy.engine import Engine
-from softfinger.proxy.state import MODE_NAMES
+from softfinger.proxy.state import MODE_NAMES, OFFSET
 from softfinger.server.app import Daemon
-from softfinger.server.client import Sample, subscribe
 
 LIFT_M = 0.012
 """Height of the hand over the plane: the fingertip of 10 mm is free by 2 mm."""
@@ -32,8 +31,8 @@ LIFT_M = 0.012
 def rig(cable: Cable, **changes: Any) -> Rig:
     """The shipped rig on an emulated board; a thread of a busy machine may answer late."""
     base = {
-        "device.path": cable.path, "device.quiet_s": 0.1, "servo.realtime": "off", "guard.ramp_s": 0.01,
-        "telemetry.endpoint": "tcp://127.0.0.1:*",
+        "device.path": cable.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "servo.realtime": "off",
+        "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
     }  # fmt: skip
     return load_rig(RIG, base | changes)
 
@@ -42,43 +41,23 @@ def test_closed_loop_through_the_daemon() -> None:
     """A hand presses into the plane, drags and lets go: modes and forces are the engine's on the same poses, the poses
     are the board's to its micrometres, the forces reach it and hold its hand up, and the last one is zero."""
     board = Board(stroke((0.0, 0.0, LIFT_M), 0.006, 0.02), early_end=True)
-    ticks: list[Sample] = []
-    with Cable(board) as cable, Daemon(rig(cable), load_scene("paper-plane"), 2500) as daemon:
-        with subscribe(daemon.publisher.endpoint, ("contact", "event"), timeout_s=20.0) as samples:
-            while samples.receive(0.01) is None:  # until the subscription has taken effect
-                daemon.publisher.event("test", "joined")
-            daemon.start()
-            assert daemon.wait(30.0)
-            # Only now: this thread would take the interpreter from the board's.
-            while not ticks or ticks[-1]["tick"] < 2499:
-                sample = samples.receive(20.0)
-                assert sample is not None
-                if sample.topic == "contact":
-                    ticks.append(sample)
+    scene = load_scene("paper-plane")
+    with Cable(board) as cable:
+        records = records_of_daemon(rig(cable), scene, 2500)
         reached = np.array(board.sent)[:, :3] * 1e-3
-        assert board.faults == []
-    assert [sample["tick"] for sample in ticks] == list(range(2500))
-    engine = Engine(load_scene("paper-plane"))
-    compared, modes = 0, set()
-    for sample in ticks:
-        step = engine.step(sample["probe.position"], sample["probe.orientation"], sample["dt"])
-        assert step.mode == sample["contact.mode"]
-        modes.add(MODE_NAMES[step.mode])
-        if sample["servo.guard"] == 0:
-            # the same arithmetic, compiled into the loop and into the engine
-            np.testing.assert_allclose(sample["force"], step.force, rtol=0, atol=1e-12)
-            compared += step.mode != 0
-    assert modes == set(MODE_NAMES)
+    assert board.faults == []
+    compared = assert_engine_agrees(records, scene, 1000.0)
+    assert set(records[:, OFFSET["contact.mode"]]) == set(range(len(MODE_NAMES)))
     assert compared > 300, "the guard left too few ticks in contact to compare"
-    places = np.array([sample["probe.position"] for sample in ticks]) * 1e6
+    places = records[:, OFFSET["probe.position"] : OFFSET["probe.position"] + 3] * 1e6
     np.testing.assert_allclose(places, np.round(places), atol=1e-6)  # rounding of mm to m
     # What the board was sent are forces of the ticks, to the millinewton, in their order.
-    given = iter(np.floor(np.array([sample["force"] for sample in ticks]) * 1e3 + 0.5).tolist())
+    given = iter(np.floor(records[:, OFFSET["force"] : OFFSET["force"] + 3] * 1e3 + 0.5).tolist())
     felt = [row for row in np.round(reached * 1e3).tolist() if any(row)]
     assert len(felt) > 300
     assert all(any(row == tick for tick in given) for row in felt)
     # The hand's spring (300 N/m) and the wall's share what the hand means to press; without a wall it would be 4 mm.
-    stiffness = load_scene("paper-plane").object[0].material.stiffness_n_per_m
+    stiffness = scene.object[0].material.stiffness_n_per_m
     depth = (0.010 - places[:, 2].min() * 1e-6) / 0.004
     assert depth == pytest.approx(300.0 / (300.0 + stiffness), rel=0.15)  # the hand's stroke is not at rest
     assert not reached[-1].any()
@@ -128,7 +107,7 @@ def test_the_command_line_on_a_port(tmp_path: Path) -> None:
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
         mine = tmp_path / "rig.toml"
-        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\n'
+        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
         mine.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
         command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
         command += ["--scene", "paper-plane", "--endpoint"]

@@ -5,7 +5,7 @@ What a rig may say is in `options`, the bytes in `packets`, the mechanism in `de
 together.
 """
 
-from softfinger.drivers.falcon.device import Falcon, open_device
+from softfinger.drivers.falcon.device import Falcon, identify, open_device
 from softfinger.drivers.falcon.options import Options
 
-__all__ = ["Falcon", "Options", "open_device"]
+__all__ = ["Falcon", "Options", "identify", "open_device"]

@@ -2,6 +2,8 @@
 
 from typing import Final
 
+from softfinger.drivers.base import SAMPLE_SIZE
+
 # Words of the block. Counters first.
 REPLIES: Final = 0  # whole packets received
 PASSED: Final = 1  # of these, older ones passed over for a newer
@@ -46,9 +48,9 @@ NEWEST: Final = 35  # 16 bytes of the newest reply
 TIMESPEC: Final = 37  # two words, also a struct timeval
 COUNTS: Final = 39  # three, of the newest reply
 POSITION: Final = 42  # three float64: m, device's frame
-SAMPLE: Final = 45  # ten float64, the last one
-CENTRE: Final = 55  # three float64: m, device's frame
-GAIN: Final = 58  # a float64: motor counts per N m
-BUFFER_IN: Final = 59  # 64 bytes
-BUFFER_OUT: Final = 67  # 16 bytes
-WORDS: Final = 69
+CENTRE: Final = 45  # three float64: m, device's frame
+GAIN: Final = 48  # a float64: motor counts per N m
+BUFFER_IN: Final = 49  # 64 bytes
+BUFFER_OUT: Final = 57  # 16 bytes
+SAMPLE: Final = 59  # float64, the last one
+WORDS: Final = SAMPLE + SAMPLE_SIZE

@@ -12,6 +12,7 @@ import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.discovery import Attached
 from softfinger.drivers.falcon import block, delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
 
@@ -25,7 +26,8 @@ DAMPING_MAX_NS_PER_M: Final = 20.0
 RADIUS_M: Final = 0.04
 """Recommended maxima for the device, about the workspace centre."""
 STOP_WAIT_S: Final = 1.0
-"""How long a stop waits for a packet under way. One that takes longer hangs in the bus."""
+"""How long a stop tries. A packet that hangs is withdrawn after the rig's `timeout_s`, 0.2 s at most; then a zero
+goes."""
 PAUSE_S: Final = 0.001
 """Between exchanges of homing, and between tries to stop."""
 
@@ -105,6 +107,7 @@ class Falcon(Device):
         real[block.POSITION : block.POSITION + 3] = delta.HOME
         real[block.SAMPLE + 3] = 1.0  # it senses no rotation
         at = word.ctypes.data
+        word[block.IN_DONE] = word[block.OUT_DONE] = 1  # not under way
         for place, endpoint, flag, buffer, length in (
             (block.IN, usb.ENDPOINT_IN, block.IN_DONE, block.BUFFER_IN, exchange.IN_BYTES),
             (block.OUT, usb.ENDPOINT_OUT, block.OUT_DONE, block.BUFFER_OUT, packets.SIZE),
@@ -112,7 +115,7 @@ class Falcon(Device):
             address = allocate(0)
             if not address:
                 raise DeviceError("libusb has no memory for a transfer: close other programs")
-            word[place], word[flag] = address, 1
+            word[place] = address
             transfer = Transfer.from_address(address)
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
             transfer.callback, transfer.user_data = exchange.done.address, at + 8 * flag
@@ -155,7 +158,7 @@ class Falcon(Device):
 
     def stop(self) -> None:
         if not self._until_done(exchange.silence):
-            log.error("%s: a packet has hung for %g s; no zero can follow it", self.info.name, STOP_WAIT_S)
+            log.error("%s: takes no packet for %g s, so no zero either: switch it off", self.info.name, STOP_WAIT_S)
 
     def close(self) -> None:
         if not self._word[block.IN]:
@@ -169,7 +172,10 @@ class Falcon(Device):
                 if self._word[place]:
                     self._free(int(self._word[place]))
             _under_way.pop(self._word.ctypes.data, None)
-        else:  # neither the transfers nor the block are given back
+        elif self._word[block.OPEN]:  # a thread is in libusb with the transfers in its hands: nothing may go
+            log.error("%s: libusb does not return to the loop: the device stays open", self.info.name)
+            return
+        else:  # closing takes them from libusb; neither they nor the block are given back
             log.error("%s: libusb does not end its transfers", self.info.name)
         self._word[block.IN] = self._word[block.OUT] = 0
         self._line.close()
@@ -203,6 +209,19 @@ _under_way: Final[dict[int, Any]] = {}
 
 def _address(library: ctypes.CDLL, name: str) -> int:
     return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
+
+
+def identify(device: Attached, options: Options) -> dict[str, bool]:
+    """Whether firmware runs in an attached Falcon, which has to be opened to be asked; none is sent.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceLost or DeviceError.
+    """
+    line = usb.open_line(None, device.node)
+    try:
+        line.run_mode()
+        return {"firmware": firmware.runs(line)}
+    finally:
+        line.close()
 
 
 def open_device(options: Options, rate_hz: float) -> Falcon:

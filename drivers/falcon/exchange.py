@@ -6,9 +6,9 @@ opened, by the addresses of its functions: no interpreter lock, and no allocatio
 One transfer in and one out are there for as long as the device is open. The one in is always under way; the chip
 completes it with a reply, or with its two status bytes alone. A packet of one tick is answered in the next, and nobody
 waits: while an answer is missing the tick repeats the last sample, and up to `DEPTH` packets may be without one, so
-that a late reply costs a tick and not the loop. After `kick_s` without a reply no force is sent, for where the knob
-is now a force for where it was may push it the wrong way, and a zero is sent every `kick_s`; after `timeout_s` it is
-given up.
+that a late reply costs a tick and not the loop; once the second has been without one for 5 ms, neither is waited for.
+After `kick_s` without a reply no force is sent, for where the knob is now a force for where it was may push it the
+wrong way, and a zero is sent every `kick_s`; after `timeout_s` it is given up.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ DEPTH: Final = 2
 """Packets that may be without an answer: one in the device, one on its way."""
 TAKEN_MAX: Final = 8
 """Transfers taken in one tick: a device that floods cannot hold the loop."""
+MISSING_NS: Final = 5_000_000
+"""An answer that has not come for so long was lost, as one with a wrong byte is: it is not waited for any more."""
 RESUME_NS: Final = 30_000_000
 """After a pause this long the reply that waits is an old one, and a new one is asked for."""
 SLICE_US: Final = 2000
@@ -42,8 +44,8 @@ SLICE_US: Final = 2000
 
 # struct libusb_transfer, in words, and in int32 for its status and length
 _USER_DATA, _STATUS, _ACTUAL = 5, 4, 6
-_COMPLETED, _TIMED_OUT, _NO_DEVICE = 0, 2, 5
-_ERROR_NO_DEVICE: Final = -4
+_COMPLETED, _TIMED_OUT, _CANCELLED, _NO_DEVICE = 0, 2, 3, 5
+_ERROR_NO_DEVICE, _ERROR_INTERRUPTED = -4, -10
 
 _clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, _CPointer(types.int64)))
 
@@ -63,12 +65,14 @@ def _now(handle: int) -> int:
 
 @jit
 def _events(handle: int, wait_us: int) -> int:
-    """Let libusb finish what is finished, waiting so long for it."""
+    """Let libusb finish what is finished, waiting so long for it; libusb's error, below 0."""
     word = int64_at(handle)
     word[block.TIMESPEC], word[block.TIMESPEC + 1] = 0, wait_us
-    return int(
-        call_int32(word[block.HANDLE_EVENTS], (word[block.CONTEXT], int64_at(handle + 8 * block.TIMESPEC), int64_at(0)))
+    code = call_int32(
+        word[block.HANDLE_EVENTS], (word[block.CONTEXT], int64_at(handle + 8 * block.TIMESPEC), int64_at(0))
     )
+    # A signal in this thread: nothing was finished, and nothing is wrong.
+    return OK if code == _ERROR_INTERRUPTED else int(code)
 
 
 @jit
@@ -91,9 +95,9 @@ def _submit(handle: int, transfer: int, done_word: int) -> int:
 
 @jit
 def _ended(handle: int, transfer: int) -> int:
-    """OK when the transfer has gone through, or LOST."""
+    """OK when the transfer has gone through or was withdrawn, or LOST."""
     status = int32_at(int64_at(handle)[transfer])[_STATUS]
-    if status in (_COMPLETED, _TIMED_OUT):
+    if status in (_COMPLETED, _TIMED_OUT, _CANCELLED):
         return OK
     # An error of the bus, a stalled endpoint and a device that is gone look alike in time: the cable.
     return _failed(handle, _ERROR_NO_DEVICE if status == _NO_DEVICE else int(status))
@@ -135,8 +139,13 @@ def _send(handle: int, motors: packets.Counts) -> int:
         if word[block.OUT_DONE] == 0:
             return TIMEOUT if _now(handle) - word[block.SENT_AT] > word[block.TIMEOUT_AFTER] else STALE
     status = _ended(handle, block.OUT)
-    if status != OK:
-        return status
+    return _put(handle, motors) if status == OK else status
+
+
+@jit
+def _put(handle: int, motors: packets.Counts) -> int:
+    """Put a packet under way, whatever became of the one before, which is not; OK, or LOST."""
+    word = int64_at(handle)
     packets.encode(motors, word[block.LIGHTS], uint8_at(handle + 8 * block.BUFFER_OUT))
     status = _submit(handle, block.OUT, block.OUT_DONE)
     if status == OK:
@@ -151,10 +160,10 @@ def _send(handle: int, motors: packets.Counts) -> int:
 def _await(handle: int) -> int:
     """Throw away what has come, and is still to come of before, and wait for a reply of now; 1, or a status below 0."""
     word = int64_at(handle)
-    begun = _now(handle)
     came = _take(handle, 0)
     # The chip keeps a reply until it is asked, and while nobody read it was asked only once.
     older = word[block.AWAITED]
+    begun = _now(handle)
     word[block.AWAITED] = 0
     asked_at = begun - word[block.KICK]
     asked = False
@@ -207,23 +216,28 @@ def _read_locked(handle: int, sample: Any) -> int:
         silence = now - word[block.HEARD_AT]
         if silence > word[block.TIMEOUT_AFTER]:
             return TIMEOUT
+        if word[block.AWAITED] >= DEPTH and now - word[block.SENT_AT] > MISSING_NS:
+            word[block.AWAITED] = 0
         if silence > word[block.KICK] and now - word[block.SENT_AT] > word[block.KICK]:
             kicked = _kick(handle)
             if kicked < 0:
                 return kicked
+    _repeat(handle, sample)
+    return status
+
+
+@jit
+def _repeat(handle: int, sample: Any) -> None:
     kept = float64_at(handle + 8 * block.SAMPLE)
     for k in range(SAMPLE_SIZE):
         sample[k] = kept[k]
-    return status
 
 
 @c_function(IO_SIGNATURE)
 def read(handle: int, sample: Any) -> int:
     # Never wait here: who holds the lock is stopping the device.
     if exchange_int64(handle + 8 * block.LOCK, 1) != 0:
-        kept = float64_at(handle + 8 * block.SAMPLE)
-        for k in range(SAMPLE_SIZE):
-            sample[k] = kept[k]
+        _repeat(handle, sample)
         return STALE
     status = _read_locked(handle, sample)
     exchange_int64(handle + 8 * block.LOCK, 0)
@@ -241,7 +255,8 @@ def _write_locked(handle: int, wrench: Any) -> int:
         return OK if zero else STALE
     motors, cut = (0, 0, 0), False
     deaf = word[block.SENSED] == 0 or _now(handle) - word[block.HEARD_AT] > word[block.KICK]
-    free = not zero and finite and word[block.ARMED] != 0 and not deaf
+    placed = isfinite(float64_at(handle + 8 * block.SAMPLE)[0])
+    free = not zero and finite and word[block.ARMED] != 0 and not deaf and placed
     if free:
         motors, cut = command(handle, (wrench[0], wrench[1], wrench[2]))
         if cut:
@@ -274,18 +289,25 @@ def begin(handle: int) -> int:
 
 @c_function(types.int64(types.int64))
 def silence(handle: int) -> int:
-    """Disarm and send a zero; 1 when it is through or cannot be, 0 when it must be tried again."""
+    """Disarm and send a zero; 1 when it is through or cannot be, 0 when it must be tried again.
+
+    A packet that hangs is withdrawn first: a force that waits in the bus would reach the motors if the device came
+    back, with nobody to end it.
+    """
     word = int64_at(handle)
     word[block.ARMED] = 0
     if exchange_int64(handle + 8 * block.LOCK, 1) != 0:
         return 0  # an exchange is under way
-    status = OK
-    if word[block.OPEN] != 0 and word[block.PUSHES] != 0:
-        status = _send(handle, (0, 0, 0))
-    elif word[block.OPEN] != 0 and word[block.OUT_DONE] == 0:
-        _events(handle, SLICE_US)
-        status = OK if word[block.OUT_DONE] != 0 else STALE
-    again = status == STALE or (status == OK and word[block.OPEN] != 0 and word[block.OUT_DONE] == 0)
+    again = False
+    if word[block.OPEN] != 0:
+        if word[block.OUT_DONE] == 0:
+            _events(handle, SLICE_US)
+        if word[block.OUT_DONE] == 0:
+            again = True
+            if _now(handle) - word[block.SENT_AT] > word[block.TIMEOUT_AFTER]:
+                call_int32(word[block.CANCEL], (word[block.OUT],))
+        elif word[block.PUSHES] != 0 or int32_at(word[block.OUT])[_STATUS] != _COMPLETED:
+            again = _put(handle, (0, 0, 0)) == OK
     exchange_int64(handle + 8 * block.LOCK, 0)
     return 0 if again else 1
 

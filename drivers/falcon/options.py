@@ -9,7 +9,8 @@ from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
 
 GAIN: Final = Range(100.0, 1e6, "4095 counts, the most there are, are then 41 N m and 4 mN m at a leg")
-SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; above, the supervisor stops a stalled loop")
+SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; above, a force where it was long ago")
+GIVE_UP_S: Final = Range(0.005, 2.0, "a reply takes 2 ms; above, nobody notices a device that is gone")
 HOMING_S: Final = Range(0.0, 600.0, "a person pulls the knob out and pushes it in")
 
 COUNTS_PER_NM: Final = 10000.0
@@ -37,7 +38,7 @@ class Options(Table, frozen=True, kw_only=True):
     kick_s: Annotated[float, within(SILENCE_S, "no force after so long without a reply, and zeros instead", 0.02)] = (
         0.02
     )
-    timeout_s: Annotated[float, within(SILENCE_S, "after so long without a reply the device is given up", 0.1)] = 0.1
+    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a reply the device is given up", 0.1)] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:

@@ -101,10 +101,16 @@ class Line:
         self.purge()
 
     def libusb(self) -> Libusb:
-        # pyusb hands out neither; both stand in its context since 1.0, and this program asks for 1.3.
-        backend = self._device._ctx.backend
-        handle = self._device._ctx.handle.handle
-        return Libusb(backend.lib, int(backend.ctx.value), int(handle.value))
+        # pyusb hands out neither; both stand in its context since 1.0.
+        try:
+            backend = self._device._ctx.backend
+            handle = self._device._ctx.handle.handle
+            return Libusb(backend.lib, int(backend.ctx.value), int(handle.value))
+        except (AttributeError, TypeError) as error:
+            raise DeviceError(
+                f"pyusb {usb.__version__} keeps libusb's handle elsewhere than 1.3.1 ({error}): "
+                "`pip install pyusb==1.3.1`"
+            ) from error
 
     def close(self) -> None:
         """Release the device. Any number of times."""
@@ -113,8 +119,8 @@ class Line:
         usb.util.dispose_resources(self._device)
 
 
-def open_line(serial: str | None) -> Line:
-    """The one Falcon that is attached, or the one with this serial number, claimed for this process.
+def open_line(serial: str | None, node: str | None = None) -> Line:
+    """The one Falcon that is attached, or the one with this serial number or node, claimed for this process.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
     """
@@ -126,10 +132,12 @@ def open_line(serial: str | None) -> Line:
         ) from error
     except usb.core.USBError as error:
         raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb is there") from error
+    if node is not None:
+        found = [device for device in found if _node(device) == node]
     if not found:
         raise DeviceNotFound(f"no Falcon ({_ids()}) is attached: plug in its USB cable and its power")
     device = _choose(found, serial)
-    name = f"Falcon ({_ids()}) at {NODES}/{device.bus:03d}/{device.address:03d}"
+    name = f"Falcon ({_ids()}) at {_node(device)}"
     try:
         with contextlib.suppress(NotImplementedError):  # libusb where the system has no drivers to detach
             if device.is_kernel_driver_active(INTERFACE):
@@ -145,15 +153,20 @@ def _ids() -> str:
     return f"{VENDOR:04x}:{PRODUCT:04x}"
 
 
+def _node(device: Any) -> str:
+    return f"{NODES}/{device.bus:03d}/{device.address:03d}"
+
+
 def _choose(found: list[Any], serial: str | None) -> Any:
     if serial is None and len(found) == 1:
         return found[0]
     serials = {}
     for device in found:
         try:
-            serials[device.serial_number or ""] = device
+            serials[device.serial_number or f"none, at {_node(device)}"] = device
         except (usb.core.USBError, ValueError):  # ValueError: pyusb's word for a device it may not ask
-            serials[f"? at {NODES}/{device.bus:03d}/{device.address:03d}"] = device
+            serials[f"? at {_node(device)}"] = device
+        usb.util.dispose_resources(device)  # to be asked it was opened
     listed = ", ".join(f"'{one}'" for one in sorted(serials))
     if serial is None:
         raise DeviceNotFound(f"{len(found)} Falcons are attached: name one with serial: {listed}")

@@ -4,7 +4,7 @@
 without it, `exchange` is what the servo loop calls, `device` opens, sets up, stops and closes.
 """
 
-from softfinger.drivers.forcedimension.device import ForceDimension, open_device
+from softfinger.drivers.forcedimension.device import ForceDimension, identify, open_device
 from softfinger.drivers.forcedimension.options import Options
 
-__all__ = ["ForceDimension", "Options", "open_device"]
+__all__ = ["ForceDimension", "Options", "identify", "open_device"]

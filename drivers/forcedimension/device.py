@@ -24,6 +24,7 @@ from softfinger.config.errors import (
     DeviceTimeout,
 )
 from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
+from softfinger.drivers.discovery import Attached
 from softfinger.drivers.forcedimension import exchange, library, usb
 from softfinger.drivers.forcedimension.models import MODELS, Model
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
@@ -218,6 +219,26 @@ class ForceDimension(Device):
             workspace_min_m=(-reach, -reach, -reach),
             workspace_max_m=(reach, reach, reach),
         )
+
+
+def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
+    """What the library says of the device that the options name, or of the first that opens; no force is switched on.
+
+    Of several that are attached, nothing says which of them is `device` on the bus: name one in the options.
+
+    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
+    """
+    call = _load(options.library_file)
+    number, model = _find(call, options)
+    try:
+        return {
+            "model": model.full_name,
+            "serial": _serial(call, number),
+            "system_type": call.dhdGetSystemType(number),
+            "calibrated": bool(call.drdIsInitialized(number)),
+        }
+    finally:
+        call.drdClose(number)
 
 
 def open_device(options: Options, rate_hz: float) -> ForceDimension:

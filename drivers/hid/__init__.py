@@ -1,7 +1,8 @@
 """Devices on USB HID: WoodenHaptics and its relatives, and any device whose reports its rig describes.
 
-What a rig may say is in `options`, the bytes in `reports`, the arm in `chain`, the system's node in `node`, the
-exchange of a tick in `exchange`; `device` puts them together.
+What a rig may say is in `options`, the bytes in `reports`, the arm in `chain`, the exchange of a tick in `exchange`.
+The way to the device is chosen in `link`: the system's node in `node`, or `usb` without one, and `pump` where threads
+carry the reports. `device` puts them together.
 """
 
 from softfinger.drivers.hid.device import HidDevice, open_device

@@ -1,4 +1,4 @@
-"""The reports that a HID report descriptor announces: how long each is.
+"""The reports that a HID report descriptor announces: how long each is, and whether they are those of a rig.
 
 Source: Device Class Definition for Human Interface Devices 1.11, section 6.2.2.
 """
@@ -6,6 +6,9 @@ Source: Device Class Definition for Human Interface Devices 1.11, section 6.2.2.
 from __future__ import annotations
 
 from typing import Final, Literal, NamedTuple
+
+from softfinger.config.errors import DeviceError
+from softfinger.drivers.hid.options import Reports
 
 Kind = Literal["input", "output"]
 
@@ -56,6 +59,21 @@ def announced(descriptor: bytes) -> Announced:
         at += 1 + length
     lengths_in, lengths_out = ({n: (b + 7) // 8 for n, b in bits[kind].items()} for kind in ("input", "output"))
     return Announced(lengths_in, lengths_out)
+
+
+def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
+    """DeviceError when the device at `path` announces other reports than the rig describes; the message shows both."""
+    try:
+        theirs = announced(descriptor)
+    except ValueError as error:
+        raise DeviceError(f"{path}: its report descriptor is damaged: {error}") from error
+    ours = Announced({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
+    for mine, has in ((ours.input, theirs.input), (ours.output, theirs.output)):
+        if not mine.items() <= has.items():
+            raise DeviceError(
+                f"{path} has other reports than the rig: the device announces {theirs}; the rig describes {ours}: "
+                f"correct [device.reports] (descriptor {descriptor.hex()})"
+            )
 
 
 def _listed(lengths: dict[int, int]) -> str:

@@ -15,9 +15,10 @@ from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, De
 from softfinger.drivers.hid import exchange, reports
 from softfinger.drivers.hid.chain import Chain, make_chain
 from softfinger.drivers.hid.exchange import Model
-from softfinger.drivers.hid.node import open_node
+from softfinger.drivers.hid.link import open_link
 from softfinger.drivers.hid.options import Chain as ChainOptions
 from softfinger.drivers.hid.options import Options, OutputReport
+from softfinger.drivers.hid.pump import Pump
 from softfinger.proxy.kernels.pack import flatten
 
 log: Final = logging.getLogger(__name__)
@@ -32,10 +33,10 @@ PRESET_NEAR: Final = 20.0
 
 
 class HidDevice(Device):
-    """An open device on the file descriptor `fd` of its node, which it owns from now on."""
+    """An open device on the file descriptor `fd`, which it owns from now on: of its node, or of `pump`, with that."""
 
-    def __init__(self, options: Options, fd: int) -> None:
-        self._options = options
+    def __init__(self, options: Options, fd: int, pump: Pump | None = None) -> None:
+        self._options, self.pump, self._told = options, pump, False
         given = options.kinematics
         self._chain: Chain | None = make_chain(given) if isinstance(given, ChainOptions) else None
         self._word = np.zeros(exchange.WORDS, dtype=np.int64)
@@ -47,6 +48,7 @@ class HidDevice(Device):
         self._out[0] = spec.output.id
         self._values, self._command = np.zeros(reports.SENSED_SIZE), np.zeros(reports.COMMANDED_SIZE)
         self._sample = np.zeros(SAMPLE_SIZE)
+        self._zero = _encoded(spec.output, {})
         self._model = flatten(self._make_model())
         self._wire(fd, numbered)
         wrist = isinstance(given, ChainOptions) and given.wrist_counts_per_turn is not None
@@ -98,12 +100,25 @@ class HidDevice(Device):
         return DeviceIO(exchange.read.address, exchange.write.address, self._word.ctypes.data)
 
     def stop(self) -> None:
-        until = time.monotonic() + STOP_WAIT_S
+        # However often it is asked to stop, a write under way has its time once.
+        hung_s = 0.0 if self.pump is None else self.pump.hangs_s()
+        until = time.monotonic() + STOP_WAIT_S - hung_s
+        if self.pump is not None:
+            self.pump.disarm(self._zero)
         while not exchange.silence.ctypes(self._word.ctypes.data):
             if time.monotonic() > until:
-                log.error("%s: a write has hung for %g s; no zero can follow it", self.info.name, STOP_WAIT_S)
+                self._tell_no_zero()
                 return
             time.sleep(0.0001)
+        if self.pump is not None and not self.pump.flush(self.counts()["written"], until):
+            self._tell_no_zero()
+
+    def _tell_no_zero(self) -> None:
+        """Once: the loop, the daemon and `close` each stop the device."""
+        if not self._told:
+            self._told = True
+            why = self.reason() or f"writes have not gone out for {STOP_WAIT_S:g} s"
+            log.error("%s: no zero has reached it: %s", self.info.name, why)
 
     def close(self) -> None:
         self.stop()
@@ -111,6 +126,14 @@ class HidDevice(Device):
         self._word[exchange.FD] = -1
         if fd >= 0:
             os.close(fd)
+        if self.pump is not None:
+            self.pump.close()
+
+    def reason(self) -> str:
+        if self.pump is None:
+            return ""
+        hung_s = self.pump.hangs_s()
+        return f"a write has been under way for {hung_s:.2g} s" if hung_s else self.pump.failure
 
     def counts(self) -> dict[str, int]:
         return {name: int(self._word[at]) for at, name in enumerate(exchange.COUNTERS)}
@@ -141,15 +164,16 @@ class HidDevice(Device):
                 )
 
     def _send_preset(self, report: OutputReport, counts: NDArray[np.float64]) -> None:
-        table, out = reports.output_table(report), np.zeros(1 + report.bytes, np.uint8)
-        out[0] = report.id
-        values, scratch = np.zeros(reports.COMMANDED_SIZE), np.zeros(1, np.int64)
-        values[reports.PRESET : reports.PRESET + 3], values[reports.CONSTANT] = counts, 1.0
-        reports.encode_once(values, table, scratch, out)
+        data = _encoded(report, {reports.PRESET + k: float(counts[k]) for k in range(3)})
         try:
-            os.write(int(self._word[exchange.FD]), out.tobytes())
+            os.write(int(self._word[exchange.FD]), data)
         except OSError as error:
             raise DeviceLost(f"{self.info.name} is gone: {error.strerror}: plug it in again") from error
+        self._word[exchange.WRITTEN] += 1
+        # Nothing follows it before it has gone: the pump passes a report over for a newer one.
+        if self.pump is not None and not self.pump.flush(self.counts()["written"], time.monotonic() + PRESET_WAIT_S):
+            because = f" ({self.reason()})" if self.reason() else ""
+            raise DeviceTimeout(f"{self.info.name} takes no report{because}: check its power, and its firmware")
 
     def _read_counts(self) -> NDArray[np.float64]:
         """Counts of encoders a, b, c in a report of now, without what is added to them."""
@@ -165,6 +189,17 @@ class HidDevice(Device):
         return self._values[reports.COUNTS : reports.COUNTS + 3].copy()
 
 
+def _encoded(report: OutputReport, commanded: dict[int, float]) -> bytes:
+    """A report with its id in front; what is not in `commanded` (value by place) is 0."""
+    values, out = np.zeros(reports.COMMANDED_SIZE), np.zeros(1 + report.bytes, np.uint8)
+    out[0], values[reports.CONSTANT] = report.id, 1.0
+    for place, value in commanded.items():
+        values[place] = value
+    reports.encode_once(values, reports.output_table(report), np.zeros(1, np.int64), out)
+    return out.tobytes()
+
+
 def open_device(options: Options, rate_hz: float) -> HidDevice:
     """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
-    return HidDevice(options, open_node(options))
+    link = open_link(options)
+    return HidDevice(options, link.fd, link.pump)

@@ -1,5 +1,7 @@
 """One tick with a hidraw node, from nopython: reports drained to the newest, one report written.
 
+The node may be the socket of `pump`, which behaves as one.
+
 The C functions share a block of int64 words with Python; its address is the device's handle. They call the C library
 on the node's file descriptor, without an allocation and without the interpreter lock.
 
@@ -96,7 +98,9 @@ DRAIN_MAX: Final = 256
 RESUME_NS: Final = 30_000_000
 """After a pause this long the kernel's queue may be full of old reports, and it drops new ones: all are thrown away."""
 WAIT_MS: Final = 10
-"""Time of one wait for a report, when there is none to repeat."""
+"""Time of one wait for a report of now."""
+RESUME_WAIT_NS: Final = 100_000_000
+"""How long a running loop waits so: the supervisor ends one that stands still for a quarter of a second."""
 IN_SPARE: Final = 1
 """A buffer is so much longer than its report: a longer one than described is then seen to be longer."""
 
@@ -221,10 +225,15 @@ def _kick(handle: int) -> int:
 
 @jit
 def _await(handle: int) -> int:
-    """Throw away what is queued and wait for a report of now, kicking; 1, or a status below 0."""
+    """Throw away what is queued and wait for a report of now, kicking; how many came, or a status below 0.
+
+    With a sample to repeat the wait is short. Until a report comes the device counts as silent, and gets no force.
+    """
     word = int64_at(handle)
     status = _drain(handle)
     begun = _now(handle)
+    running = word[SENSED] != 0
+    word[HEARD_AT] = begun - word[KICK] - 1
     while status >= 0:
         status = _kick(handle)
         if status < 0:
@@ -233,8 +242,11 @@ def _await(handle: int) -> int:
         poll_fd(int64_at(handle + POLL * 8), 1, WAIT_MS)
         status = _drain(handle)
         if status > 0:
-            return 1
-        if status == 0 and _now(handle) - begun > word[TIMEOUT_AFTER]:
+            break
+        waited = _now(handle) - begun
+        if status == 0 and running and waited > RESUME_WAIT_NS:
+            return 0
+        if status == 0 and not running and waited > word[TIMEOUT_AFTER]:
             return TIMEOUT
     return status
 

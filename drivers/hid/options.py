@@ -27,7 +27,12 @@ TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01
 COUNTS: Final = Range(1, 1e7, "the finest encoders give some million counts a turn")
 PRESET_COUNTS: Final = Range(-32768, 32767, "what a two-byte counter holds")
 CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices end at a few amperes")
-SILENCE_S: Final = Range(0.01, 0.2, "below, one kick has no time to work; above, the supervisor stops a stalled loop")
+SILENCE_S: Final = Range(
+    0.01, 0.2, "below, one kick has no time to work; above, force acts where the device was long ago"
+)
+GIVE_UP_S: Final = Range(
+    0.01, 2.0, "below, one kick has no time to work; above, a device that is gone would go unnoticed"
+)
 
 Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]
 TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32")
@@ -47,6 +52,9 @@ COMMANDED: Final[tuple[str, ...]] = (
     "preset_a", "preset_b", "preset_c", "constant",
 )  # fmt: skip
 """What a field of an output report may mean: currents (A), forces (N), counts to preset, or always its `scale`."""
+
+Through = Literal["auto", "node", "thread"]
+"""What carries the reports: the loop itself at a hidraw node; threads at hidapi; the first where there is a node."""
 
 LIBRARY: Final = Path(__file__).with_name("reports.toml")
 
@@ -193,7 +201,8 @@ class Options(Table, frozen=True, kw_only=True):
     vendor_id: Annotated[int, within(USB_ID, "USB vendor", 0x1234)]
     product_id: Annotated[int, within(USB_ID, "USB product", 0x0006)]
     serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
-    path: Annotated[str, said("node, in place of looking for one", "/dev/hidraw0")] | None = None
+    path: Annotated[str, said("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
+    through: Annotated[Through, said("the loop at the node, threads at hidapi, or what there is", "auto")] = "auto"
     reports: Reports
     kinematics: Chain | Cartesian
     mounting: Mounting = Mounting()
@@ -203,11 +212,13 @@ class Options(Table, frozen=True, kw_only=True):
     damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 8.0)]
     workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("about the workspace centre", 0.1)]
     kick_s: Annotated[float, within(SILENCE_S, "after so long without a report a zero is sent", 0.01)] = 0.01
-    timeout_s: Annotated[float, within(SILENCE_S, "after so long without a report the device is given up", 0.1)] = 0.1
+    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a report the device is given up", 0.1)] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
             yield "timeout_s", self.timeout_s, f"must be at least kick_s = {self.kick_s:g}, so that a kick can help"
+        if known(self.path, self.through) and self.through == "node" and not (self.path or "/").startswith("/"):
+            yield "path", self.path, 'is hidapi\'s name on USB, and through = "node" needs a node such as /dev/hidraw0'
         if not known(self.reports, self.kinematics):
             return
         reports, chain = self.reports, isinstance(self.kinematics, Chain)

@@ -118,9 +118,8 @@ class SerialDevice(Device):
             return ""
         return f"its last bytes are {self._in[: frames.LOOKBACK].tobytes()!r}"
 
-    def counts(self, name: int) -> int:
-        """One of the counters of `exchange`: BYTES, FRAMES, DRAINED, WRITTEN, HELD, KICKS or CUT."""
-        return int(self._word[name])
+    def counts(self) -> dict[str, int]:
+        return {name: int(self._word[at]) for at, name in enumerate(exchange.COUNTERS)}
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:

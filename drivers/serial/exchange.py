@@ -42,6 +42,15 @@ WRITTEN: Final = 3  # frames sent
 HELD: Final = 4  # frames not sent, because the last one had no answer
 KICKS: Final = 5  # newlines sent into a silence
 CUT: Final = 6  # forces past the largest
+COUNTERS: Final = (
+    "bytes",
+    "frames",
+    "drained",
+    "written",
+    "held",
+    "kicks",
+    "cut",
+)  # names of these words, in their order
 FD: Final = 7
 ARMED: Final = 8
 LOCK: Final = 9  # held while something is written
@@ -77,7 +86,9 @@ ANSWERED: Final = FRAME_BYTES
 RESUME_NS: Final = 30_000_000
 """After a pause this long what is queued is old: it is thrown away."""
 WAIT_MS: Final = 10
-"""Time of one wait for a frame, when there is none to repeat."""
+"""Time of one wait for a frame of now."""
+RESUME_WAIT_NS: Final = 100_000_000
+"""How long a running loop waits so: the supervisor ends one that stands still for a quarter of a second."""
 
 _POLLIN: Final = 1 << 32  # `events` of a struct pollfd read as one little-endian word
 
@@ -199,15 +210,22 @@ def _kick(handle: int) -> int:
 
 @jit
 def _await(handle: int) -> int:
-    """Throw away what is queued and wait for a frame of now, kicking; 1, or a status below 0."""
+    """Throw away what is queued and wait for a frame of now, kicking; how many came, or a status below 0.
+
+    With a sample to repeat the wait is short. Until a frame comes the device counts as silent, and gets no force.
+    """
     word = int64_at(handle)
     status = _drain(handle)
     begun = _now(handle)
     heard = word[BYTES]
+    running = word[SENSED] != 0
     word[KICKED_AT] = begun - word[KICK]
+    word[HEARD_AT] = begun - word[QUIET] - 1
     while status >= 0:
         now = _now(handle)
-        if now - begun > word[TIMEOUT_AFTER]:
+        if running and now - begun > RESUME_WAIT_NS:
+            return 0
+        if not running and now - begun > word[TIMEOUT_AFTER]:
             return PROTOCOL if word[BYTES] - heard >= ANSWERED else TIMEOUT
         if now - word[KICKED_AT] >= word[KICK]:
             status = _kick(handle)
@@ -217,7 +235,7 @@ def _await(handle: int) -> int:
         poll_fd(int64_at(handle + POLL * 8), 1, WAIT_MS)
         status = _drain(handle)
         if status > 0:
-            return 1
+            break
     return status
 
 

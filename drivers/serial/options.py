@@ -14,7 +14,12 @@ from softfinger.drivers.mounting import Mounting
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 FORCE_MAX_N: Final = Range(0.0, 32.0, "a frame gives mN as a number of two bytes, which ends at 32.767 N")
-SILENCE_S: Final = Range(0.005, 0.2, "below, a late answer is a silence; above, the supervisor stops a stalled loop")
+SILENCE_S: Final = Range(
+    0.005, 0.2, "below, a late answer is a silence; above, force acts where the device was long ago"
+)
+GIVE_UP_S: Final = Range(
+    0.005, 2.0, "below, a late answer is a silence; above, a device that is gone would go unnoticed"
+)
 WAKE_S: Final = Range(0.2, 60.0, "below, one kick has no time to work; nobody waits longer than a minute")
 
 
@@ -32,7 +37,7 @@ class Options(Table, frozen=True, kw_only=True):
     workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("about the device's origin", 0.1)]
     quiet_s: Annotated[float, within(SILENCE_S, "after so long without a frame no force is sent", 0.02)] = 0.02
     kick_s: Annotated[float, within(SILENCE_S, "a silent device is kicked so often", 0.1)] = 0.1
-    timeout_s: Annotated[float, within(SILENCE_S, "after so long without a frame the device is given up", 0.2)] = 0.2
+    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a frame the device is given up", 0.2)] = 0.2
     wake_s: Annotated[float, within(WAKE_S, "time to wake the device when it is opened", 3.0)] = 3.0
 
     def faults(self) -> Iterator[Complaint]:

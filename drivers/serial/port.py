@@ -13,7 +13,7 @@ from typing import Final
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers import discovery
 from softfinger.drivers.hidraw import ids
-from softfinger.drivers.nodes import open_locked
+from softfinger.drivers.nodes import by_rule, open_locked
 from softfinger.drivers.serial.options import Options
 
 DRAIN_WAIT_S: Final = 0.2
@@ -98,8 +98,7 @@ def _check_ids(path: str, options: Options) -> None:
 def _how_to_permit(path: str, options: Options) -> str:
     if (group := discovery.group_with_access(path)) is not None:
         return f"run `sudo usermod -aG {group} $USER`, and log in again"
-    rule = discovery.serial_rule(options.vendor_id, options.product_id)
-    return f"write {rule} to {discovery.SERIAL_RULE_FILE}, run `udevadm control --reload`, and plug the device in again"
+    return by_rule(discovery.serial_rule(options.vendor_id, options.product_id), discovery.SERIAL_RULE_FILE)
 
 
 def _set_raw(fd: int) -> None:

@@ -10,7 +10,7 @@ here are the kernel's answers to libusb. It may ask for changes over the socket 
 The first argument is the case of the emulator (`from_case` there), and besides: serial, late_every (every so many, a
 reply comes 4 ms late), and from which step on what happens: lost_after, mute_after, broken_after (an error on the bus),
 block_after (takes no more transfers out), garble_after (sends noise), unhomed_after (forgets its zeros), weight_after
-(weight_kg is hung on the knob).
+(weight_kg is hung on the knob); second (the same for a second device).
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ CAPABILITIES, GET_DRIVER, CLAIM, RELEASE = 0x8004551A, 0x41045508, 0x8004550F, 0
 SET_CONFIGURATION, RESET, CLEAR_HALT, IOCTL, SET_INTERFACE = 0x80045505, 0x5514, 0x80045515, 0xC0105512, 0x80085504
 TAKEN = {SET_CONFIGURATION, RESET, CLEAR_HALT, SET_INTERFACE}
 CONTROL, BULK = 2, 3
-DEVICE = "/devices/pci0000:00/0000:00:14.0/usb1/1-1"
-NODE = "/dev/bus/usb/001/002"
+PORT = "/devices/pci0000:00/0000:00:14.0/usb1/1-"
+NODES = "/dev/bus/usb/001/"
 
 
 def descriptors() -> bytes:
@@ -61,32 +61,42 @@ def strings(serial: str) -> dict[int, bytes]:
     return {0: bytes([4, 3, 9, 4]), **found}
 
 
-class Bed:
-    """The node, and what happens to it."""
+class Opened:
+    """The requests of one opening of the node: the kernel gives each its own back, and to no other."""
 
-    def __init__(self, case: dict) -> None:
-        self.case, self.made = case, ""
-        self.falcon = from_case(case)
-        self.strings = strings(case.get("serial", "SN42"))
+    def __init__(self) -> None:
         self.done: list[object] = []
         self.waiting: list[tuple[object, object, int, float]] = []
         self.blocked: list[object] = []
-        self.claimed = False
+
+
+class Bed:
+    """The node, and what happens to it; `port` tells several on one testbed apart."""
+
+    def __init__(self, case: dict, bed: object, port: int = 1) -> None:
+        self.case, self.made = case, ""
+        self.port, self.device, self.path = port, f"{PORT}{port}", f"{NODES}{1 + port:03d}"
+        self.falcon = from_case(case)
+        self.strings = strings(case.get("serial", "SN42"))
+        self.opened: dict[object, Opened] = {}
+        self.claimed: Opened | None = None
         self.ready_at = 0.0
         self.ioctls = 0
-        self.bed = UMockdev.Testbed.new()
+        self.bed = bed
         self._add()
         self.node = UMockdev.IoctlBase()
         self.node.connect("handle-ioctl", self._ioctl)
-        self.bed.attach_ioctl(NODE, self.node)
+        self.bed.attach_ioctl(self.path, self.node)
 
     def _add(self) -> None:
         blob = descriptors().hex().upper()
-        names = "BUSNUM=001 DEVNUM=002 MAJOR=189 MINOR=1 PRODUCT=403/cb48/400 SUBSYSTEM=usb DEVTYPE=usb_device"
+        number = 1 + self.port
+        names = f"BUSNUM=001 DEVNUM={number:03d} MAJOR=189 MINOR={self.port} PRODUCT=403/cb48/400 SUBSYSTEM=usb"
+        names += " DEVTYPE=usb_device"
         attributes = (
-            "busnum=1 devnum=2 bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
+            f"busnum=1 devnum={number} bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
         )
-        lines = [f"P: {DEVICE}", f"N: {NODE.removeprefix('/dev/')}={blob}", f"E: DEVNAME={NODE}"]
+        lines = [f"P: {self.device}", f"N: {self.path.removeprefix('/dev/')}={blob}", f"E: DEVNAME={self.path}"]
         lines += [f"E: {one}" for one in names.split()] + [f"A: {one}\\n" for one in attributes.split()]
         self.bed.add_from_string("\n".join([*lines, f"H: descriptors={blob}", ""]))
 
@@ -99,30 +109,32 @@ class Bed:
 
     def _ioctl(self, _: object, client: object) -> bool:
         request, argument = client.get_request(), client.get_arg()
+        mine = self.opened.setdefault(client, Opened())
         self.ioctls += 1
         code = 0
         if request == CAPABILITIES:
             argument.resolve(0, 4).update(0, struct.pack("<I", 7))
         elif request == CLAIM:
-            code = -EBUSY if self.made == "busy" or self.claimed else 0
-            self.claimed = self.claimed or code == 0
+            code = -EBUSY if self.made == "busy" or self.claimed not in (None, mine) else 0
+            self.claimed = self.claimed if code else mine
         elif request == RELEASE:
             # What is still under way ends with the node's closing, which umockdev does not tell.
-            self.claimed, self.waiting, self.blocked, self.done = False, [], [], []
+            self.claimed = None if self.claimed is mine else self.claimed
+            mine.waiting, mine.blocked, mine.done = [], [], []
         elif request == GET_DRIVER:
             code = -ENODATA
         elif request == SUBMIT:
-            code = self._submit(argument)
+            code = self._submit(mine, argument)
         elif request in (REAP, REAP_NOW):
-            code = self._reap(argument)
+            code = self._reap(mine, argument)
         elif request == DISCARD:
-            code = self._discard()
+            code = self._discard(mine)
         elif request not in TAKEN:
             code = -ENOTTY
         client.complete(-1 if code else 0, -code)
         return True
 
-    def _submit(self, argument: object) -> int:
+    def _submit(self, mine: Opened, argument: object) -> int:
         if self.lost:
             self.falcon.motors = (0, 0, 0)  # no cable, no force
             return -ENODEV
@@ -132,16 +144,16 @@ class Bed:
         length = struct.unpack_from("<i", raw, 24)[0]
         buffer = urb.resolve(16, length) if length else None
         if kind == CONTROL:
-            self._control(urb, buffer)
+            self._control(mine, urb, buffer)
         elif end & 0x80:
-            self.waiting.append((urb, buffer, length, time.monotonic()))
+            mine.waiting.append((urb, buffer, length, time.monotonic()))
         elif self._past("block_after"):
-            self.blocked.append(urb)
+            mine.blocked.append(urb)
         else:
             before = len(self.falcon.reply)
             self.falcon.write(bytes(buffer.retrieve())[:length])
             self._spoil(before)
-            self._finish(urb, 0, length)
+            self._finish(mine, urb, 0, length)
         return 0
 
     def _spoil(self, before: int) -> None:
@@ -160,54 +172,54 @@ class Bed:
         if late and falcon.steps % late == 0:
             self.ready_at = time.monotonic() + 0.004
 
-    def _control(self, urb: object, buffer: object) -> None:
+    def _control(self, mine: Opened, urb: object, buffer: object) -> None:
         setup = bytes(buffer.retrieve())
         kind, request, value, index, length = struct.unpack_from("<BBHHH", setup)
         if kind == 0x80 and request == 6 and value >> 8 == 3 and (value & 255) in self.strings:
             text = self.strings[value & 255][:length]
             buffer.update(8, text)
-            self._finish(urb, 0, len(text))
+            self._finish(mine, urb, 0, len(text))
         elif kind & 0x80:
-            self._finish(urb, -EPROTO, 0)
+            self._finish(mine, urb, -EPROTO, 0)
         else:
             self.falcon.request(kind, request, value, index)
-            self._finish(urb, 0, length)
+            self._finish(mine, urb, 0, length)
 
-    def _finish(self, urb: object, status: int, actual: int) -> None:
+    def _finish(self, mine: Opened, urb: object, status: int, actual: int) -> None:
         urb.update(4, struct.pack("<i", status))
         urb.update(28, struct.pack("<i", actual))
-        self.done.append(urb)
+        mine.done.append(urb)
 
-    def _reap(self, argument: object) -> int:
+    def _reap(self, mine: Opened, argument: object) -> int:
         if self.lost:
             self.falcon.motors = (0, 0, 0)
-            for urb in [one[0] for one in self.waiting] + self.blocked:
-                self._finish(urb, -ESHUTDOWN, 0)
-            self.waiting, self.blocked = [], []
-        elif self.waiting:
-            urb, buffer, length, since = self.waiting[0]
+            for urb in [one[0] for one in mine.waiting] + mine.blocked:
+                self._finish(mine, urb, -ESHUTDOWN, 0)
+            mine.waiting, mine.blocked = [], []
+        elif mine.waiting:
+            urb, buffer, length, since = mine.waiting[0]
             now = time.monotonic()
             ready = self.falcon.reply and now >= self.ready_at
             if self._past("broken_after"):
-                self.waiting.pop(0)
-                self._finish(urb, -EPROTO, 0)
+                mine.waiting.pop(0)
+                self._finish(mine, urb, -EPROTO, 0)
             elif ready or now - since >= self.falcon.latency_ms / 1e3:
                 data = self.falcon.read(length if ready else 2)
                 buffer.update(0, data)
-                self.waiting.pop(0)
-                self._finish(urb, 0, len(data))
-        if not self.done:
+                mine.waiting.pop(0)
+                self._finish(mine, urb, 0, len(data))
+        if not mine.done:
             return -ENODEV if self.lost else -EAGAIN
-        argument.resolve(0, 8).set_ptr(0, self.done.pop(0))
+        argument.resolve(0, 8).set_ptr(0, mine.done.pop(0))
         return 0
 
-    def _discard(self) -> int:
+    def _discard(self, mine: Opened) -> int:
         # The request's argument is the address of a URB in the program, which umockdev does not show. Only a program
         # that gives up discards, and then all that it has.
-        waiting = [one[0] for one in self.waiting] + self.blocked
-        self.waiting, self.blocked = [], []
+        waiting = [one[0] for one in mine.waiting] + mine.blocked
+        mine.waiting, mine.blocked = [], []
         for urb in waiting:
-            self._finish(urb, -ENOENT, 0)
+            self._finish(mine, urb, -ENOENT, 0)
         return 0 if waiting else -EINVAL
 
     def answer(self, line: str) -> str:
@@ -217,18 +229,18 @@ class Bed:
             return json.dumps(to_world((0.0, 0.0, 0.0) if self.lost else self.falcon.displayed))
         if word == "place":
             return json.dumps(self.falcon.at)
-        node = os.path.join(self.bed.get_root_dir(), NODE.removeprefix("/"))
+        node = os.path.join(self.bed.get_root_dir(), self.path.removeprefix("/"))
         if self.made == "not_found":
             self._add()
-            self.bed.attach_ioctl(NODE, self.node)
-            self.bed.uevent(f"/sys{DEVICE}", "add")
+            self.bed.attach_ioctl(self.path, self.node)
+            self.bed.uevent(f"/sys{self.device}", "add")
         elif self.made == "permission":
             os.chmod(node, 0o600)
         self.made = rest if word == "make" else ""
         if self.made == "not_found":
-            self.bed.uevent(f"/sys{DEVICE}", "remove")
-            self.bed.detach_ioctl(NODE)
-            self.bed.remove_device(f"/sys{DEVICE}")
+            self.bed.uevent(f"/sys{self.device}", "remove")
+            self.bed.detach_ioctl(self.path)
+            self.bed.remove_device(f"/sys{self.device}")
         elif self.made == "permission":
             os.chmod(node, 0)
         return "null"
@@ -266,7 +278,9 @@ def serve(bed: Bed, path: str) -> None:
 
 
 def main() -> int:
-    bed, loop, code = Bed(json.loads(sys.argv[1])), GLib.MainLoop(), []
+    case, testbed, loop, code = json.loads(sys.argv[1]), UMockdev.Testbed.new(), GLib.MainLoop(), []
+    bed = Bed(case, testbed)
+    second = Bed(case["second"], testbed, 2) if "second" in case else None
     folder = tempfile.mkdtemp()
     path = os.path.join(folder, "testbed")
     serve(bed, path)
@@ -284,7 +298,7 @@ def main() -> int:
     loop.run()
     os.remove(path)
     os.rmdir(folder)
-    print(json.dumps(bed.seen()), flush=True)
+    print(json.dumps(bed.seen() | ({"second": second.seen()} if second else {})), flush=True)
     return code[0]
 
 

@@ -7,7 +7,8 @@ arm saw goes to the last line of standard output as JSON.
 
 The first argument: arm (a row of the emulator's table), generation (1 or 2), and optionally descriptor (hex), place
 (m), press (m: how far the hand then goes down), drag (m: and to the side), lost_after (reports until the device is
-unplugged), short_after (reports until it sends short ones), mute_after, permission (mode of the node, octal text).
+unplugged), short_after (reports until it sends short ones), mute_after, block_after (reports until a write hangs for
+ever), permission (mode of the node, octal text).
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ class Bed:
     """The node, and what happens to it."""
 
     name = "Emulated arm"
+    node_path = "/dev/hidraw0"
 
     def __init__(self, case: dict) -> None:
         self.case = case
@@ -55,16 +57,18 @@ class Bed:
         self.woody = Woody(case["arm"], generation, intention)
         self.woody.wrist = tuple(case.get("wrist", (0, 0, 0)))
         self.queue: list[bytes] = []
+        self.blocked: list[object] = []
         self.descriptor = (
             bytes.fromhex(case["descriptor"]) if "descriptor" in case else descriptor(self.woody.report_bytes)
         )
         self._wire()
         if "permission" in case:
-            os.chmod(os.path.join(self.bed.get_root_dir(), "dev/hidraw0"), int(case["permission"], 8))
+            os.chmod(self.bed.get_root_dir() + self.node_path, int(case["permission"], 8))
 
     def _wire(self) -> None:
         self.bed = UMockdev.Testbed.new()
-        self._add()
+        for text in self.hidraw_table():
+            self.bed.add_from_string(text)
         node = UMockdev.IoctlBase()
         node.connect("handle-ioctl", self._ioctl)
         node.connect("handle-read", self._read)
@@ -74,10 +78,11 @@ class Bed:
         # The node is a pseudo terminal here: a byte in it makes poll report that there is something to read.
         self.terminal = self.bed.get_dev_fd("/dev/hidraw0")
 
-    def _add(self) -> None:
+    def hidraw_table(self) -> tuple[str, ...]:
+        """The device, its interface and its node as the system lists them."""
         vendor, product = self.ids
         hid = f"{DEVICE}/1-1:1.0/0003:{vendor:04X}:{product:04X}.0001"
-        for text in (
+        return (
             f"P: {DEVICE}\nE: DEVTYPE=usb_device\nE: SUBSYSTEM=usb\nA: idVendor={vendor:04x}\\n\n"
             f"A: idProduct={product:04x}\\n\nA: bcdDevice=0100\\n\nA: serial=SN42\\n\nA: busnum=1\\n\nA: devnum=2\\n\n",
             f"P: {DEVICE}/1-1:1.0\nE: DEVTYPE=usb_interface\nE: DRIVER=usbhid\nE: SUBSYSTEM=usb\n"
@@ -86,8 +91,7 @@ class Bed:
             f"E: HID_UNIQ=SN42\nE: SUBSYSTEM=hid\nH: report_descriptor={self.descriptor.hex().upper()}\n",
             f"P: {hid}/hidraw/hidraw0\nN: hidraw0\nE: DEVNAME=/dev/hidraw0\nE: MAJOR=240\nE: MINOR=0\n"
             f"E: SUBSYSTEM=hidraw\nL: device=../../../0003:{vendor:04X}:{product:04X}.0001\n",
-        ):
-            self.bed.add_from_string(text)
+        )
 
     def _ioctl(self, _: object, client: object) -> bool:
         request, argument = client.get_request(), client.get_arg()
@@ -127,12 +131,21 @@ class Bed:
         if self._past("lost_after"):
             client.complete(-1, ENODEV)
             return True
-        answer = self.woody.answer(data)
-        if not self._past("mute_after"):
-            self.queue.append(answer[:5] if self._past("short_after") else answer)
+        if self._past("block_after"):
+            self.blocked.append(client)  # never answered
+            return True
+        if self.take(data):
             os.write(self.terminal, b"\1")
         client.complete(len(data), 0)
         return True
+
+    def take(self, data: bytes) -> bool:
+        """A report of the host, id in front; whether it was answered."""
+        answer = self.woody.answer(data)
+        answered = not self._past("mute_after")
+        if answered:
+            self.queue.append(answer[:5] if self._past("short_after") else answer)
+        return answered
 
     def seen(self) -> dict:
         """What the arm was sent."""
@@ -146,10 +159,13 @@ class Bed:
 
 def main(make: type[Bed] = Bed) -> int:
     bed, loop, code = make(json.loads(sys.argv[1])), GLib.MainLoop(), []
+    command = sys.argv[2:]
+    if os.geteuid() == 0:  # to root, no file is forbidden
+        command = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", *command]
 
     def run() -> None:
         # Without the interpreter's own paths of this process: the program may be another Python.
-        code.append(subprocess.run(sys.argv[2:], check=False).returncode)
+        code.append(subprocess.run(command, check=False).returncode)
         loop.quit()
 
     threading.Thread(target=run, daemon=True).start()

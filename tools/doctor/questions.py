@@ -107,6 +107,10 @@ def _descriptor(report: Report) -> str | None:
     return "; ".join(texts) or None
 
 
+def _ids(report: Report) -> str | None:
+    return ", ".join(f"{one['vendor_id']}:{one['product_id']}" for one in report["identity"]) or None
+
+
 def _us(seconds: float) -> str:
     return f"{seconds * 1e6:.1f} us"
 
@@ -124,5 +128,6 @@ ANSWERS: Final[Mapping[str, Callable[[Report], str | None]]] = {
     "fd-held-back": _held_back,
     "hid-descriptor": _descriptor,
     "hid-write": _exchange,
+    "serial-ids": _ids,
 }
 """What a report can answer by itself, None where it has not measured it."""

@@ -1,0 +1,89 @@
+"""Which way reports take: the node itself, or two threads between hidapi and the exchange."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import NamedTuple
+
+from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.drivers import discovery
+from softfinger.drivers.hid import exchange, node, usb
+from softfinger.drivers.hid.options import Options
+from softfinger.drivers.hid.pump import HidApi, Pump
+from softfinger.drivers.hidraw import ids
+
+
+class Link(NamedTuple):
+    """What the exchange reads and writes: a node, or with a pump the socket that stands in for one."""
+
+    fd: int
+    pump: Pump | None = None
+
+
+def open_link(options: Options) -> Link:
+    """Find the device of a rig and open it, the way the rig asks for.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device, or one whose
+    reports are not those of the rig.
+    """
+    if not sys.platform.startswith("linux"):
+        raise DeviceError(f"driver 'hid' exchanges reports through Linux's hidraw or usbfs, and this is {sys.platform}")
+    path = options.path or find(options)
+    if not path.startswith("/"):
+        opened = usb.open_usb(path, options)
+        return pumped(opened.device, options, opened.held)
+    fd = node.open_node(path, options)
+    if options.through != "thread":
+        return Link(fd)
+    try:
+        return pumped(node.open_hidapi(path), options, fd)
+    except BaseException:
+        os.close(fd)
+        raise
+
+
+def pumped(device: HidApi, options: Options, held: int | None = None) -> Link:
+    """The way through threads, for a device that is open in hidapi; `held` is closed with it."""
+    report = options.reports.input
+    pump = Pump(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.timeout_s, held)
+    return Link(pump.fd, pump)
+
+
+def find(options: Options) -> str:
+    """Path of the one device with the rig's ids: its node, or where it has none, hidapi's path on the USB bus.
+
+    Raises DeviceNotFound when there is none, or more than one.
+    """
+    every = node.attached()
+    wanted = (options.vendor_id, options.product_id)
+    nodes = {one.path: one.serial for one in every if (one.vendor, one.product) == wanted}
+    # In a container the system's table may list nodes that were not passed on.
+    if options.through != "node" and not any(map(os.path.exists, nodes)):
+        interfaces = usb.attached(*wanted)
+        if interfaces:
+            return _choose(options, interfaces)
+    if nodes:
+        return _choose(options, nodes)
+    bare = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
+    if bare:
+        raise DeviceNotFound(
+            f"{bare[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
+            f"container, `docker run --device {bare[0].node or '/dev/bus/usb'}`"
+        )
+    others = sorted({ids(one.vendor, one.product) for one in every})
+    there = f"attached are {', '.join(others)}" if others else "no HID device is attached"
+    raise DeviceNotFound(f"no HID device {ids(*wanted)} is attached: plug it in and switch it on; {there}")
+
+
+def _choose(options: Options, serials: dict[str, str]) -> str:
+    """The path of the rig's serial number, of those that have its ids."""
+    wanted = ids(options.vendor_id, options.product_id)
+    matching = [path for path, serial in serials.items() if options.serial is None or serial == options.serial]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        listed = ", ".join(f"{path} (serial '{serials[path]}')" for path in sorted(matching))
+        raise DeviceNotFound(f"{len(matching)} HID devices are {wanted}: name one with serial or path: {listed}")
+    others = ", ".join(f"'{serial}'" for serial in sorted(serials.values()))
+    raise DeviceNotFound(f"no HID device {wanted} has the serial number '{options.serial}': attached are {others}")

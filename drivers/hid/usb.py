@@ -1,0 +1,88 @@
+"""A HID device on the USB bus, without a hidraw node: through hidapi's libusb backend.
+
+That backend takes the interface from the system's own HID driver and gives it back when it is closed. It says of no
+failure what it was, so the node on the bus is opened and locked first, which does.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, NamedTuple
+
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
+from softfinger.drivers import discovery
+from softfinger.drivers.discovery import Attached
+from softfinger.drivers.hid.descriptor import check_reports
+from softfinger.drivers.hid.options import Options
+from softfinger.drivers.hid.pump import HidApi
+from softfinger.drivers.hidraw import ids
+from softfinger.drivers.nodes import by_rule, open_locked
+
+
+class Opened(NamedTuple):
+    """The device in hidapi, and the file descriptor whose lock keeps others out."""
+
+    device: HidApi
+    held: int
+
+
+def attached(vendor: int, product: int) -> dict[str, str]:
+    """Serial numbers of the HID interfaces of these ids, by hidapi's path, as in 1-2.3:1.0: bus, ports, interface."""
+    import hid
+
+    found: list[dict[str, Any]] = hid.enumerate(vendor, product)
+    named = {os.fsdecode(one["path"]): one["serial_number"] or "" for one in found}
+    # hidapi has to open a device to learn its serial number, and may not; the system's table tells everybody
+    return {path: seen.serial if (seen := _on_bus(path)) else serial for path, serial in named.items()}
+
+
+def open_usb(path: str, options: Options) -> Opened:
+    """The interface at hidapi's `path`, claimed for this process.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device, or one whose
+    reports are not those of the rig.
+    """
+    import hid
+
+    vendor, product = options.vendor_id, options.product_id
+    seen = _on_bus(path)
+    if seen is None:
+        raise DeviceNotFound(f"no USB device is at {path}: plug the device in, or leave `path` out")
+    if (seen.vendor, seen.product) != (vendor, product):
+        raise DeviceError(
+            f"{path} is the device {seen.ids}, and the rig is for {ids(vendor, product)}: name the right one, or leave "
+            "`path` out"
+        )
+    held = open_locked(seen.node, by_rule(discovery.usb_rule(vendor, product), discovery.HID_RULE_FILE))
+    device: Any = hid.device()
+    try:
+        try:
+            device.open_path(os.fsencode(path))
+        except OSError as error:
+            raise _unopened(path, seen.node) from error
+        try:
+            descriptor = bytes(device.get_report_descriptor())
+        except OSError as error:
+            raise DeviceError(f"{path} does not give its report descriptor: unplug it, plug it in again") from error
+        check_reports(descriptor, path, options.reports)
+    except BaseException:
+        device.close()
+        os.close(held)
+        raise
+    return Opened(device, held)
+
+
+def _on_bus(path: str) -> Attached | None:
+    """The device that an interface belongs to: hidapi's path begins with the system's name for it."""
+    return discovery.described(str(discovery.USB / path.partition(":")[0]))
+
+
+def _unopened(path: str, node: str) -> DeviceError:
+    """hidapi names no cause. The node could be opened and locked; what is left is who has claimed the interface."""
+    who = discovery.holder(node)
+    if who is not None and who.pid != os.getpid():
+        return DeviceBusy(f"{path} ({node}) is held by {who}: end that one first")
+    return DeviceError(
+        f"{path} ({node}) cannot be claimed through hidapi: another program may have it: end that one, or unplug the "
+        "device and plug it in again"
+    )

@@ -1,0 +1,335 @@
+"""What a driver's tick costs beside the C calls that it makes: `python tests/exchange_cost.py`, `make exchange-cost`.
+
+For each driver for hardware a device is opened on a stand-in: Force Dimension's on a stub of the maker's library, the
+Falcon on a stub of libusb, HID devices and the puck on a packet socket, the serial board on a stream socket. One
+compiled loop then times the driver's read and write, called as the servo calls them, in turn with the same C calls made
+bare, with the same arguments on the same stand-in. Both go back to back, so the caches are warm. What the driver adds
+is the difference of the two medians; the range is that of the same difference over twenty parts of the run. The
+stand-in's own work is in both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numba
+import numpy as np
+from drd_stub import COMPILER, SOURCE, Stub, compile_stub
+from driver_contract import RATE_HZ, Servo
+from emulators.puck import combined
+from emulators.serialboard import FRAME_BYTES, Board
+from hid_devices import ends, rig_options
+from numpy.typing import NDArray
+from serial_devices import rig_options as serial_options
+from usb_stub import NO_COMPILER, SONAME, UsbStub, in_place_of_libusb
+from usb_stub import SOURCE as USB_SOURCE
+from usb_stub import options as falcon_options
+
+from softfinger.config.errors import DeviceTimeout, HapticError
+from softfinger.drivers import forcedimension
+from softfinger.drivers.base import OK, SAMPLE_SIZE, DeviceIO
+from softfinger.drivers.falcon import block
+from softfinger.drivers.falcon import open_device as open_falcon
+from softfinger.drivers.forcedimension import exchange
+from softfinger.drivers.hid import HidDevice
+from softfinger.drivers.libc import IO_SIGNATURE, read_fd, write_fd
+from softfinger.drivers.puck import Options as PuckOptions
+from softfinger.drivers.serial import SerialDevice
+from softfinger.drivers.serial import exchange as port
+from softfinger.drivers.spacemouse import SpaceMouse
+from softfinger.proxy.kernels.atomics import call_device
+from softfinger.proxy.kernels.foreign import call_int32
+from softfinger.proxy.kernels.jit import OPTIONS
+from softfinger.proxy.kernels.memory import float64_at, int64_at
+from softfinger.server.clock import now_ns
+from softfinger.server.figures import figure, save
+from softfinger.tools import measure
+
+PARTS: Final = 20
+BUFFER: Final = 128
+"""Bytes; the longest report on a packet socket here has 65."""
+TRIES: Final = 100
+WAKE_S: Final = 0.2
+COLUMNS: Final = ("driver", "bare", "own", "least", "most")
+FORCE: Final = (0.1, -0.2, 0.3)
+
+
+class Case(NamedTuple):
+    """A driver to be measured.
+
+    io, bare  C functions and handle of the driver, and of the calls alone
+    peer      file descriptor of the device's end of a packet socket, -1 where there is none
+    answer    what the device sends before each tick, bytes
+    wake      makes the driver go on when the machine has held up the loop and it waits for an answer of now
+    """
+
+    io: DeviceIO
+    bare: DeviceIO
+    peer: int = -1
+    answer: bytes = b""
+    wake: Callable[[], None] = lambda: None
+
+
+@numba.njit(**OPTIONS)
+def _tick(io: DeviceIO, sample: Any, wrench: Any, timespec: Any) -> tuple[int, int]:
+    """Time (ns) of one tick, and its status: OK when it read anew and wrote in full, below 0 when it failed."""
+    begun = now_ns(timespec)
+    status = call_device(io.read, io.handle, sample)
+    taken = call_device(io.write, io.handle, wrench)
+    return now_ns(timespec) - begun, status if status < 0 else max(status, taken)
+
+
+@numba.njit(**OPTIONS)
+def _measure(io: DeviceIO, bare: DeviceIO, peer: int, report: Any, memory: Any, out: Any, whole: Any) -> int:
+    """Times (n, 2) ns of the driver and of the bare calls, in turn, and whether each tick of the driver's was whole;
+    n, or the tick in which the driver failed."""
+    sample, wrench, timespec, buffer = memory
+    for n in range(len(out)):
+        for way in range(2):
+            if peer >= 0:
+                while read_fd(peer, buffer.ctypes.data, BUFFER) > 0:
+                    pass
+                write_fd(peer, report.ctypes.data, len(report))
+            out[n, way], status = _tick(io if way == 0 else bare, sample, wrench, timespec)
+            if way == 0:
+                whole[n] = status == OK
+                if status < 0:
+                    return n
+    return len(out)
+
+
+# The same calls, bare. The handle of each is the address of the words that its comment names.
+
+
+@numba.cfunc(IO_SIGNATURE)
+def _library_read(handle, sample):
+    """The block of the driver: its functions' addresses and its memory."""
+    word = int64_at(handle)
+    at = handle + 8 * exchange.FRAME
+    device = np.int32(word[exchange.ID])
+    code = call_int32(
+        word[exchange.GET_FRAME],
+        (float64_at(at), float64_at(at + 8), float64_at(at + 16), float64_at(at + 24), device),
+    )
+    return code + call_int32(word[exchange.GET_BUTTONS], (device,))
+
+
+@numba.cfunc(IO_SIGNATURE)
+def _library_write(handle, wrench):
+    word = int64_at(handle)
+    device = np.int32(word[exchange.ID])
+    return call_int32(
+        word[exchange.SET_WRENCH],
+        (wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5], 0.0, device),
+    )
+
+
+@numba.cfunc(IO_SIGNATURE)
+def _libusb_read(handle, sample):
+    """The block of the driver, whose transfers are used. A reply that is taken here is one that the driver awaits, and
+    the other way round, so that neither is left with one."""
+    word = int64_at(handle)
+    word[block.TIMESPEC], word[block.TIMESPEC + 1] = 0, 0
+    arguments = (word[block.CONTEXT], int64_at(handle + 8 * block.TIMESPEC), int64_at(0))
+    call_int32(word[block.HANDLE_EVENTS], arguments)
+    call_int32(word[block.SUBMIT], (word[block.IN],))
+    return call_int32(word[block.HANDLE_EVENTS], arguments)
+
+
+@numba.cfunc(IO_SIGNATURE)
+def _libusb_write(handle, wrench):
+    word = int64_at(handle)
+    return call_int32(word[block.SUBMIT], (word[block.OUT],))
+
+
+@numba.cfunc(IO_SIGNATURE)
+def _socket_read(handle, sample):
+    """File descriptor, address of a buffer, bytes of a report: a report, and that there is no other."""
+    word = int64_at(handle)
+    read_fd(word[0], word[1], BUFFER)
+    return read_fd(word[0], word[1], BUFFER)
+
+
+@numba.cfunc(IO_SIGNATURE)
+def _stream_read(handle, sample):
+    """The same words: a read that did not fill the buffer has read all."""
+    word = int64_at(handle)
+    return read_fd(word[0], word[1], BUFFER)
+
+
+@numba.cfunc(IO_SIGNATURE)
+def _socket_write(handle, wrench):
+    word = int64_at(handle)
+    return write_fd(word[0], word[1], word[2])
+
+
+@numba.cfunc(IO_SIGNATURE)
+def _nothing(handle, values):
+    return 0
+
+
+def answered(end: socket.socket, answer: bytes, exchange: Callable[[], Any]) -> Any:
+    """What an exchange of the driver gives that waits for an answer of now to what it sends."""
+
+    def once() -> None:
+        with suppress(TimeoutError):
+            end.recv(BUFFER)
+            end.send(answer)
+
+    end.settimeout(WAKE_S)
+    asked = threading.Thread(target=once)
+    asked.start()
+    given = exchange()
+    asked.join()
+    end.setblocking(False)
+    return given
+
+
+@contextmanager
+def force_dimension(folder: Path) -> Iterator[Case]:
+    """An omega.6 on the stub of libdrd."""
+    path = compile_stub(SOURCE, folder / "libdrd.so.3.17.5")
+    Stub(path).update(type=34, wrist=1)
+    with forcedimension.open_device(forcedimension.Options(library_file=str(path)), RATE_HZ) as device:
+        io = device.io()
+        yield Case(io, DeviceIO(_library_read.address, _library_write.address, io.handle))
+
+
+@contextmanager
+def falcon(folder: Path) -> Iterator[Case]:
+    """A Falcon on the stub of libusb, with a knob that moves, so that its place is to be found in each tick."""
+    path = compile_stub(USB_SOURCE, folder / SONAME)
+    stub = UsbStub(path)
+    stub.update(press=0.006, drag=0.02)
+    with in_place_of_libusb(path), open_falcon(falcon_options(), RATE_HZ) as device:
+        stub["logged"] = 1e9  # the stub's log is full
+        io = device.io()
+        yield Case(io, DeviceIO(_libusb_read.address, _libusb_write.address, io.handle))
+
+
+@contextmanager
+def hid(_: Path) -> Iterator[Case]:
+    """A WoodenHaptics arm on a packet socket."""
+    given = rig_options("woodenhaptics-2019", calibrate=False)
+    fd, end = ends()
+    answer, buffer = bytes(given.reports.input.bytes), np.zeros(BUFFER, np.uint8)
+    with end, HidDevice(given, fd) as device:
+        words = np.array([fd, buffer.ctypes.data, 1 + given.reports.output.bytes])
+        bare = DeviceIO(_socket_read.address, _socket_write.address, words.ctypes.data)
+        yield Case(device.io(), bare, end.fileno(), answer, lambda: answered(end, answer, Servo(device).read))
+
+
+@contextmanager
+def serial(_: Path) -> Iterator[Case]:
+    """A WoodenHaptics of the third generation on a stream socket, which hands on bytes as a port does."""
+    near, far = socket.socketpair()
+    near.setblocking(False)
+    frame, buffer = Board(lambda _: (0.01, 0.02, -0.015)).frame(), np.zeros(BUFFER, np.uint8)
+
+    with far, answered(far, frame, lambda: SerialDevice(serial_options(), near.detach(), "a socket")) as device:
+        fd = int(device._word[port.FD])
+        words = np.array([fd, buffer.ctypes.data, FRAME_BYTES])
+        bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
+        yield Case(device.io(), bare, far.fileno(), frame, lambda: answered(far, frame, Servo(device).read))
+
+
+@contextmanager
+def spacemouse(_: Path) -> Iterator[Case]:
+    """A puck on a packet socket, with a report in each tick; what is written to it goes nowhere."""
+    fd, end = ends()
+    end.setblocking(False)
+    buffer = np.zeros(BUFFER, np.uint8)
+    with end, SpaceMouse(PuckOptions(), fd, RATE_HZ) as device:
+        words = np.array([fd, buffer.ctypes.data, 0])
+        bare = DeviceIO(_socket_read.address, _nothing.address, words.ctypes.data)
+        yield Case(device.io(), bare, end.fileno(), combined(right=100)[0])
+
+
+CASES: Final[dict[str, Callable[[Path], AbstractContextManager[Case]]]] = {
+    "forcedimension": force_dimension,
+    "falcon": falcon,
+    "hid": hid,
+    "serial": serial,
+    "spacemouse": spacemouse,
+}
+
+
+def times(case: Case, ticks: int) -> tuple[NDArray[np.float64], float]:
+    """Seconds that each of so many ticks took, (n, 2): the driver's, the bare calls'; and the share of the driver's
+    ticks with a new sample and a force that was taken in full."""
+    out = np.zeros((ticks, 2), np.int64)
+    wrench = np.array([*FORCE, 0.0, 0.0, 0.0])
+    memory = (np.zeros(SAMPLE_SIZE), wrench, np.zeros(2, np.int64), np.zeros(BUFFER, np.uint8))
+    whole = np.zeros(ticks, np.bool_)
+    report = np.frombuffer(case.answer, np.uint8).copy()
+    for many in (1, ticks):  # the first call compiles
+        done, tries = 0, 0
+        while done < many:
+            case.wake()
+            done += _measure(case.io, case.bare, case.peer, report, memory, out[done:many], whole[done:many])
+            tries += 1
+            if tries > TRIES:
+                raise DeviceTimeout(f"the driver failed in {tries} ticks of {done}: is this machine busy?")
+    return out * 1e-9, float(np.mean(whole))
+
+
+def result(seconds: NDArray[np.float64], whole: float) -> dict[str, Any]:
+    """Medians, and the difference of the medians with its range over parts of the run; s. The share of whole ticks."""
+    parts = [np.median(part, axis=0) for part in np.array_split(seconds, min(PARTS, len(seconds)))]
+    between = [float(driver - bare) for driver, bare in parts]
+    driver, bare = (float(value) for value in np.median(seconds, axis=0))
+    own = driver - bare
+    return {"driver": driver, "bare": bare, "own": own, "least": min(between), "most": max(between), "whole": whole}
+
+
+def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
+    """A bar for each driver: what it adds, with the range over the parts."""
+    drawing = figure()
+    axes = drawing.subplots()
+    own = np.array([[one[key] for key in ("own", "least", "most")] for one in found.values()]) * 1e6
+    reach = np.abs(own[:, 1:] - own[:, :1]).T
+    axes.barh(list(found), own[:, 0], xerr=reach, capsize=4)
+    axes.set_xlabel("own time of a tick, beside the same C calls made bare (us)")
+    save(drawing, path)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--driver", choices=CASES, action="append", help="measure this one; any number of times")
+    parser.add_argument("--ticks", type=int, default=100_000, metavar="N", help="of each kind (default: %(default)s)")
+    measure.add_output_options(parser)
+    args = parser.parse_args()
+    if args.ticks < 1:
+        parser.error(f"--ticks {args.ticks}: must be 1 or more")
+    try:
+        found = {}
+        for name in args.driver or CASES:
+            if COMPILER is None and name in ("forcedimension", "falcon"):
+                print(f"{name}: left out: {NO_COMPILER}", file=sys.stderr)
+                continue
+            with tempfile.TemporaryDirectory() as folder, CASES[name](Path(folder)) as case:
+                found[name] = result(*times(case, args.ticks))
+        if args.plot is not None:
+            draw(found, args.plot)
+    except HapticError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    rows = [
+        f"{name:15}" + "".join(f"{one[key] * 1e6:9.2f}" for key in COLUMNS) + f"{one['whole']:12.1%}"
+        for name, one in found.items()
+    ]
+    head = f"{'us a tick':15}" + "".join(f"{word:>9}" for word in COLUMNS) + f"{'whole ticks':>12}"
+    measure.show({"ticks": args.ticks, "seconds": found}, args.json, [head, *rows])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
