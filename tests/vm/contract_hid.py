@@ -21,6 +21,7 @@ class Bench(driver_contract.Bench):
 
     # An encoder count and 1 mA of a motor are 8 mN at the end, and the arm moves before it is asked.
     force_step_n: ClassVar[float] = 0.03
+    patience_s: ClassVar[float] = 10.0
 
     def ask(self, line: str) -> Any:
         with socket.socket(socket.AF_UNIX) as end:

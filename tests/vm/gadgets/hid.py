@@ -15,7 +15,7 @@ from pathlib import Path
 from vm.gadgets.configfs import PLUG_S, Gadget, settle
 
 HIDRAW = Path("/sys/class/hidraw")
-POLL_MS = 100
+POLL_MS = 20
 # From <linux/uhid.h>.
 DESTROY, OUTPUT, CREATE, INPUT = 1, 6, 11, 12
 EVENT_BYTES, DATA_MAX, DESCRIPTOR_MAX = 4380, 4096, 4096

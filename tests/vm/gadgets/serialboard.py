@@ -66,11 +66,11 @@ class Port:
         self.end = end
 
     def unplug(self) -> None:
+        self.gadget.unplug()
         end, self.end = self.end, -1
         if end >= 0:
             time.sleep(2 * POLL_MS / 1e3)  # the thread is not in it any more
             os.close(end)
-        self.gadget.unplug()
         with self.lock:
             self.board.force = (0.0, 0.0, 0.0)  # its amplifiers have no power
 
