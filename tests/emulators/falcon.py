@@ -7,8 +7,12 @@ The device's frame has x to the right, y up, z out to the user.
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin, sqrt
+from typing import Any
+
+from emulators.hand import stroke
 
 Vector = tuple[float, float, float]
 
@@ -102,6 +106,25 @@ class Falcon:
         a, b, c = (n / self.gain for n in self.motors)
         return force(self.place, (a, b, c))
 
+    @property
+    def at(self) -> Vector:
+        """Place of the knob (m) in the world, from the workspace's centre."""
+        x, y, z = (p - c for p, c in zip(self.place, CENTRE, strict=True))
+        return to_world((x, y, z))
+
+    def unplugged(self) -> None:
+        """The bus has gone: the firmware lets the motors go, the chip forgets what it was set to."""
+        self.motors, self.baud, self.latency_ms = (0, 0, 0), 0, 0
+        self.stream.clear()
+        self.reply.clear()
+
+    def seen(self) -> dict[str, Any]:
+        """What the device was sent, and what became of it."""
+        return {
+            "steps": self.steps, "motors": self.motors, "most": self.most, "state": self.state, "place": self.place,
+            "runs": self.runs, "loads": self.loads, "requests": self.requests[:6], "found": self.found,
+        }  # fmt: skip
+
     def request(self, kind: int, request: int, value: int, index: int) -> None:
         """A control request to the chip."""
         if (kind, index) != (0x40, 0):
@@ -192,6 +215,35 @@ class Falcon:
             x, y, z = (p + h * v for p, v in zip(self.place, self.speed, strict=True))
             self.place = (x, y, z)
         self.steps += 1
+
+
+def to_world(of_device: Vector) -> Vector:
+    """A vector of the device's frame: x right, y away from the user, z up."""
+    right, up, out = of_device
+    return (right, -out, up)
+
+
+def from_case(case: dict[str, Any]) -> Falcon:
+    """The device and hand that a test describes.
+
+    place (m, world), press (m: how far the hand then goes down), drag (m: and to the side), homed (false: the hand
+    homes it), gain (motor counts per N m), firmware (bytes it wants first), spoil (tries spoilt), hand (false: nobody
+    holds the knob).
+    """
+    world = stroke(tuple(case.get("place", (0.0, 0.0, 0.01))), case.get("press", 0.0), case.get("drag", 0.0))
+
+    def intention(at: float) -> Vector:
+        right, away, up = world(at)
+        return (CENTRE[0] + right, CENTRE[1] + up, CENTRE[2] - away)
+
+    homed, firmware = case.get("homed", True), case.get("firmware")
+    falcon = Falcon(
+        intention if homed else homing(intention), case.get("gain", -10000.0),
+        None if firmware is None else random.Random(firmware).randbytes(firmware), case.get("spoil", 0), homed,
+    )  # fmt: skip
+    if not case.get("hand", True):
+        falcon.hand_spring = falcon.hand_damper = 0.0
+    return falcon
 
 
 def homing(then: Callable[[float], Vector]) -> Callable[[float], Vector]:

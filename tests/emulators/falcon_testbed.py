@@ -7,19 +7,16 @@ device saw goes to the last line of standard output as JSON. The program reaches
 here are the kernel's answers to libusb. It may ask for changes over the socket that FALCON_TESTBED names, in lines:
 `displayed`, `place`, `make CASE`, `mend`.
 
-The first argument, places in the world's frame: place (m), press (m: how far the hand then goes down), drag (m: and to
-the side), homed (false: the hand homes it), gain (motor counts per N m), firmware (bytes it wants first), spoil (tries
-spoilt), serial, hand (false: nobody holds the knob), late_every (every so many, a reply comes 4 ms late), and from
-which step on what happens: lost_after, mute_after, broken_after (an error on the bus), block_after (takes no more
-transfers out), garble_after (sends noise), unhomed_after (forgets its zeros), weight_after (weight_kg is hung on the
-knob); second (the same for a second device).
+The first argument is the case of the emulator (`from_case` there), and besides: serial, late_every (every so many, a
+reply comes 4 ms late), and from which step on what happens: lost_after, mute_after, broken_after (an error on the bus),
+block_after (takes no more transfers out), garble_after (sends noise), unhomed_after (forgets its zeros), weight_after
+(weight_kg is hung on the knob); second (the same for a second device).
 """
 
 from __future__ import annotations
 
 import json
 import os
-import random
 import socket
 import struct
 import subprocess
@@ -35,8 +32,7 @@ gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from emulators.falcon import CENTRE, Falcon, homing  # noqa: E402
-from emulators.hand import stroke  # noqa: E402
+from emulators.falcon import from_case, to_world  # noqa: E402
 
 EAGAIN, EBUSY, EINVAL, ENODEV, ENODATA, ENOENT, ENOTTY, EPROTO, ESHUTDOWN = 11, 16, 22, 19, 61, 2, 25, 71, 108
 # From <linux/usbdevice_fs.h>.
@@ -80,20 +76,7 @@ class Bed:
     def __init__(self, case: dict, bed: object, port: int = 1) -> None:
         self.case, self.made = case, ""
         self.port, self.device, self.path = port, f"{PORT}{port}", f"{NODES}{1 + port:03d}"
-        world = stroke(tuple(case.get("place", (0.0, 0.0, 0.01))), case.get("press", 0.0), case.get("drag", 0.0))
-
-        def intention(at: float) -> tuple[float, float, float]:
-            right, away, up = world(at)
-            return (CENTRE[0] + right, CENTRE[1] + up, CENTRE[2] - away)
-
-        homed = case.get("homed", True)
-        firmware = case.get("firmware")
-        self.falcon = Falcon(
-            intention if homed else homing(intention), case.get("gain", -10000.0),
-            None if firmware is None else random.Random(firmware).randbytes(firmware), case.get("spoil", 0), homed,
-        )  # fmt: skip
-        if not case.get("hand", True):
-            self.falcon.hand_spring = self.falcon.hand_damper = 0.0
+        self.falcon = from_case(case)
         self.strings = strings(case.get("serial", "SN42"))
         self.opened: dict[object, Opened] = {}
         self.claimed: Opened | None = None
@@ -243,11 +226,9 @@ class Bed:
         """One line of the program's."""
         word, _, rest = line.partition(" ")
         if word == "displayed":
-            right, up, out = (0.0, 0.0, 0.0) if self.lost else self.falcon.displayed
-            return json.dumps([right, -out, up])
+            return json.dumps(to_world((0.0, 0.0, 0.0) if self.lost else self.falcon.displayed))
         if word == "place":
-            right, up, out = (p - c for p, c in zip(self.falcon.place, CENTRE, strict=True))
-            return json.dumps([right, -out, up])
+            return json.dumps(self.falcon.at)
         node = os.path.join(self.bed.get_root_dir(), self.path.removeprefix("/"))
         if self.made == "not_found":
             self._add()
@@ -266,11 +247,7 @@ class Bed:
 
     def seen(self) -> dict:
         """What the device was sent."""
-        f = self.falcon
-        return {
-            "steps": f.steps, "motors": f.motors, "most": f.most, "state": f.state, "place": f.place, "runs": f.runs,
-            "loads": f.loads, "requests": f.requests[:6], "found": f.found, "ioctls": self.ioctls,
-        }  # fmt: skip
+        return {**self.falcon.seen(), "ioctls": self.ioctls}
 
 
 def serve(bed: Bed, path: str) -> None:

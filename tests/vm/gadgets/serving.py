@@ -1,0 +1,28 @@
+"""A gadget's process: lines over a socket that tell it what happens to it, answered in JSON, one at a time."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from collections.abc import Callable
+
+
+def serve(path: str, answer: Callable[[str], object]) -> None:
+    """Answer lines until one is `quit`. A line that fails is answered with the error, as a text."""
+    server = socket.socket(socket.AF_UNIX)
+    server.bind(f"{path}.new")
+    server.listen()
+    os.rename(f"{path}.new", path)  # who finds it, finds it listening
+    while True:
+        end, _ = server.accept()
+        with end, end.makefile("rw") as stream:
+            for line in stream:
+                if line.strip() == "quit":
+                    return
+                try:
+                    said = answer(line.strip())
+                except Exception as error:
+                    said = f"{line.strip()}: {error!r}"
+                stream.write(json.dumps(said) + "\n")
+                stream.flush()

@@ -1,0 +1,128 @@
+"""A WoodenHaptics arm as a HID device of the guest's kernel.
+
+    python woodenhaptics.py SOCKET '{"arm": "woody-2019", "bus": "usb", "place": [0, 0, 0.01]}'
+
+Keys of the case: arm (a row of the emulator's table), bus (usb or uhid), place (m), press (m: how far the hand then
+goes down), drag (m: and to the side). Lines over the socket: `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`;
+the cases:
+
+not_found, lost   unplugged
+busy              another program has locked its node
+permission        its node is not for everybody
+timeout           answers no report any more
+blocked           takes no report any more
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from emulators.hand import stroke
+from emulators.woodenhaptics import Woody
+
+from vm.gadgets.hid import HidDevice, Uhid, UsbHid
+from vm.gadgets.serving import serve
+
+IDS = (0x16C0, 0x0486)
+REPORT_BYTES = 64
+# Vendor page, one input and one output report of 64 bytes, not numbered.
+DESCRIPTOR = bytes.fromhex("06abff0a0002a1017508150026ff00954009018102954009029102c0")
+SETTLED_S, SETTLE_S = 0.05, 1.0
+"""No report for so long: none is under way any more, nor in the kernel's queue. And how long that is waited for."""
+
+
+class Board:
+    """The arm's board between the kernel and the emulated mechanism."""
+
+    def __init__(self, case: dict) -> None:
+        intention = stroke(tuple(case.get("place", (0.0, 0.0, 0.0))), case.get("press", 0.0), case.get("drag", 0.0))
+        self.woody = Woody(case.get("arm", "woody-2019"), 2, intention)
+        self.lock = threading.Lock()
+        self.mute = False
+        self.taken_at = time.monotonic()
+        self.held: int | None = None
+        self.device: HidDevice
+        if case.get("bus", "usb") == "usb":
+            self.device = UsbHid(*IDS, "Emulated arm", DESCRIPTOR, REPORT_BYTES, self.take)
+        else:
+            self.device = Uhid(*IDS, "Emulated arm", DESCRIPTOR, self.take)
+        self.device.plug()
+
+    def take(self, report: bytes) -> None:
+        with self.lock:
+            answer = self.woody.answer(report)
+            self.taken_at = time.monotonic()
+        if not self.mute:
+            self.device.send(answer)
+
+    def _settle(self) -> None:
+        asked = time.monotonic()
+        while time.monotonic() < min(asked + SETTLE_S, max(asked, self.taken_at) + SETTLED_S):
+            time.sleep(0.005)
+
+    def answer(self, line: str) -> object:
+        word, _, rest = line.partition(" ")
+        if word in ("displayed", "seen"):
+            self._settle()
+        with self.lock:
+            woody = self.woody
+            if word == "displayed":
+                a, b, c = (i / 1e3 for i in woody.milliamperes)
+                return (0.0, 0.0, 0.0) if self.device.node is None else woody.arm.force(woody.place, (a, b, c))
+            if word == "place":
+                return woody.place
+            if word == "seen":
+                most = [max((abs(words[k]) for words in woody.sent), default=0) for k in range(3)]
+                return {
+                    "reports": len(woody.sent), "last": list(woody.sent[-1][:3]) if woody.sent else [],
+                    "most": most, "place": woody.place, "motors": woody.milliamperes,
+                }  # fmt: skip
+        if word == "make":
+            self._make(rest)
+        elif word == "mend":
+            self._mend()
+        else:
+            raise ValueError("no word of this device")
+        return None
+
+    def _make(self, case: str) -> None:
+        node = self.device.node or ""
+        if case in ("not_found", "lost"):
+            self.device.unplug()
+            with self.lock:
+                self.woody.milliamperes = (0, 0, 0)  # its amplifiers have no power
+        elif case == "busy":
+            self.held = os.open(node, os.O_RDWR)
+            fcntl.flock(self.held, fcntl.LOCK_EX)
+        elif case == "permission":
+            os.chmod(node, 0)
+        elif case == "timeout":
+            self.mute = True
+        elif case == "blocked":
+            self.device.blocked = True
+        else:
+            raise ValueError(f"no case of this device: {case}")
+
+    def _mend(self) -> None:
+        self.mute = self.device.blocked = False
+        if self.held is not None:
+            os.close(self.held)
+            self.held = None
+        if self.device.node is None:
+            self.device.plug()
+        else:
+            os.chmod(self.device.node, 0o600)
+
+
+if __name__ == "__main__":
+    board = Board(json.loads(sys.argv[2]))
+    serve(sys.argv[1], board.answer)
+    board.device.unplug()
+    os._exit(0)  # the thread waits for a host

@@ -1,0 +1,329 @@
+"""What the tests in the guest use: gadgets in processes of their own, the program in a copy of this one.
+
+An emulated processor takes half a minute to import the program. So this process does it once, and every run of the
+program is a fork of it, with an exit code and streams of its own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pytest
+from closed_loop import records_of_daemon
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server import cli, hotplug
+from softfinger.server import devices as _devices  # noqa: F401  (imported here, once)
+from softfinger.server import run as _run  # noqa: F401
+from softfinger.server.app import open_device
+from softfinger.server.servo import Servo
+from softfinger.server.tuning import make_tuning
+from vm.warm import SCENES
+
+if "SOFTFINGER_VM" not in os.environ:
+    raise RuntimeError("these tests make USB devices in the kernel that they run on: make test-vm")
+
+GADGETS = Path(__file__).with_name("gadgets")
+START_S = 30.0
+RATE_HZ = 100.0
+"""Of the loops here: a tick takes a millisecond on an emulated processor, which has the device to emulate as well."""
+FIGURES = Path("/run/vm/figures")
+TRIES = 3
+NOBODY = 65534
+PR_SET_KEEPCAPS, CAPABILITY_VERSION, DAC_OVERRIDE, DAC_READ_SEARCH = 8, 0x20080522, 1, 2
+ALL_CAPABILITIES = (1 << 41) - 1
+
+Wanted = Callable[[dict[str, Any]], bool]
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class Gadget:
+    """A gadget's process; lines are answered by it."""
+
+    def __init__(self, name: str, case: dict[str, Any]) -> None:
+        self._folder = tempfile.TemporaryDirectory()
+        self.path = f"{self._folder.name}/gadget"
+        self._process = subprocess.Popen([sys.executable, "-S", GADGETS / f"{name}.py", self.path, json.dumps(case)])
+        try:
+            until = time.monotonic() + START_S
+            while not os.path.exists(self.path):
+                assert self._process.poll() is None, f"{name} has ended"
+                assert time.monotonic() < until, f"{name} does not come up"
+                time.sleep(0.02)
+        except BaseException:
+            self._process.kill()
+            self._process.wait()
+            self._folder.cleanup()
+            raise
+
+    def ask(self, line: str) -> Any:
+        with socket.socket(socket.AF_UNIX) as end:
+            end.connect(self.path)
+            end.sendall(line.encode() + b"\n")
+            with end.makefile() as stream:
+                said = stream.readline()
+        assert said or line == "quit", f"the gadget ended at {line}"
+        answer = json.loads(said or "null")
+        assert not isinstance(answer, str), answer
+        return answer
+
+    def seen(self) -> dict[str, Any]:
+        """What the device was sent."""
+        answer: dict[str, Any] = self.ask("seen")
+        return answer
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            if self._process.poll() is None:
+                self.ask("quit")
+            self._process.wait(START_S)
+        finally:
+            self._process.kill()
+            self._folder.cleanup()
+
+
+def keep_capabilities(mask: int) -> None:
+    """Give up every capability but these (bits of <linux/capability.h>)."""
+    header = struct.pack("<Ii", CAPABILITY_VERSION, 0)
+    low, high = mask & 0xFFFFFFFF, mask >> 32
+    if _libc.capset(header, struct.pack("<6I", low, low, 0, high, high, 0)):
+        raise OSError(ctypes.get_errno(), "capset")
+
+
+def become(user: int) -> None:
+    """Be this user, who may still read the program wherever it lies, and write nothing that is not for everybody."""
+    if _libc.prctl(PR_SET_KEEPCAPS, 1, 0, 0, 0):
+        raise OSError(ctypes.get_errno(), "prctl")
+    os.setgroups([])
+    os.setgid(user)
+    os.setuid(user)
+    keep_capabilities(1 << DAC_READ_SEARCH)
+
+
+class Run:
+    """A function in a fork of this process, with streams of its own.
+
+    user  who runs it; None: root, to whom no mode of a file is a hindrance
+    """
+
+    def __init__(self, work: Callable[[], int], user: int | None = None) -> None:
+        self._files = [tempfile.TemporaryFile("w+") for _ in range(2)]  # noqa: SIM115  (closed at its end)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self._texts: list[str] = []
+        self.code: int | None = None
+        self.pid = os.fork()
+        if self.pid == 0:
+            os._exit(self._child(work, user))
+
+    def _child(self, work: Callable[[], int], user: int | None) -> int:
+        try:
+            logging.root.handlers.clear()  # pytest's: the program is to set up its own
+            for number, file in enumerate(self._files, 1):
+                os.dup2(file.fileno(), number)
+            sys.stdout, sys.stderr = os.fdopen(1, "w", buffering=1), os.fdopen(2, "w", buffering=1)
+            if user is not None:
+                become(user)
+            code = work()
+        except BaseException:
+            traceback.print_exc()
+            code = 70
+        sys.stdout.flush()
+        sys.stderr.flush()
+        return code
+
+    def _text(self, number: int) -> str:
+        if self._texts:
+            return self._texts[number]
+        file = self._files[number].fileno()
+        return os.pread(file, os.fstat(file).st_size, 0).decode()
+
+    @property
+    def out(self) -> str:
+        return self._text(0)
+
+    @property
+    def err(self) -> str:
+        return self._text(1)
+
+    def says(self, text: str, seconds: float = 60.0) -> None:
+        """Wait until this is in what it has written to standard error."""
+        until = time.monotonic() + seconds
+        while text not in self.err:
+            assert not self._ended(), f"ended with {self.code}:\n{self.err}"
+            assert time.monotonic() < until, f"does not say {text!r}:\n{self.err}"
+            time.sleep(0.05)
+
+    def until(self, device: Gadget, wanted: Wanted, seconds: float = 60.0) -> bool:
+        """Wait until what the device has seen is so; False when the processor starved the loop instead."""
+        until = time.monotonic() + seconds
+        while not wanted(saw := device.seen()):
+            if self._ended():
+                assert self.starved, f"ended with {self.code}:\n{self.err}"
+                return False
+            assert time.monotonic() < until, f"in {seconds} s the device saw {saw}"
+            time.sleep(0.05)
+        return True
+
+    @property
+    def starved(self) -> bool:
+        """Whether it gave up a device that nothing was done to: an emulated processor had no time for one of them."""
+        return self.code != 0 and "no answer to a" in self.err
+
+    def end(self, seconds: float = 60.0) -> int:
+        """Wait for the end; the exit code."""
+        until = time.monotonic() + seconds
+        while not self._ended():
+            if time.monotonic() > until:
+                self.kill()
+                raise AssertionError(f"still there after {seconds} s:\n{self.out}\n{self.err}")
+            time.sleep(0.05)
+        assert self.code is not None
+        return self.code
+
+    def stop(self) -> int:
+        """End it as a user does; the exit code."""
+        os.kill(self.pid, signal.SIGINT)
+        return self.end()
+
+    def kill(self) -> None:
+        """End it, if it has not ended, without a chance to do anything. Any number of times."""
+        if not self._ended():
+            os.kill(self.pid, signal.SIGKILL)
+            self._gone(os.waitpid(self.pid, 0)[1])
+
+    def _ended(self) -> bool:
+        if self.code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self._gone(status)
+        return self.code is not None
+
+    def _gone(self, status: int) -> None:
+        self._texts = [self._text(number) for number in range(2)]
+        for file in self._files:
+            file.close()
+        self.code = os.waitstatus_to_exitcode(status)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+
+
+def softfinger(*words: str, user: int | None = None) -> Run:
+    """The command line, beside this process."""
+    return Run(lambda: cli.main(list(words)), user)
+
+
+def daemon(rig: str, *words: str, user: int | None = None) -> Run:
+    """The daemon on a device of the guest."""
+    fixed = ("--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
+    fixed = (*fixed, "--rate", str(RATE_HZ))
+    return softfinger("run", "--rig", rig, *fixed, *words, user=user)
+
+
+def other_daemon() -> Run:
+    """The daemon on another device, which goes on whatever happens to those of the guest, and has seen them."""
+    running = daemon("replay")
+    running.says("real time")
+    time.sleep(hotplug.PERIOD_S)
+    return running
+
+
+@contextmanager
+def pushing(rig: str, device: Gadget, wanted: Wanted) -> Iterator[Run]:
+    """A daemon that has come so far that what the device has seen is `wanted`; one that starved is started again."""
+    for _ in range(TRIES):
+        with daemon(rig) as running:
+            if running.until(device, wanted):
+                yield running
+                return
+    raise AssertionError(f"starved {TRIES} times:\n{running.err}")
+
+
+def keep(rig: str, scene: str, ticks: int, path: Path) -> None:
+    """The daemon for so many ticks; all of them, as a subscriber got them, go to `path` (.npy)."""
+    changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": RATE_HZ}
+
+    def work() -> int:
+        np.save(path, records_of_daemon(load_rig(rig, changes), load_scene(scene), ticks))
+        return 0
+
+    for _ in range(TRIES):
+        with Run(work) as running:
+            if running.end(120) == 0:
+                return
+        assert running.starved, running.err
+    raise AssertionError(f"starved {TRIES} times:\n{running.err}")
+
+
+def attached(user: int | None = None, rig: str | None = None) -> list[dict[str, Any]]:
+    """What `softfinger devices --json` lists."""
+    listing = softfinger("devices", "--json", *(() if rig is None else ("--rig", rig)), user=user)
+    assert listing.end() == 0, listing.err
+    found: list[dict[str, Any]] = json.loads(listing.out)["devices"]
+    return found
+
+
+def measured(what: str, ms: list[float]) -> None:
+    """Leave measured times (ms) for the runner, which prints them at the end."""
+    p50, p99 = np.percentile(ms, (50, 99))
+    with FIGURES.open("a") as file:
+        file.write(f"{what}: p50 {p50:.2f} ms, p99 {p99:.2f} ms, {len(ms)} times\n")
+
+
+def contract(module: Path, device: Gadget) -> tuple[str, int]:
+    """Run the tests of a contract on a device; what pytest says, and its exit code.
+
+    They reach the device by the name that the beds of the ordinary tests have too (FALCON_TESTBED).
+    """
+
+    def work() -> int:
+        # To root no node is forbidden, and one of the tests forbids one.
+        keep_capabilities(ALL_CAPABILITIES & ~(1 << DAC_OVERRIDE | 1 << DAC_READ_SEARCH))
+        os.environ["FALCON_TESTBED"] = device.path
+        return int(pytest.main(["-q", "-p", "no:cacheprovider", str(module)]))
+
+    with Run(work) as tests:
+        code = tests.end(400)
+    return tests.out + tests.err, code
+
+
+@pytest.fixture(scope="session", autouse=True)
+def loaded() -> None:
+    """The servo's compiled code, loaded here, so that no fork has to."""
+    rig = load_rig("replay")
+    with open_device(rig.device, rig.servo.rate_hz) as device:
+        for scene in SCENES:
+            servo = Servo(device, make_tuning(load_scene(scene), rig.guard, device.info), rig.servo.rate_hz)
+            servo.compile()
+            servo.close()
+
+
+@contextmanager
+def gadget(name: str, **case: Any) -> Iterator[Gadget]:
+    """A device of the guest, plugged in; see gadgets/`name`.py for its case."""
+    with Gadget(name, case) as opened:
+        yield opened

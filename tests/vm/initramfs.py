@@ -1,0 +1,49 @@
+"""The guest's first file system: busybox, the kernel's modules, and init.sh, as an archive that the kernel unpacks."""
+
+from __future__ import annotations
+
+import gzip
+import stat
+import struct
+from pathlib import Path
+
+from vm.kernel import Kernel, VmError
+
+BUSYBOX = Path("/bin/busybox")
+PT_INTERP = 3
+INIT = Path(__file__).with_name("init.sh")
+
+
+def build(kernel: Kernel) -> bytes:
+    """The archive. VmError without a busybox that needs no library."""
+    if not BUSYBOX.exists():
+        raise VmError("busybox is not installed: make vm-packages")
+    busybox = BUSYBOX.read_bytes()
+    if _interpreted(busybox):
+        raise VmError(f"{BUSYBOX} needs libraries, which the guest does not have: make vm-packages")
+    entries = [entry(folder, stat.S_IFDIR | 0o755) for folder in ("bin", "modules", "dev", "host")]
+    entries.append(entry("bin/busybox", stat.S_IFREG | 0o755, busybox))
+    entries.append(entry("bin/sh", stat.S_IFLNK | 0o777, b"busybox"))
+    entries.append(entry("init", stat.S_IFREG | 0o755, INIT.read_bytes()))
+    for number, path in enumerate(kernel.modules):
+        entries.append(entry(f"modules/{number:02d}-{path.name}", stat.S_IFREG | 0o644, path.read_bytes()))
+    entries.append(entry("TRAILER!!!", 0))
+    return gzip.compress(b"".join(entries), compresslevel=1)
+
+
+def entry(name: str, mode: int, data: bytes = b"") -> bytes:
+    """One file of a cpio archive of the "newc" format (kernel's buffer-format.rst)."""
+    title = name.encode() + b"\0"
+    fields = (0, mode, 0, 0, 1, 0, len(data), 0, 0, 0, 0, len(title), 0)
+    return _padded(b"070701" + b"".join(b"%08x" % field for field in fields) + title) + _padded(data)
+
+
+def _interpreted(program: bytes) -> bool:
+    """Whether an ELF program of 64 bits is started by a loader: one of its program headers says so."""
+    (at,) = struct.unpack_from("<Q", program, 32)
+    size, count = struct.unpack_from("<HH", program, 54)
+    return any(struct.unpack_from("<I", program, at + k * size)[0] == PT_INTERP for k in range(count))
+
+
+def _padded(data: bytes) -> bytes:
+    return data + b"\0" * (-len(data) % 4)

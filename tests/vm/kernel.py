@@ -1,0 +1,130 @@
+"""A Debian kernel to boot: the package that apt names, of which the image and the modules needed are kept."""
+
+from __future__ import annotations
+
+import lzma
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+META_PACKAGE = "linux-image-amd64"
+"""Depends on the newest kernel. The kernels for clouds have no dummy_hcd."""
+
+WANTED = (
+    *("virtio_pci", "9pnet_virtio", "9p"),
+    *("dummy_hcd", "libcomposite", "usb_f_fs", "usb_f_hid", "usb_f_acm", "cdc-acm"),
+    *("hid-generic", "usbhid", "uhid"),
+)
+"""The file systems of this machine; a bus with both ends in the guest, and what stands at each."""
+
+
+class VmError(Exception):
+    """The virtual machine cannot be made; the message says what to do."""
+
+
+class Kernel(NamedTuple):
+    """An image and its modules, in an order in which they can be loaded."""
+
+    package: str
+    image: Path
+    modules: tuple[Path, ...]
+
+
+def find(cache: Path, package: str | None = None) -> Kernel:
+    """The kernel of `package`, or of the newest one that apt knows; from `cache`, where it is there already.
+
+    Raises VmError when apt has none, or the modules are not in it.
+    """
+    name = package or newest()
+    folder = cache / name
+    wanted = folder / "wanted"  # which modules are kept there
+    if not wanted.exists() or tuple(wanted.read_text().split()) != WANTED:
+        unpack(name, folder)
+    order = (folder / "order").read_text().split()
+    return Kernel(name, folder / "vmlinuz", tuple(folder / module for module in order))
+
+
+def newest() -> str:
+    """The kernel package that the meta package stands for now."""
+    said = _output("apt-cache", "depends", META_PACKAGE)
+    found = re.search(r"Depends: (linux-image-\d\S+)", said)
+    if found is None:
+        raise VmError(f"apt knows no kernel ({META_PACKAGE}): run `apt-get update`, or name one with --kernel")
+    return found[1]
+
+
+def unpack(package: str, folder: Path) -> None:
+    """Download a kernel package and keep what is needed of it in `folder`."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix="unpacking-") as name:
+        work = Path(name)
+        _output("apt-get", "download", "-qq", package, cwd=work)
+        (archive,) = work.glob("*.deb")
+        whole, kept = work / "whole", work / "kept"
+        _output("dpkg-deb", "-x", str(archive), str(whole))
+        kept.mkdir()
+        (image,) = (whole / "boot").glob("vmlinuz-*")
+        shutil.copy(image, kept / "vmlinuz")
+        (tree,) = whole.glob("**/lib/modules/*")
+        order = [_keep(path, kept) for path in in_order(tree, WANTED, package)]
+        (kept / "order").write_text("\n".join(order))
+        (kept / "wanted").write_text("\n".join(WANTED))
+        if folder.exists():
+            shutil.rmtree(folder)
+        kept.rename(folder)
+
+
+def in_order(tree: Path, wanted: tuple[str, ...], package: str) -> list[Path]:
+    """The modules `wanted` below a kernel's folder of modules, each after those that it depends on."""
+    files = {_name(path): path for path in tree.rglob("*.ko*")}
+    built_in = {_name(Path(line)) for line in (tree / "modules.builtin").read_text().split()}
+    ordered: dict[str, Path] = {}
+
+    def add(module: str) -> None:
+        name = module.replace("-", "_")
+        if name in ordered or name in built_in:
+            return
+        if name not in files:
+            raise VmError(f"{package} has no module {module}: name another package with --kernel, not one for clouds")
+        for other in _depends(files[name]):
+            add(other)
+        ordered[name] = files[name]
+
+    for module in wanted:
+        add(module)
+    return list(ordered.values())
+
+
+def _name(path: Path) -> str:
+    return path.name.split(".ko")[0].replace("-", "_")
+
+
+def _depends(path: Path) -> Iterator[str]:
+    """What the module itself says that it needs (its .modinfo)."""
+    found = re.search(rb"\0depends=([^\0]*)\0", _read(path))
+    yield from filter(None, found[1].decode().split(",")) if found else ()
+
+
+def _read(path: Path) -> bytes:
+    data = path.read_bytes()
+    return lzma.decompress(data) if path.suffix == ".xz" else data
+
+
+def _keep(path: Path, folder: Path) -> str:
+    name = f"{_name(path)}.ko"
+    (folder / name).write_bytes(_read(path))
+    return name
+
+
+def _output(*command: str, cwd: Path | None = None) -> str:
+    try:
+        done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    except FileNotFoundError as error:
+        raise VmError(f"{command[0]} is not installed: the virtual machine boots a kernel of Debian") from error
+    if done.returncode != 0:
+        raise VmError(f"{' '.join(command)}: {done.stderr.strip() or f'exit {done.returncode}'}")
+    return done.stdout

@@ -1,0 +1,55 @@
+"""The daemon on a SpaceMouse of the guest's HID layer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop import assert_engine_agrees
+
+from softfinger.config.load import load_scene
+from softfinger.proxy.state import OFFSET
+from vm.guest import RATE_HZ, attached, daemon, gadget, keep, other_daemon
+from vm.guest import loaded as loaded
+
+
+def listed() -> list[dict[str, Any]]:
+    return [one for one in attached() if one["driver"] == "spacemouse"]
+
+
+@pytest.mark.parametrize("reports", ["split", "combined"])
+def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
+    """Found, opened, pushed down and to the right: the fingertip goes there, into the plane; buttons arrive, and the
+    lamp is lit and put out."""
+    kept = tmp_path / "records.npy"
+    with gadget("puck", reports=reports, push={"up": -200, "right": 100}, buttons=5) as puck:
+        (found,) = listed()
+        assert (found["state"], found["name"], found["rigs"]) == ("usable", "SpaceNavigator", ["spacemouse"])
+        keep("spacemouse", "paper-plane", 200, kept)
+        assert puck.seen()["written"] == ["0401", "0400"]
+    records = np.load(kept)
+    way = np.ptp(records[:, OFFSET["probe.position"] : OFFSET["probe.position"] + 3], axis=0)
+    assert way[0] / way[2] == pytest.approx((100 - 15) / (200 - 15), rel=1e-9)  # one time for both: rounding alone
+    assert way[1] == 0.0
+    assert {0.0, 1.0} <= set(records[:, OFFSET["contact.mode"]])
+    assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 20
+    assert records[-1, OFFSET["buttons"]] == 5
+
+
+def test_unplugged_in_use() -> None:
+    """Pulled out while it leads the fingertip: device lost; a daemon beside it tells; plugged in, it opens again."""
+    with gadget("puck", push={"right": 50}) as puck, other_daemon() as other:
+        with daemon("spacemouse") as running:
+            running.says("scene")
+            running.says("real time")
+            puck.ask("make lost")
+            assert running.end() == 4, running.err
+        assert "spacemouse SpaceNavigator is gone (status -1 on read): plug it in again" in running.err
+        other.says("detached: SpaceNavigator (256f:c635) at /dev/hidraw")
+        puck.ask("mend")
+        other.says("attached: SpaceNavigator (256f:c635) at /dev/hidraw")
+        with daemon("spacemouse", "--duration", "0.2") as again:
+            assert again.end() == 0, again.err
+        assert other.stop() == 0, other.err
