@@ -25,6 +25,7 @@ class Emulated(Bench):
 
     # Half a motor count at each leg is 4 mN at the knob, and the knob moves by 0.1 mm before it is asked.
     force_step_n: ClassVar[float] = 0.01
+    patience_s: ClassVar[float] = 10.0
 
     def ask(self, line: str) -> Any:
         with socket.socket(socket.AF_UNIX) as end:
@@ -35,7 +36,7 @@ class Emulated(Bench):
 
     def open(self) -> Falcon:
         # A tick of the emulation waits for two other programs: silences are longer than on a bus.
-        given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 0.2}
+        given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
         return open_device(build(Options, given, "falcon [device]"), RATE_HZ)
 
     def displayed(self) -> tuple[float, ...]:
@@ -44,8 +45,6 @@ class Emulated(Bench):
 
     def make(self, case: str) -> None:
         self.ask(f"make {case}")
-        if case == "timeout":
-            time.sleep(0.05)  # after a pause the next read waits for a reply of now
 
     def mend(self) -> None:
         self.ask("mend")

@@ -44,7 +44,7 @@ def rig_with(tmp_path: Path, **keys: object) -> str:
     """The shipped rig with other keys in [device], as a file."""
     text = find("falcon", Rig).read_text()
     # A tick of the emulation waits for two other programs: silences are longer than on a bus.
-    given = {"kick_s": 0.15, "timeout_s": 0.2, **keys}
+    given = {"kick_s": 0.15, "timeout_s": 1.0, **keys}
     for key in given:
         text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
     lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in given.items())
@@ -219,7 +219,7 @@ import sys
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.falcon import Options, open_device
 from driver_contract import RATE_HZ, Servo
-given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 0.2}
+given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
 first, second = (open_device(build(Options, {**given, "serial": name}, "rig"), RATE_HZ) for name in ("SN1", "SN2"))
 ends = [Servo(first), Servo(second)]
 for turn in range(30):

@@ -231,7 +231,7 @@ def test_stop_returns_after_the_zero() -> None:
 @pytest.mark.parametrize("rig", ["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
 def test_calibration_at_opening(rig: str) -> None:
     """The preset is passed over for nothing: an arm in its calibration pose senses it, through a slow writer too."""
-    options = rig_options(rig, calibrate=True, timeout_s=0.2)
+    options = rig_options(rig, calibrate=True, timeout_s=1.0)
     itself = Arm(RIGS[rig])
     resting = itself.position(itself.angles_at(itself.calibration))
     arm = Woody(RIGS[rig], 1 if options.reports.preset is None else 2, lambda _: resting)
@@ -253,7 +253,7 @@ def test_calibration_at_opening(rig: str) -> None:
 
 def test_a_calibration_that_fails_leaves_nothing_open() -> None:
     """A board without an answer, and one that takes no report, are told apart at opening; hidapi is closed."""
-    options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=0.2)  # a busy machine answers late
+    options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=1.0)  # a busy machine answers late
     for answer, error, said in (
         (None, DeviceTimeout, "sends no report"),
         (b"\0" * 64, DeviceError, "did not take the calibration"),

@@ -6,7 +6,6 @@ import ctypes
 import gc
 import os
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -159,6 +158,7 @@ class FalconBench(Bench):
 
     # Half a motor count at each leg is 4 mN at the knob; it moves by a millisecond before it is asked.
     force_step_n = 0.01
+    patience_s = 10.0
 
     def __init__(self, stub: UsbStub) -> None:
         self.stub = stub
@@ -173,7 +173,6 @@ class FalconBench(Bench):
         knobs = {"not_found": "attached", "busy": "held", "permission": "forbidden", "lost": "unplugged"}
         if case == "timeout":
             self.stub["mute_at"] = 0.0
-            time.sleep(0.05)  # after a pause the next read waits for a reply of now
         else:
             self.stub[knobs[case]] = 0.0 if case == "not_found" else 1.0
 

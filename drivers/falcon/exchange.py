@@ -39,8 +39,10 @@ MISSING_NS: Final = 5_000_000
 """An answer that has not come for so long was lost, as one with a wrong byte is: it is not waited for any more."""
 RESUME_NS: Final = 30_000_000
 """After a pause this long the reply that waits is an old one, and a new one is asked for."""
+RESUME_WAIT_NS: Final = 100_000_000
+"""How long a running loop waits so: the supervisor ends one that stands still for a quarter of a second."""
 SLICE_US: Final = 2000
-"""Time of one wait for a reply, when there is none to repeat."""
+"""Time of one wait for a reply of now."""
 
 # struct libusb_transfer, in words, and in int32 for its status and length
 _USER_DATA, _STATUS, _ACTUAL = 5, 4, 6
@@ -158,38 +160,52 @@ def _put(handle: int, motors: packets.Counts) -> int:
 
 @jit
 def _await(handle: int) -> int:
-    """Throw away what has come, and is still to come of before, and wait for a reply of now; 1, or a status below 0."""
+    """Throw away what has come and wait for a reply of now; how many came, or a status below 0.
+
+    With a sample to repeat the wait is short.
+    """
     word = int64_at(handle)
     came = _take(handle, 0)
     # The chip keeps a reply until it is asked, and while nobody read it was asked only once.
-    older = word[block.AWAITED]
+    word[block.OLDER] += word[block.AWAITED]
     begun = _now(handle)
     word[block.AWAITED] = 0
+    running = word[block.SENSED] != 0
     asked_at = begun - word[block.KICK]
     asked = False
     while came >= 0:
         now = _now(handle)
-        if now - begun > word[block.TIMEOUT_AFTER]:
+        if running and now - begun > RESUME_WAIT_NS:
+            return 0
+        if not running and now - begun > word[block.TIMEOUT_AFTER]:
             return TIMEOUT
         if now - asked_at >= word[block.KICK]:
             status = _send(handle, (0, 0, 0))
             if status < 0:
                 return status
             if asked:  # they are lost
-                older = 0
+                word[block.OLDER] = 0
             asked_at, asked = now, True
-        came = _take(handle, SLICE_US)
-        older -= max(came, 0)
-        if older < 0:
-            return 1
+        came = _of_now(handle, _take(handle, SLICE_US))
+        if came > 0:
+            break
     return came
+
+
+@jit
+def _of_now(handle: int, came: int) -> int:
+    """Of so many replies those that answer packets of after the last pause; a status below 0 as it is."""
+    word = int64_at(handle)
+    older = max(0, min(came, word[block.OLDER]))
+    word[block.OLDER] -= older
+    return came - older
 
 
 @jit
 def _kick(handle: int) -> int:
     """A zero into the silence; answers that have not come will not."""
     word = int64_at(handle)
-    word[block.AWAITED] = 0
+    word[block.AWAITED] = word[block.OLDER] = 0
     word[block.KICKS] += 1
     return _send(handle, (0, 0, 0))
 
@@ -201,7 +217,9 @@ def _read_locked(handle: int, sample: Any) -> int:
         return LOST
     now = _now(handle)
     paused = now - word[block.READ_AT] > RESUME_NS or word[block.SENSED] == 0
-    came = _await(handle) if paused else _take(handle, 0)
+    if paused:  # while nobody read, the device was not silent; but the last sample is old
+        word[block.HEARD_AT] = min(word[block.HEARD_AT] + now - word[block.READ_AT], now - word[block.KICK] - 1)
+    came = _await(handle) if paused else _of_now(handle, _take(handle, 0))
     word[block.READ_AT] = _now(handle)
     if came < 0:
         return came

@@ -227,13 +227,12 @@ def _kick(handle: int) -> int:
 def _await(handle: int) -> int:
     """Throw away what is queued and wait for a report of now, kicking; how many came, or a status below 0.
 
-    With a sample to repeat the wait is short. Until a report comes the device counts as silent, and gets no force.
+    With a sample to repeat the wait is short.
     """
     word = int64_at(handle)
     status = _drain(handle)
     begun = _now(handle)
     running = word[SENSED] != 0
-    word[HEARD_AT] = begun - word[KICK] - 1
     while status >= 0:
         status = _kick(handle)
         if status < 0:
@@ -294,6 +293,8 @@ def read(handle: int, sample: Any) -> int:
         return LOST
     now = _now(handle)
     paused = now - word[READ_AT] > RESUME_NS or word[SENSED] == 0
+    if paused:  # while nobody read, the device was not silent; but what it said then is old, and so is the last sample
+        word[HEARD_AT] = min(word[HEARD_AT] + now - word[READ_AT], now - word[KICK] - 1)
     word[READ_AT] = now
     came = _await(handle) if paused else _drain(handle)
     if came < 0:

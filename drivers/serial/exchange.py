@@ -212,7 +212,7 @@ def _kick(handle: int) -> int:
 def _await(handle: int) -> int:
     """Throw away what is queued and wait for a frame of now, kicking; how many came, or a status below 0.
 
-    With a sample to repeat the wait is short. Until a frame comes the device counts as silent, and gets no force.
+    With a sample to repeat the wait is short.
     """
     word = int64_at(handle)
     status = _drain(handle)
@@ -220,7 +220,6 @@ def _await(handle: int) -> int:
     heard = word[BYTES]
     running = word[SENSED] != 0
     word[KICKED_AT] = begun - word[KICK]
-    word[HEARD_AT] = begun - word[QUIET] - 1
     while status >= 0:
         now = _now(handle)
         if running and now - begun > RESUME_WAIT_NS:
@@ -263,6 +262,8 @@ def read(handle: int, sample: Any) -> int:
         return LOST
     now = _now(handle)
     paused = now - word[READ_AT] > RESUME_NS or word[SENSED] == 0
+    if paused:  # while nobody read, the device was not silent; but what it said then is old, and so is the last sample
+        word[HEARD_AT] = min(word[HEARD_AT] + now - word[READ_AT], now - word[QUIET] - 1)
     word[READ_AT] = now
     came = _await(handle) if paused else _drain(handle)
     if came < 0:
