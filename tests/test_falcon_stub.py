@@ -212,6 +212,23 @@ def test_faults_leave_nothing_under_way(
         assert not any(stub.motors())
 
 
+def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: FalconBench) -> None:
+    """After a pause longer than the time-out a device that is late to answer is not given up: the sample of before
+    is repeated, no force goes with it, and a reply of now ends that."""
+    with bench.open(timeout_s=1.0, kick_s=0.02) as device:
+        servo = Servo(device)
+        servo.read()
+        stub["mute_at"] = 0.0
+        time.sleep(1.2)
+        assert servo.read()[0] == STALE
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == STALE
+        assert not any(stub.motors())
+        stub["mute_at"] = -1.0
+        while (status := servo.read()[0]) == STALE:
+            time.sleep(0.001)
+        assert status == OK
+
+
 def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(stub: UsbStub, bench: FalconBench) -> None:
     """A packet with a force does not go through; when the device takes packets again, `stop` has withdrawn it, and what
     arrives is the zero."""

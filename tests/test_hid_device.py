@@ -185,6 +185,24 @@ def test_a_sleeping_device_is_woken() -> None:
         assert device.counts()["drained"] == 19
 
 
+def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
+    """After a pause longer than the time-out a device that is late to answer is not given up: the sample of before
+    is repeated, no force goes with it, and a report of now ends that."""
+    with woody(timeout_s=1.0) as (device, arm, answering):
+        servo = Servo(device)
+        assert servo.read()[0] == OK
+        answering.mute.set()
+        time.sleep(1.2)
+        assert servo.read()[0] == STALE
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == STALE
+        answering.settle(device)
+        assert not any(arm.sent[-1])
+        answering.mute.clear()
+        while (status := servo.read()[0]) == STALE:
+            time.sleep(0.001)
+        assert status == OK
+
+
 def test_the_newest_of_many_reports_counts() -> None:
     """Reports that have piled up within a tick are passed over for the newest."""
     with woody() as (device, arm, answering):

@@ -170,6 +170,22 @@ def test_a_frame_waits_for_the_answer_to_the_last() -> None:
         assert servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
 
 
+def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
+    """After a pause longer than the time-out a board that is late to answer is not given up: the sample of before
+    is repeated, no force goes with it, and a frame of now ends that."""
+    with board(timeout_s=1.0) as (device, itself, cable):
+        servo = Servo(device)
+        fresh(servo)
+        cable.mute.set()
+        time.sleep(1.2)
+        assert servo.read()[0] == STALE
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == STALE
+        settle(device, cable)
+        assert itself.force == (0.0, 0.0, 0.0)
+        cable.mute.clear()
+        fresh(servo)
+
+
 def test_the_newest_of_many_frames_counts() -> None:
     """Frames that have piled up within a tick are passed over for the newest."""
     with board() as (device, itself, cable):
