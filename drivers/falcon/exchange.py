@@ -196,7 +196,7 @@ def _await(handle: int) -> int:
 def _of_now(handle: int, came: int) -> int:
     """Of so many replies those that answer packets of after the last pause; a status below 0 as it is."""
     word = int64_at(handle)
-    older = max(0, min(came, word[block.OLDER]))
+    older: int = max(0, min(came, word[block.OLDER]))
     word[block.OLDER] -= older
     return came - older
 
