@@ -24,9 +24,10 @@ from softfinger.drivers.base import (
     DeviceInfo,
     DeviceIO,
 )
+from softfinger.drivers.libc import IO_SIGNATURE
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample
-from softfinger.drivers.wrench_log import IO_SIGNATURE, READS, WrenchLog, Written
+from softfinger.drivers.wrench_log import READS, WrenchLog, Written
 from softfinger.proxy.kernels.jit import c_function
 from softfinger.proxy.kernels.memory import float64_at, int64_at
 

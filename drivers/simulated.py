@@ -27,7 +27,7 @@ from softfinger.drivers.base import (
     DeviceInfo,
     DeviceIO,
 )
-from softfinger.drivers.libc import monotonic_ns
+from softfinger.drivers.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.drivers.plant import (
     LINE_SIZE,
     Intention,
@@ -41,7 +41,7 @@ from softfinger.drivers.plant import (
 )
 from softfinger.drivers.simulation import Options, simulation
 from softfinger.drivers.spacemouse import SETUP, SETUP_LIKE, SETUP_SIZE, Puck, follow, mask, place
-from softfinger.drivers.wrench_log import IO_SIGNATURE, READS, ROW_BYTES, WrenchLog, Written
+from softfinger.drivers.wrench_log import READS, ROW_BYTES, WrenchLog, Written
 from softfinger.proxy.kernels.jit import c_function, jit
 from softfinger.proxy.kernels.memory import float64_at, int64_at
 from softfinger.proxy.kernels.model import Vec3

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.base import OK, STALE
+from softfinger.drivers.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit import c_function, jit
 from softfinger.proxy.kernels.memory import exchange_int64, float64_at, int64_at
 
@@ -42,9 +43,6 @@ FORCE_ENDINGS: Final = (".csv", ".npz")
 FORCE_COLUMNS: Final = ("read", "force[0]", "force[1]", "force[2]", "torque[0]", "torque[1]", "torque[2]")
 
 log: Final = logging.getLogger(__name__)
-
-_CPointer: Any = types.CPointer
-IO_SIGNATURE: Final[Any] = types.int64(types.int64, _CPointer(types.float64))
 
 
 class Written(NamedTuple):

@@ -18,7 +18,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from emulators.woodenhaptics import Vector, Woody
+from emulators.hand import Vector
+from emulators.woodenhaptics import Woody
 
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.hid import HidDevice, Options
@@ -40,7 +41,8 @@ def rig_options(rig: str, **changes: Any) -> Options:
 
 
 def described(**changes: Any) -> dict[str, Any]:
-    """A cartesian device of somebody's own: numbered reports, floats, a quaternion, two buttons, forces in mN."""
+    """A cartesian device of somebody's own: numbered reports, floats, a quaternion, two buttons, a gripper in
+    hundredths of a radian, forces in mN."""
     fields = [("x", 0), ("y", 4), ("z", 8), ("qw", 12), ("qx", 16), ("qy", 20), ("qz", 24)]
     scale = {"x": 1e-3, "y": 1e-3, "z": 1e-3}
     return {
@@ -52,6 +54,7 @@ def described(**changes: Any) -> dict[str, Any]:
                 "field": [
                     *({"meaning": m, "offset": at, "type": "float32", "scale": scale.get(m, 1.0)} for m, at in fields),
                     {"meaning": "buttons", "offset": 28, "type": "uint8"},
+                    {"meaning": "gripper", "offset": 29, "type": "uint8", "scale": 0.01},
                 ],
             },
             "output": {

@@ -316,12 +316,13 @@ def test_calibration_that_is_not_taken_is_refused() -> None:
 
 
 def test_a_described_device() -> None:
-    """A lab's own device, numbered reports of floats: pose, buttons and forces as its rig describes them."""
+    """A lab's own device, numbered reports of floats: pose, buttons, gripper and forces as its rig describes
+    them."""
     heard: list[bytes] = []
 
     def answer(data: bytes) -> bytes:
         heard.append(data)
-        return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 0, 0, 0, 2, 2, 0)
+        return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 0, 0, 0, 2, 2, 25)
 
     fd, end = ends()
     with Answering(end, answer) as answering, HidDevice(build(Options, described(), "rig"), fd) as device:
@@ -331,7 +332,7 @@ def test_a_described_device() -> None:
         assert status == OK
         assert sample[:3] == pytest.approx((0.01, -0.02, 0.005), abs=1e-9)  # float32 of millimetres
         assert sample[3:7] == [0, 0, 0, 1]
-        assert sample[8] == 2
+        assert sample[8:] == [2, 0.25]
         assert servo.write(1.5, 0.0, -0.25, 0.0, 0.0, 0.0) == OK
         assert servo.write(0.0, 0.0, 40.0, 0.0, 0.0, 0.0) == STALE
         answering.settle(device)

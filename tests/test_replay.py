@@ -33,7 +33,7 @@ def test_read_n_gives_sample_n() -> None:
         for n in range(500):
             status, sample = servo.read()
             assert status == OK
-            assert sample == [*wanted[n], n * 0.001, 0.0]
+            assert sample == [*wanted[n], n * 0.001, 0.0, 0.0]
         assert device.info.own_clock
         assert device.reads == 500
 
@@ -45,7 +45,7 @@ def test_once_through_ends_and_stays_ended() -> None:
         statuses = [servo.read()[0] for _ in range(count)]
         assert statuses == [OK] * count
         for _ in range(3):
-            assert servo.read() == (END, [*device.samples[-1], (count - 1) * 0.001, 0.0])
+            assert servo.read() == (END, [*device.samples[-1], (count - 1) * 0.001, 0.0, 0.0])
 
 
 def test_loop_goes_on() -> None:

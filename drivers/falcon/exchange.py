@@ -21,12 +21,11 @@ from numba import types
 from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT
 from softfinger.drivers.falcon import block, packets
 from softfinger.drivers.falcon.reply import command, feed, pose
+from softfinger.drivers.libc import IO_SIGNATURE, monotonic_ns
+from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, heard_at
 from softfinger.proxy.kernels.foreign import call_int32
 from softfinger.proxy.kernels.jit import c_function, jit
 from softfinger.proxy.kernels.memory import exchange_int64, float64_at, int32_at, int64_at, uint8_at
-
-_CPointer: Any = types.CPointer
-IO_SIGNATURE: Final[Any] = types.int64(types.int64, _CPointer(types.float64))
 
 IN_BYTES: Final = 64
 STATUS_BYTES: Final = 2
@@ -37,10 +36,6 @@ TAKEN_MAX: Final = 8
 """Transfers taken in one tick: a device that floods cannot hold the loop."""
 MISSING_NS: Final = 5_000_000
 """An answer that has not come for so long was lost, as one with a wrong byte is: it is not waited for any more."""
-RESUME_NS: Final = 30_000_000
-"""After a pause this long the reply that waits is an old one, and a new one is asked for."""
-RESUME_WAIT_NS: Final = 100_000_000
-"""How long a running loop waits so: the supervisor ends one that stands still for a quarter of a second."""
 SLICE_US: Final = 2000
 """Time of one wait for a reply of now."""
 
@@ -48,8 +43,6 @@ SLICE_US: Final = 2000
 _USER_DATA, _STATUS, _ACTUAL = 5, 4, 6
 _COMPLETED, _TIMED_OUT, _CANCELLED, _NO_DEVICE = 0, 2, 3, 5
 _ERROR_NO_DEVICE, _ERROR_INTERRUPTED = -4, -10
-
-_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, _CPointer(types.int64)))
 
 
 @c_function(types.void(types.int64))
@@ -60,9 +53,7 @@ def done(transfer: int) -> None:
 
 @jit
 def _now(handle: int) -> int:
-    timespec = int64_at(handle + 8 * block.TIMESPEC)
-    _clock_gettime(1, timespec)
-    return int(timespec[0] * 1_000_000_000 + timespec[1])
+    return monotonic_ns(handle + 8 * block.TIMESPEC)
 
 
 @jit
@@ -217,8 +208,8 @@ def _read_locked(handle: int, sample: Any) -> int:
         return LOST
     now = _now(handle)
     paused = now - word[block.READ_AT] > RESUME_NS or word[block.SENSED] == 0
-    if paused:  # while nobody read, the device was not silent; but the last sample is old
-        word[block.HEARD_AT] = min(word[block.HEARD_AT] + now - word[block.READ_AT], now - word[block.KICK] - 1)
+    if paused:
+        word[block.HEARD_AT] = heard_at(word[block.HEARD_AT], word[block.READ_AT], now, word[block.KICK])
     came = _await(handle) if paused else _of_now(handle, _take(handle, 0))
     word[block.READ_AT] = _now(handle)
     if came < 0:

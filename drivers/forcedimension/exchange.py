@@ -25,14 +25,12 @@ from softfinger.drivers.base import (
     TIMEOUT,
 )
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
+from softfinger.drivers.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.foreign import call_int32
 from softfinger.proxy.kernels.jit import c_function, jit
 from softfinger.proxy.kernels.memory import exchange_int64, float64_at, int32_at, int64_at
 from softfinger.proxy.kernels.rotations import from_matrix
-
-_CPointer: Any = types.CPointer
-IO_SIGNATURE: Final[Any] = types.int64(types.int64, _CPointer(types.float64))
 
 # Words of the block behind the handle. Addresses of the library's functions:
 GET_FRAME: Final = 0
@@ -73,20 +71,16 @@ STATUS_FORCE: Final = 5
 STATUS_ERROR: Final = 9
 STATUS_CAUSE: Final = 14
 
-CLOCK_MONOTONIC: Final = 1
 NS_PER_S: Final = 1_000_000_000
 NOT_A_ROTATION: Final = 0.01
 """How far the rows' lengths and the determinant may be from 1; a matrix that is off by more is a fault, not a sensed
 rotation. Rows of length 1 that span a volume of 1 are at right angles."""
 
-_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, _CPointer(types.int64)))
-
 
 @jit
 def _device_time(handle: int) -> float:
     word = int64_at(handle)
-    _clock_gettime(CLOCK_MONOTONIC, int64_at(handle + 8 * TIMESPEC))
-    return float(word[TIMESPEC] * NS_PER_S + word[TIMESPEC + 1] - word[STARTED_NS]) / NS_PER_S
+    return float(monotonic_ns(handle + 8 * TIMESPEC) - word[STARTED_NS]) / NS_PER_S
 
 
 @jit

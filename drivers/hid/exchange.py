@@ -17,7 +17,17 @@ from typing import Any, Final, NamedTuple
 
 from numba import carray, types
 
-from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_BUTTONS, SAMPLE_SIZE, SAMPLE_TIME, STALE, TIMEOUT
+from softfinger.drivers.base import (
+    LOST,
+    OK,
+    PROTOCOL,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_SIZE,
+    SAMPLE_TIME,
+    STALE,
+    TIMEOUT,
+)
 from softfinger.drivers.hid.chain import Chain, angles_of, currents_for, forward, orientation_of
 from softfinger.drivers.hid.reports import (
     BUTTONS,
@@ -26,6 +36,7 @@ from softfinger.drivers.hid.reports import (
     COUNTS,
     CURRENT,
     FORCE,
+    GRIPPER,
     POSITION,
     QUATERNION,
     WRIST,
@@ -43,6 +54,7 @@ from softfinger.drivers.libc import (
     read_fd,
     write_fd,
 )
+from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, heard_at
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.jit import c_function, jit
 from softfinger.proxy.kernels.memory import exchange_int64, float64_at, int64_at, uint8_at
@@ -95,12 +107,8 @@ CHAIN_WITH_WRIST: Final = 3
 
 DRAIN_MAX: Final = 256
 """Reads in one tick: four times what the kernel keeps for a node; a device that floods cannot hold the loop."""
-RESUME_NS: Final = 30_000_000
-"""After a pause this long the kernel's queue may be full of old reports, and it drops new ones: all are thrown away."""
 WAIT_MS: Final = 10
 """Time of one wait for a report of now."""
-RESUME_WAIT_NS: Final = 100_000_000
-"""How long a running loop waits so: the supervisor ends one that stands still for a quarter of a second."""
 IN_SPARE: Final = 1
 """A buffer is so much longer than its report: a longer one than described is then seen to be longer."""
 
@@ -280,7 +288,8 @@ def _pose(handle: int, model: Model) -> bool:
     for k in range(4):
         kept[3 + k] = orientation[k]
     kept[SAMPLE_BUTTONS] = values[BUTTONS]
-    usable = isfinite(kept[SAMPLE_BUTTONS])
+    kept[SAMPLE_GRIPPER] = values[GRIPPER]
+    usable = isfinite(kept[SAMPLE_BUTTONS]) and isfinite(kept[SAMPLE_GRIPPER])
     for k in range(7):
         usable = usable and isfinite(kept[k])
     return usable
@@ -293,8 +302,8 @@ def read(handle: int, sample: Any) -> int:
         return LOST
     now = _now(handle)
     paused = now - word[READ_AT] > RESUME_NS or word[SENSED] == 0
-    if paused:  # while nobody read, the device was not silent; but what it said then is old, and so is the last sample
-        word[HEARD_AT] = min(word[HEARD_AT] + now - word[READ_AT], now - word[KICK] - 1)
+    if paused:
+        word[HEARD_AT] = heard_at(word[HEARD_AT], word[READ_AT], now, word[KICK])
     word[READ_AT] = now
     came = _await(handle) if paused else _drain(handle)
     if came < 0:

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -39,8 +39,8 @@ TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "u
 """Types of a field, little-endian; a kernel knows each by its place here."""
 TYPE_BYTES: Final = {name: struct.calcsize(code) for name, code in zip(TYPES, "bBhHiIf", strict=True)}
 
-Sensed = Literal["a", "b", "c", "d", "e", "f", "x", "y", "z", "qw", "qx", "qy", "qz", "buttons"]
-SENSED: Final[tuple[str, ...]] = ("a", "b", "c", "d", "e", "f", "x", "y", "z", "qw", "qx", "qy", "qz", "buttons")
+Sensed = Literal["a", "b", "c", "d", "e", "f", "x", "y", "z", "qw", "qx", "qy", "qz", "gripper", "buttons"]
+SENSED: Final[tuple[str, ...]] = get_args(Sensed)
 """What a field of an input report may mean: encoder counts, position (m), orientation, bits of the button mask."""
 
 Commanded = Literal[
@@ -72,7 +72,7 @@ Counts = Annotated[float, Meta(ge=COUNTS.low, le=COUNTS.high)]
 class InputField(Table, frozen=True, kw_only=True):
     """One number of an input report: meaning = scale * raw + bias."""
 
-    meaning: Annotated[Sensed, said("what it is: encoder a to f, position, quaternion, buttons", "a")]
+    meaning: Annotated[Sensed, said("what it is: encoder a to f, position, quaternion, gripper, buttons", "a")]
     offset: Annotated[int, Meta(ge=0, le=int(REPORT_BYTES.high)), said("first byte, after the report id", 0)]
     type: Annotated[Type, said("little-endian type", "int16")]
     scale: Annotated[float, within(SCALE, "per count; metres for x, y, z", 1.0)] = 1.0

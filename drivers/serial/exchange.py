@@ -26,6 +26,7 @@ from softfinger.drivers.libc import (
     read_fd,
     write_fd,
 )
+from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, heard_at
 from softfinger.drivers.serial.frames import ANGLES, FRAME_BYTES, INFO, LOOKBACK, POSITION, encode, take
 from softfinger.proxy.kernels import vec3
 from softfinger.proxy.kernels.jit import c_function, jit
@@ -83,12 +84,8 @@ DRAIN_MAX: Final = 16
 """Reads in one tick: four times what the kernel keeps for a port; a device that floods cannot hold the loop."""
 ANSWERED: Final = FRAME_BYTES
 """Bytes that are an answer, whether they can be understood or not."""
-RESUME_NS: Final = 30_000_000
-"""After a pause this long what is queued is old: it is thrown away."""
 WAIT_MS: Final = 10
 """Time of one wait for a frame of now."""
-RESUME_WAIT_NS: Final = 100_000_000
-"""How long a running loop waits so: the supervisor ends one that stands still for a quarter of a second."""
 
 _POLLIN: Final = 1 << 32  # `events` of a struct pollfd read as one little-endian word
 
@@ -262,8 +259,8 @@ def read(handle: int, sample: Any) -> int:
         return LOST
     now = _now(handle)
     paused = now - word[READ_AT] > RESUME_NS or word[SENSED] == 0
-    if paused:  # while nobody read, the device was not silent; but what it said then is old, and so is the last sample
-        word[HEARD_AT] = min(word[HEARD_AT] + now - word[READ_AT], now - word[QUIET] - 1)
+    if paused:
+        word[HEARD_AT] = heard_at(word[HEARD_AT], word[READ_AT], now, word[QUIET])
     word[READ_AT] = now
     came = _await(handle) if paused else _drain(handle)
     if came < 0:

@@ -12,9 +12,7 @@ from collections.abc import Callable
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin, sqrt
 from typing import Any
 
-from emulators.hand import stroke
-
-Vector = tuple[float, float, float]
+from emulators.hand import Handle, Vector, stroke
 
 UPPER, LOWER = 0.060, 0.1025  # driven arm, parallelogram: m
 PIVOTS = 0.01125  # from each end of the parallelogram to its arm: m, twice
@@ -22,8 +20,6 @@ SHIFT_V, SHIFT_U = 0.025, 0.01443  # of the legs' ends on the moving plate: m
 BASE_U, BASE_V = 0.0400, -0.02309  # of the legs' motors on the base: m
 LEGS = (105.0, -15.0, -135.0)  # degrees about z
 CENTRE = (0.0, 0.0, 0.11)
-STEP_S = 0.001
-SUBSTEPS = 4
 INDEX = 700
 """Encoder count at which a leg's homing switch stands: near the end of the knob's way out."""
 
@@ -63,7 +59,7 @@ def force(place: Vector, torques: Vector) -> Vector:
     return (x, y, z)
 
 
-class Falcon:
+class Falcon(Handle):
     """The device behind its serial chip.
 
     intention   place (m, device's frame) that the hand wants at a time (s)
@@ -73,21 +69,18 @@ class Falcon:
     homed       whether its encoders have found their zeros
     """
 
-    mass, bearing, hand_spring, hand_damper = 0.15, 1.5, 300.0, 8.0
-
     def __init__(
         self, intention: Callable[[float], Vector], gain: float = -10000.0, firmware: bytes | None = None,
         spoil: int = 0, homed: bool = True,
     ) -> None:  # fmt: skip
-        self.intention, self.gain, self.firmware, self.spoil = intention, gain, firmware, spoil
+        super().__init__(intention)
+        self.gain, self.firmware, self.spoil = gain, firmware, spoil
         self.runs = firmware is None
-        self.place, self.speed = intention(0.0), (0.0, 0.0, 0.0)
         self.found = [homed] * 3
         self.zero = (0, 0, 0) if homed else encoders(self.place)
         self.motors: tuple[int, int, int] = (0, 0, 0)
         self.state = 0
         self.buttons = 0
-        self.steps = 0
         self.weight = 0.0
         """N, hung on the knob."""
         self.most = [0, 0, 0]
@@ -188,7 +181,8 @@ class Falcon:
         self.motors = (counts[0], counts[1], counts[2])
         self.most = [max(m, abs(c)) for m, c in zip(self.most, counts, strict=True)]
         self.state = packet[13] - 0x41
-        self._move()
+        x, y, z = self.displayed
+        self.move((x, y - self.weight, z))
         shown = encoders(self.place)
         if self.state & 1:
             for n in range(3):
@@ -199,22 +193,6 @@ class Falcon:
         homed = sum(1 << n for n in range(3) if self.found[n])
         body = b"".join(bytes(0x41 + (c >> (4 * k) & 15) for k in range(4)) for c in counts)
         self.reply += b"<" + body + bytes([0x41 + (homed << 4 | self.buttons), 0x41]) + b">"
-
-    def _move(self) -> None:
-        x, y, z = self.displayed
-        motors = (x, y - self.weight, z)
-        wanted = self.intention(self.steps * STEP_S)
-        h = STEP_S / SUBSTEPS
-        for _ in range(SUBSTEPS):
-            pull = [
-                f + self.hand_spring * (w - p) - (self.hand_damper + self.bearing) * v
-                for f, w, p, v in zip(motors, wanted, self.place, self.speed, strict=True)
-            ]
-            vx, vy, vz = (v + h * f / self.mass for v, f in zip(self.speed, pull, strict=True))
-            self.speed = (vx, vy, vz)
-            x, y, z = (p + h * v for p, v in zip(self.place, self.speed, strict=True))
-            self.place = (x, y, z)
-        self.steps += 1
 
 
 def to_world(of_device: Vector) -> Vector:

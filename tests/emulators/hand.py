@@ -1,4 +1,4 @@
-"""What a hand means to do with an emulated device."""
+"""The handle of an emulated device, and the hand on it. Python alone."""
 
 from __future__ import annotations
 
@@ -6,6 +6,40 @@ from collections.abc import Callable
 from math import cos, pi
 
 Vector = tuple[float, float, float]
+
+STEP_S = 0.001
+SUBSTEPS = 4
+
+
+class Handle:
+    """A mass with friction of bearings, and a hand that pulls it towards where it wants to be.
+
+    Each packet of the host moves it by one millisecond, so that a slow connection changes no physics.
+
+    intention  place (m, device's frame) that the hand wants at a time (s)
+    """
+
+    mass, bearing, hand_spring, hand_damper = 0.15, 1.5, 300.0, 8.0
+
+    def __init__(self, intention: Callable[[float], Vector]) -> None:
+        self.intention = intention
+        self.place, self.speed = intention(0.0), (0.0, 0.0, 0.0)
+        self.steps = 0
+
+    def move(self, motors: Vector) -> None:
+        """One step under a force (N) of the motors."""
+        wanted = self.intention(self.steps * STEP_S)
+        h = STEP_S / SUBSTEPS
+        for _ in range(SUBSTEPS):
+            pull = [
+                f + self.hand_spring * (w - p) - (self.hand_damper + self.bearing) * v
+                for f, w, p, v in zip(motors, wanted, self.place, self.speed, strict=True)
+            ]
+            vx, vy, vz = (v + h * f / self.mass for v, f in zip(self.speed, pull, strict=True))
+            self.speed = (vx, vy, vz)
+            x, y, z = (p + h * v for p, v in zip(self.place, self.speed, strict=True))
+            self.place = (x, y, z)
+        self.steps += 1
 
 
 def stroke(place: Vector, press: float, drag: float) -> Callable[[float], Vector]:

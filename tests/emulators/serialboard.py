@@ -16,33 +16,28 @@ from contextlib import suppress
 from math import atan2, hypot
 from typing import Self
 
-from emulators.hand import Vector
+from emulators.hand import Handle, Vector
 
 FRAME_BYTES = 64
-STEP_S = 0.001
-SUBSTEPS = 4
 FOOT_M = 0.2
 """The arm's vertical axis stands so far behind the middle of its workspace."""
 
 
-class Board:
-    """A handle of 0.15 kg with friction of bearings, and a hand that pulls it towards where it wants to be.
+class Board(Handle):
+    """The handle behind its board.
 
-    intention  place (m, device's frame) that the hand wants at a time (s)
     early_end  whether a newline stands behind the last number as well as at the end of a frame
     """
 
-    mass, bearing, hand_spring, hand_damper = 0.15, 1.5, 300.0, 8.0
-
     def __init__(self, intention: Callable[[float], Vector], early_end: bool = False) -> None:
-        self.intention, self.early_end = intention, early_end
-        self.place, self.speed = intention(0.0), (0.0, 0.0, 0.0)
+        super().__init__(intention)
+        self.early_end = early_end
         self.wrist = (0.1, -0.2)
         """Angles D and E (rad)."""
         self.info = 0
         self.force: Vector = (0.0, 0.0, 0.0)
         """What the motors give now (N)."""
-        self.steps = self.wakes = 0
+        self.wakes = 0
         self.sent: list[tuple[int, ...]] = []
         """Numbers of every frame of the host."""
         self.faults: list[bytes] = []
@@ -64,7 +59,7 @@ class Board:
             numbers = tuple(int(word) for word in words)
             self.sent.append(numbers)
             self.force = (numbers[0] / 1e3, numbers[1] / 1e3, numbers[2] / 1e3)
-            self._move()
+            self.move(self.force)
         return self.frame()
 
     def frame(self) -> bytes:
@@ -73,20 +68,6 @@ class Board:
         a, b, d, e = self.angles()
         text = f"{x: 8.3f} {y: 8.3f} {z: 8.3f} {a: 7.4f} {b: 7.4f} {d: 7.4f} {e: 7.4f} {self.info}"
         return (text + "\n" * self.early_end).ljust(FRAME_BYTES - 1).encode() + b"\n"
-
-    def _move(self) -> None:
-        wanted = self.intention(self.steps * STEP_S)
-        h = STEP_S / SUBSTEPS
-        for _ in range(SUBSTEPS):
-            pull = [
-                f + self.hand_spring * (w - p) - (self.hand_damper + self.bearing) * v
-                for f, w, p, v in zip(self.force, wanted, self.place, self.speed, strict=True)
-            ]
-            vx, vy, vz = (v + h * f / self.mass for v, f in zip(self.speed, pull, strict=True))
-            self.speed = (vx, vy, vz)
-            x, y, z = (p + h * v for p, v in zip(self.place, self.speed, strict=True))
-            self.place = (x, y, z)
-        self.steps += 1
 
 
 class Cable:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from math import acos, atan2, cos, hypot, pi, sin
 
-Vector = tuple[float, float, float]
+from emulators.hand import Handle, Vector
 
 # capstans (mm), links (m), bodies (mm), origin (m), torque constants (N m/A), counts a turn, calibration, aligned
 TABLE: dict[str, tuple[Vector, Vector, Vector, Vector, Vector, int, tuple[int, int, int], tuple[int, int, int]]] = {
@@ -37,8 +37,6 @@ TABLE: dict[str, tuple[Vector, Vector, Vector, Vector, Vector, int, tuple[int, i
     ),
 }  # fmt: skip
 
-STEP_S = 0.001
-SUBSTEPS = 4
 AMPLIFIERS_OFF_S = 0.5
 
 
@@ -109,19 +107,13 @@ def _solve(m: list[list[float]], v: list[float]) -> Vector:
     return (x, y, z)
 
 
-class Woody:
-    """An arm with 0.15 kg at its end, friction of bearings, and a hand that pulls towards where it wants to be.
-
-    intention  place (m, device's frame) that the hand wants at a time (s)
-    """
-
-    mass, bearing, hand_spring, hand_damper = 0.15, 1.5, 300.0, 8.0
+class Woody(Handle):
+    """An arm with a hand on it; `name` is a row of the table."""
 
     def __init__(self, name: str, generation: int, intention: Callable[[float], Vector]) -> None:
-        self.arm, self.generation, self.intention = Arm(name), generation, intention
-        self.place, self.speed = intention(0.0), (0.0, 0.0, 0.0)
+        super().__init__(intention)
+        self.arm, self.generation = Arm(name), generation
         self.milliamperes: tuple[int, int, int] = (0, 0, 0)
-        self.steps = 0
         self.button = self.calibration_button = False
         self.wrist = (0, 0, 0)
         self.zero = (0, 0, 0)
@@ -154,7 +146,8 @@ class Woody:
             self.milliamperes = (0, 0, 0)
         else:
             self.milliamperes = (words[0], words[1], words[2])
-        self._move()
+        a, b, c = (m / 1e3 for m in self.milliamperes)
+        self.move(self.arm.force(self.place, (a, b, c)))
         return self.report()
 
     def report(self) -> bytes:
@@ -164,19 +157,3 @@ class Woody:
             return struct.pack("<3hH", -a, b, c, 0)
         d = self.wrist[0] + (10000 if self.button else 0)
         return struct.pack("<7h", a, b, c, d, *self.wrist[1:], int(self.calibration_button)).ljust(64, b"\0")
-
-    def _move(self) -> None:
-        amperes = (self.milliamperes[0] / 1e3, self.milliamperes[1] / 1e3, self.milliamperes[2] / 1e3)
-        motors = self.arm.force(self.place, amperes)
-        wanted = self.intention(self.steps * STEP_S)
-        h = STEP_S / SUBSTEPS
-        for _ in range(SUBSTEPS):
-            pull = [
-                f + self.hand_spring * (w - p) - (self.hand_damper + self.bearing) * v
-                for f, w, p, v in zip(motors, wanted, self.place, self.speed, strict=True)
-            ]
-            vx, vy, vz = (v + h * f / self.mass for v, f in zip(self.speed, pull, strict=True))
-            self.speed = (vx, vy, vz)
-            x, y, z = (p + h * v for p, v in zip(self.place, self.speed, strict=True))
-            self.place = (x, y, z)
-        self.steps += 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import socket
-import time
 from typing import Any, ClassVar
 
 import driver_contract
@@ -31,7 +30,7 @@ class Bench(driver_contract.Bench):
                 return json.loads(stream.readline())
 
     def open(self) -> HidDevice:
-        return open_device(rig_options("woodenhaptics-2019", kick_s=0.1, timeout_s=0.2), RATE_HZ)
+        return open_device(rig_options("woodenhaptics-2019", kick_s=0.1, timeout_s=1.0), RATE_HZ)
 
     def displayed(self) -> tuple[float, ...]:
         x, y, z = self.ask("displayed")
@@ -39,8 +38,6 @@ class Bench(driver_contract.Bench):
 
     def make(self, case: str) -> None:
         self.ask(f"make {case}")
-        if case == "timeout":
-            time.sleep(0.05)  # after a pause the next read waits for a report of now
 
     def mend(self) -> None:
         self.ask("mend")

@@ -26,8 +26,10 @@ from typing import Any, Self
 import numpy as np
 import pytest
 from closed_loop import records_of_daemon
+from driver_contract import Servo as Caller
 
 from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.base import OK
 from softfinger.server import cli, hotplug
 from softfinger.server import devices as _devices  # noqa: F401  (imported here, once)
 from softfinger.server import run as _run  # noqa: F401
@@ -285,6 +287,36 @@ def attached(user: int | None = None, rig: str | None = None) -> list[dict[str, 
     assert listing.end() == 0, listing.err
     found: list[dict[str, Any]] = json.loads(listing.out)["devices"]
     return found
+
+
+def exchanges(rig: str, count: int) -> tuple[list[float], list[float]]:
+    """Times (ms) from a write until a read brings its reply, and of the calls themselves, in a process of its own."""
+
+    def work() -> int:
+        cycles, ticks = [], []
+        with open_device(load_rig(rig).device, RATE_HZ) as device:
+            servo = Caller(device)
+            servo.read()
+            for _ in range(count):
+                begun = time.perf_counter()
+                servo.write(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)
+                spent = time.perf_counter() - begun
+                while True:
+                    asked = time.perf_counter()
+                    status, _sample = servo.read()
+                    now = time.perf_counter()
+                    if status == OK:
+                        break
+                    time.sleep(0.0001)
+                cycles.append(1e3 * (now - begun))
+                ticks.append(1e3 * (spent + now - asked))
+        print(json.dumps([cycles, ticks]))
+        return 0
+
+    run = Run(work)
+    assert run.end(120) == 0, run.err
+    cycles, ticks = json.loads(run.out)
+    return cycles, ticks
 
 
 def measured(what: str, ms: list[float]) -> None:

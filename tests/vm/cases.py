@@ -1,0 +1,147 @@
+"""What the daemon must do on every device of the guest that displays force, as one class of tests."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from closed_loop import assert_engine_agrees
+from test_hid_emulated import STROKE
+
+from softfinger.config.load import load_scene
+from softfinger.proxy.state import OFFSET
+from vm.guest import NOBODY, RATE_HZ, Gadget, Run, Wanted, attached, daemon, gadget, keep, other_daemon, pushing
+
+PRESS: Mapping[str, Any] = {"place": [0.0, 0.0, 0.004]}
+"""A hand that presses into the plane."""
+IN_CONTACT = 100
+"""Packets after which the guard has let the whole force through and the hand lies on the plane."""
+TICKS = 1300
+"""A stroke of the hand takes 1200 packets, at one in a tick."""
+
+
+class Cases:
+    """A module subclasses this, says of its device what follows, and gives a fixture `rig`, a rig file for it.
+
+    kind       gadget that makes it
+    ids        vendor and product, as `devices` lists them
+    name       of the device, as the hot-plug events tell it
+    node       pattern of what the driver opens
+    bus        of the node; packets, force: keys of what the gadget has seen: how many came, and what pushes now
+    felt       the least that shows in `most` when the forces have arrived
+    held, forbidden    patterns of what a second program and another user are told; {pid} is the first program's
+    """
+
+    kind: ClassVar[str]
+    ids: ClassVar[tuple[str, str]]
+    name: ClassVar[str]
+    node: ClassVar[str]
+    bus: ClassVar[str]
+    packets: ClassVar[str]
+    force: ClassVar[str]
+    felt: ClassVar[int]
+    held: ClassVar[str]
+    forbidden: ClassVar[str]
+
+    def listed(self, user: int | None = None, rig: str | None = None) -> list[dict[str, Any]]:
+        """The devices of this kind that `devices` lists."""
+        return [one for one in attached(user, rig) if (one["vendor_id"], one["product_id"]) == self.ids]
+
+    def exchanged(self, device: Gadget, count: int) -> Wanted:
+        """So many packets from now on."""
+        before = device.seen()[self.packets]
+        return lambda saw: bool(saw[self.packets] > before + count)
+
+    def in_contact(self, device: Gadget) -> Wanted:
+        """The hand lies on the plane, and is pushed."""
+        enough: Callable[[dict[str, Any]], bool] = self.exchanged(device, IN_CONTACT)
+        return lambda saw: enough(saw) and any(saw[self.force])
+
+    def works(self, device: Gadget, rig: str) -> None:
+        """A daemon opens it, exchanges with it, and ends in order."""
+        with pushing(rig, device, self.exchanged(device, 20)) as running:
+            assert running.stop() == 0, running.err
+
+    @pytest.fixture
+    def pressed(self) -> Iterator[Gadget]:
+        """A device whose hand presses into the plane."""
+        with gadget(self.kind, **PRESS) as device:
+            yield device
+
+    def test_closed_loop(self, tmp_path: Path, rig: str) -> None:
+        """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
+        kept = tmp_path / "records.npy"
+        with gadget(self.kind, **STROKE) as device:
+            keep(rig, "paper-plane", TICKS, kept)
+            saw = device.seen()
+        self.agrees(np.load(kept), saw)
+
+    def agrees(self, records: Any, saw: dict[str, Any]) -> None:
+        """All modes and the engine's forces are in the records, and reached the device; the last one is zero."""
+        assert {0.0, 1.0, 2.0} == set(records[:, OFFSET["contact.mode"]])
+        assert max(saw["most"]) > self.felt
+        assert not any(saw[self.force])
+        assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 100, "too few ticks in contact"
+
+    def test_stopped_it_leaves_no_force_and_opens_again(self, pressed: Gadget, rig: str) -> None:
+        """Ctrl-C while it pushes: in order, force at zero; the next daemon opens what the first has closed."""
+        for _ in range(2):
+            with pushing(rig, pressed, self.in_contact(pressed)) as running:
+                assert running.stop() == 0, running.err
+            assert "force is zero" in running.err
+            assert not any(pressed.seen()[self.force])
+
+    def test_unplugged_under_force(self, pressed: Gadget, rig: str) -> None:
+        """Pulled out while it pushes: device lost; a daemon beside it tells what went and what came; it opens again."""
+        told = f"{self.name} ({':'.join(self.ids)}) at /dev/"
+        with other_daemon() as other, pushing(rig, pressed, self.in_contact(pressed)) as running:
+            pressed.ask("make lost")
+            assert running.end() == 4, running.err
+            assert re.search(r"is gone .status -1 on (read|write).*plug it in again", running.err), running.err
+            other.says(f"detached: {told}")
+            assert self.listed() == []
+            pressed.ask("mend")
+            other.says(f"attached: {told}")
+            assert other.stop() == 0, other.err
+        self.works(pressed, rig)
+
+    def test_a_second_program_finds_it_held(self, pressed: Gadget, rig: str) -> None:
+        """While a daemon has it, another is refused and `devices` says by whom; the first does not notice."""
+        with pushing(rig, pressed, self.in_contact(pressed)) as running:
+            with daemon(rig) as second:
+                assert second.end() == 4, second.err
+            assert re.search(self.held.format(pid=running.pid), second.err), second.err
+            (found,) = self.listed()
+            assert found["state"] == "busy"
+            assert f"process {running.pid} " in found["reason"]
+            assert running.stop() == 0, running.err
+
+    def test_another_user_is_told_what_to_do(self, pressed: Gadget, rig: str) -> None:
+        """Nobody may not open it: the permission error with what to do, the state `permission`."""
+        with daemon(rig, user=NOBODY) as refused:
+            assert refused.end() == 4, refused.err
+        assert re.search(self.forbidden, refused.err), refused.err
+        (found,) = self.listed(user=NOBODY)
+        assert found["state"] == "permission"
+        assert pressed.seen()[self.packets] == 0
+
+    def test_silent_under_force(self, pressed: Gadget, rig: str) -> None:
+        """Answers that do not come end the daemon with a timeout, after a zero; then it opens again."""
+        with pushing(rig, pressed, self.in_contact(pressed)) as running:
+            pressed.ask("make timeout")
+            assert running.end() == 4, running.err
+        assert "no answer to a read in time: check cable and power" in running.err
+        assert not any(pressed.seen()[self.force])
+        pressed.ask("mend")
+        self.works(pressed, rig)
+
+    def faulty(self, case: str, pressed: Gadget, rig: str) -> Run:
+        """A daemon that has ended because of a case of the gadget's, made while it pushed."""
+        with pushing(rig, pressed, self.in_contact(pressed)) as running:
+            pressed.ask(f"make {case}")
+            running.end()
+        return running
