@@ -200,7 +200,7 @@ def test_one_fault_gives_one_line() -> None:
     """A single fault is a single message, and a description without one is taken."""
     build(Options, described(), "rig")
     with pytest.raises(ConfigError) as caught:
-        build(Options, _with("reports.input.bytes", 29 - 1), "rig")
+        build(Options, _with("reports.input.bytes", 30 - 1), "rig")
     assert str(caught.value).count("\n") == 0
 
 
