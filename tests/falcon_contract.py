@@ -5,14 +5,12 @@ Run beside the emulated device by test_falcon_emulated.py, not by itself.
 
 from __future__ import annotations
 
-import json
-import os
-import socket
 import time
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
+from asked_bench import AskedBench
 from driver_contract import RATE_HZ, Bench, DriverContract, Servo
 
 from softfinger.config.load import build, load_rig
@@ -20,34 +18,16 @@ from softfinger.drivers.base import OK, STALE
 from softfinger.drivers.falcon import Falcon, Options, open_device
 
 
-class Emulated(Bench):
+class Emulated(AskedBench):
     """The device of the testbed beside this program, through libusb."""
 
     # Half a motor count at each leg is 4 mN at the knob, and the knob moves by 0.1 mm before it is asked.
     force_step_n: ClassVar[float] = 0.01
-    patience_s: ClassVar[float] = 10.0
-
-    def ask(self, line: str) -> Any:
-        with socket.socket(socket.AF_UNIX) as end:
-            end.connect(os.environ["FALCON_TESTBED"])
-            end.sendall(line.encode() + b"\n")
-            with end.makefile() as stream:
-                return json.loads(stream.readline())
 
     def open(self) -> Falcon:
         # A tick of the emulation waits for two other programs: silences are longer than on a bus.
         given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
         return open_device(build(Options, given, "falcon [device]"), RATE_HZ)
-
-    def displayed(self) -> tuple[float, ...]:
-        x, y, z = self.ask("displayed")
-        return (x, y, z)
-
-    def make(self, case: str) -> None:
-        self.ask(f"make {case}")
-
-    def mend(self) -> None:
-        self.ask("mend")
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@
 
 Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The program's exit code is this one's; what the emulated
 device saw goes to the last line of standard output as JSON. The program reaches the device through the true libusb;
-here are the kernel's answers to libusb. It may ask for changes over the socket that FALCON_TESTBED names, in lines:
+here are the kernel's answers to libusb. It may ask for changes over the socket that SOFTFINGER_TESTBED names, in lines:
 `displayed`, `place`, `make CASE`, `mend`.
 
 The first argument is the case of the emulator (`from_case` there), and besides: serial, late_every (every so many, a
@@ -284,7 +284,7 @@ def main() -> int:
     folder = tempfile.mkdtemp()
     path = os.path.join(folder, "testbed")
     serve(bed, path)
-    os.environ["FALCON_TESTBED"] = path
+    os.environ["SOFTFINGER_TESTBED"] = path
     command = sys.argv[2:]
     if os.geteuid() == 0:  # to root, no file is forbidden
         command = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", *command]

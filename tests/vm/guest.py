@@ -25,6 +25,7 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
+from asked_bench import SOCKET
 from closed_loop import records_of_daemon
 from driver_contract import Servo as Caller
 
@@ -329,13 +330,13 @@ def measured(what: str, ms: list[float]) -> None:
 def contract(module: Path, device: Gadget) -> tuple[str, int]:
     """Run the tests of a contract on a device; what pytest says, and its exit code.
 
-    They reach the device by the name that the beds of the ordinary tests have too (FALCON_TESTBED).
+    They reach the device by the name that the beds of the ordinary tests have too.
     """
 
     def work() -> int:
         # To root no node is forbidden, and one of the tests forbids one.
         keep_capabilities(ALL_CAPABILITIES & ~(1 << DAC_OVERRIDE | 1 << DAC_READ_SEARCH))
-        os.environ["FALCON_TESTBED"] = device.path
+        os.environ[SOCKET] = device.path
         return int(pytest.main(["-q", "-p", "no:cacheprovider", str(module)]))
 
     with Run(work) as tests:
