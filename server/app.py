@@ -177,7 +177,7 @@ class Daemon:
             if idle >= STALL_POLLS and ticks > 0 and self.servo.looping:
                 self.device.stop()
                 stalled = SafetyStop(
-                    f"no tick for {idle * STALL_POLL_S:.2f} s after tick {ticks}: force was set to zero; "
+                    f"no tick for {idle * STALL_POLL_S:.2f} s after tick {ticks}: zero force was commanded; "
                     "the device's exchange hangs, or this machine starves the servo thread"
                 )
                 self._fail(stalled)

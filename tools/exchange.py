@@ -271,7 +271,7 @@ class Exchange:
                 self.device.stop()
                 raise SafetyStop(
                     f"{self.device.info.name}: no exchange for {idle * STALL_POLL_S:.2f} s after exchange {ticks}: "
-                    "force was set to zero; the device hangs, or this machine starves the thread"
+                    "zero force was commanded; the device hangs, or this machine starves the thread"
                 )
         self._raise_crash()
         return part.rows if part.done.is_set() else part.rows[:0]
