@@ -1,9 +1,8 @@
-"""`doctor --device-report`: what is in a report, what is not, how it ends, and what its figures are made of."""
+"""`doctor --device-report`: what is in a report, what is not, and how it ends."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import platform
 import pty
@@ -12,7 +11,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -22,19 +20,15 @@ import pytest
 import test_falcon_emulated
 import test_spacemouse_emulated
 from drd_stub import stub_library  # noqa: F401  a fixture
-from scipy.integrate import solve_ivp
-from scipy.spatial.transform import Rotation
 from test_hid_emulated import WHY_NOT, beside
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
-from softfinger.drivers import registry, spacemouse
-from softfinger.drivers.base import SAMPLE_BUTTONS
+from softfinger.drivers import spacemouse
 from softfinger.proxy.kernels.jit import CACHE_DIR
 from softfinger.server.cli import main
-from softfinger.tools.doctor import motions, privacy, report
-from softfinger.tools.doctor.questions import ANSWERS, answered, questions
-from softfinger.tools.exchange import FORCE, ROW_SIZE, SAMPLE
+from softfinger.tools.doctor import report
+from softfinger.tools.doctor.questions import questions
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = (sys.executable, "-m", "softfinger.server.cli", "doctor")
@@ -316,201 +310,3 @@ def test_bad_words_give_one_clear_error(
     errors = capsys.readouterr().err
     assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
     assert list(home.iterdir()) == []
-
-
-# --- what the figures are made of --------------------------------------------------------------------
-
-
-def poses(position: np.ndarray, orientation: np.ndarray | None = None) -> np.ndarray:
-    """Rows with these positions (n, 3) m and orientations (n, 4)."""
-    rows = np.zeros((len(position), ROW_SIZE))
-    rows[:, SAMPLE : SAMPLE + 3] = position
-    rows[:, SAMPLE + 3 : SAMPLE + 7] = (1.0, 0.0, 0.0, 0.0) if orientation is None else orientation
-    return rows
-
-
-@pytest.mark.parametrize(
-    ("way", "seen"),
-    [
-        ((0.03, 0.005, 0.0), "+x"),
-        ((0.0, -0.04, 0.01), "-y"),
-        ((0.001, 0.0, 0.02), "+z"),
-        ((0.003, 0.0, -0.004), "no motion"),
-        ((0.02, 0.02, 0.0), "not along one axis"),
-    ],
-)
-def test_a_motion_has_an_axis_and_a_sense(way: tuple[float, float, float], seen: str) -> None:
-    """From where the handle was at the beginning to where it is at the end; what lies between does not matter."""
-    share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
-    path = share * np.array(way) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
-    found = motions.move("ask", "translation", "+x", poses(path))
-    assert found is not None
-    assert found["seen"] == seen
-    assert found["agrees"] == (seen == "+x")
-    np.testing.assert_allclose(found["vector"], way, atol=1e-12)  # rounding of a median
-
-
-def test_a_turn_is_the_rotation_between_first_and_last() -> None:
-    """In the world frame, against scipy's, whatever the orientation at the beginning and the sign of a quaternion."""
-    start = Rotation.from_rotvec([0.3, -0.2, 0.5])
-    turn = np.array([0.05, -0.02, 0.6])
-    ways = [Rotation.from_rotvec(share * turn) * start for share in np.linspace(0.0, 1.0, 50)]
-    orientation = np.array([np.roll(one.as_quat(), 1) for one in ways])  # scipy has w last
-    orientation[25:] *= -1.0
-    found = motions.move("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
-    assert found is not None
-    np.testing.assert_allclose(found["vector"], turn, atol=1e-12)  # rounding of products
-    assert found["seen"] == "+z" and found["unit"] == "rad"
-
-
-def test_noise_at_rest_and_range_of_known_rows() -> None:
-    """Standard deviations per axis of a known noise; rows that are no numbers are counted and left out."""
-    random = np.random.default_rng(1)
-    noise = random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6)
-    rows = poses(noise + np.array([0.0, 0.01, 0.0]))
-    rows[7, SAMPLE] = math.nan
-    found = motions.rest(rows, turns=False)
-    assert found is not None
-    assert found["not_finite"] == 1
-    # of 1e5 samples a deviation is known to 1/sqrt(2e5), 0.2 %: five times that
-    np.testing.assert_allclose(found["position_std_m"], (1e-6, 2e-6, 3e-6), rtol=0.011)
-    assert found["rotation_std_rad"] is None
-    span = motions.reach(rows)
-    assert span is not None and span["position_min_m"][1] < 0.01 < span["position_max_m"][1]
-    assert motions.rest(rows[7:8], turns=False) is None
-    rows[:3, SAMPLE + SAMPLE_BUTTONS] = (4.0, 1.0, 4.0)
-    assert motions.masks(rows) == [0, 1, 4]
-
-
-def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> np.ndarray:
-    """A handle of one mass on spring and damper along y, pushed along z by `sign` times the force that is written."""
-    seconds, hertz = 3.0, 1.0
-    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
-
-    def force(at: Any) -> Any:
-        return np.sin(math.pi * at / seconds) ** 2 * np.sin(2.0 * math.pi * hertz * at)
-
-    def slope(at: float, state: np.ndarray) -> list[float]:
-        return [state[1], (sign * force(at) - damping * state[1] - stiffness * state[0]) / mass]
-
-    way = solve_ivp(slope, (0.0, seconds), [0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-12).y[0]
-    rows = poses(np.stack([np.zeros_like(way), way, np.zeros_like(way)], axis=1))
-    rows[:, FORCE + 2] = force(t)
-    return rows
-
-
-@pytest.mark.parametrize(
-    ("held", "plus", "minus"),
-    [
-        ((0.2, 5.0, 500.0), "+y", "free handle, or the wrong sign"),  # a hand that springs back
-        ((0.2, 40.0, 100.0), "+y", "-y"),  # a soft hand
-        ((0.3, 10.0, 1e-6), "+y", "-y"),  # a handle that is braked only
-        ((2.0, 0.1, 1e-6), "free handle, or the wrong sign", "+y"),  # a free mass, which must be held for an answer
-    ],
-)  # fmt: skip
-def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str, minus: str) -> None:
-    """Mass, damper and spring integrated on their own: the axis that moved, and the sign where it can be told. A free
-    mass with the wrong sign looks as a spring with the right one, which is why the handle is to be held."""
-    for sign, said in ((1.0, plus), (-1.0, minus)):
-        found = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *held))
-        assert found is not None
-        assert found["axis"] == "+z" and found["moved_axis"] == "y"
-        assert said in found["seen"], found
-        assert found["share"] > 0.8  # a free mass also drifts off, which is no part of the fit
-
-
-def test_a_motion_of_the_hand_is_not_taken_for_a_push() -> None:
-    """A hand that moves by itself leaves the answer open, and a handle that does not move has none."""
-    rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
-    rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)
-    found = motions.push(2, 1.0, RATE_HZ, rows)
-    assert found is not None
-    assert found["seen"].startswith(("not clear", "+y"))
-    rows[:, SAMPLE + 1] = 0.0
-    found = motions.push(2, 1.0, RATE_HZ, rows)
-    assert found is not None
-    assert found["seen"].startswith("not clear")
-    rows[:, SAMPLE] = 0.0
-    assert motions.push(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"  # type: ignore[index]
-    rows[:, FORCE + 2] = 0.0
-    assert motions.push(2, 1.0, RATE_HZ, rows) is None
-
-
-# --- privacy and questions ---------------------------------------------------------------------------
-
-
-@pytest.fixture
-def somebody(monkeypatch: pytest.MonkeyPatch) -> privacy.Privacy:
-    """Takes out what says that this is zaphodb's report, on whatever machine."""
-    monkeypatch.setenv("HOME", f"/home/{USER}")
-    monkeypatch.setenv("USER", USER)
-    return privacy.Privacy(["SN-4711-A"])
-
-
-@pytest.mark.parametrize(
-    ("text", "clean"),
-    [
-        (f"/home/{USER}/lib/x.so", "~/lib/x.so"),
-        (f"/home/{USER}", "~"),
-        (f"/media/{USER}/disk", "/media/<user>/disk"),
-        (f"held by {USER}", "held by <user>"),
-        (f"{USER}x is another word", f"{USER}x is another word"),
-        ("omega.3, serial 1234", "omega.3, serial ...34"),
-        ("no HID device has the serial number 'SN42'", "no HID device has the serial number '...42'"),
-        ("attached is SN-4711-A here", "attached is ...-A here"),
-        ("/dev/serial/by-id/usb-PJRC_Teensy_123456-if00", "/dev/serial/by-id/..."),
-        ("a serial line at 115200", "a serial line at 115200"),
-    ],
-)
-def test_a_text_does_not_say_whose_it_is(text: str, clean: str, somebody: privacy.Privacy) -> None:
-    """Home, user and serial numbers go, wherever they stand in a text; other words stay."""
-    assert somebody.text(text) == clean
-
-
-def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: privacy.Privacy) -> None:
-    """Texts in lists and tables are cleaned; numbers, keys, and the name of the driver stay as they are."""
-    dirty = {"driver": USER, "a": [USER, {"b": f"on {platform.node()}"}], USER: 1.5, "none": None}
-    assert somebody.clean(dirty) == {"driver": USER, "a": ["<user>", {"b": "on <host>"}], USER: 1.5, "none": None}
-
-
-def test_options_keep_no_folder() -> None:
-    """Files lose their folders, a serial number all but its end; nodes stay."""
-    given = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
-    want = {"firmware": "x.bin", "serial": "...56", "path": "/dev/hidraw0", "hand": {"recording": "b.csv"}}
-    assert privacy.options(given) == want
-
-
-def test_the_questions_are_well_formed() -> None:
-    """Every id once, every driver one that there is, every answer to a question that there is; a driver for hardware
-    has some, the others none."""
-    ids = [one.id for one in questions()]
-    assert len(set(ids)) == len(ids)
-    drivers = {driver for one in questions() for driver in one.drivers}
-    assert drivers <= set(registry.names())
-    assert not drivers & {"replay", "simulated"}
-    assert ANSWERS.keys() <= set(ids)
-
-
-def test_what_was_measured_answers_its_question() -> None:
-    """From the parts of a report: motions, pushes, buttons; what is not there is not answered, with how to."""
-    empty, _ = report.begun(load_rig("falcon"), guided=False)
-    assert not any(row["measured"] for row in answered(empty))
-    full = empty | {
-        "moves": [{"asked": "move it up", "kind": "translation", "seen": "+z"}],
-        "pushes": [{"axis": "+x", "seen": "-x"}],
-        "buttons": {"masks": [0, 4]},
-    }
-    answers = {row["id"]: row["answer"] for row in answered(full) if row["measured"]}
-    assert answers == {
-        "frame": "move it up: +z", "force-sign": "force along +x: -x", "buttons": "masks 0, 4 were seen"
-    }  # fmt: skip
-
-
-def test_the_table_in_the_docs_is_the_file() -> None:
-    """docs/devices.md lists every question with its drivers and how to answer it, in the file's order."""
-    text = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
-    part = text.split("## What only hardware can show\n", 1)[1].split("\n## ", 1)[0]
-    rows = [line.strip("|").split("|") for line in part.splitlines() if line.startswith("|")][2:]
-    table = [tuple(cell.strip() for cell in row) for row in rows]
-    file = tomllib.loads((ROOT / "tools" / "doctor" / "questions.toml").read_text(encoding="utf-8"))["question"]
-    assert table == [(f"`{q['id']}`", ", ".join(q["drivers"]), q["question"], q["how"]) for q in file]

@@ -7,14 +7,9 @@ import contextlib
 import math
 import os
 import re
-import shutil
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import ClassVar
 
 import driver_contract
@@ -26,13 +21,11 @@ from driver_contract import Servo
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 from hid_devices import RefusedNode
 from serial_devices import PLACE, board, fresh, opened, rig_options, settle
-from test_devices_verb import plug_serial
 
-from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
+from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers import discovery
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, Device
-from softfinger.drivers.serial import SerialDevice, exchange, open_device, port
+from softfinger.drivers.serial import SerialDevice, exchange, open_device
 
 STEP_M = 0.5e-6 * 1.001
 """A frame has micrometres: half of one, and rounding."""
@@ -424,100 +417,6 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
         ):
             opened(cable, wake_s=0.2)
         assert all(not any(words[:3]) for words in cable.board.sent)
-
-
-def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
-    """Absent, no port, held by this or another process: each is its own error with what to do."""
-    with pytest.raises(DeviceNotFound, match=r"ttyACM9 cannot be opened: No such file.*plug"):
-        open_device(rig_options(path=str(tmp_path / "ttyACM9")), 1000.0)
-    for path in ("/dev/null", str(tmp_path / "file")):
-        (tmp_path / "file").write_bytes(b"")
-        with pytest.raises(DeviceError, match=f"{path} is no serial port: name a /dev/ttyACMN"):
-            open_device(rig_options(path=path), 1000.0)
-    with board() as (_, _, cable):
-        with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
-            opened(cable)
-        command = [sys.executable, "-c", OPEN, cable.path]
-        other = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-        assert other.stdout == f"DeviceBusy {cable.path} is held by process {os.getpid()}\n"
-        # A program that asks for no lock is kept out by the port itself, unless it runs as root.
-        user, mine = os.geteuid(), rig_options(path=cable.path)
-        if user == 0:
-            os.chmod(cable.path, 0o666)
-            os.seteuid(65534)
-        try:
-            with pytest.raises(OSError, match="Device or resource busy"):
-                os.open(cable.path, os.O_RDWR | os.O_NOCTTY)
-            with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
-                port.open_port(mine)
-        finally:
-            os.seteuid(user)
-
-
-OPEN = """
-import sys
-from softfinger.config.load import build, load_rig
-from softfinger.drivers.serial import Options, port
-options = {**load_rig("woodenhaptics-v3").device.options, "path": sys.argv[1]}
-try:
-    port.open_port(build(Options, options, "rig"))
-except Exception as error:
-    print(type(error).__name__, str(error).split(" (")[0])
-"""
-
-
-def test_a_port_without_permission() -> None:
-    """A user who may not open the port is told the group that may, or the rule that lets him."""
-    folder = tempfile.mkdtemp(dir="/tmp")
-    node, user = Path(folder) / "ttyACM9", os.geteuid()
-    try:
-        node.write_bytes(b"")
-        Path(folder).chmod(0o755)
-        rule = r'SUBSYSTEM=="tty", ATTRS\{idVendor\}=="16c0", ATTRS\{idProduct\}=="0483", TAG\+="uaccess"'
-        cases = [(0o000, f"write {rule}.*70-softfinger-serial.rules")]
-        if user == 0:  # who alone may give a file to another group
-            os.chown(node, 0, 20)
-            cases.append((0o060, r"run `sudo usermod -aG dialout \$USER`, and log in again"))
-        for mode, said in cases:
-            node.chmod(mode)
-            if user == 0:
-                os.seteuid(65534)
-            try:
-                with pytest.raises(DevicePermission, match=f"may not be opened by this user.*{said}"):
-                    port.open_port(rig_options(path=str(node)))
-            finally:
-                os.seteuid(user)
-    finally:
-        shutil.rmtree(folder)
-
-
-def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One port of the rig's ids is taken; of several the serial number tells, and none is an error that lists what is
-    there. A path of another device is refused."""
-    ports, one = discovery.serial_ports, discovery.serial_port
-    monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
-    monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
-    with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no serial port on USB is"):
-        port.find(rig_options())
-    plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
-    (tmp_path / discovery.TTY / "ttyS0").mkdir()
-    with pytest.raises(DeviceNotFound, match=r"; attached are Teensy \(0403:6001\) at /dev/ttyUSB0$"):
-        port.find(rig_options())
-    plug_serial(tmp_path, "ttyACM1", "16c0", "0483", "SN42")
-    assert port.find(rig_options()) == "/dev/ttyACM1"
-    assert port.find(rig_options(serial="SN42")) == "/dev/ttyACM1"
-    with pytest.raises(DeviceNotFound, match=r"has the serial number 'SN43': attached are 'SN42'"):
-        port.find(rig_options(serial="SN43"))
-    plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN43")
-    assert port.find(rig_options(serial="SN43")) == "/dev/ttyACM0"
-    with pytest.raises(
-        DeviceNotFound, match=r"2 serial ports are 16c0:0483: name one with serial or path: /dev/ttyACM0"
-    ):
-        port.find(rig_options())
-    with pytest.raises(
-        DeviceError, match=r"/dev/ttyUSB0 is the device 0403:6001 \(Teensy\), and the rig is for 16c0:0483"
-    ):
-        port.open_port(rig_options(path="/dev/ttyUSB0"))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,132 @@
+"""What a device report makes of the rows of its parts: motions, turns, noise, pushes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from softfinger.drivers.base import SAMPLE_BUTTONS
+from softfinger.tools.doctor import motions
+from softfinger.tools.exchange import FORCE, ROW_SIZE, SAMPLE
+
+RATE_HZ: Final = 1000.0
+
+
+def poses(position: np.ndarray, orientation: np.ndarray | None = None) -> np.ndarray:
+    """Rows with these positions (n, 3) m and orientations (n, 4)."""
+    rows = np.zeros((len(position), ROW_SIZE))
+    rows[:, SAMPLE : SAMPLE + 3] = position
+    rows[:, SAMPLE + 3 : SAMPLE + 7] = (1.0, 0.0, 0.0, 0.0) if orientation is None else orientation
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("way", "seen"),
+    [
+        ((0.03, 0.005, 0.0), "+x"),
+        ((0.0, -0.04, 0.01), "-y"),
+        ((0.001, 0.0, 0.02), "+z"),
+        ((0.003, 0.0, -0.004), "no motion"),
+        ((0.02, 0.02, 0.0), "not along one axis"),
+    ],
+)
+def test_a_motion_has_an_axis_and_a_sense(way: tuple[float, float, float], seen: str) -> None:
+    """From where the handle was at the beginning to where it is at the end; what lies between does not matter."""
+    share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
+    path = share * np.array(way) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
+    found = motions.move("ask", "translation", "+x", poses(path))
+    assert found is not None
+    assert found["seen"] == seen
+    assert found["agrees"] == (seen == "+x")
+    np.testing.assert_allclose(found["vector"], way, atol=1e-12)  # rounding of a median
+
+
+def test_a_turn_is_the_rotation_between_first_and_last() -> None:
+    """In the world frame, against scipy's, whatever the orientation at the beginning and the sign of a quaternion."""
+    start = Rotation.from_rotvec([0.3, -0.2, 0.5])
+    turn = np.array([0.05, -0.02, 0.6])
+    ways = [Rotation.from_rotvec(share * turn) * start for share in np.linspace(0.0, 1.0, 50)]
+    orientation = np.array([np.roll(one.as_quat(), 1) for one in ways])  # scipy has w last
+    orientation[25:] *= -1.0
+    found = motions.move("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
+    assert found is not None
+    np.testing.assert_allclose(found["vector"], turn, atol=1e-12)  # rounding of products
+    assert found["seen"] == "+z" and found["unit"] == "rad"
+
+
+def test_noise_at_rest_and_range_of_known_rows() -> None:
+    """Standard deviations per axis of a known noise; rows that are no numbers are counted and left out."""
+    random = np.random.default_rng(1)
+    noise = random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6)
+    rows = poses(noise + np.array([0.0, 0.01, 0.0]))
+    rows[7, SAMPLE] = math.nan
+    found = motions.rest(rows, turns=False)
+    assert found is not None
+    assert found["not_finite"] == 1
+    # of 1e5 samples a deviation is known to 1/sqrt(2e5), 0.2 %: five times that
+    np.testing.assert_allclose(found["position_std_m"], (1e-6, 2e-6, 3e-6), rtol=0.011)
+    assert found["rotation_std_rad"] is None
+    span = motions.reach(rows)
+    assert span is not None and span["position_min_m"][1] < 0.01 < span["position_max_m"][1]
+    assert motions.rest(rows[7:8], turns=False) is None
+    rows[:3, SAMPLE + SAMPLE_BUTTONS] = (4.0, 1.0, 4.0)
+    assert motions.masks(rows) == [0, 1, 4]
+
+
+def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> np.ndarray:
+    """A handle of one mass on spring and damper along y, pushed along z by `sign` times the force that is written."""
+    seconds, hertz = 3.0, 1.0
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+
+    def force(at: Any) -> Any:
+        return np.sin(math.pi * at / seconds) ** 2 * np.sin(2.0 * math.pi * hertz * at)
+
+    def slope(at: float, state: np.ndarray) -> list[float]:
+        return [state[1], (sign * force(at) - damping * state[1] - stiffness * state[0]) / mass]
+
+    way = solve_ivp(slope, (0.0, seconds), [0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-12).y[0]
+    rows = poses(np.stack([np.zeros_like(way), way, np.zeros_like(way)], axis=1))
+    rows[:, FORCE + 2] = force(t)
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("held", "plus", "minus"),
+    [
+        ((0.2, 5.0, 500.0), "+y", "free handle, or the wrong sign"),  # a hand that springs back
+        ((0.2, 40.0, 100.0), "+y", "-y"),  # a soft hand
+        ((0.3, 10.0, 1e-6), "+y", "-y"),  # a handle that is braked only
+        ((2.0, 0.1, 1e-6), "free handle, or the wrong sign", "+y"),  # a free mass, which must be held for an answer
+    ],
+)  # fmt: skip
+def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str, minus: str) -> None:
+    """Mass, damper and spring integrated on their own: the axis that moved, and the sign where it can be told. A free
+    mass with the wrong sign looks as a spring with the right one, which is why the handle is to be held."""
+    for sign, said in ((1.0, plus), (-1.0, minus)):
+        found = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *held))
+        assert found is not None
+        assert found["axis"] == "+z" and found["moved_axis"] == "y"
+        assert said in found["seen"], found
+        assert found["share"] > 0.8  # a free mass also drifts off, which is no part of the fit
+
+
+def test_a_motion_of_the_hand_is_not_taken_for_a_push() -> None:
+    """A hand that moves by itself leaves the answer open, and a handle that does not move has none."""
+    rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
+    rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)
+    found = motions.push(2, 1.0, RATE_HZ, rows)
+    assert found is not None
+    assert found["seen"].startswith(("not clear", "+y"))
+    rows[:, SAMPLE + 1] = 0.0
+    found = motions.push(2, 1.0, RATE_HZ, rows)
+    assert found is not None
+    assert found["seen"].startswith("not clear")
+    rows[:, SAMPLE] = 0.0
+    assert motions.push(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"  # type: ignore[index]
+    rows[:, FORCE + 2] = 0.0
+    assert motions.push(2, 1.0, RATE_HZ, rows) is None
