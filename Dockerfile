@@ -1,4 +1,4 @@
-# softfinger with its kernels compiled ahead. docs/docker.md says how to run it in real time.
+# softfinger with its kernels compiled ahead. docs/operate/docker.md says how to run it in real time.
 #
 #   docker build -t softfinger .
 #   docker build -t softfinger --build-arg CPU_NAME=cortex-a76 .     # for another processor, see CPU_NAME
@@ -43,7 +43,7 @@ RUN apt-get update \
     && useradd --uid 10001 --user-group --create-home --home-dir /var/lib/softfinger softfinger
 
 COPY --from=builder /opt/softfinger /opt/softfinger
-# Owned by the user: numba takes a cache folder only if it can write to it.
+# Owned by the user: kernels are loaded from a folder of one's own alone, and those of other scenes are added.
 COPY --from=builder --chown=10001:10001 /var/cache/softfinger /var/cache/softfinger
 
 ARG CPU_NAME=x86-64-v3

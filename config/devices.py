@@ -12,7 +12,7 @@ FILE: Final = Path(__file__).resolve().with_name("devices.toml")
 
 
 class Preset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A device as the simulation has it; see docs/simulated.md for each number and its source."""
+    """A device as the simulation has it; see docs/devices/simulated.md for each number and its source."""
 
     name: str
     sensed_dof: int

@@ -67,6 +67,24 @@ class Unfit(HapticError):
 
 
 class AddressInUse(HapticError):
-    """A telemetry endpoint that cannot be bound."""
+    """An endpoint that cannot be bound."""
 
     exit_code = 7
+
+
+class Exhausted(HapticError):
+    """The system has not what the program needs: files, memory, disk."""
+
+    exit_code = 11
+
+
+class Different(HapticError):
+    """A replay does not give what was recorded; the message begins with where."""
+
+    exit_code = 13
+
+
+class CommandRefused(HapticError):
+    """A running daemon did not do what it was asked; the message begins with the name of the error."""
+
+    exit_code = 12

@@ -9,7 +9,8 @@ Nothing here knows what a driver's options mean: the driver's own struct goes th
 from __future__ import annotations
 
 import copy
-import tomllib
+import errno
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -17,16 +18,22 @@ from typing import Any, Final, TypeVar
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import Rig, Scene
+from softfinger.config.files import read_input
+from softfinger.config.schema import Object, Rig, Scene, Textured
+from softfinger.config.toml import parse_toml
 from softfinger.config.validate import Fault, examine
 from softfinger.config.words import near, shown
 
 T = TypeVar("T", bound=msgspec.Struct)
+SceneSource = str | Path | Mapping[str, Any] | Scene
+"""What a scene may be given as."""
 
 _HERE: Final = Path(__file__).resolve().parent
 FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {Scene: _HERE / "scenes", Rig: _HERE / "rigs"}
 _KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig"}
 _SIZE_MAX: Final = 1 << 20
+_ENTRY: Final = re.compile(r"\[(\d+)\]")
+_NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
 
 
 class FaultyConfig(ConfigError):
@@ -39,14 +46,33 @@ class FaultyConfig(ConfigError):
 
 
 def load_scene(
-    path_or_name: str | Path, overrides: Mapping[str, Any] | None = None, sources: Mapping[str, str] | None = None
+    scene: SceneSource, overrides: Mapping[str, Any] | None = None, sources: Mapping[str, str] | None = None
 ) -> Scene:
-    """A scene from a file, or one of the shipped ones by name.
+    """A scene from a file, one of the shipped ones by name, or a mapping that has what a file would.
 
-    `overrides` maps dotted keys to values put in the file's place; `sources` says where each came
-    from, for the message. Raises ConfigError with every fault found.
+    `overrides` maps dotted keys to values put in the file's place, an entry of a list by its number or its name
+    (`object.0.position_m`, `object.table.position_m`); `sources` says where each came from, for the
+    message. Files that the scene names are beside it, those of a mapping in the folder of the process. Raises
+    ConfigError with every fault found, or for an override that has no place.
+
+    >>> from softfinger import load_scene
+    >>> load_scene("sphere", {"object.sphere.radius_m": 0.03}).object[0].radius_m
+    0.03
+    >>> wall = {"name": "wall", "shape": "plane", "material": {"stiffness_n_per_m": 800.0}}
+    >>> load_scene({"fingertip": {"radius_m": 0.008}, "object": [wall]}).fingertip.radius_m
+    0.008
+    >>> load_scene("sphere", {"object.sphere.radius_m": -1.0})   # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+      ...
+    softfinger.config.load.FaultyConfig: override: object[0].radius_m = -1.0: must be a number from 1e-05 to 1000 m ...
     """
-    return _load(Scene, path_or_name, overrides or {}, sources or {})
+    if isinstance(scene, Scene):
+        return overridden(scene, overrides, "override") if overrides else scene
+    if isinstance(scene, Mapping):
+        return _with_overrides(Scene, scene, "scene", overrides or {}, sources or {})
+    loaded = _load(Scene, scene, overrides or {}, sources or {})
+    folder = find(scene, Scene).parent
+    return msgspec.structs.replace(loaded, object=tuple(_beside(folder, thing) for thing in loaded.object))
 
 
 def load_rig(
@@ -54,14 +80,47 @@ def load_rig(
 ) -> Rig:
     """A rig from a file, or one of the shipped ones by name; see `load_scene`.
 
-    A `device.driver` other than the file's drops the file's device options: they are another driver's.
+    A `device.driver` other than the file's drops the file's device options: they are another driver's. What is said of
+    `device` holds for each of the file's [devices.NAME]. The keys that [security] names are beside the file.
     """
-    return _load(Rig, path_or_name, overrides or {}, sources or {})
+    rig = _load(Rig, path_or_name, overrides or {}, sources or {})
+    if rig.security is None:
+        return rig
+    folder = find(path_or_name, Rig).parent
+    paths = {key: str(folder / path) for key, path in describe(rig.security).items()}
+    return msgspec.structs.replace(rig, security=msgspec.structs.replace(rig.security, **paths))
 
 
 def build(struct_type: type[T], mapping: object, where: str) -> T:
     """`mapping` as a `struct_type`; ConfigError with every fault, each naming `where` and its key."""
     return _built(struct_type, mapping, where, {})
+
+
+def overridden(config: T, changes: Mapping[str, Any], where: str) -> T:
+    """`config` with other values, keys as of `load_scene`; ConfigError with every fault, naming `where`."""
+    return _with_overrides(type(config), describe(config), where, changes, dict.fromkeys(changes, where))
+
+
+def numbered(mapping: Mapping[str, Any], dotted: str) -> str:
+    """A key of `load_scene` with the number of an entry in place of its name: `object.0` for `object.table`."""
+    head, _, rest = dotted.partition(".")
+    entries = mapping.get(head)
+    if isinstance(entries, list | tuple) and not rest.partition(".")[0].isdecimal():
+        names = [(str(each.get("name", "")), place) for place, each in enumerate(entries) if isinstance(each, Mapping)]
+        for name, place in sorted(names, key=lambda each: -len(each[0])):  # the longest first: a name may have dots
+            if name and (rest == name or rest.startswith(f"{name}.")):
+                return f"{head}.{place}{rest[len(name) :]}"
+    return dotted
+
+
+def value_at(mapping: Any, dotted: str) -> Any:
+    """What a mapping has at a key of `load_scene`, entries by number; None where it has nothing."""
+    for name in _ENTRY.sub(r".\1", dotted).split("."):
+        if isinstance(mapping, list):
+            mapping = mapping[int(name)]
+        elif isinstance(mapping, dict):
+            mapping = mapping.get(name)
+    return mapping
 
 
 def describe(config: msgspec.Struct) -> dict[str, Any]:
@@ -100,29 +159,21 @@ def find(path_or_name: str | Path, struct_type: type[msgspec.Struct]) -> Path:
 def read_toml(path: str | Path, where: str | None = None) -> dict[str, Any]:
     """The tables of a TOML file. Raises ConfigError with the file, and line and column of a syntax error."""
     name = _named(path) if where is None else where
-    text = _text(Path(path), name)
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{name}: not TOML: {error}") from error
-    except (ValueError, RecursionError) as error:
-        # tomllib lets through what Python itself refuses: 5000-digit numbers, a thousand brackets.
-        raise ConfigError(f"{name}: not usable: {error}") from error
+    return parse_toml(_text(Path(path), name), name)
 
 
 def _text(path: Path, name: str) -> str:
     try:
-        with path.open("rb") as file:
-            data = file.read(_SIZE_MAX + 1)
+        data = read_input(path, _SIZE_MAX)
     except FileNotFoundError as error:
         raise ConfigError(f"{name}: no such file{_sibling(path)}") from error
     except IsADirectoryError as error:
         raise ConfigError(f"{name}: is a folder: name a .toml file in it") from error
     except (OSError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EFBIG:
+            raise ConfigError(f"{name}: larger than {_SIZE_MAX} bytes: this is no scene or rig") from error
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{name}: cannot be read: {reason}") from error
-    if len(data) > _SIZE_MAX:
-        raise ConfigError(f"{name}: larger than {_SIZE_MAX} bytes: this is no scene or rig")
     try:
         return data.decode("utf-8-sig")  # editors on Windows put a byte order mark in front
     except UnicodeDecodeError as error:
@@ -156,8 +207,35 @@ def _load(
 ) -> T:
     path = find(path_or_name, struct_type)
     name = path.name if path.parent == FOLDERS[struct_type] else _named(path)
-    mapping = _with_overrides(read_toml(path, name), overrides)
-    return _built(struct_type, mapping, name, {key: sources.get(key, "command line") for key in overrides})
+    return _with_overrides(struct_type, read_toml(path, name), name, overrides, sources)
+
+
+def _with_overrides(
+    struct_type: type[T], given: Mapping[str, Any], where: str, overrides: Mapping[str, Any], sources: Mapping[str, str]
+) -> T:
+    mapping, origins, homeless = copy.deepcopy(dict(given)), dict[str, str](), []
+    ways = {dotted: numbered(mapping, dotted) for dotted in overrides}
+    if len(set(ways.values())) < len(ways):
+        source = sources.get(next(iter(ways)), "override")
+        raise ConfigError(f"{source}: a value is given twice, by a name and by its number")
+    for dotted in sorted(overrides, key=lambda key: key != "device.driver"):
+        source = sources.get(dotted, "override")
+        try:
+            for key in _for_each_device(mapping, ways[dotted]):
+                _override(mapping, key, overrides[dotted], source, origins)
+        except LookupError as error:
+            homeless.append(f"{source}: {dotted}: {error.args[0]}")
+    config = _built(struct_type, mapping, where, origins)
+    if homeless:  # and not for a fault of the file's own
+        raise ConfigError("; ".join(homeless))
+    return config
+
+
+def _beside(folder: Path, thing: Object) -> Object:
+    if not isinstance(thing, Textured) or thing.texture is None:
+        return thing
+    texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))
+    return msgspec.structs.replace(thing, texture=texture)
 
 
 def _built(struct_type: type[T], mapping: object, where: str, sources: Mapping[str, str]) -> T:
@@ -168,24 +246,48 @@ def _built(struct_type: type[T], mapping: object, where: str, sources: Mapping[s
     return value
 
 
-def _with_overrides(mapping: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    result = copy.deepcopy(mapping)
-    for dotted in sorted(overrides, key=lambda key: key != "device.driver"):
-        *tables, last = dotted.split(".")
-        at: Any = result
-        for name in tables:
-            at = at.setdefault(name, {}) if isinstance(at, dict) else None
-        if dotted == "device.driver" and isinstance(at, dict) and at.get("driver") != overrides[dotted]:
-            at.clear()
-        if isinstance(at, dict):  # else the file's own fault is reported
-            at[last] = overrides[dotted]
-    return result
+def _for_each_device(mapping: dict[str, Any], dotted: str) -> list[str]:
+    """The key to override; in a file with [devices.NAME] one of `device` is meant for each of them."""
+    first, _, rest = dotted.partition(".")
+    if first == "device" and "device" not in mapping and isinstance(mapping.get("devices"), dict):
+        return [f"devices.{name}.{rest}" for name in mapping["devices"]]
+    return [dotted]
+
+
+def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, origins: dict[str, str]) -> None:
+    """Put a value in, with the tables that it needs; `origins` learns which keys are not the file's.
+
+    An entry of a list is `object.0` or, as messages have it, `object[0]`. LookupError where there is no such place.
+    """
+    way = _ENTRY.sub(r".\1", dotted).split(".")
+    at: Any = mapping
+    for depth, name in enumerate(way, 1):
+        key = _NUMBER.sub(r"[\1]", ".".join(way[:depth]))
+        place: Any = name
+        if isinstance(at, list):
+            if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
+                there = f"from 0 to {len(at) - 1}{_names(at)}"
+                raise LookupError(f"{key} is none of the {len(at)} entries, {there}: override all")
+            place = int(name)
+        elif not isinstance(at, dict):
+            raise LookupError(f"what {key} would be in is {shown(at)} and no table: override it whole")
+        elif depth < len(way) and name not in at:
+            at[name], origins[key] = {}, source
+        if depth == len(way):
+            if way[-1] == "driver" and way[0] in ("device", "devices") and at.get("driver") != value:
+                at.clear()
+            at[place], origins[key] = value, source
+        else:
+            at = at[place]
+
+
+def _names(entries: list[Any]) -> str:
+    names = [str(each["name"]) for each in entries if isinstance(each, dict) and "name" in each]
+    return f", or by name {', '.join(names)}" if names else ""
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         kept = {key: _plain(item) for key, item in value.items() if item is not None}
-        if isinstance(kept.get("device"), dict):
-            kept["device"] = {**kept["device"].pop("options", {}), **kept["device"]}
-        return kept
+        return {**kept.pop("options"), **kept} if {"driver", "options"} <= kept.keys() else kept
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -27,6 +27,12 @@ def unwrapped(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
 
 
 def options(info: inspect.Type) -> list[inspect.Type]:
-    """What a field may hold besides being left out: the members of a union without None, or the type alone."""
+    """What a field may hold besides being left out: the members of a union without None, or the type alone.
+
+    A union of structs whose base has a list `added` is open: those of the list are members, too.
+    """
     members = info.types if isinstance(info, inspect.UnionType) else (info,)
-    return [member for member in members if not isinstance(member, inspect.NoneType)]
+    present = [member for member in members if not isinstance(member, inspect.NoneType)]
+    if isinstance(info, inspect.UnionType) and isinstance(present[0], inspect.StructType):
+        present += [described(kind) for kind in getattr(present[0].cls, "added", ())]
+    return present

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Final, NamedTuple
 
 from msgspec import UNSET, Struct, inspect
@@ -18,6 +19,8 @@ from msgspec import UNSET, Struct, inspect
 from softfinger.config.typeinfo import described, options, unwrapped
 from softfinger.config.words import either, expected, missing, near, shown
 
+UNKNOWN_SHOWN: Final = 50
+"""Keys without a meaning that a table's faults name: a file of them would take a minute and a page for each."""
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -82,7 +85,7 @@ def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
         case inspect.BoolType():
             usable = isinstance(value, bool)
         case inspect.DictType():
-            usable = isinstance(value, Mapping)
+            return _named(kind, value, key, report)
         case inspect.NoneType():
             usable = value is None
         case inspect.AnyType():
@@ -138,7 +141,8 @@ def _text(kind: inspect.StrType, value: object, key: str, report: Report) -> Any
         return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
     short = kind.min_length is not None and len(value) < kind.min_length
     long = kind.max_length is not None and len(value) > kind.max_length
-    odd = kind.pattern is not None and not re.search(kind.pattern, value)
+    # A $ lets a newline at the end pass.
+    odd = kind.pattern is not None and (value.endswith("\n") or not re.search(kind.pattern, value))
     if short or long or odd:
         return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
     return value
@@ -164,6 +168,19 @@ def _list(
     if isinstance(kind, inspect.TupleType) and len(report.faults) > before:
         return UNSET
     return items if isinstance(kind, inspect.ListType) else tuple(items)
+
+
+def _named(kind: inspect.DictType, value: object, key: str, report: Report) -> Any:
+    """A table of tables, or of values, whose keys are names."""
+    if not isinstance(value, Mapping):
+        return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
+    before = len(report.faults)
+    items = {}
+    for name, item in value.items():
+        dotted = _join(key, name)
+        given = _value(kind.key_type, name, dotted, report)
+        items[given] = _value(kind.value_type, item, dotted, report)
+    return items if len(report.faults) == before else UNSET
 
 
 # --- tables --------------------------------------------------------------------------------------
@@ -232,9 +249,11 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
     if gathers is not None:
         values[gathers] = {k: v for k, v in extra.items() if isinstance(k, str)}
         extra = {k: v for k, v in extra.items() if not isinstance(k, str)}
-    for name in extra:
+    for name in islice(extra, UNKNOWN_SHOWN):
         dotted = _join(key, name)
         report.add(dotted, f"{dotted} is not a key here{near(name, allowed)}; keys are {', '.join(allowed)}")
+    if len(extra) > UNKNOWN_SHOWN:
+        report.add(key, f"{key or 'the whole'}: {len(extra) - UNKNOWN_SHOWN} more keys that have no meaning here")
     for f in info.fields:
         dotted = _join(key, f.encode_name)
         if f.encode_name == gathers:

@@ -14,6 +14,7 @@ the hand. Both are in the world frame: vendor axes are turned inside the driver 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, NamedTuple, Self
@@ -24,6 +25,12 @@ STALE: Final = 1
 """Read: no new sample, the last one is repeated. Write: taken, but limited by the device."""
 END: Final = 2
 """Read: a recording has come to its end; the servo stops in order."""
+WITHHELD: Final = 3
+"""Read or write: the driver commands zero in place of the force (a silence, no pose, not armed); the guard fades in
+anew once it does not."""
+HELD: Final = 4
+"""Write: not taken, the device keeps the force of before. The guard counts on from that one, so that the next that is
+taken is a limited change from what the hand feels."""
 LOST: Final = -1
 """The device is gone."""
 TIMEOUT: Final = -2
@@ -68,6 +75,11 @@ class DeviceInfo:
     own_clock: bool = False
 
 
+def names(devices: Iterable[Device]) -> str:
+    """Names of devices, for people."""
+    return ", ".join(device.info.name for device in devices)
+
+
 class Device(ABC):
     """An open device. Opening happens in the constructor; leaving the context stops and closes it."""
 
@@ -76,6 +88,13 @@ class Device(ABC):
     @abstractmethod
     def io(self) -> DeviceIO:
         """Addresses for the servo loop, valid until `close`."""
+
+    def arm(self) -> None:  # noqa: B027  (a device that has nothing to switch on does nothing)
+        """Switch on force and what watches over it (a watchdog, a session that times out).
+
+        Called once, by the thread that runs the loop, as the last act before the first tick: whatever takes long
+        is done. Raises DeviceError. A device that has nothing to switch on does nothing.
+        """
 
     @abstractmethod
     def stop(self) -> None:
@@ -88,6 +107,10 @@ class Device(ABC):
     def reason(self) -> str:
         """What the device itself says of its last failure; empty where it says nothing. After the loop has ended."""
         return ""
+
+    def last_word(self) -> tuple[str, bytes] | None:
+        """Path of the device's node, and what any process can write there to command zero; None where none can."""
+        return None
 
     def counts(self) -> dict[str, int]:
         """What the driver has counted since the device was opened, by name; empty where it counts nothing.

@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import difflib
 import logging
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config.arrays.npz import Npz
 from softfinger.config.errors import RecordingError
+from softfinger.config.files import open_input
+from softfinger.drivers.containers import mcap_messages
 
 Array = NDArray[np.float64]
 
@@ -28,6 +33,15 @@ RESULT_COLUMNS: Final = (
     *(f"probe.orientation[{i}]" for i in range(4)),
 )
 TOPIC: Final = "contact"
+FINGERS: Final = "finger/"
+"""Topics of ticks: of a single finger, and what those of several begin with."""
+DT_MIN_S: Final = 1e-6
+DT_MAX_S: Final = 3600.0
+"""From a thousandth of the shortest period to a pause that nobody records over."""
+POSES_MAX: Final = 5_000_000
+"""Poses read at most: 83 minutes at 1 kHz, 320 MB."""
+LINE_MAX: Final = 1 << 16
+"""Bytes of a line of a CSV file at most; the longest of this program have 4 KB."""
 ENDINGS: Final = (".csv", ".npz", ".mcap")
 
 POSITION_MAX_M: Final = 1e6
@@ -47,16 +61,23 @@ class Poses(NamedTuple):
     orientation: Array
 
 
-def load_poses(recording: str | Path) -> Poses:
+def load_poses(recording: str | Path, finger: str = "") -> Poses:
     """Read a file, or a shipped recording by its name; RecordingError when it cannot be used.
+
+    finger  whose poses, in an MCAP recording of several
 
     The file's ending says what it is: .csv (`t,x,y,z,qw,qx,qy,qz` in s, m and unit quaternions, in
     any column order, or a results file), .npz (results) or .mcap (a recording of this program; a
     truncated one is read as far as it goes, with a warning in the log). Times of results count
-    from their first row.
+    from their first row; those of an MCAP recording are whole numbers of the loop's periods, so that a replay at
+    the same rate plays each pose in a tick of its own.
     """
     path = find_recording(recording)
-    readers = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}
+    readers: dict[str, Callable[[Path], Poses]] = {
+        ".csv": _read_csv,
+        ".npz": _read_npz,
+        ".mcap": lambda path: _read_mcap(path, finger),
+    }
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise RecordingError(
@@ -138,11 +159,27 @@ def checked(t: Array, position: Array, orientation: Array, place: Callable[[int]
 
 
 def _read_csv(path: Path) -> Poses:
-    try:
-        lines = path.read_bytes().decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
-    names = [name.strip() for name in lines[0].split(",")] if lines else []
+    with open_input(path) as file:
+        lines = _lines(path, file)
+        _, first = next(lines, (1, ""))
+        return _read_rows(path, first, lines)
+
+
+def _lines(path: Path, file: IO[bytes]) -> Iterator[tuple[int, str]]:
+    """Number and text of each line, one at a time."""
+    number = 0
+    while line := file.readline(LINE_MAX):
+        number += 1
+        if len(line) == LINE_MAX:
+            raise RecordingError(f"{path}, line {number}: longer than {LINE_MAX:,} bytes: this is no table of poses")
+        try:
+            yield number, line.decode("utf-8-sig" if number == 1 else "utf-8").rstrip("\r\n")
+        except UnicodeDecodeError as error:
+            raise RecordingError(f"{path}, line {number}: not a text file (not UTF-8)") from error
+
+
+def _read_rows(path: Path, first: str, lines: Iterator[tuple[int, str]]) -> Poses:
+    names = [name.strip() for name in first.split(",")]
     wanted = RESULT_COLUMNS if set(RESULT_COLUMNS) <= set(names) else POSE_COLUMNS
     missing = [name for name in wanted if names.count(name) != 1]
     if missing:
@@ -150,20 +187,24 @@ def _read_csv(path: Path) -> Poses:
             f"{path}, line 1: column(s) {', '.join(missing)} missing or given twice: "
             f"the header must name {','.join(POSE_COLUMNS)} (other columns are ignored)"
         )
-    numbers = [number for number, line in enumerate(lines[1:], start=2) if line.strip()]
     index = [names.index(name) for name in wanted]
-    table = np.empty((len(numbers), len(wanted)))
-    for row, number in enumerate(numbers):
-        cells = lines[number - 1].split(",")
+    numbers, values = array("q"), array("d")
+    for number, line in lines:
+        if not line.strip():
+            continue
+        cells = line.split(",")
         if len(cells) != len(names):
             raise RecordingError(f"{path}, line {number}: {len(cells)} values, the header names {len(names)}")
+        _check_count(path, len(numbers))
+        numbers.append(number)
         for k, column in enumerate(index):
             try:
-                table[row, k] = float(cells[column])
+                values.append(float(cells[column]))
             except ValueError as error:
                 raise RecordingError(
                     f"{path}, line {number}, column '{wanted[k]}': {cells[column][:40]!r} is not a number"
                 ) from error
+    table = np.frombuffer(values).reshape(-1, len(wanted))
     place = _place(path, numbers)
     return checked(_from_first(table[:, 0], wanted is RESULT_COLUMNS), table[:, 1:4], table[:, 4:8], place)
 
@@ -171,15 +212,17 @@ def _read_csv(path: Path) -> Poses:
 def _read_npz(path: Path) -> Poses:
     columns = []
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with open_input(path) as file:
+            archive = Npz(file)
             for name, shape in (("timestamp", ()), ("probe.position", (3,)), ("probe.orientation", (4,))):
-                array = np.asarray(archive[name])
-                if array.dtype.kind not in "fiu" or array.shape[1:] != shape or array.ndim != 1 + len(shape):
+                found = archive.array(name, POSES_MAX * 4 * 8)
+                if found.dtype.kind not in "fiu" or found.shape[1:] != shape or found.ndim != 1 + len(shape):
                     raise RecordingError(
-                        f"{path}, array '{name}': {array.dtype} of shape {array.shape}, "
+                        f"{path}, array '{name}': {found.dtype} of shape {found.shape}, "
                         f"must be numbers of shape {('N', *shape)}"
                     )
-                columns.append(array.astype(np.float64))
+                _check_count(path, len(found) - 1)
+                columns.append(found.astype(np.float64))
     except (RecordingError, OSError, MemoryError):
         raise
     except Exception as error:  # zip and npy decoders fail in many ways on damaged bytes
@@ -193,47 +236,70 @@ def _read_npz(path: Path) -> Poses:
     return checked(_from_first(t, True), position, orientation, _place(path))
 
 
-def _read_mcap(path: Path) -> Poses:
-    rows = []
-    for number, message in enumerate(decoded_messages(path)):
+def _read_mcap(path: Path, finger: str) -> Poses:
+    values = array("d")
+    topic = f"{FINGERS}{finger}" if finger else TOPIC
+    for number, message in enumerate(decoded_messages(path, topic)):
+        _check_count(path, number)
         try:
-            rows.append((message.timestamp, *message.probe.position, *message.probe.orientation))
+            row = message.timestamp, message.tick, message.dt, *message.probe.position, *message.probe.orientation
         except (AttributeError, TypeError) as error:
             raise RecordingError(
-                f"{path}: topic '{TOPIC}' is not a recording of this program: {_reason(error)}"
+                f"{path}: topic '{topic}' is not a recording of this program: {_reason(error)}"
             ) from error
-        if len(rows[-1]) != 8:
+        if len(row) != 10:
             raise RecordingError(
-                f"{path}, message {number}: {len(rows[-1]) - 1} numbers in probe.position and probe.orientation, "
+                f"{path}, message {number}: {len(row) - 3} numbers in probe.position and probe.orientation, "
                 "must be 3 and 4"
             )
-    try:
-        table = np.array(rows, dtype=np.float64).reshape(-1, 8)
-    except (TypeError, ValueError) as error:
-        raise RecordingError(f"{path}: topic '{TOPIC}' does not hold numbers: {_reason(error)}") from error
-    return checked(_from_first(table[:, 0], True), table[:, 1:4], table[:, 4:8], _place(path))
+        try:
+            values.extend(row)
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"{path}: topic '{topic}' does not hold numbers: {_reason(error)}") from error
+    table = np.frombuffer(values).reshape(-1, 10)
+    return checked(_by_ticks(table[:, 0], table[:, 1], table[:, 2]), table[:, 3:6], table[:, 6:10], _place(path))
 
 
-def decoded_messages(path: Path) -> Iterator[Any]:
-    """Messages of topic `contact`, decoded with the descriptor in the file, in file order.
+def _by_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
+    """Times (n,) of ticks, s from the first: the periods of the loop that each one's time step has, and one for each
+    tick that is missing. Where ticks or steps are none of a loop's, the times are those of the clock."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.diff(tick)
+        usable = len(dt) > 1 and bool(np.all((dt > DT_MIN_S) & (dt < DT_MAX_S)) and np.all(apart >= 1))
+    if not usable:
+        return _from_first(timestamp, True)
+    period = float(dt.min())
+    periods = apart - 1.0 + np.maximum(1.0, np.rint(dt[1:] / period))
+    return np.concatenate(([0.0], np.cumsum(periods))) / rate_of(period)
+
+
+@cache
+def rate_of(period_s: float) -> float:
+    """The roundest rate (Hz) whose period is this to the nanosecond, as the loop's is: the one that its rig says."""
+    nanoseconds = round(period_s * 1e9)
+    for digits in range(7):
+        rate = round(1e9 / nanoseconds, digits)
+        if round(1e9 / rate) == nanoseconds:
+            return rate
+    return 1e9 / nanoseconds
+
+
+def decoded_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
+    """Messages of a topic, decoded with the descriptor in the file, in file order.
 
     A file cut short ends early with a warning in the log; one without a readable message is a RecordingError.
     """
-    from mcap.reader import NonSeekingReader
     from mcap_protobuf.decoder import DecoderFactory
 
     count = 0
-    with path.open("rb") as file:
+    factory = DecoderFactory()
+    with open_input(path) as file:
         try:
-            reader = NonSeekingReader(
-                file,
-                validate_crcs=True,
-                decoder_factories=[DecoderFactory()],
-                record_size_limit=path.stat().st_size,  # a length beyond the file is damage, not a size to allocate
-            )
-            # file order: sorting by log time would hold everything back until the end, which may be damaged
-            for _, _, _, message in reader.iter_decoded_messages(topics=[TOPIC], log_time_order=False):
-                yield message
+            for schema, channel, message in mcap_messages(file, topic):
+                decode = factory.decoder_for(channel.message_encoding, schema)
+                if decode is None:
+                    raise ValueError(f"messages are encoded as {channel.message_encoding[:20]!r}, must be protobuf")
+                yield decode(message.data)
                 count += 1
         except GeneratorExit:
             raise
@@ -242,10 +308,16 @@ def decoded_messages(path: Path) -> Iterator[Any]:
                 raise RecordingError(f"{path}: not a readable MCAP recording: {_reason(error)}") from error
             log.warning("%s is cut short or damaged (%s): %d messages read", path, _reason(error), count)
     if count == 0:
-        raise RecordingError(f"{path}: holds no message of topic '{TOPIC}'")
+        raise RecordingError(f"{path}: holds no message of topic '{topic}'")
 
 
-def _place(path: Path, line_numbers: list[int] | None = None) -> Callable[[int], str]:
+def _check_count(path: Path, before: int) -> None:
+    """Refuse one pose more than POSES_MAX; `before` were read."""
+    if before >= POSES_MAX:
+        raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it into parts")
+
+
+def _place(path: Path, line_numbers: Sequence[int] | None = None) -> Callable[[int], str]:
     def place(row: int) -> str:
         if line_numbers is None:
             return f"{path}, row {row}"

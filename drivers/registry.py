@@ -11,20 +11,17 @@ import difflib
 import importlib
 from importlib import metadata
 from types import ModuleType
-from typing import Final
+from typing import Any, Final
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.config.load import build
+from softfinger.config.schema import DeviceConfig
+from softfinger.drivers import opened
+from softfinger.drivers.base import Device
 
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
-BUILT_IN: Final = {
-    "falcon": "softfinger.drivers.falcon",
-    "forcedimension": "softfinger.drivers.forcedimension",
-    "hid": "softfinger.drivers.hid",
-    "replay": "softfinger.drivers.replay",
-    "serial": "softfinger.drivers.serial",
-    "simulated": "softfinger.drivers.simulated",
-    "spacemouse": "softfinger.drivers.spacemouse",
-}
+BUILT_IN: Final = ("falcon", "forcedimension", "hid", "replay", "serial", "simulated", "spacemouse")
+"""Each is the folder of its name here, and `device` in it is the driver."""
 
 
 def names() -> list[str]:
@@ -39,7 +36,7 @@ def load(name: str) -> ModuleType:
     is not a driver.
     """
     if name in BUILT_IN:
-        return importlib.import_module(BUILT_IN[name])
+        return importlib.import_module(f"softfinger.drivers.{name}.device")
     entry = _outside().get(name)
     if entry is None:
         raise DeviceNotFound(_unknown(name))
@@ -57,6 +54,21 @@ def load(name: str) -> ModuleType:
             f"its entry point in group '{ENTRY_POINT_GROUP}' must name a module with Options and open_device"
         )
     return module
+
+
+def options(config: DeviceConfig, where: str = "[device]") -> Any:
+    """What a rig says of its device, as its driver's Options; ConfigError for what that does not know."""
+    return build(load(config.driver).Options, config.options, where)
+
+
+def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Device:
+    """Open the device a rig names; ConfigError for options its driver does not know, at `where` in its file.
+
+    It is zeroed before the process stops by a signal, and closed when one ends the process from another thread.
+    """
+    device: Device = load(config.driver).open_device(options(config, where), rate_hz)
+    opened.devices.add(device)
+    return device
 
 
 def _outside() -> dict[str, metadata.EntryPoint]:

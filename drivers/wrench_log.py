@@ -1,6 +1,6 @@
 """Every wrench a device without hardware is given, kept: a log in memory behind the handle, and its file.
 
-A driver's block of int64 words begins with the words here; its own follow from `WORDS` on. `write` is the driver's C
+A driver's block begins with the words here, `LOG`; its own follow behind. `write` is the driver's C
 function for the servo. Python reads the log while the servo writes to it, without a lock.
 """
 
@@ -8,33 +8,24 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import time
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.base import OK, STALE
-from softfinger.drivers.libc import IO_SIGNATURE
-from softfinger.proxy.kernels.jit import c_function, jit
-from softfinger.proxy.kernels.memory import exchange_int64, float64_at, int64_at
+from softfinger.config.files import new_file
+from softfinger.drivers.base import OK, WITHHELD
+from softfinger.drivers.block import Block, address, counter, lay_out, word
+from softfinger.drivers.system.libc import IO_SIGNATURE
+from softfinger.proxy.kernels.native.jit import c_function, jit
+from softfinger.proxy.kernels.native.memory import exchange_int64, float64_at, int64_at
 
 Array = NDArray[np.float64]
 
-# Words of the block behind the handle. Kernels read these as constants; they are part of the code,
-# and the kernel cache is keyed by the source, so they cannot go stale.
-READS: Final = 0  # reads so far, counted by the driver
-LOG: Final = 1  # address of the log, (capacity, 7) float64: read index, force, torque
-CAPACITY: Final = 2
-WRITES: Final = 3  # wrenches kept so far, overwritten ones included
-ARMED: Final = 4
-LOCK: Final = 5  # held for the few instructions that add to the log
-NEXT_ROW: Final = 6  # counted up and wrapped, which is cheaper than a remainder
-WORDS: Final = 7
 ROW_BYTES: Final = 56
 
 LOG_MIN_S: Final = 10.0
@@ -53,12 +44,27 @@ class Written(NamedTuple):
     wrench: Array
 
 
+class Words(NamedTuple):
+    """The words of the log, in front of the driver's own."""
+
+    reads: Annotated[int, counter("reads so far; kept by the driver")]
+    writes: Annotated[int, counter("wrenches kept so far, overwritten ones included")]
+    log: Annotated[int, address("(capacity, 7) float64: read index, force, torque")]
+    capacity: Annotated[int, word("rows of the log")]
+    armed: Annotated[int, word("whether wrenches are kept")]
+    lock: Annotated[int, word("held for the few instructions that add to the log")]
+    next_row: Annotated[int, word("counted up and wrapped, which is cheaper than a remainder")]
+
+
+LOG: Final = lay_out(Words)
+
+
 def _append(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, t2: float) -> None:
-    word = int64_at(handle)
-    slot = word[NEXT_ROW]
-    word[NEXT_ROW] = 0 if slot + 1 == word[CAPACITY] else slot + 1
-    row = float64_at(word[LOG] + slot * ROW_BYTES)
-    row[0] = float(word[READS] - 1)
+    at = int64_at(handle)
+    slot = at[LOG.next_row]
+    at[LOG.next_row] = 0 if slot + 1 == at[LOG.capacity] else slot + 1
+    row = float64_at(at[LOG.log] + slot * ROW_BYTES)
+    row[0] = float(at[LOG.reads] - 1)
     row[1] = f0
     row[2] = f1
     row[3] = f2
@@ -66,7 +72,7 @@ def _append(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, 
     row[5] = t1
     row[6] = t2
     # an exchange and not a plain store: it keeps the count behind the row for a reader on any processor
-    exchange_int64(handle + WRITES * 8, word[WRITES] + 1)
+    exchange_int64(handle + LOG.writes * 8, at[LOG.writes] + 1)
 
 
 _keep: Any = jit(_append)
@@ -74,53 +80,53 @@ _keep: Any = jit(_append)
 
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
-    word = int64_at(handle)
+    at = int64_at(handle)
     # Never wait here: who holds the lock is stopping the device, so refusing is right as well.
-    if exchange_int64(handle + LOCK * 8, 1) != 0:
-        return STALE
-    armed = word[ARMED]
+    if exchange_int64(handle + LOG.lock * 8, 1) != 0:
+        return WITHHELD
+    armed = at[LOG.armed]
     if armed:
         _keep(handle, wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5])
-    exchange_int64(handle + LOCK * 8, 0)
+    exchange_int64(handle + LOG.lock * 8, 0)
     if armed:
         return OK
     for k in range(6):
         if wrench[k] != 0.0:
-            return STALE
+            return WITHHELD
     return OK
 
 
 @c_function(types.int64(types.int64))
 def silence(handle: int) -> int:
     """Keep one zero wrench and disarm; 0 when a write is under way just now and it must be tried again."""
-    word = int64_at(handle)
-    if exchange_int64(handle + LOCK * 8, 1) != 0:
+    at = int64_at(handle)
+    if exchange_int64(handle + LOG.lock * 8, 1) != 0:
         return 0
-    if word[ARMED]:
+    if at[LOG.armed]:
         _keep(handle, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        word[ARMED] = 0
-    exchange_int64(handle + LOCK * 8, 0)
+        at[LOG.armed] = 0
+    exchange_int64(handle + LOG.lock * 8, 0)
     return 1
 
 
 class WrenchLog:
-    """The log of a device whose block is `word`; at least `rows` wrenches and those of 10 s are kept.
+    """The log of a device whose block is `block`, LOG in front; at least `rows` wrenches and those of 10 s are kept.
 
     `forces` names the file that `close` saves to, None for no file.
     """
 
-    def __init__(self, word: NDArray[np.int64], rows: int, rate_hz: float, forces: str | None) -> None:
+    def __init__(self, block: Block, rows: int, rate_hz: float, forces: str | None) -> None:
         self._path = _forces_path(forces) if forces else None
-        self._word = word
+        self._block, word = block, block.word
         capacity = max(rows, math.ceil(LOG_MIN_S * rate_hz)) + LOG_MARGIN
         self._rows = np.full((capacity, 7), 0.0)  # written here, so that the loop meets no first-touch page fault
-        word[LOG] = self._rows.ctypes.data
-        word[CAPACITY] = capacity
-        word[ARMED] = 1
+        block.point(LOG.log, self._rows)
+        word[LOG.capacity] = capacity
+        word[LOG.armed] = 1
 
     def stop(self) -> None:
         """Keep a zero and disarm. From any thread, any number of times."""
-        while not silence.ctypes(self._word.ctypes.data):
+        while not silence.ctypes(self._block.handle):
             time.sleep(0.0001)  # a write holds the lock for some twenty instructions
 
     def close(self) -> None:
@@ -133,20 +139,20 @@ class WrenchLog:
     @property
     def lost(self) -> int:
         """Wrenches kept once and overwritten since, because a run was longer than the log."""
-        return max(0, int(self._word[WRITES]) - len(self._rows))
+        return max(0, int(self._block.word[LOG.writes]) - len(self._rows))
 
     def counts(self) -> dict[str, int]:
-        """Reads, and wrenches taken."""
-        return {"reads": int(self._word[READS]), "writes": int(self._word[WRITES])}
+        """What the block counts: reads and wrenches taken, and what the driver adds."""
+        return self._block.counts()
 
     def written(self) -> Written:
         """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
-        before = int(self._word[WRITES])
+        before = int(self._block.word[LOG.writes])
         rows = self._rows.copy()
-        after = int(self._word[WRITES])
+        after = int(self._block.word[LOG.writes])
         capacity = len(rows)
         # the row after the newest may be half overwritten while it is copied
-        first = max(0, (after + 1 if self._word[ARMED] else after) - capacity)
+        first = max(0, (after + 1 if self._block.word[LOG.armed] else after) - capacity)
         rows = rows[np.arange(first, before) % capacity] if first < before else rows[:0]
         return Written(rows[:, 0].astype(np.int64), rows[:, 1:].copy())
 
@@ -154,19 +160,15 @@ class WrenchLog:
         read, wrench = self.written()
         if self.lost:
             log.warning("%s holds the last %d wrenches; %d earlier ones were overwritten", path, len(read), self.lost)
-        part = path.with_name(f".{path.name}.part")
         try:
-            if path.suffix.lower() == ".csv":
-                with part.open("w", encoding="ascii") as text:
-                    text.write(",".join(FORCE_COLUMNS) + "\n")
+            with new_file(path) as file:
+                if path.suffix.lower() == ".csv":
+                    file.write((",".join(FORCE_COLUMNS) + "\n").encode())
                     for n, row in zip(read.tolist(), wrench.tolist(), strict=True):
-                        text.write(",".join([str(n), *map(repr, row)]) + "\n")
-            else:
-                with part.open("wb") as file:
+                        file.write((",".join([str(n), *map(repr, row)]) + "\n").encode())
+                else:
                     np.savez(file, read=read, force=wrench[:, :3], torque=wrench[:, 3:])
-            os.replace(part, path)
         except OSError as error:
-            part.unlink(missing_ok=True)
             raise RecordingError(f"{path}: the forces cannot be saved: {error.strerror or error}") from error
 
 

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Final, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Generic, Self, TypeVar, overload
 
 import numba
 import numpy as np
+from numba import types
 from numpy.typing import ArrayLike, NDArray
 
 from softfinger.config import schema
-from softfinger.config.errors import HapticError
-from softfinger.config.load import load_scene
-from softfinger.proxy.kernels.jit import entry
-from softfinger.proxy.kernels.model import Contact, Scene, State
-from softfinger.proxy.kernels.pack import flatten, pack, unpack
-from softfinger.proxy.kernels.record import write_contact
-from softfinger.proxy.kernels.rotations import normalize
+from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.load import SceneSource, load_scene, overridden
+from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_all_patches, write_contacts
+from softfinger.proxy.kernels.model import Scene
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.step import step
-from softfinger.proxy.scene import build_scene, start_state
-from softfinger.proxy.state import CAUSE_NAMES, POSITION_MAX_M, RECORD_SIZE
+from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE
+from softfinger.proxy.records import Records
+from softfinger.proxy.scene import build_scene, other_model, start_state
+
+T = TypeVar("T")
 
 Array = NDArray[np.float64]
-
 
 DT_MIN_S: Final = 1e-9
 DT_MAX_S: Final = 1e3
@@ -33,90 +35,181 @@ class PoseError(HapticError):
     """A pose, or a time step, that no probe can have."""
 
 
-class Step(NamedTuple):
-    """One tick's outcome. Vectors (3,) float64 in the world frame; `finger_point` in the fingertip frame."""
+class Part(Generic[T]):
+    """A field of a record as an attribute of the Step that holds it, read when it is asked for: most are not."""
 
-    mode: int
-    object: int
-    cause: str
-    velocity: Array
-    proxy_position: Array
-    penetration: float
-    point: Array
-    normal: Array
-    finger_point: Array
-    rolled: float
-    spin: float
-    normal_force: float
-    tangential_force: float
-    force: Array
-    torque: Array
+    def __init__(self, read: Callable[[Any], T], name: str) -> None:
+        self.field: Final = NAMED[name]
+        self._read: Final = read
+        at, size = self.field.at, self.field.size
+        self._at: Final = slice(at, at + size) if size > 1 else at
+        self.__doc__ = f"{name}: {self.field.meaning}; {self.field.unit}, {self.field.frame}".rstrip(", ")
+
+    @overload
+    def __get__(self, step: None, owner: type[Step]) -> Self: ...
+
+    @overload
+    def __get__(self, step: Step, owner: type[Step]) -> T: ...
+
+    def __get__(self, step: Step | None, owner: type[Step]) -> Self | T:
+        return self if step is None else self._read(step.record[self._at])
 
 
-@entry
-def step_once(scene: Scene, values: Array, start: State, state_values: Array, pose: Array, dt: float) -> Contact:
-    """One step with scene and state in flat arrays; returns the Contact."""
-    parameters = unpack(scene, values)
-    state = unpack(start, state_values)
-    position, orientation = (pose[0], pose[1], pose[2]), normalize((pose[3], pose[4], pose[5], pose[6]))
-    state, contact = step(parameters, state, position, orientation, dt)
-    pack(state_values, state)
-    return contact
+def _vector(values: Array) -> Array:
+    return values
+
+
+def _cause(number: float) -> str:
+    return CAUSE_NAMES[int(number)]
+
+
+class Step:
+    """One tick's outcome: of the record's fields those that a contact step fills, `cause` by its name.
+
+    Vectors (3,) float64 in the world frame; `finger_point`, `patch_normal` and `patch_stretch` in the fingertip frame.
+    `record` is the whole row.
+    """
+
+    __slots__ = ("record",)
+
+    mode = Part(int, "contact.mode")
+    object = Part(int, "contact.object")
+    cause = Part(_cause, "contact.cause")
+    velocity = Part(_vector, "probe.velocity")
+    proxy_position = Part(_vector, "proxy.position")
+    penetration = Part(float, "contact.penetration")
+    point = Part(_vector, "contact.point")
+    normal = Part(_vector, "contact.normal")
+    finger_point = Part(_vector, "contact.finger_point")
+    rolled = Part(float, "contact.rolled")
+    spin = Part(float, "contact.spin")
+    normal_force = Part(float, "contact.normal_force")
+    tangential_force = Part(float, "contact.tangential_force")
+    force = Part(_vector, "force")
+    torque = Part(_vector, "torque")
+    torsion = Part(float, "contact.torsion")
+    patch_radius = Part(float, "contact.patch_radius")
+    patch_normal = Part(_vector, "contact.patch_normal")
+    patch_stretch = Part(_vector, "contact.patch_stretch")
+
+    def __init__(self, record: Array) -> None:
+        self.record = record
+
+    def __repr__(self) -> str:
+        return f"Step({', '.join(f'{name}={getattr(self, name)!r}' for name in STEP_FIELDS)})"
+
+
+STEP_FIELDS: Final = {name: part.field for name, part in vars(Step).items() if isinstance(part, Part)}
+"""The record's field behind each attribute of Step."""
 
 
 @entry
 def step_many(
-    scene: Scene,
+    scene: Any,
     values: Array,
-    start: State,
+    start: Any,
     state_values: Array,
     poses: Array,
     dt: float,
     first_tick: int,
     records: Array,
 ) -> None:
-    """One step for each row of `poses` (n, 7), leaving a record each in `records` (n, RECORD_SIZE)."""
+    """One step for each of n ticks in `poses` (n, fingers, 7), with `records` (n, fingers, RECORD_SIZE) of them.
+
+    scene, start  the types of a Scene and its State, whose leaves are `values` and `state_values`
+    """
     parameters = unpack(scene, values)
     state = unpack(start, state_values)
     for i in range(poses.shape[0]):
-        pose = poses[i]
-        position, orientation = (pose[0], pose[1], pose[2]), normalize((pose[3], pose[4], pose[5], pose[6]))
-        state, contact = step(parameters, state, position, orientation, dt)
-        row = records[i]
-        row[0] = (first_tick + i) * dt
-        write_contact(row, first_tick + i, dt, position, orientation, contact, contact.force, contact.torque)
+        probes = poses_in(rows_of(parameters.fingers, poses[i], 0))
+        state, contacts = step(parameters, state, probes, dt)
+        rows = rows_of(parameters.fingers, records[i], 0)
+        write_contacts(contacts, rows, probes, first_tick + i, dt)
+        write_all_patches(state.fingers, rows, parameters.objects)
     pack(state_values, state)
 
 
-class Engine:
-    """A contact between one fingertip and a scene, advanced by poses.
+def compiled(scene: Scene) -> Callable[..., None]:
+    """`step_many` for scenes of this type, compiled; scene and start are of no use to it as arguments.
 
-    scene     a validated scene, or the path or shipped name of a scene file
+    numba's own call would look at each number of both trees to find their types: a hundred microseconds.
+    """
+    like, start = (types.TypeRef(numba.typeof(tree)) for tree in (scene, start_state(scene)))
+    leaves, table = types.float64[::1], types.float64[:, :, ::1]
+    kernel: Any = step_many
+    made: Callable[..., None] = kernel.compile((like, leaves, start, leaves, table, types.float64, types.int64, table))
+    return made
+
+
+class Engine:
+    """The contact between a scene and its fingertip, or several, advanced by poses.
+
+    scene     a validated scene; or what `load_scene` takes: the path or shipped name of a file, or a mapping like one
     rate_hz   nominal tick rate; the default time step is its inverse
 
     The first step compiles the scene's kernels unless an earlier run left them in the cache.
+
+    >>> from softfinger import Engine
+    >>> engine = Engine("paper-plane")
+    >>> touch = engine.step([0.0, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0])   # 0.5 mm into the plane z = 0, radius 10 mm
+    >>> touch.force.round(6).tolist(), touch.mode, touch.cause
+    ([0.0, 0.0, 0.5], 1, 'touch')
+    >>> engine.set("object.table.material.stiffness_n_per_m", 500.0)
+    >>> engine.step([0.0, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0]).force.round(6).tolist()
+    [0.0, 0.0, 0.25]
     """
 
-    def __init__(self, scene: schema.Scene | str | Path, rate_hz: float = 1000.0) -> None:
-        config = scene if isinstance(scene, schema.Scene) else load_scene(scene)
-        self.scene: Scene = build_scene(config)
+    def __init__(self, scene: SceneSource, rate_hz: float = 1000.0) -> None:
+        self.config = load_scene(scene)
+        """The validated scene, with what was set."""
+        self.scene: Scene = build_scene(self.config)
+        self.fingers: Final = tuple(finger.name for finger in self.config.fingers)
+        """Names of the fingers; one of [fingertip] has the name ""."""
         self.dt = 1.0 / rate_hz
         self._values = flatten(self.scene)
-        self._start = start_state(self.scene)
-        self._state = flatten(self._start)
+        self._start = flatten(start_state(self.scene))
+        self._state = self._start.copy()
         self._tick = 0
+        self._advance: Callable[..., None] | None = None
+        # What `step` hands to the kernel, and gets back.
+        self._poses, self._records = (np.zeros((1, 1, size)) for size in (7, RECORD_SIZE))
+        self._pose, self._record = self._poses[0, 0], self._records[0, 0]
+        self._position, self._orientation = self._pose[:3], self._pose[3:]
 
     def reset(self) -> None:
         """Forget the contact: the next step is the first."""
-        self._state = flatten(self._start)
+        self._state = self._start.copy()
         self._tick = 0
+
+    @overload
+    def set(self, changes: str, value: Any) -> None: ...
+
+    @overload
+    def set(self, changes: Mapping[str, Any]) -> None: ...
+
+    def set(self, changes: str | Mapping[str, Any], value: Any = None) -> None:
+        """Change parameters and keep the contact: a dotted path and its value, or several in a mapping, all or none.
+
+        Paths are those of `load_scene` and of the command set_params, such as object.table.material.stiffness_n_per_m
+        or fingertip.radius_m. Nothing is compiled: ConfigError where a value is out of its range, a path has no place,
+        or a change makes another model.
+        """
+        wanted = {changes: value} if isinstance(changes, str) else changes
+        config = overridden(self.config, wanted, "set")
+        tree = build_scene(config)
+        if numba.typeof(tree) != numba.typeof(self.scene):
+            raise ConfigError(f"set: {other_model(self.config, wanted)}: make another Engine")
+        self._take(config, tree)
 
     def tune(self, scene: schema.Scene) -> None:
         """Change parameters and keep the contact; ValueError if the scene has other parts than the compiled one."""
         tree = build_scene(scene)
         if numba.typeof(tree) != numba.typeof(self.scene):
             raise ValueError("the new scene has other parts than the one compiled: make another engine")
-        self.scene, self._values = tree, flatten(tree)
+        self._take(scene, tree)
+
+    def _take(self, config: schema.Scene, tree: Scene) -> None:
+        self.config, self.scene, self._values = config, tree, flatten(tree)
 
     def step(self, position: ArrayLike, orientation: ArrayLike, dt: float | None = None) -> Step:
         """Advance by one pose.
@@ -125,48 +218,77 @@ class Engine:
         orientation  (4,) 1  quaternion w, x, y, z, fingertip to world; normalised here
         dt           s       time since the last pose, default the nominal one
 
-        Raises PoseError for a pose that is not finite or out of range, and for a dt that no servo has.
+        For a scene with one finger. Raises PoseError for a pose that is not finite or out of range, and for a dt that
+        no servo has.
         """
-        pose = np.concatenate([np.asarray(position, np.float64), np.asarray(orientation, np.float64)])
-        poses = check_poses(pose.reshape(1, -1))
-        c = step_once(self.scene, self._values, self._start, self._state, poses[0], self._check_dt(dt))
-        self._tick += 1
-        return Step(
-            mode=int(c.mode),
-            object=int(c.object),
-            cause=CAUSE_NAMES[int(c.cause)],
-            velocity=np.array(c.velocity),
-            proxy_position=np.array(c.center),
-            penetration=c.penetration,
-            point=np.array(c.point),
-            normal=np.array(c.normal),
-            finger_point=np.array(c.finger_point),
-            rolled=c.rolled,
-            spin=c.spin,
-            normal_force=c.normal_force,
-            tangential_force=c.tangential_force,
-            force=np.array(c.force),
-            torque=np.array(c.torque),
-        )
+        if len(self.fingers) > 1:
+            raise self._several()
+        try:
+            if len(position) != 3 or len(orientation) != 4:  # type: ignore[arg-type]
+                raise ValueError
+            self._position[...], self._orientation[...] = position, orientation  # [:] takes twice as long
+        except (TypeError, ValueError):
+            raise PoseError(
+                f"position {position!r} and orientation {orientation!r}: must be 3 numbers (m) and 4 (w, x, y, z)"
+            ) from None
+        x, y, z, a, b, c, d = self._pose.tolist()
+        far = POSITION_MAX_M
+        near = -far < x < far and -far < y < far and -far < z < far
+        if not (near and 0.5 < a * a + b * b + c * c + d * d < 2.0):  # or it is plainly usable, and a look costs 20 us
+            check_poses(self._poses[0])
+        self._run(self._poses, self.dt if dt is None else self._check_dt(dt), self._records)
+        return Step(self._record.copy())
 
-    def run(self, poses: ArrayLike, dt: float | None = None) -> Array:
-        """Advance by many poses (n, 7), rows x, y, z, qw, qx, qy, qz; returns records (n, RECORD_SIZE).
+    @overload
+    def run(self, poses: Mapping[str, ArrayLike], dt: float | None = None) -> dict[str, Records]: ...
 
-        Columns are those of `softfinger.proxy.state`; the timestamp is the tick times dt, and the
-        fields of servo and device are 0. Raises PoseError as `step`.
+    @overload
+    def run(self, poses: ArrayLike, dt: float | None = None) -> Records: ...
+
+    def run(self, poses: ArrayLike | Mapping[str, ArrayLike], dt: float | None = None) -> Records | dict[str, Records]:
+        """Advance by many poses (n, 7), rows x, y, z, qw, qx, qy, qz; returns records (n, RECORD_SIZE), fields by name.
+
+        Of several fingers: poses of each by its name, as many for all; returns records by name.
+
+        Fields are those of `softfinger.proxy.record`; the timestamp is the tick times dt, and the
+        fields of servo and device are 0. Raises PoseError as `step`, and for poses that are not of these fingers.
         """
-        checked = check_poses(np.asarray(poses, np.float64))
-        records = np.zeros((len(checked), RECORD_SIZE))
-        step_many(self.scene, self._values, self._start, self._state, checked, self._check_dt(dt), self._tick, records)
-        self._tick += len(checked)
-        return records
+        named = isinstance(poses, Mapping)
+        if not named and len(self.fingers) > 1:
+            raise self._several()
+        given: Mapping[str, Any] = poses if isinstance(poses, Mapping) else {self.fingers[0]: poses}
+        together = poses_together(given, self.fingers)
+        records = np.zeros((*together.shape[:2], RECORD_SIZE))
+        self._run(together, self.dt if dt is None else self._check_dt(dt), records)
+        each = {name: Records(np.ascontiguousarray(records[:, at])) for at, name in enumerate(self.fingers)}
+        return each if named else each[self.fingers[0]]
 
-    def _check_dt(self, dt: float | None) -> float:
-        if dt is None:
-            return self.dt
+    def _run(self, poses: Array, dt: float, records: Array) -> None:
+        """Steps for usable poses (n, fingers, 7) into `records` (n, fingers, RECORD_SIZE)."""
+        if self._advance is None:
+            self._advance = compiled(self.scene)
+        self._advance(None, self._values, None, self._state, poses, dt, self._tick, records)
+        self._tick += len(poses)
+
+    def _several(self) -> PoseError:
+        return PoseError(f"the scene has the fingers {', '.join(self.fingers)}: give `run` poses of each by its name")
+
+    def _check_dt(self, dt: float) -> float:
         if not (dt == 0.0 or DT_MIN_S <= dt <= DT_MAX_S):
             raise PoseError(f"dt = {dt}: a time step is 0 or from {DT_MIN_S:g} to {DT_MAX_S:g} s")
         return float(dt)
+
+
+def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
+    """Poses (n, fingers, 7) from those of each finger, (n, 7), by name; PoseError where they do not go together."""
+    if set(poses) != set(fingers):
+        names = ", ".join(fingers) or "one without a name"
+        raise PoseError(f"poses of {', '.join(map(str, poses))} are not those of the scene's fingers: {names}")
+    checked = [check_poses(np.asarray(poses[name], np.float64)) for name in fingers]
+    if len({len(each) for each in checked}) > 1:
+        counts = ", ".join(f"{len(each)} of {name}" for name, each in zip(fingers, checked, strict=True))
+        raise PoseError(f"poses of several fingers are taken tick by tick: give as many of each, not {counts}")
+    return np.ascontiguousarray(np.stack(checked, axis=1))
 
 
 def check_poses(poses: Array) -> Array:

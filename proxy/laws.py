@@ -1,15 +1,34 @@
-"""The objects' friction and torsion as kernel laws, all of one type: one law is compiled for a scene."""
+"""The objects' normal force, friction and torsion as kernel laws, all of one type: one law is compiled for a scene."""
 
 from __future__ import annotations
+
+from math import exp, lgamma
 
 from softfinger.config import schema
 from softfinger.proxy.kernels import model
 
+NormalLaw = model.LinearNormal | model.PowerNormal | model.HuntCrossley
 FrictionLaw = model.Friction | model.SpeedFriction | model.Anisotropic | model.PaperFriction | None
-TorsionLaw = model.Torsion | model.PowerTorsion | model.LimitSurface | model.SoftFingerProxy | None
+TorsionLaw = model.Torsion | model.PowerTorsion | model.PatchTorsion | model.LimitSurface | model.SoftFingerProxy | None
 
 _SMOOTH = schema.Friction(static=0.0, kinetic=0.0)
 _LIMP = schema.Torsion(stiffness_nm_per_rad=1.0, friction_length_m=0.0)
+
+
+def normal_laws(scene: schema.Scene) -> list[NormalLaw]:
+    """A law for each object, of the type that the richest of them needs: a linear spring has the exponent 1."""
+    things = [(thing.material, thing.material.normal or schema.Normal()) for thing in scene.object]
+    curved = any(normal.exponent != 1.0 for _, normal in things)
+    crossed = any(normal.damping_s_per_m is not None for _, normal in things)
+    laws: list[NormalLaw] = []
+    for material, normal in things:
+        stiffness, damping = material.stiffness_n_per_m, material.damping_ns_per_m
+        law: model.LinearNormal | model.PowerNormal = model.LinearNormal(stiffness, damping)
+        if curved:
+            coefficient = stiffness * normal.depth_m ** (1.0 - normal.exponent)
+            law = model.PowerNormal(coefficient, normal.exponent, damping)
+        laws.append(model.HuntCrossley(law, normal.damping_s_per_m or 0.0) if crossed else law)
+    return laws
 
 
 def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
@@ -49,20 +68,62 @@ def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
     growing = any(torsion.exponent is not None for torsion in present)
     models = {torsion.model for torsion in present}
     laws: list[TorsionLaw] = []
-    for torsion in given:
-        t = torsion or _LIMP
-        law: model.Torsion | model.PowerTorsion = model.Torsion(t.stiffness_nm_per_rad, t.friction_length_m)
-        if growing:
-            law = model.PowerTorsion(t.stiffness_nm_per_rad, t.friction_length_m, t.exponent or 0.0)
+    for thing in scene.object:
+        t, friction = thing.material.torsion or _LIMP, thing.material.friction or _SMOOTH
+        length = t.friction_length_m or 0.0
+        kinetic = length if t.kinetic_friction_length_m is None else t.kinetic_friction_length_m
+        share = kinetic / length if length > 0.0 else 1.0
+        law: model.Torsion | model.PowerTorsion | model.PatchTorsion
+        if scene.soft:
+            law = model.PatchTorsion(0.0 if thing.material.torsion is None else friction.static)
+            if t.friction_length_m is None and friction.static > 0.0:
+                share = friction.kinetic / friction.static
+        elif growing:
+            law = model.PowerTorsion(t.stiffness_nm_per_rad or 1.0, length, t.exponent or 0.0)
+        else:
+            law = model.Torsion(t.stiffness_nm_per_rad or 1.0, length)
         if "limit_surface" in models:
             laws.append(model.LimitSurface(law))
         elif "soft_finger_proxy" in models:
             # With the same limit for sticking and slipping this proxy is that of the independent model.
-            kinetic = t.friction_length_m if t.kinetic_friction_length_m is None else t.kinetic_friction_length_m
-            laws.append(model.SoftFingerProxy(law, kinetic / t.friction_length_m if t.friction_length_m > 0.0 else 1.0))
+            laws.append(model.SoftFingerProxy(law, share))
         else:
             laws.append(law)
     return laws
+
+
+def shear_compliances(scene: schema.Scene) -> list[float | None]:
+    """1/G of each object, m^2/N, 0 for a rigid one; None for all where no patch asks for it."""
+    moduli = [thing.material.shear_modulus_pa for thing in scene.object]
+    if not scene.soft:
+        return [None for _ in moduli]
+    return [0.0 if modulus is None else 1.0 / modulus for modulus in moduli]
+
+
+def kernel_patch(patch: schema.Patch | None) -> model.HertzPatch | model.PowerPatch | None:
+    """The fingertip's patch for the kernels."""
+    if patch is None:
+        return None
+    rolling = None if patch.rolling_loss is None else model.RollingLoss(patch.rolling_loss)
+    compliance = 1.0 / patch.shear_modulus_pa
+    if patch.radius_m is None:
+        return model.HertzPatch(compliance, rolling)
+    return model.PowerPatch(
+        at_newton=patch.radius_m,
+        exponent=1.0 / 3.0 if patch.exponent is None else patch.exponent,
+        lever=lever_of(2.0 if patch.pressure_exponent is None else patch.pressure_exponent),
+        compliance=compliance,
+        rolling=rolling,
+    )
+
+
+def lever_of(k: float) -> float:
+    """Mean distance from the centre, over the radius, of the pressure (1 - x^k)^(1/k): 3 pi/16 for k = 2.
+
+    B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k), the integrals of x^2 and of x times the pressure. Source of the family: Xydas and
+    Kao (1999).
+    """
+    return exp(lgamma(3.0 / k) + lgamma(1.0 + 3.0 / k) - lgamma(1.0 + 4.0 / k) - lgamma(2.0 / k))
 
 
 def _directed(law: model.Friction | model.SpeedFriction, friction: schema.Friction) -> model.Anisotropic:

@@ -2,76 +2,150 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from functools import singledispatch
+from typing import Any, Final, NamedTuple
+
+import numba
 
 from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import overridden
 from softfinger.proxy.actions import kernel_effects, kernel_motion
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.effects import start_states
-from softfinger.proxy.laws import friction_laws, torsion_laws
-from softfinger.proxy.state import FREE
+from softfinger.proxy.kernels.effects.forces import start_states
+from softfinger.proxy.kernels.native.rows import Rows
+from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
+from softfinger.proxy.record import FREE
+from softfinger.proxy.textures import kernel_texture
+
+ROWS_FROM: Final = 8
+"""So many objects of one type and more are asked by a loop at run time; fewer by code of their own."""
+APART_MAX: Final = 24
+"""Objects with code of their own: each takes seconds to compile, and with 32 numba's recursion has no end."""
+
+
+class Body(NamedTuple):
+    """A kernel shape with its place (m) and turn in the frame of the object that it is part of."""
+
+    shape: Any
+    position: model.Vec3 = (0.0, 0.0, 0.0)
+    orientation: model.Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 def build_scene(scene: schema.Scene) -> model.Scene:
-    """The scene as named tuples of float64; a table the file leaves out becomes None."""
+    """The scene as named tuples of float64; a table the file leaves out becomes None.
+
+    Raises ConfigError where the file of a texture cannot be used, and for more than APART_MAX objects that cannot share
+    their code.
+    """
     materials = _materials(scene)
     bodies = []
     for number, (thing, material) in enumerate(zip(scene.object, materials, strict=True)):
         motion, effects = kernel_motion(thing.motion), kernel_effects(thing.effect)
+        texture = kernel_texture(thing)
         for part, (shape, position, orientation) in enumerate(shape_bodies(thing)):
-            shape, pose = _placed(shape, thing, position, orientation, motion)
+            fixed = motion is None and texture is None
+            shape, pose = _placed(shape, thing, position, orientation, fixed)
             # Several walls of one object do together what the object does once.
             own = effects if part == 0 else ()
             made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
-            bodies.append(model.Object(shape, pose, motion, made_of, float(number), own))
+            bodies.append(model.Object(shape, pose, motion, made_of, float(number), own, texture=texture))
     return model.Scene(
-        radius=scene.fingertip.radius_m,
-        objects=tuple(bodies),
+        fingers=tuple(_finger(each, scene.rolling) for each in scene.fingers),
+        objects=_entries(bodies),
         rolling=_rolling(scene),
-        coupling=model.Coupling(scene.coupling.stiffness_n_per_m, scene.coupling.damping_ns_per_m),
-        velocity_time_constant=scene.probe.velocity_time_constant_s,
-        position_resolution=scene.probe.position_resolution_m,
         effects=kernel_effects(scene.effect),
+    )
+
+
+def _entries(bodies: list[model.Object]) -> tuple[model.Object | Rows, ...]:
+    """The objects as the kernels ask them, those behind the first that many others are like in rows.
+
+    What moves, remembers or is textured stays by itself: the world and each finger have a place for it.
+    """
+    alike: dict[Any, list[model.Object]] = {}
+    for body in bodies:
+        if body.motion is None and not body.effects and body.texture is None:
+            alike.setdefault(_type(body), []).append(body)
+    many = [those for those in alike.values() if len(those) >= ROWS_FROM]
+    if len(many) == 1 and len(many[0]) == len(bodies):
+        many[0].pop(0)  # a tuple of one entry is a scene of one body, which has one patch
+    in_rows = {id(body) for those in many for body in those}
+    apart = [body for body in bodies if id(body) not in in_rows]
+    if len(apart) > APART_MAX:
+        raise ConfigError(
+            f"{len(apart)} walls and objects need compiled code of their own; at most {APART_MAX} can: those of "
+            f"one shape share it, from {ROWS_FROM} on, if they stand still and have neither effects nor a texture"
+        )
+    return (*apart, *map(Rows, many))
+
+
+def _type(tree: Any) -> Any:
+    """What of a tree is compiled: its types without its numbers."""
+    return (type(tree), *map(_type, tree)) if isinstance(tree, tuple) else numba.typeof(tree)
+
+
+def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
+    """Which of the changes to a scene, that together make another model than its own, do so; for a message."""
+    kind = numba.typeof(build_scene(scene))
+    alone = [key for key, value in changes.items() if _kind_with(scene, {key: value}) != kind]
+    return f"{', '.join(alone or changes)}: that is another model, to be compiled"
+
+
+def _kind_with(scene: schema.Scene, changes: Mapping[str, Any]) -> Any:
+    """The type that a scene has with changes; None where they are not usable without others."""
+    try:
+        return numba.typeof(build_scene(overridden(scene, changes, "")))
+    except ConfigError:
+        return None
+
+
+def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.Finger:
+    coupling, probe = given.coupling, given.probe
+    k_tau = None if rolling is None else rolling.torque_stiffness_n_per_m
+    return model.Finger(
+        radius=given.radius_m,
+        coupling=model.Coupling(coupling.stiffness_n_per_m, coupling.damping_ns_per_m),
+        torque_stiffness=coupling.stiffness_n_per_m if k_tau is None else k_tau,
+        velocity_time_constant=probe.velocity_time_constant_s,
+        position_resolution=probe.position_resolution_m,
+        patch=kernel_patch(given.patch),
+        form=None if given.radii_m is None else model.EllipsoidTip(given.radii_m, given.orientation_wxyz),
     )
 
 
 def start_state(scene: model.Scene) -> model.State:
     """State before the first pose."""
-    still = model.Pose(model.ZERO, (1.0, 0.0, 0.0, 0.0))
-    effects = (start_states(scene.effects), tuple(start_states(body.effects) for body in scene.objects))
-    return model.State(
+    bodies = [entry[0] if isinstance(entry, Rows) else entry for entry in scene.objects]  # those in rows stand still
+    effects = (start_states(scene.effects), tuple(start_states(body.effects) for body in bodies))
+    poses = tuple(None if body.motion is None else body.pose for body in bodies)
+    finger = model.FingerState(
         started=0.0,
-        time=0.0,
-        position=model.ZERO,
-        orientation=still.orientation,
-        velocity=model.ZERO,
+        probe=model.Probe(position=model.ZERO, orientation=(1.0, 0.0, 0.0, 0.0), velocity=model.ZERO),
         mode=float(FREE),
-        first=-1.0,
-        second=-1.0,
-        third=-1.0,
-        object=still,
         center=model.ZERO,
-        normal=(0.0, 0.0, 1.0),
-        deflection=model.ZERO,
-        rolled_part=model.ZERO,
-        spin=0.0,
-        slip_speed=0.0,
-        slip_deflection=0.0,
-        spin_slip_speed=0.0,
-        spin_slip_angle=0.0,
+        patches=(model.NO_PATCH,) * patches_of(scene.objects),
         rolled=0.0,
         effects=effects,
     )
+    world = model.World(started=0.0, time=0.0, poses=poses, was=poses)
+    return model.State(world=world, fingers=(finger,) * len(scene.fingers))
+
+
+def patches_of(objects: tuple[model.Object, ...]) -> int:
+    """How many patches of contact a fingertip can have at once: one body is touched in one place."""
+    return 1 if len(objects) == 1 else 3
 
 
 def _placed(
-    shape: Any, thing: schema.Object, position: model.Vec3, orientation: model.Quaternion, motion: Any
+    shape: Any, thing: schema.Object, position: model.Vec3, orientation: model.Quaternion, fixed: bool
 ) -> tuple[Any, Any]:
-    """A shape and the least pose it needs: none for what stands still and can be given in the world."""
+    """A shape and the least pose it needs: none for what is `fixed` and can be given in the world."""
     turn = thing.orientation_wxyz  # parts are moved against their object, not turned
     moved = _rotated(thing.orientation_wxyz, position)
     at = (moved[0] + thing.position_m[0], moved[1] + thing.position_m[1], moved[2] + thing.position_m[2])
-    if motion is not None:
+    if not fixed:
         return shape, model.Pose(at, turn)
     if isinstance(shape, model.Plane):
         normal = _rotated(turn, shape.normal)
@@ -104,54 +178,77 @@ def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
 def _materials(scene: schema.Scene) -> list[model.Material]:
     """A material for each object, all of the same parts."""
     return [
-        model.Material(thing.material.stiffness_n_per_m, thing.material.damping_ns_per_m, friction, torsion)
-        for thing, friction, torsion in zip(scene.object, friction_laws(scene), torsion_laws(scene), strict=True)
+        model.Material(*laws)
+        for laws in zip(
+            normal_laws(scene), friction_laws(scene), torsion_laws(scene), shear_compliances(scene), strict=True
+        )
     ]
 
 
-def shape_bodies(thing: schema.Object) -> list[tuple[Any, model.Vec3, model.Quaternion]]:
-    """What an object's shape is made of: kernel shapes, each with its place (m) and turn in the object's frame.
+@singledispatch
+def shape_bodies(thing: Any) -> list[Body]:
+    """What an object's shape is made of. A shape from another package registers what serves its table.
 
     Most shapes are one body. The inside of a box or of a cylinder with ends is several walls that
     hold the fingertip at once, one body each.
     """
-    return [(shape, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)) for shape in _kernel_shapes(thing)]
+    raise TypeError(f"{type(thing).__name__} is no shape: nothing is registered with shape_bodies for it")
 
 
-def _kernel_shapes(thing: schema.Object) -> list[Any]:
-    match thing:
-        case schema.Plane():
-            return [model.Plane((0.0, 0.0, 1.0), 0.0)]
-        case schema.Sphere():
-            return [model.Sphere(thing.radius_m, _side(thing.inside))]
-        case schema.Cylinder(length_m=None):
-            return [model.Cylinder(thing.radius_m, _side(thing.inside))]
-        case schema.Cylinder(length_m=float(length)):
-            if not thing.inside:
-                return [model.CappedCylinder(thing.radius_m, 0.5 * length)]
-            return [model.Cylinder(thing.radius_m, -1.0), *_walls(2, 0.5 * length)]
-        case schema.Capsule():
-            return [model.Capsule(thing.radius_m, 0.5 * thing.length_m, _side(thing.inside))]
-        case schema.Box():
-            x, y, z = (0.5 * edge for edge in thing.size_m)
-            if not thing.inside:
-                return [model.Box((x, y, z))]
-            return [*_walls(0, x), *_walls(1, y), *_walls(2, z)]
-        case schema.Ellipsoid():
-            return [model.Ellipsoid(thing.semi_axes_m, _side(thing.inside))]
-        case schema.Torus():
-            return [model.Torus(thing.major_radius_m, thing.minor_radius_m, _side(thing.inside))]
-    raise TypeError(f"{type(thing).__name__} is no shape of config.schema")
+@shape_bodies.register
+def _plane(thing: schema.Plane) -> list[Body]:
+    return [Body(model.Plane((0.0, 0.0, 1.0), 0.0))]
+
+
+@shape_bodies.register
+def _sphere(thing: schema.Sphere) -> list[Body]:
+    return [Body(model.Sphere(thing.radius_m, _side(thing.inside)))]
+
+
+@shape_bodies.register
+def _cylinder(thing: schema.Cylinder) -> list[Body]:
+    if thing.length_m is None:
+        return [Body(model.Cylinder(thing.radius_m, _side(thing.inside)))]
+    if not thing.inside:
+        return [Body(model.CappedCylinder(thing.radius_m, 0.5 * thing.length_m))]
+    return [Body(model.Cylinder(thing.radius_m, -1.0)), *_walls(2, 0.5 * thing.length_m)]
+
+
+@shape_bodies.register
+def _capsule(thing: schema.Capsule) -> list[Body]:
+    return [Body(model.Capsule(thing.radius_m, 0.5 * thing.length_m, _side(thing.inside)))]
+
+
+@shape_bodies.register
+def _box(thing: schema.Box) -> list[Body]:
+    x, y, z = (0.5 * edge for edge in thing.size_m)
+    if not thing.inside:
+        return [Body(model.Box((x, y, z)))]
+    return [*_walls(0, x), *_walls(1, y), *_walls(2, z)]
+
+
+@shape_bodies.register
+def _ellipsoid(thing: schema.Ellipsoid) -> list[Body]:
+    return [Body(model.Ellipsoid(thing.semi_axes_m, _side(thing.inside)))]
+
+
+@shape_bodies.register
+def _torus(thing: schema.Torus) -> list[Body]:
+    return [Body(model.Torus(thing.major_radius_m, thing.minor_radius_m, _side(thing.inside)))]
 
 
 def _side(inside: bool) -> float:
     return -1.0 if inside else 1.0
 
 
-def _walls(axis: int, half: float) -> list[model.Plane]:
+def _walls(axis: int, half: float) -> list[Body]:
     """Two planes at +-half along an axis, facing each other."""
     return [
-        model.Plane((toward if axis == 0 else 0.0, toward if axis == 1 else 0.0, toward if axis == 2 else 0.0), -half)
+        Body(
+            model.Plane(
+                (toward if axis == 0 else 0.0, toward if axis == 1 else 0.0, toward if axis == 2 else 0.0), -half
+            )
+        )
         for toward in (-1.0, 1.0)
     ]
 
@@ -161,21 +258,19 @@ def _rolling(scene: schema.Scene) -> Any:
     rolling = scene.rolling
     if rolling is None:
         return None
-    given = rolling.torque_stiffness_n_per_m
-    k_tau = scene.coupling.stiffness_n_per_m if given is None else given
     match rolling.method:
         case "euler_zxz":
-            return model.EulerZxz(k_tau)
+            return model.EulerZxz()
         case "euler_zyx":
-            return model.EulerZyx(k_tau)
+            return model.EulerZyx()
         case "rotation_vector":
-            return model.RotationVector(k_tau)
+            return model.RotationVector()
         case "midpoint":
-            return model.Midpoint(k_tau)
+            return model.Midpoint()
         case "montana_rk4":
-            return model.MontanaRk4(k_tau)
+            return model.MontanaRk4()
         case "montana_rk45":
-            return model.MontanaRk45(k_tau, 1e-9 if rolling.tolerance is None else rolling.tolerance)
+            return model.MontanaRk45(1e-9 if rolling.tolerance is None else rolling.tolerance)
 
 
 def explain(scene: schema.Scene) -> str:

@@ -1,48 +1,39 @@
-"""The daemon: device, servo thread, publisher thread and supervisor, from start to the last zero force."""
+"""The daemon: a list of services around one servo, from start to the last zero force."""
 
 from __future__ import annotations
 
-import logging
 import math
-import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Final, Self
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from softfinger.config import schema
-from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop
-from softfinger.config.load import build
-from softfinger.drivers import base, registry
-from softfinger.proxy.state import RECORD_SIZE
-from softfinger.server import hotplug, realtime, servo
-from softfinger.server.guard import GUARD_NAMES
-from softfinger.server.telemetry import Publisher
-from softfinger.server.tuning import make_tuning
+from softfinger.config.errors import HapticError
+from softfinger.drivers import base
+from softfinger.server.gateway.service import Gateway
+from softfinger.server.loop import realtime, wayout
+from softfinger.server.loop.clock import NS_PER_S
+from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.services.base import Service, stop_all
+from softfinger.server.services.commands import KEY, Commands, Doing
+from softfinger.server.services.hotplug import Hotplug, HotplugWatch
+from softfinger.server.services.recordings import Recordings
+from softfinger.server.services.records import Records, Sink
+from softfinger.server.services.rendering import Rendering
+from softfinger.server.services.supervisor import Supervisor
+from softfinger.server.services.telemetry import Telemetry
+from softfinger.server.wire.endpoint import listen
+from softfinger.server.wire.native.templates import Shown
+from softfinger.server.wire.publisher import Publisher
 
-log: Final = logging.getLogger(__name__)
-
-STALL_POLLS: Final = 5
-STALL_POLL_S: Final = 0.05
-"""The servo has stalled when so many looks in a row, this far apart, find no new tick: a quarter of a second, which
-is longer than any host stall seen and shorter than a hand needs to be hurt. Counting looks, not time: a process that
-was suspended as a whole did not stall."""
+if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
+    from softfinger.server.metrics.service import Metrics
 
 STUCK_S: Final = 1.0
-"""A servo that has stalled and not ended within this is stuck in its device: nobody waits for it any more."""
+"""A servo that was told to end because something failed, and has not within this, is stuck in its device: nobody waits
+for it any more."""
 WAIT_POLL_S: Final = 0.25
-
-BATCH: Final = 256
-
-
-def open_device(config: schema.DeviceConfig, rate_hz: float, where: str = "[device]") -> base.Device:
-    """Open the device a rig names; ConfigError for options its driver does not know."""
-    driver = registry.load(config.driver)
-    options = build(driver.Options, config.options, where)
-    device: base.Device = driver.open_device(options, rate_hz)
-    return device
 
 
 class Daemon:
@@ -51,6 +42,8 @@ class Daemon:
     rig, scene   validated configuration
     ticks        how many ticks to run, None until stopped
     report       called from the servo thread with the outcome of each real-time setting
+    sinks        take every record besides the publisher
+    scene_name   what the scene is called
 
     Raises what opening a device or binding an endpoint raises; nothing stays open then.
     """
@@ -61,55 +54,122 @@ class Daemon:
         scene: schema.Scene,
         ticks: int | None = None,
         report: Callable[[list[realtime.Setting]], None] | None = None,
+        sinks: Sequence[Sink] = (),
+        scene_name: str = "unnamed",
     ) -> None:
         self._report = report
         self._rig = rig
         self._failure: HapticError | None = None
-        self._started = self._stuck = False
-        self.publisher = Publisher(rig.telemetry.endpoint, rig.telemetry.every, guard_names=GUARD_NAMES)
+        self._failed_at = math.inf
+        # First: what is plugged in or pulled out from here on is news, however late its first look comes.
+        hotplug = Hotplug()
+        fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
+        self._fingers: Final = fingers
+        """Names of several fingers, by which messages tell them apart; a single one needs none."""
+        gateway = Gateway(rig, self._event)
+        opened: list[Callable[[], None]] = [gateway.stop]
+        bound = None
         try:
-            self.device = open_device(rig.device, rig.servo.rate_hz)
-        except BaseException:
-            self.publisher.close()
+            self.publisher: Final = Publisher(
+                gateway.telemetry, rig.telemetry.every, guard_names=GUARD_NAMES, fingers=fingers
+            )
+            opened.append(self.publisher.close)
+            metrics = None
+            if rig.metrics.endpoint is not None:
+                metrics = self._metrics(rig.metrics.endpoint)
+                opened.append(metrics.stop)
+            if gateway.commands is not None:
+                bound = listen(gateway.commands, KEY)
+                opened.append(bound.files.close)
+            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare)
+        except BaseException as error:
+            wayout.every(*reversed(opened), first=error)
             raise
-        try:
-            tuning = make_tuning(scene, rig.guard, self.device.info)
-            self.servo = servo.Servo(self.device, tuning, rig.servo.rate_hz, ticks, self._prepare)
-        except BaseException:
-            self.device.close()
-            self.publisher.close()
-            raise
-        self._closing = threading.Event()
-        self._threads = [
-            threading.Thread(target=self._publish, name="publisher", daemon=True),
-            threading.Thread(target=self._supervise, name="supervisor", daemon=True),
-            threading.Thread(
-                target=hotplug.watch, args=(self.publisher.event, self._closing), name="hotplug", daemon=True
-            ),
+        self.public: Final = gateway.public
+        """Endpoints that other machines reach, by the name of their table."""
+        self.servo: Final = self.rendering.servo
+        event = self._event
+        self._show(scene_name)
+        self.recordings: Final = Recordings(self.rendering, fingers, event)
+        telemetry = Telemetry(self.publisher, self.servo)
+        self.supervisor: Final = Supervisor(self.servo, self.fail, event)
+        doing = Doing(self._replace_scene, self.publisher.ring, event, self.stop, self.fail, self.recordings)
+        commands = [] if bound is None else [Commands(bound, self.rendering, doing, scene_name)]
+        self.commands_endpoint: Final = commands[0].endpoint if commands else None
+        """Where commands are taken, None where they are off."""
+        self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
+        """Where Prometheus may look; None: nowhere."""
+        others: list[Commands | Metrics] = [*commands, *([] if metrics is None else [metrics])]
+        sinks = [telemetry.sink, self.recordings.sink, *sinks, *(service.sink for service in others)]
+        self.services: Final[list[Service]] = [
+            *([gateway] if gateway.public else []),
+            telemetry,
+            self.recordings,
+            Records(self.servo, self.publisher.tap, sinks, self.fail, event),
+            self.supervisor,
+            HotplugWatch(hotplug, event),
+            *others,
+            self.rendering,
         ]
+        """In the order of their start; the servo comes last, and is the first to be stopped."""
+
+    @property
+    def devices(self) -> tuple[base.Device, ...]:
+        """The devices that are rendered on, one for each of the scene's fingers."""
+        return self.servo.devices
 
     def start(self) -> None:
-        """Compile what is not compiled yet, then start the threads; returns when the servo runs."""
+        """Compile what is not compiled yet, then start the services, the servo last; returns when that one is started.
+
+        The servo's thread makes its settings and arms the devices as its last act before the first tick.
+        """
         self.servo.compile()
-        self.publisher.event("lifecycle", "started", device=self.device.info.name)
-        for thread in self._threads:
-            thread.start()
-        self._started = True
-        self.servo.start()
+        for service in self.services:
+            service.start()
 
     def stop(self) -> None:
         """Ask the servo to end; from any thread or signal handler."""
+        self.servo.stop()
+
+    def pause(self) -> Callable[[], None]:
+        """Take the force off (`Rendering.pause`); from the main thread or its signal handlers."""
+        return self.rendering.pause()
+
+    def replace(
+        self, scene: schema.Scene | None = None, rig: schema.Rig | None = None, scene_name: str = "unnamed"
+    ) -> int:
+        """Go on with another scene or rig from zero force, without an end of the process (`Rendering.replace`).
+
+        Subscribers stay, and are told; ticks, misses and times go on. `scene_name` is what a new scene is called.
+        Returns the number of the first tick with it.
+        """
+        first = self.rendering.replace(scene, rig)
+        self._show(self._scene_name if scene is None else scene_name)
+        self._event("lifecycle", "replaced", device=base.names(self.devices), first=first)
+        return first
+
+    def _replace_scene(self, scene: schema.Scene, name: str) -> int:
+        return self.replace(scene, scene_name=name)
+
+    def _show(self, scene_name: str) -> None:
+        self._scene_name = scene_name
+        self.publisher.show(Shown(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
+
+    def fail(self, error: HapticError) -> None:
+        """End the run with an error, the first that comes; from any thread."""
+        if self._failure is None:
+            self._failure, self._failed_at = error, time.monotonic()
         self.servo.stop()
 
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait for the servo's end; True when it has ended.
 
         Raises what ended it, if that was not a stop, the last tick or the end of a recording:
-        DeviceLost, DeviceTimeout, SafetyStop, RealtimeError or a programming error.
+        a DeviceError, SafetyStop, RealtimeError or a programming error.
         """
         until = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
         while (ended := self.servo.join(max(0.0, min(WAIT_POLL_S, until - time.monotonic())))) is None:
-            if self._stuck and self._failure is not None:
+            if self._failure is not None and time.monotonic() - self._failed_at > STUCK_S:
                 raise self._failure
             if time.monotonic() >= until:
                 return False
@@ -117,25 +177,21 @@ class Daemon:
             raise self._failure
         if ended.error is not None:
             raise ended.error
-        if ended.ending in (servo.READ_FAILED, servo.WRITE_FAILED):
-            raise device_failure(self.device, ended)
+        lost = wayout.device_failure(self.devices[ended.finger], ended, self._fingers[ended.finger])
+        failed = lost or wayout.loop_failure(ended, self.servo.ticks, self.servo.missed, self.servo.woken_late)
+        if failed is not None:
+            raise failed
         return True
 
-    def close(self) -> None:
-        """Stop the servo, release the device, send what is left. Any number of times."""
-        self.servo.stop()
-        if self._started:
-            self._started = False
-            # A servo that does not answer within this is stuck in its device; the device is stopped regardless.
-            self.servo.join(timeout_s=2.0)
-            self._closing.set()
-            for thread in self._threads:
-                thread.join(timeout=2.0)
-            self.publisher.event("lifecycle", "stopped", ticks=self.servo.ticks)
-        self.device.close()
-        self.publisher.close()
-        if not self.servo.running:
-            self.servo.close()
+    def close(self, first: BaseException | None = None) -> None:
+        """Stop every service, so the servo, release the devices, send what is left. Any number of times.
+
+        Every step is taken, whatever became of the one before; the first error is raised at the end, the others are
+        logged. `first`: an error that is on its way already; then all of them are.
+        """
+        failed = stop_all(self.services, first)
+        if failed is not None and failed is not first:
+            raise failed
 
     def __enter__(self) -> Self:
         return self
@@ -143,63 +199,31 @@ class Daemon:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        self.close(error)
+
+    def _event(self, kind: str, name: str, **fields: Any) -> None:
+        """Publish an event, and record it."""
+        self.publisher.event(kind, name, **fields)
+        self.recordings.tell(kind, name, fields)
+
+    def _metrics(self, endpoint: str) -> Metrics:
+        from softfinger.server.metrics.counts import Wire
+        from softfinger.server.metrics.service import KEY, Metrics
+
+        fanout = self.publisher.fanout
+        return Metrics(
+            listen(f"tcp://{endpoint}", KEY),
+            self._fingers,
+            lambda: Wire(fanout.subscribers, fanout.lost, fanout.refused),
+            self._event,
+        )
 
     def _prepare(self) -> Callable[[], None]:
         wanted = self._rig.servo
         settings = realtime.apply(wanted.realtime, wanted.priority, wanted.cpu)
+        if wanted.realtime != "off":
+            settings.settings.append(realtime.lift("supervisor", self.supervisor.native_id, wanted.priority))
+        self.recordings.note_settings([setting._asdict() for setting in settings.settings])
         if self._report is not None:
             self._report(settings.settings)
         return settings.undo
-
-    def _publish(self) -> None:
-        batch = np.empty((BATCH, RECORD_SIZE))
-        try:
-            running = True
-            while running:
-                self.servo.wait_record()
-                running = self.servo.running  # asked before emptying the ring: what came before the end is sent
-                while (count := self.servo.take(batch)) > 0:
-                    self.publisher.publish(batch[:count], self.servo.drops)
-        except Exception as error:
-            log.exception("the publisher failed; stopping")
-            self._fail(SafetyStop(f"telemetry cannot be published: {error}; nobody can see what is rendered"))
-
-    def _supervise(self) -> None:
-        """Zero the device when ticks stop coming though nobody asked them to."""
-        seen, idle = -1, 0
-        while self.servo.looping:
-            time.sleep(STALL_POLL_S)
-            ticks = self.servo.ticks
-            idle = idle + 1 if ticks == seen else 0
-            seen = ticks
-            # The slowest loop ticks ten times between two looks. Before the first tick real-time settings are made.
-            if idle >= STALL_POLLS and ticks > 0 and self.servo.looping:
-                self.device.stop()
-                stalled = SafetyStop(
-                    f"no tick for {idle * STALL_POLL_S:.2f} s after tick {ticks}: zero force was commanded; "
-                    "the device's exchange hangs, or this machine starves the servo thread"
-                )
-                self._fail(stalled)
-                self.publisher.event("fault", "stalled", message=str(stalled))
-                self._stuck = self.servo.join(STUCK_S) is None
-                return
-
-    def _fail(self, error: HapticError) -> None:
-        self._failure = error
-        self.servo.stop()
-
-
-def device_failure(device: base.Device, ended: servo.Ended) -> HapticError:
-    """The error of a device that failed on a read or a write, in its own words and with what to do."""
-    doing = "read" if ended.ending == servo.READ_FAILED else "write"
-    name, said = device.info.name, device.reason()
-    because = f" ({said})" if said else ""
-    if ended.status == base.FORCE_OFF:
-        return SafetyStop(f"{name} turned its force off{because}: see to the cause, then start again")
-    if ended.status == base.TIMEOUT:
-        return DeviceTimeout(
-            f"{name}: no answer to a {doing} in time{because}: check cable and power, then start again"
-        )
-    what = "answered what is not in its protocol" if ended.status == base.PROTOCOL else "is gone"
-    return DeviceLost(f"{name} {what} (status {ended.status} on {doing}){because}: plug it in again, then start again")

@@ -1,46 +1,112 @@
-"""Progress of what takes long: nothing for the first half second, then a line that says how far it is."""
+"""Progress of what takes long: on a terminal a line that keeps clear of the log, elsewhere a line every few seconds."""
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
 
-QUIET_S = 0.5
-TERMINAL_PERIOD_S = 0.2
-PLAIN_PERIOD_S = 5.0
+if TYPE_CHECKING:  # rich takes 50 ms to import, and only a terminal needs it
+    from rich.progress import Progress
 
-CHUNK = 65536
+QUIET_S: Final = 0.5
+"""What is done sooner shows nothing."""
+PLAIN_PERIOD_S: Final = 5.0
+
+CHUNK: Final = 65536
 """Ticks that an offline run does between two reports."""
+
+_shown: Final = threading.Lock()
+"""There is one display: of what is reported within something reported, nothing is shown."""
+
+
+def on_terminal() -> bool:
+    """Whether there is a terminal to draw on."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 @contextmanager
 def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """Report on `what` to stderr while the block runs; call the result with how many of `total` are done.
+    """Report on `what` to stderr while the block runs; call the result with how many of `total` are done."""
+    if not _shown.acquire(blocking=False):
+        yield lambda number: None
+        return
+    try:
+        with _bar(what, total) if on_terminal() else _lines(what, total) as done:
+            yield done
+    finally:
+        _shown.release()
 
-    On a terminal one line is kept up to date, elsewhere a line is printed every few seconds.
-    """
-    terminal = sys.stderr.isatty()
+
+@contextmanager
+def counter() -> Iterator[Callable[[str], None] | None]:
+    """On a terminal: call the result with a text, to show it in the last line. Elsewhere None."""
+    if not on_terminal():
+        yield None
+        return
+    with _shown:
+        display = _display(bar=False)
+        task = display.add_task("")
+        with display:
+            yield lambda text: display.update(task, description=text)
+
+
+@contextmanager
+def _bar(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    display = _display(bar=total is not None)
+    task = display.add_task(what, total=total)
+    timer = threading.Timer(QUIET_S, display.start)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield lambda number: display.update(task, completed=number)
+    finally:
+        timer.cancel()
+        timer.join()
+        display.stop()
+
+
+def _display(bar: bool) -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.table import Column
+
+    class Visible(Console):
+        """The cursor stays: a process that is stopped or killed would leave the terminal without one."""
+
+        def show_cursor(self, show: bool = True) -> bool:
+            return False
+
+    text = Column(no_wrap=True, overflow="ellipsis")
+    columns: list[ProgressColumn] = [
+        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False, table_column=text),
+    ]
+    if bar:
+        columns += [BarColumn(), TaskProgressColumn()]
+    # Long lines of the log are left to the terminal to wrap. Results for a pipe do not go to the terminal.
+    console = Visible(stderr=True, soft_wrap=True, highlight=False)
+    return Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
+
+
+@contextmanager
+def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
     begun, finished, count = time.monotonic(), threading.Event(), 0
 
     def done(number: int) -> None:
         nonlocal count
         count = number
 
-    def line() -> str:
-        share = f" {count / total:.0%}" if total else ""
-        return f"{what}{share} ... {time.monotonic() - begun:.0f} s"
-
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            shown, end = (f"\r\x1b[K{line()}", "") if terminal else (line(), "\n")
-            print(shown, end=end, file=sys.stderr, flush=True)
-            wait = TERMINAL_PERIOD_S if terminal else PLAIN_PERIOD_S
-        if terminal and wait != QUIET_S:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+            share = f" {count / total:.0%}" if total else ""
+            print(f"{what}{share} ... {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
+            wait = PLAIN_PERIOD_S
 
     reporter = threading.Thread(target=report, daemon=True)
     reporter.start()

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from helpers.stalls import Patience
+from hypothesis import settings
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 
+settings.register_profile("full")  # tests/proxy/test_invariants.py says what it is
 SceneFactory = Callable[..., Scene]
+
+# A shell starts what it puts into the background with these ignored. The program leaves it at that, and so would every
+# one that a test starts to send it a signal.
+for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL)):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _handler)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Patience())
 
 
 def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -51,6 +65,54 @@ def paper_mapping(
     return {**merged(base, tables), "object": [thing]}
 
 
+FILES_A_WORKER = 12
+"""Files that one process of a parallel run takes, before another takes its place.
+
+numba frees nothing that it has compiled: a kernel of one more type of scene stays with 25 to 35 MB, a file of tests
+with up to 150 MB, and a process that took half of all files has grown to 2.5 GB. It starts anew in seconds.
+"""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Files to processes, as `--dist loadfile`, with processes that end after so many."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Recycling(LoadFileScheduling):  # type: ignore[misc]
+        def remove_node(self, node: Any) -> str | None:
+            """What a process that crashed has not done is handed on, but for the test that it crashed in. (As it comes,
+            files that are done are handed on as well: who gets one has nothing to tell, and all wait for ever.)"""
+            left = {file: tests for file, tests in self.assigned_work.pop(node).items() if not all(tests.values())}
+            if not left:
+                return None
+            tests = next(iter(left.values()))
+            crashed: str = next(test for test, done in tests.items() if not done)
+            tests[crashed] = True
+            self.workqueue.update({file: tests for file, tests in left.items() if not all(tests.values())})
+            for other in self.assigned_work:
+                self._reschedule(other)
+            return crashed
+
+        def _reschedule(self, node: Any) -> None:
+            if node not in self.registered_collections:
+                return  # it is starting: it asks again
+            if self.workqueue and not node.shutting_down and len(self.assigned_work[node]) >= FILES_A_WORKER:
+                node.shutdown()  # behind what it has been given
+                config.pluginmanager.getplugin("dsession")._clone_node(node)
+            else:
+                super()._reschedule(node)
+
+    return Recycling(config, log)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """A process that has done its files ends now: left to itself it would wait, with its memory, for the last one."""
+    node.ensure_teardown()
+
+
 @pytest.fixture
 def plane_scene() -> SceneFactory:
     """Makes scenes of one plane: see `paper_mapping` for what can be changed."""
@@ -59,3 +121,17 @@ def plane_scene() -> SceneFactory:
         return build(Scene, paper_mapping(**changes), "test scene")
 
     return make
+
+
+@pytest.fixture(scope="module")
+def endpoints(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str]]:
+    """Telemetry and commands of a daemon that replays the shipped recording on the paper's plane."""
+    from softfinger.config.load import load_rig, load_scene
+    from softfinger.server.app import Daemon
+
+    folder = tmp_path_factory.mktemp("daemon")
+    telemetry, commands = (f"ipc://{folder}/{name}" for name in ("telemetry", "commands"))
+    rig = {"telemetry.endpoint": telemetry, "commands.endpoint": commands, "servo.realtime": "off"}
+    with Daemon(load_rig("replay", rig), load_scene("paper-plane"), scene_name="paper-plane") as running:
+        running.start()
+        yield telemetry, commands

@@ -22,35 +22,35 @@ from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
-from drd_stub import COMPILER, SOURCE, Stub, compile_stub
-from driver_contract import RATE_HZ, Servo
 from emulators.puck import combined
 from emulators.serialboard import FRAME_BYTES, Board
-from hid_devices import ends, rig_options
+from helpers.drd_stub import COMPILER, SOURCE, Stub, compile_stub
+from helpers.driver_contract import RATE_HZ, Servo
+from helpers.hid_devices import ends, rig_options
+from helpers.serial_devices import rig_options as serial_options
+from helpers.usb_stub import NO_COMPILER, SONAME, UsbStub, in_place_of_libusb
+from helpers.usb_stub import SOURCE as USB_SOURCE
+from helpers.usb_stub import options as falcon_options
 from numpy.typing import NDArray
-from serial_devices import rig_options as serial_options
-from usb_stub import NO_COMPILER, SONAME, UsbStub, in_place_of_libusb
-from usb_stub import SOURCE as USB_SOURCE
-from usb_stub import options as falcon_options
 
 from softfinger.config.errors import DeviceTimeout, HapticError
-from softfinger.drivers import forcedimension
 from softfinger.drivers.base import OK, SAMPLE_SIZE, DeviceIO
-from softfinger.drivers.falcon import block
-from softfinger.drivers.falcon import open_device as open_falcon
-from softfinger.drivers.forcedimension import exchange
-from softfinger.drivers.hid import HidDevice
-from softfinger.drivers.libc import IO_SIGNATURE, read_fd, write_fd
-from softfinger.drivers.puck import Options as PuckOptions
-from softfinger.drivers.serial import SerialDevice
-from softfinger.drivers.serial import exchange as port
-from softfinger.drivers.spacemouse import SpaceMouse
-from softfinger.proxy.kernels.atomics import call_device
-from softfinger.proxy.kernels.foreign import call_int32
-from softfinger.proxy.kernels.jit import OPTIONS
-from softfinger.proxy.kernels.memory import float64_at, int64_at
-from softfinger.server.clock import now_ns
-from softfinger.server.figures import figure, save
+from softfinger.drivers.conversation import TALK
+from softfinger.drivers.falcon.block import AT
+from softfinger.drivers.falcon.device import open_device as open_falcon
+from softfinger.drivers.forcedimension import device as forcedimension
+from softfinger.drivers.forcedimension.block import AT as FD
+from softfinger.drivers.hid.device import HidDevice
+from softfinger.drivers.serial.device import SerialDevice
+from softfinger.drivers.spacemouse.device import SpaceMouse
+from softfinger.drivers.spacemouse.puck import Options as PuckOptions
+from softfinger.drivers.system.libc import IO_SIGNATURE, read_fd, write_fd
+from softfinger.proxy.kernels.native.atomics import call_device
+from softfinger.proxy.kernels.native.foreign import call_int32
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.server.loop.clock import now_ns
+from softfinger.server.offline.figures import figure, save
 from softfinger.tools import measure
 
 PARTS: Final = 20
@@ -113,21 +113,21 @@ def _measure(io: DeviceIO, bare: DeviceIO, peer: int, report: Any, memory: Any, 
 def _library_read(handle, sample):
     """The block of the driver: its functions' addresses and its memory."""
     word = int64_at(handle)
-    at = handle + 8 * exchange.FRAME
-    device = np.int32(word[exchange.ID])
+    at = handle + 8 * FD.frame
+    device = np.int32(word[FD.id])
     code = call_int32(
-        word[exchange.GET_FRAME],
+        word[FD.get_frame],
         (float64_at(at), float64_at(at + 8), float64_at(at + 16), float64_at(at + 24), device),
     )
-    return code + call_int32(word[exchange.GET_BUTTONS], (device,))
+    return code + call_int32(word[FD.get_buttons], (device,))
 
 
 @numba.cfunc(IO_SIGNATURE)
 def _library_write(handle, wrench):
     word = int64_at(handle)
-    device = np.int32(word[exchange.ID])
+    device = np.int32(word[FD.id])
     return call_int32(
-        word[exchange.SET_WRENCH],
+        word[FD.set_wrench],
         (wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5], 0.0, device),
     )
 
@@ -137,17 +137,17 @@ def _libusb_read(handle, sample):
     """The block of the driver, whose transfers are used. A reply that is taken here is one that the driver awaits, and
     the other way round, so that neither is left with one."""
     word = int64_at(handle)
-    word[block.TIMESPEC], word[block.TIMESPEC + 1] = 0, 0
-    arguments = (word[block.CONTEXT], int64_at(handle + 8 * block.TIMESPEC), int64_at(0))
-    call_int32(word[block.HANDLE_EVENTS], arguments)
-    call_int32(word[block.SUBMIT], (word[block.IN],))
-    return call_int32(word[block.HANDLE_EVENTS], arguments)
+    word[AT.timespec], word[AT.timespec + 1] = 0, 0
+    arguments = (word[AT.context], int64_at(handle + 8 * AT.timespec), int64_at(0))
+    call_int32(word[AT.handle_events], arguments)
+    call_int32(word[AT.submit], (word[AT.transfer_in],))
+    return call_int32(word[AT.handle_events], arguments)
 
 
 @numba.cfunc(IO_SIGNATURE)
 def _libusb_write(handle, wrench):
     word = int64_at(handle)
-    return call_int32(word[block.SUBMIT], (word[block.OUT],))
+    return call_int32(word[AT.submit], (word[AT.transfer_out],))
 
 
 @numba.cfunc(IO_SIGNATURE)
@@ -198,7 +198,9 @@ def force_dimension(folder: Path) -> Iterator[Case]:
     """An omega.6 on the stub of libdrd."""
     path = compile_stub(SOURCE, folder / "libdrd.so.3.17.5")
     Stub(path).update(type=34, wrist=1)
-    with forcedimension.open_device(forcedimension.Options(library_file=str(path)), RATE_HZ) as device:
+    options = forcedimension.Options(library_file=str(path), watchdog_s=0.0)  # it minds how long a compilation takes
+    with forcedimension.open_device(options, RATE_HZ) as device:
+        device.arm()
         io = device.io()
         yield Case(io, DeviceIO(_library_read.address, _library_write.address, io.handle))
 
@@ -211,6 +213,7 @@ def falcon(folder: Path) -> Iterator[Case]:
     stub.update(press=0.006, drag=0.02)
     with in_place_of_libusb(path), open_falcon(falcon_options(), RATE_HZ) as device:
         stub["logged"] = 1e9  # the stub's log is full
+        device.arm()
         io = device.io()
         yield Case(io, DeviceIO(_libusb_read.address, _libusb_write.address, io.handle))
 
@@ -224,7 +227,9 @@ def hid(_: Path) -> Iterator[Case]:
     with end, HidDevice(given, fd) as device:
         words = np.array([fd, buffer.ctypes.data, 1 + given.reports.output.bytes])
         bare = DeviceIO(_socket_read.address, _socket_write.address, words.ctypes.data)
-        yield Case(device.io(), bare, end.fileno(), answer, lambda: answered(end, answer, Servo(device).read))
+        yield Case(
+            device.io(), bare, end.fileno(), answer, lambda: answered(end, answer, Servo(device, arm=False).read)
+        )
 
 
 @contextmanager
@@ -235,10 +240,10 @@ def serial(_: Path) -> Iterator[Case]:
     frame, buffer = Board(lambda _: (0.01, 0.02, -0.015)).frame(), np.zeros(BUFFER, np.uint8)
 
     with far, answered(far, frame, lambda: SerialDevice(serial_options(), near.detach(), "a socket")) as device:
-        fd = int(device._word[port.FD])
+        fd = int(device._block.word[TALK.fd])
         words = np.array([fd, buffer.ctypes.data, FRAME_BYTES])
         bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
-        yield Case(device.io(), bare, far.fileno(), frame, lambda: answered(far, frame, Servo(device).read))
+        yield Case(device.io(), bare, far.fileno(), frame, lambda: answered(far, frame, Servo(device, arm=False).read))
 
 
 @contextmanager

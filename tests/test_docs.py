@@ -1,6 +1,7 @@
 """README and docs against the code: tables are parsed, examples run."""
 
 import re
+import shlex
 import subprocess
 import sys
 import threading
@@ -10,20 +11,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import paper_mapping
-from telemetry_records import put, synthetic
+from helpers.telemetry_records import put, synthetic
 
 from softfinger.config import errors
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.state import CAUSE_NAMES, MODE_NAMES
-from softfinger.server import client, protocol
-from softfinger.server.cli import VERBS
-from softfinger.server.telemetry import Publisher
+from softfinger.proxy.record import CAUSE_NAMES, MODE_NAMES
+from softfinger.server import signals
+from softfinger.server.cli import VERBS, main, make_parser
+from softfinger.server.wire import client, protocol
+from softfinger.server.wire.publisher import Publisher
+
+pytestmark = pytest.mark.real_time
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
-CONVENTIONS = (ROOT / "docs" / "conventions.md").read_text()
+RUNNING = (ROOT / "docs" / "operate" / "running.md").read_text()
+HOW = (ROOT / "docs" / "how-it-works.md").read_text()
+CONVENTIONS = (ROOT / "docs" / "model" / "conventions.md").read_text()
 
 
 def table(text: str, heading: str) -> list[list[str]]:
@@ -35,17 +41,68 @@ def table(text: str, heading: str) -> list[list[str]]:
 
 
 def test_exit_codes_are_those_of_the_errors():
-    """README lists exactly the exit codes the program can return."""
-    listed = {int(row[0]) for row in table(README, "Exit codes")}
+    """docs/operate/running.md lists exactly the exit codes the program can return."""
+    listed = {int(row[0]) for row in table(RUNNING, "Exit codes") if row[0] != "128 + n"}
+    assert signals.code_of(15) == 128 + 15
     tree = [errors.HapticError, protocol.ProtocolError, client.NoTelemetry]
     for kind in tree:
         tree.extend(kind.__subclasses__())
     assert listed == {0} | {kind.exit_code for kind in tree}
 
 
-def test_every_verb_named_in_the_readme_exists():
-    """Each `softfinger VERB` in the README is a verb."""
-    assert set(re.findall(r"softfinger ([a-z]+)\b", README)) - {"VERB"} <= set(VERBS)
+def commands(text: str) -> list[list[str]]:
+    """The words of each `softfinger ...` on a line of its own, without comments and redirections."""
+    lines = re.findall(r"^    (softfinger .*?)(?: [|>&].*)?$", text, re.MULTILINE)
+    return [shlex.split(line, comments=True)[1:] for line in lines]
+
+
+def test_every_command_in_readme_and_docs_is_one():
+    """Each `softfinger VERB` names a verb, and each command on a line of its own is one that the program takes."""
+    parser, found = make_parser(), 0
+    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
+        for words in commands(page.read_text()):
+            parser.parse_args(words)
+            found += 1
+    assert found > 30
+    assert set(re.findall(r"softfinger (?!import\b)([a-z]+)\b", README + RUNNING + HOW)) - {"VERB"} <= set(VERBS)
+
+
+def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
+    """Each does what it is there for; those to a daemon to one that runs, those that run for ever for a second."""
+    ran = []
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my-scene.toml").write_text(re.search(r"```toml\n(.*?)```", README, re.DOTALL)[1])
+    for words in commands(README):
+        own = [f"ipc://{tmp_path}/{name}" for name in ("t", "c")]
+        more = {
+            "monitor": ["--endpoint", endpoints[0], "--once"],
+            "ctl": ["--endpoint", endpoints[1]],
+            "run": ["--duration", "1", "--realtime", "off", "--endpoint", own[0], "--commands", own[1]],
+            "doctor": None,  # a look at this machine, which may be bad: tests/tools/test_doctor.py
+        }.get(words[0], [])
+        if more is None or "omega-6" in words:  # a device that is not here
+            continue
+        assert main([*words, *more]) == 0, words
+        ran.append(words[0])
+    assert main(["ctl", "set_scene", "scene=paper-plane", "--endpoint", endpoints[1]]) == 0  # as it was
+    assert {"monitor", "ctl", "check", "replay", "run", "scenes", "devices"} <= set(ran)
+
+
+def test_the_readme_is_two_screens():
+    """What is longer has a page."""
+    assert len(README.splitlines()) <= 100
+
+
+def test_python_of_the_front_door_runs(tmp_path, endpoints, monkeypatch):
+    """The programs of docs/python.md, one after the other, against a daemon that runs."""
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "python.md").read_text()
+    assert "with Client() as" in page
+    code = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
+    names: dict[str, object] = {}
+    exec(compile(code.replace("Client()", f"Client(*{endpoints!r})"), "python.md", "exec"), names)
+    assert names["touch"].force[2] == pytest.approx(0.5, rel=1e-12)  # 1000 N/m, 0.5 mm; rounding of a few operations
+    assert len(names["newest"]) > 0
 
 
 def test_every_link_in_readme_and_docs_leads_somewhere():
@@ -55,9 +112,9 @@ def test_every_link_in_readme_and_docs_leads_somewhere():
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
-def test_files_named_in_the_readme_exist():
+def test_files_named_in_the_map_exist():
     """The table that says where to find things is true."""
-    for _, place in table(README, "Find your way"):
+    for _, place in table(HOW, "Find your way"):
         folder, *files = re.findall(r"`([^`]+)`", place)
         for name in files or [""]:
             path = ROOT / folder / name if files and folder.endswith("/") else ROOT / folder
@@ -70,9 +127,11 @@ def test_scene_in_the_readme_is_valid():
     assert build(Scene, tomllib.loads(text), "README").object[0].name == "table"
 
 
-def test_subscriber_in_the_readme_runs():
-    """The five lines of Python print the sliding samples of a real publisher."""
-    code = re.search(r"```python\n(.*?)```", README, re.DOTALL)[1]
+def test_python_of_the_readme_runs():
+    """The two programs: one that renders, and five lines that print the sliding samples of a real publisher."""
+    first, code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    exec(first, names := {})
+    assert names["touch"].cause == "touch"
     records = synthetic(400)
     put(records, "contact.mode", 2)
     with Publisher("tcp://127.0.0.1:*") as publisher:

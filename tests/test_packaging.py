@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import email
 import json
 import os
 import re
@@ -20,15 +21,20 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("config", "drivers", "proxy", "server", "tools")
+OWN_FILE = "softfinger/__init__.py"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 VERSION = PROJECT["project"]["version"]
 
 KERNEL_IMPORTS = ("collections.abc", "llvmlite", "math", "numba", "numpy", "typing", "__future__")
-KERNEL_OWN_IMPORTS = ("softfinger.proxy.kernels", "softfinger.proxy.state")
+KERNEL_OWN_IMPORTS = ("softfinger.proxy.kernels", "softfinger.proxy.record")
 # At import, or inside numba's typing; never in a tick.
 KERNEL_STANDARD_LIBRARY = {
     "jit.py": {"hashlib", "os", "pathlib", "sys"},
+    "kept.py": {"functools", "hashlib", "logging", "os", "pathlib", "pickle", "secrets", "stat", "sys"},
     "dispatch.py": {"functools", "inspect"},
+    "arrays.py": {"operator"},
+    "rows.py": {"operator"},
+    "outlined.py": {"secrets"},
 }
 
 
@@ -84,9 +90,9 @@ def sources(package: str) -> Iterator[Path]:
 def test_the_wheel_holds_every_source_file_and_nothing_else(wheel: Path) -> None:
     """Each file of the five folders is in the wheel under softfinger/, tests and tools of the repository are not."""
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    assert names == {f"softfinger/{path}" for package in PACKAGES for path in sources(package)}
+    shipped = {f"softfinger/{path}" for package in PACKAGES for path in sources(package)}
+    assert names == (shipped - {"softfinger/config/package.py"}) | {OWN_FILE}
     assert {f"softfinger/{package}/py.typed" for package in PACKAGES} <= names
-    assert "softfinger/__init__.py" not in names, "softfinger is a namespace package: an __init__ would hide portions"
 
 
 @pytest.mark.parametrize("kind", ["scenes", "rigs", "recordings"])
@@ -101,7 +107,8 @@ def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
     with tarfile.open(path) as archive:
         names = {member.name.partition("/")[2] for member in archive.getmembers()}
     needed = {"Makefile", "constraints.txt", "pyproject.toml", "LICENSE", "README.md", ".ci/run", "Dockerfile"}
-    needed |= {str(file) for package in (*PACKAGES, "tests") for file in sources(package)}
+    needed |= {"CONTRIBUTING.md"}
+    needed |= {str(file) for package in (*PACKAGES, "examples", "tests") for file in sources(package)}
     assert not needed - names
     assert not [name for name in names if name.startswith((".dev", ".venv", ".git/"))]
 
@@ -116,6 +123,40 @@ def test_the_installed_wheel_is_what_runs(installed: Path, tmp_path: Path) -> No
 def test_the_installed_wheel_says_its_version(installed: Path, tmp_path: Path) -> None:
     """`softfinger --version` prints the version of pyproject.toml."""
     assert VERSION in run(installed / "softfinger", "--version", cwd=tmp_path).stdout
+
+
+@pytest.mark.parametrize("where", ["wheel", "checkout"])
+def test_the_version_is_an_attribute(where: str, installed: Path, tmp_path: Path) -> None:
+    """`softfinger.__version__` from the wheel and from a checkout; nothing else is there, and nothing is imported."""
+    python = installed / "python" if where == "wheel" else sys.executable
+    code = "import softfinger, sys; print(softfinger.__version__, hasattr(softfinger, 'x'), 'numba' in sys.modules)"
+    assert run(python, "-c", code, cwd=tmp_path).stdout.split() == [VERSION, "False", "False"]
+
+
+def test_the_package_page_says_what_and_whose_it_is(wheel: Path) -> None:
+    """Author, addresses, keywords and classifiers are in the wheel; all classifiers are ones that indexes know."""
+    from trove_classifiers import classifiers
+
+    archive = zipfile.ZipFile(wheel)
+    (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+    metadata = email.message_from_bytes(archive.read(name))
+    assert metadata["Author"] and metadata["Keywords"] and metadata["License-Expression"] == "BSD-3-Clause"
+    assert {line.split(", ")[0] for line in metadata.get_all("Project-URL")} >= {"Homepage", "Issues", "Changelog"}
+    assert set(metadata.get_all("Classifier")) <= classifiers
+    pythons = {line.rpartition(" ")[2] for line in metadata.get_all("Classifier") if re.search(r":: 3\.\d+$", line)}
+    assert pythons == {"3.11", "3.12", "3.13"} and metadata["Requires-Python"] == "<3.14,>=3.11"
+
+
+def test_links_of_the_readme_work_on_a_package_page() -> None:
+    """Each link and picture is an address below the project's, of a file that is in the tree."""
+    home = PROJECT["project"]["urls"]["Homepage"]
+    assert all(address.startswith(home) for address in PROJECT["project"]["urls"].values())
+    links = re.findall(r"(!?)\[[^\]]*\]\(([^)]+)\)", (ROOT / "README.md").read_text())
+    assert len(links) > 10
+    for picture, address in links:
+        below = f"{home}/{'raw' if picture else 'blob'}/HEAD/"
+        assert address.startswith(below), f"{address} is not below {below}"
+        assert (ROOT / address.removeprefix(below).partition("#")[0]).is_file(), address
 
 
 def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
@@ -162,6 +203,7 @@ def test_the_packages_are_named_the_same_everywhere() -> None:
     assert f"PACKAGES := {' '.join(PACKAGES)}\n" in makefile
     for package in PACKAGES:
         assert (ROOT / ".dev" / "softfinger" / package).resolve() == ROOT / package
+        assert (ROOT / ".dev" / OWN_FILE).resolve() == ROOT / "config" / "package.py"
         assert f"COPY {package} {package}\n" in (ROOT / "Dockerfile").read_text()
         assert f"!{package}\n" in (ROOT / ".dockerignore").read_text()
 
@@ -187,7 +229,7 @@ def imported(path: Path) -> Iterator[str]:
 def test_kernels_import_only_numerics_and_each_other() -> None:
     """A kernel file imports math, numpy, numba, llvmlite, typing, other kernels and the record table; no more."""
     allowed = (*KERNEL_IMPORTS, *KERNEL_OWN_IMPORTS)
-    files = sorted((ROOT / "proxy" / "kernels").glob("*.py"))
+    files = sorted((ROOT / "proxy" / "kernels").rglob("*.py"))
     assert files
     for path in files:
         extra = {

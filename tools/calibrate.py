@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceLost
 from softfinger.config.load import load_rig
+from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.base import SAMPLE_SIZE, Device
-from softfinger.drivers.falcon import Falcon
-from softfinger.server.app import open_device
-from softfinger.server.figures import figure, save
+from softfinger.drivers.falcon.device import Falcon
+from softfinger.drivers.registry import open_device
+from softfinger.server.offline.figures import figure, save
 from softfinger.tools import measure
 
 GRAVITY: Final = 9.80665
@@ -126,9 +127,11 @@ def run(args: argparse.Namespace) -> int:
             f"--mass {args.mass:g}: must be from {MASS_KG[0]:g} to {MASS_KG[1]:g} kg: take another weight"
         )
     rig = load_rig(args.rig)
-    with open_device(rig.device, rig.servo.rate_hz) as device:
+    config = single_device(rig)
+    with open_device(config, rig.servo.rate_hz) as device:
         if not isinstance(device, Falcon):
-            raise ConfigError(f"--rig {args.rig}: its driver is '{rig.device.driver}': name a rig with driver 'falcon'")
+            raise ConfigError(f"--rig {args.rig}: its driver is '{config.driver}': name a rig with driver 'falcon'")
+        device.arm()
         hold = Hold(device)
         print("hold the knob where you want it, and let it go: it is held there", file=sys.stderr)
         hold.run(SETTLE_S)

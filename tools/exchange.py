@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.limits import Range
 from softfinger.config.schema import Rig
-from softfinger.drivers.base import END, OK, SAMPLE_SIZE, Device
-from softfinger.drivers.libc import IO_SIGNATURE
-from softfinger.proxy.kernels.atomics import call_device, load_acquire, store_release
-from softfinger.proxy.kernels.jit import c_function, entry, jit
+from softfinger.drivers.base import END, HELD, OK, SAMPLE_SIZE, WITHHELD, Device
+from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.server import realtime, servo
-from softfinger.server.app import STALL_POLL_S, STALL_POLLS, device_failure
-from softfinger.server.clock import NS_PER_S, now_ns, period_ns, sleep_until
-from softfinger.server.guard import DISENGAGED, Guard, guard_wrench
+from softfinger.proxy.kernels.native.atomics import call_device, load_acquire, store_release
+from softfinger.proxy.kernels.native.jit import c_function, entry, jit
+from softfinger.server.loop import realtime, wayout
+from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, period_ns, sleep_until
+from softfinger.server.loop.exchange import put_wrench
+from softfinger.server.loop.guard import DISENGAGED, Guard, Guarded, guard_wrench
+from softfinger.server.loop.health import STALL_POLL_S, Watchdog
 from softfinger.server.progress import progress
-from softfinger.server.servo import put_wrench
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class Io(NamedTuple):
     handle: int
 
 
-class Pace(NamedTuple):
+class Span(NamedTuple):
     """period_ns 0: without pauses; limit_ns: a part ends after so long, -1 for no end; waiting 1: until the next."""
 
     period_ns: int
@@ -84,6 +84,14 @@ class Push(NamedTuple):
     force: Vec3
     frequency: float
     duration: float
+
+
+class Scratch(NamedTuple):
+    """Memory of the loop alone: (2,) int64 for the clock, (SAMPLE_SIZE,) and (6,) float64 for the device."""
+
+    timespec: NDArray[np.int64]
+    sample: Array
+    wrench: Array
 
 
 NO_PUSH: Final = Push((0.0, 0.0, 0.0), 1.0, 1.0)
@@ -108,61 +116,66 @@ def pushed(push: Push, t: float) -> Vec3:
 def exchange_loop(
     io: Io,
     empty: Io,
-    pace: Pace,
+    span: Span,
     push: Push,
     guard: Guard,
-    words: Any,
-    timespec: Any,
-    sample: Any,
-    wrench: Any,
-    rows: Any,
+    words: NDArray[np.int64],
+    scratch: Scratch,
+    rows: Array,
 ) -> tuple[int, int, int]:
-    """Exchange until the rows are full, or as `pace` says; returns how it ended (server.servo), the device's last
+    """Exchange until the rows are full, or as `span` says; returns how it ended (server.loop.wayout), the device's last
     status, and how many rows there are.
 
-    words     (3,) int64               shared with Python
-    timespec  (2,) int64               scratch; so are sample (SAMPLE_SIZE,) and wrench (6,), float64
-    rows      (n, ROW_SIZE) float64    a row a tick
+    words  (8,)           shared with Python
+    rows   (n, ROW_SIZE)  a row a tick
 
     Whatever the end, the last thing written to the device is zero.
     """
+    timespec, sample, wrench = scratch
     zero = (0.0, 0.0, 0.0)
-    nominal = pace.period_ns / NS_PER_S
-    guarded, number, ending, status = DISENGAGED, 0, servo.FINISHED, 0
+    nominal = span.period_ns / NS_PER_S
+    guarded, number, ending, status = DISENGAGED, 0, wayout.FINISHED, 0
     ticks = load_acquire(words, _TICKS)
     begun = now_ns(timespec)
-    deadline = begun + pace.period_ns
+    pace = first_pace(begun, span.period_ns, 0)
 
-    while pace.waiting == 1 or number < rows.shape[0]:
-        if load_acquire(words, _ENOUGH) != 0 or (pace.waiting == 1 and load_acquire(words, _NEXT) != 0):
-            ending = servo.STOPPED
+    while span.waiting == 1 or number < rows.shape[0]:
+        if load_acquire(words, _ENOUGH) != 0 or (span.waiting == 1 and load_acquire(words, _NEXT) != 0):
+            ending = wayout.STOPPED
             break
-        if pace.period_ns > 0:
-            sleep_until(deadline, timespec)
+        if span.period_ns > 0:
+            sleep_until(pace.deadline, timespec)
         woke = now_ns(timespec)
-        if 0 <= pace.limit_ns < woke - begun:
+        if 0 <= span.limit_ns < woke - begun:
             break
-        late = woke - deadline
+        late = woke - pace.deadline
 
         status = call_device(io.read, io.handle, sample)
         read = now_ns(timespec)
         if status < 0 or status == END:
-            ending = servo.FINISHED if status == END else servo.READ_FAILED
+            ending = wayout.FINISHED if status == END else wayout.READ_FAILED
             break
-        guarded, _ = guard_wrench(guard, guarded, pushed(push, number * nominal), zero, nominal)
+        if status == WITHHELD:
+            guarded = DISENGAGED
+        held = guarded
+        guarded, _ = guard_wrench(guard, guarded, pushed(push, number * nominal), zero, pace.dt, nominal)
         put_wrench(wrench, guarded.force, guarded.torque)
         before = now_ns(timespec)
         status_out = call_device(io.write, io.handle, wrench)
         wrote = now_ns(timespec)
         if status_out < 0:
-            ending, status = servo.WRITE_FAILED, status_out
+            ending, status = wayout.WRITE_FAILED, status_out
             break
+        if status_out == WITHHELD:
+            guarded = DISENGAGED
+        elif status_out == HELD:
+            guarded = Guarded(held.force, held.torque, guarded.gain)
         call_device(empty.read, empty.handle, sample)
         empty_read = now_ns(timespec)
         call_device(empty.write, empty.handle, wrench)
         empty_wrote = now_ns(timespec)
 
-        if pace.waiting == 0:
+        if span.waiting == 0:
             row = rows[number]
             row[START] = (woke - begun) / NS_PER_S
             row[LATE] = late / NS_PER_S
@@ -173,32 +186,25 @@ def exchange_loop(
             row[READ_STATUS] = status
             row[WRITE_STATUS] = status_out
             for k in range(3):
-                row[FORCE + k] = guarded.force[k]
+                row[FORCE + k] = guarded.force[k]  # what the hand feels: zero where it was withheld
             for k in range(SAMPLE_SIZE):
                 row[SAMPLE + k] = sample[k]
         number += 1
         store_release(words, _TICKS, ticks + number)
+        pace = next_pace(pace, empty_wrote, span.period_ns)
 
-        # After an overrun go on at the next deadline of the same grid, as the servo does.
-        deadline += pace.period_ns
-        if pace.period_ns > 0 and empty_wrote > deadline:
-            deadline += ((empty_wrote - deadline) // pace.period_ns + 1) * pace.period_ns
-
-    for i in range(6):
-        wrench[i] = 0.0
-    call_device(io.write, io.handle, wrench)
-    return ending, status, 0 if pace.waiting == 1 else number
+    wayout.write_zero(io.write, io.handle, wrench)
+    return ending, status, 0 if span.waiting == 1 else number
 
 
-def scratch() -> tuple[Any, ...]:
-    """Memory of the loop alone: timespec, sample, wrench."""
-    return np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6)
+def make_scratch() -> Scratch:
+    return Scratch(np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6))
 
 
 def compile_exchange() -> None:
     """Compile the loop, so that a device that is opened afterwards does not wait for it."""
-    like = (Io(0, 0, 0), Io(0, 0, 0), Pace(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    arguments = (*like, np.zeros(8, np.int64), *scratch(), np.zeros((1, ROW_SIZE)))
+    like = (Io(0, 0, 0), Io(0, 0, 0), Span(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    arguments = (*like, np.zeros(8, np.int64), make_scratch(), np.zeros((1, ROW_SIZE)))
     with progress("compiling the exchange (once for each version)"):
         exchange_loop.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
 
@@ -206,8 +212,8 @@ def compile_exchange() -> None:
 class _Part:
     """A part to record: what the loop is given, and what became of it."""
 
-    def __init__(self, pace: Pace, push: Push, count: int) -> None:
-        self.pace, self.push = pace, push
+    def __init__(self, span: Span, push: Push, count: int) -> None:
+        self.span, self.push = span, push
         self.rows = np.empty((count, ROW_SIZE))
         self.rows.fill(0.0)  # so that the loop meets no first-touch page fault
         self.done = threading.Event()
@@ -220,13 +226,14 @@ class Exchange:
     rig      whose rate and real-time settings it has
     guard    every force passes it; disarmed, none leaves it
 
-    As a context: it runs inside. Raises what real-time settings raise where the rig requires them.
+    The device is armed by the thread, right before its first exchange. As a context: it runs inside. Raises what
+    real-time settings raise where the rig requires them, and what arming raises.
     """
 
     def __init__(self, device: Device, rig: Rig, guard: Guard) -> None:
         self.device, self.rate_hz = device, rig.servo.rate_hz
         self.settings: list[realtime.Setting] = []
-        self.ended: servo.Ended | None = None
+        self.ended: wayout.Ended | None = None
         """How the device's exchange has ended by itself; None while it goes on."""
         self._servo, self._guard = rig.servo, guard
         self._period = period_ns(rig.servo.rate_hz)
@@ -235,7 +242,8 @@ class Exchange:
         self._part: _Part | None = None
         io = device.io()
         self._devices = (Io(io.read, io.write, io.handle), Io(_nothing.address, _nothing.address, 1))
-        self._scratch = (self._words, *scratch())
+        self._scratch = make_scratch()
+        self._armed = False
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="exchange", daemon=True)
 
@@ -244,35 +252,31 @@ class Exchange:
 
         Raises SafetyStop when the exchange hangs.
         """
-        return self._record(_Part(Pace(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz))))
+        return self._record(_Part(Span(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz))))
 
     def burst(self) -> Array:
         """Rows of exchanges without pauses, at most BURST_ROWS and BURST_NS."""
-        return self._record(_Part(Pace(0, BURST_NS, 0), NO_PUSH, BURST_ROWS))
+        return self._record(_Part(Span(0, BURST_NS, 0), NO_PUSH, BURST_ROWS))
 
     def failure(self) -> Exception | None:
         """The error of a device that failed; None while it goes on, and at the end of a recording."""
-        if self.ended is None:
-            return None
-        failed = self.ended.ending in (servo.READ_FAILED, servo.WRITE_FAILED)
-        return device_failure(self.device, self.ended) if failed else None
+        return None if self.ended is None else wayout.device_failure(self.device, self.ended)
 
     def _record(self, part: _Part) -> Array:
         self._parts.put(part)
         self._words[_NEXT] = 1
-        seen, idle = -1, 0
+        watchdog = Watchdog()
         while not part.done.wait(STALL_POLL_S):
             if self._over.is_set():
                 break
             ticks = int(self._words[_TICKS])
-            idle = idle + 1 if ticks == seen else 0
-            seen = ticks
-            if idle >= STALL_POLLS and ticks > 0:
-                self.device.stop()
-                raise SafetyStop(
-                    f"{self.device.info.name}: no exchange for {idle * STALL_POLL_S:.2f} s after exchange {ticks}: "
+            if idle_s := watchdog.stalled_s(ticks, self._armed):
+                stalled = SafetyStop(
+                    f"{self.device.info.name}: no exchange for {idle_s:.2f} s after exchange {ticks}: "
                     "zero force was commanded; the device hangs, or this machine starves the thread"
                 )
+                wayout.every(lambda: wayout.stop(self.device), first=stalled)
+                raise stalled
         self._raise_crash()
         return part.rows if part.done.is_set() else part.rows[:0]
 
@@ -281,7 +285,9 @@ class Exchange:
         try:
             applied = realtime.apply(self._servo.realtime, self._servo.priority, self._servo.cpu)
             self.settings = applied.settings
-            waiting = _Part(Pace(self._period, -1, 1), NO_PUSH, 0)
+            waiting = _Part(Span(self._period, -1, 1), NO_PUSH, 0)
+            self.device.arm()
+            self._armed = True
             while self.ended is None and not self._words[_ENOUGH]:
                 self._words[_NEXT] = 0  # before the look: what comes after it ends the waiting at once
                 try:
@@ -289,27 +295,29 @@ class Exchange:
                 except queue.Empty:
                     part = waiting
                 ending, status, count = exchange_loop(*self._arguments(part))
-                if ending in (servo.READ_FAILED, servo.WRITE_FAILED) or status == END:
-                    self.ended = servo.Ended(ending, status)
+                if ending in (wayout.READ_FAILED, wayout.WRITE_FAILED) or status == END:
+                    self.ended = wayout.Ended(ending, status)
                 part.rows = part.rows[:count]
                 if part is not waiting:
                     part.done.set()
         except BaseException as error:  # whatever it was, the device must be zeroed and the caller must learn of it
-            self.ended = servo.Ended(servo.CRASHED, 0, error)
-        finally:
-            self.device.stop()
-            if applied is not None:
-                applied.undo()
-            self._over.set()
+            self.ended = wayout.Ended(wayout.CRASHED, 0, error)
+        first = None if self.ended is None else self.ended.error
+        undo = [] if applied is None else [applied.undo]
+        failed = wayout.every(lambda: wayout.stop(self.device), *undo, first=first)
+        if self.ended is None and failed is not None:
+            self.ended = wayout.Ended(wayout.CRASHED, 0, failed)
+        self._over.set()
 
     def _arguments(self, part: _Part) -> tuple[Any, ...]:
-        return (*self._devices, part.pace, part.push, self._guard, *self._scratch, part.rows)
+        return (*self._devices, part.span, part.push, self._guard, self._words, self._scratch, part.rows)
 
     def _raise_crash(self) -> None:
         if self.ended is not None and self.ended.error is not None:
             raise self.ended.error
 
     def __enter__(self) -> Self:
+        compile_exchange()  # nothing to do where it was compiled before the device was opened
         self._thread.start()
         return self
 
@@ -318,7 +326,9 @@ class Exchange:
     ) -> None:
         self._words[_ENOUGH] = 1
         if not self._over.wait(JOIN_S):
-            self.device.stop()
+            wayout.every(lambda: wayout.stop(self.device), first=error)
+        elif error is None:
+            self._raise_crash()
 
 
 def check_seconds(seconds: float) -> None:

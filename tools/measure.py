@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.figures import plot_file
+from softfinger.server.offline.figures import plot_file
 
 Array = NDArray[np.float64]
 

@@ -1,11 +1,12 @@
-"""Writes the shipped recordings: scripted motions of a fingertip over the plane z = 0.
+"""Writes the shipped recordings: scripted motions of a fingertip over the plane z = 0, and of two on a box.
 
     python -m softfinger.tools.recordings OUTDIR
 
 Each is a chain of minimum-jerk moves, so velocity and acceleration are continuous, sampled at
 100 Hz and rounded to fixed decimals, so that every machine writes the same bytes. The fingertip
 has a radius of 10 mm: its centre touches the plane at z = 0.010 m and presses 1 mm at 0.009 m.
-All start and end at rest in free space, in one pose, and so loop without a return.
+All start and end at rest in free space, in one pose, and so loop without a return. Those of a pinch are one for each
+of two fingers and of equal length: they press the sides of a box of 40 mm, x = -0.02 m and x = 0.02 m.
 """
 
 from __future__ import annotations
@@ -109,16 +110,54 @@ def tap() -> list[Move]:
     return moves
 
 
-RECORDINGS: Final[dict[str, Callable[[], list[Move]]]] = {
-    "press-roll-spin-drag": press_roll_spin_drag,
-    "roll-follow": roll_follow,
-    "tap": tap,
+def pinch(side: float, slide: float) -> list[Move]:
+    """One finger of a pinch, from `side` -1 or 1 of the box: press; shear and twist the box to and fro as far as it
+    sticks; drag `slide` m along z and back, which at millimetres slides; release."""
+
+    def inwards(seconds: float, way: float) -> Move:
+        return Move(seconds, (-side * way, 0.0, 0.0))
+
+    shear, twist = 0.0003, 0.05
+    return [
+        hold(0.3),
+        inwards(0.6, ABOVE_M - PRESSED_M),
+        hold(0.2),
+        Move(0.3, (0.0, 0.0, shear)),
+        Move(0.3, (0.0, 0.0, -shear)),
+        Move(0.3, turn=(twist, 0.0, 0.0)),
+        Move(0.3, turn=(-twist, 0.0, 0.0)),
+        Move(0.5, (0.0, 0.0, slide)),
+        Move(0.5, (0.0, 0.0, -slide)),
+        hold(0.2),
+        inwards(0.5, PRESSED_M - ABOVE_M),
+        hold(0.3),
+    ]
+
+
+class Script(NamedTuple):
+    """Where a recording starts and ends (m), upright, and what it does in between."""
+
+    start: Vector
+    moves: Callable[[], list[Move]]
+
+
+OVER_THE_PLANE: Final = (0.0, 0.0, ABOVE_M)
+HALF_BOX_M: Final = 0.020
+INDEX_THINNER_M: Final = 0.002
+"""Of the scene `pinch`: the index finger's radius is so much less, and it starts nearer by it."""
+
+RECORDINGS: Final[dict[str, Script]] = {
+    "press-roll-spin-drag": Script(OVER_THE_PLANE, press_roll_spin_drag),
+    "roll-follow": Script(OVER_THE_PLANE, roll_follow),
+    "tap": Script(OVER_THE_PLANE, tap),
+    "pinch-thumb": Script((-HALF_BOX_M - ABOVE_M, 0.0, 0.0), lambda: pinch(-1.0, 0.0)),
+    "pinch-index": Script((HALF_BOX_M + ABOVE_M - INDEX_THINNER_M, 0.0, 0.0), lambda: pinch(1.0, 0.004)),
 }
 
 
-def to_csv(moves: list[Move]) -> str:
-    """The poses of a chain of moves as CSV text."""
-    position: Vector = (0.0, 0.0, ABOVE_M)
+def to_csv(script: Script) -> str:
+    """The poses of a script as CSV text."""
+    position, moves = script.start, script.moves()
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     lines, row = [HEADER], 0
     for move in moves:
@@ -136,7 +175,7 @@ def write(folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}.csv" for name in RECORDINGS]
     for path, script in zip(paths, RECORDINGS.values(), strict=True):
-        path.write_text(to_csv(script()), encoding="ascii", newline="\n")
+        path.write_text(to_csv(script), encoding="ascii", newline="\n")
     return paths
 
 

@@ -25,6 +25,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.tools.accuracy import report
+from softfinger.tools.patches_figure import drags_table, draw_patches
 from softfinger.tools.stability import extremes
 from softfinger.tools.stability.maps import MAPS, POINTS
 
@@ -42,7 +43,7 @@ ACCURACY: Final = {
     "drift": report.drift_table,
 }
 """Tables of `softfinger accuracy`."""
-TABLES: Final = (*ACCURACY, "extremes", "hostile")
+TABLES: Final = (*ACCURACY, "drags", "extremes", "hostile")
 
 
 def markdown(table: Any) -> str:
@@ -96,6 +97,8 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     found = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
     tables = {name: markdown(table(found)) for name, table in ACCURACY.items()}
     draw_shipped_run(figures / "run.svg")
+    draw_patches(figures / "patches.svg")
+    tables["drags"] = markdown(drags_table())
     command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
     for name in MAPS:
         plot = figures / f"stability-{name}.svg"
@@ -112,7 +115,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="few points, short drift: shows that all of it runs")
     args = parser.parse_args(argv)
     try:
-        pages = {path: path.read_text(encoding="utf-8") for path in sorted(args.docs.glob("*.md"))}
+        pages = {path: path.read_text(encoding="utf-8") for path in sorted(args.docs.rglob("*.md"))}
         if not pages:
             raise ConfigError(f"{args.docs}: no pages here: name the folder docs of the repository")
         tables = make_tables(args.docs / "figures", args.quick)

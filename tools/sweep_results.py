@@ -19,6 +19,8 @@ from typing import IO, Any, Final
 import msgspec
 
 from softfinger.config.errors import RecordingError
+from softfinger.config.files import followed, new_file, open_input
+from softfinger.drivers.containers import mcap_messages
 
 TOPIC: Final = "case"
 
@@ -54,21 +56,23 @@ def open_rows(path: Path | None) -> Iterator[Rows]:
         return
     try:
         with ExitStack() as files:
-            kept = []
-            if path.exists():
-                old = files.enter_context(path.open("rb"))
-                _lock(old, path)
-                kept = list(_read(path, old))
+            target = followed(path)
+            # Made if need be, for there must be something to lock: of two runs that begin at once one is refused.
+            os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666))
+            old = files.enter_context(open_input(target))
+            _lock(old, path)
+            if not os.path.samestat(os.fstat(old.fileno()), os.stat(target)):
+                raise _in_use(path)
+            size = os.fstat(old.fileno()).st_size
+            kept = list(_read(path, old)) if size else []
             # Written anew beside the old one: MCAP has no appending, and a torn end goes this way too.
-            part = path.with_name(f".{path.name}.part")
-            new = files.enter_context(part.open("ab"))
-            _lock(new, path)
-            new.truncate(0)
-            file = _File(path, new)
-            for row in kept:
-                file.add(row)
-            file.flush()
-            os.replace(part, path)
+            with new_file(target) as begun:
+                new = files.enter_context(open(os.dup(begun.fileno()), "wb"))
+                _lock(new, path)
+                file = _File(path, new)
+                for row in kept:
+                    file.add(row)
+                file.flush()
             try:
                 yield Rows({row["key"]: row["result"] for row in kept}, file)
             finally:
@@ -84,17 +88,18 @@ def _lock(file: IO[bytes], path: Path) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise RecordingError(f"{path}: another run is writing to it: wait for its end or name another file") from error
+        raise _in_use(path) from error
+
+
+def _in_use(path: Path) -> RecordingError:
+    return RecordingError(f"{path}: another run is writing to it: wait for its end or name another file")
 
 
 def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
     """Rows of the file, as far as it is whole."""
-    from mcap.reader import NonSeekingReader
-
     count, whole = 0, False
     try:
-        reader = NonSeekingReader(file, validate_crcs=True, record_size_limit=path.stat().st_size)
-        for _, channel, message in reader.iter_messages(log_time_order=False):
+        for _, channel, message in mcap_messages(file, None):
             row = msgspec.msgpack.decode(message.data)
             if channel.topic != TOPIC or not isinstance(row, dict) or row.keys() != {"key", "case", "result"}:
                 raise RecordingError(f"{path}: not a file of sweep results: name another, it would be overwritten")
@@ -107,16 +112,12 @@ def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         return
     except Exception as error:  # the decoders fail in many ways on damaged bytes
         reason = f"{type(error).__name__}: {str(error)[:120]}"
-        if path.stat().st_size > 0 and not _begins_like_mcap(path):
+        file.seek(0)
+        if file.read(5) != b"\x89MCAP":
             raise RecordingError(f"{path}: not a file of sweep results ({reason}): name another") from error
         log.warning("%s is cut short or damaged (%s): %d finished cases read, the rest is dropped", path, reason, count)
     if whole and not count:
         log.info("%s holds no finished case", path)
-
-
-def _begins_like_mcap(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(5) == b"\x89MCAP"
 
 
 class _File:

@@ -5,18 +5,92 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
+import msgspec
+
 from softfinger.config import limits
-from softfinger.config.schema.fields import Complaint, Table, known, said, within
+from softfinger.config.schema.fields import (
+    Complaint,
+    Component,
+    Length,
+    Table,
+    TopicPart,
+    known,
+    normalise_orientation,
+    said,
+    within,
+)
+from softfinger.config.schema.patch import Patch
 
 RollingMethod = Literal["euler_zxz", "euler_zyx", "rotation_vector", "midpoint", "montana_rk4", "montana_rk45"]
 StateMachine = Literal["default", "paper"]
 PassivityMode = Literal["observe", "control"]
 
 
-class Fingertip(Table, frozen=True, kw_only=True):
-    """The rigid sphere carried by the probe."""
+class Form(Table, frozen=True, kw_only=True):
+    """The rigid body that a probe carries: a sphere, or an ellipsoid about the probe."""
 
-    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the fingertip sphere", 0.01)]
+    radius_m: (
+        Annotated[float, within(limits.LENGTH_M, "radius of the fingertip sphere; needed without radii_m", 0.01)] | None
+    ) = None
+    radii_m: (
+        Annotated[
+            tuple[Length, Length, Length],
+            said("in place of radius_m: half lengths of an ellipsoid along its axes", [0.008, 0.007, 0.012]),
+        ]
+        | None
+    ) = None
+    orientation_wxyz: (
+        Annotated[
+            tuple[Component, Component, Component, Component],
+            said(
+                "of an ellipsoid: quaternion w, x, y, z, its axes to the fingertip's frame; normalised on load; left "
+                "out: along them",
+                [1.0, 0.0, 0.0, 0.0],
+            ),
+        ]
+        | None
+    ) = None
+
+    def __post_init__(self) -> None:
+        normalise_orientation(self)
+
+    def faults(self) -> Iterator[Complaint]:
+        if not known(self.radius_m, self.radii_m, self.orientation_wxyz):
+            return
+        low, high = limits.LENGTH_M.low, limits.LENGTH_M.high
+        if self.radius_m is None and self.radii_m is None:
+            yield (
+                "radius_m",
+                msgspec.UNSET,
+                f"is missing: give a number from {low:g} to {high:g} m, such as radius_m = 0.01, or the radii_m of an "
+                "ellipsoid",
+            )
+        elif self.radii_m is None:
+            if self.orientation_wxyz is not None:
+                yield (
+                    "orientation_wxyz",
+                    self.orientation_wxyz,
+                    "turns an ellipsoid, and this is a sphere: leave it out",
+                )
+        elif self.radius_m is not None:
+            yield "radius_m", self.radius_m, "is that of a sphere, and radii_m of an ellipsoid: leave one of them out"
+        elif max(self.radii_m) > limits.FINGERTIP_ASPECT.high * min(self.radii_m):
+            most, why = limits.FINGERTIP_ASPECT.high, limits.FINGERTIP_ASPECT.reason
+            yield "radii_m", self.radii_m, f"the longest must be at most {most:g} times the shortest ({why})"
+        if self.orientation_wxyz is not None and not any(self.orientation_wxyz):
+            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
+
+    @property
+    def reaches_m(self) -> tuple[float, float]:
+        """The shortest and the longest radius, m, of a table without faults."""
+        radii = self.radii_m or (self.radius_m or 0.0,)
+        return min(radii), max(radii)
+
+
+class Fingertip(Form, frozen=True, kw_only=True):
+    """The rigid body carried by the probe: a sphere, or an ellipsoid."""
+
+    patch: Patch | None = None
 
 
 class Rolling(Table, frozen=True, kw_only=True):
@@ -74,6 +148,18 @@ class Probe(Table, frozen=True, kw_only=True):
     position_resolution_m: Annotated[
         float, within(limits.RESOLUTION_M, "step of the device's encoders, below which a motion is noise", 1e-5)
     ] = 0.0
+
+
+class Finger(Form, frozen=True, kw_only=True):
+    """One of several fingertips, with a device of its own; in place of [fingertip]."""
+
+    name: TopicPart
+    device: Annotated[TopicPart, said("section [devices.NAME] of the rig that moves it; left out: its name")] | None = (
+        None
+    )
+    patch: Patch | None = None
+    coupling: Coupling | None = None
+    probe: Probe | None = None
 
 
 class Passivity(Table, frozen=True, kw_only=True):

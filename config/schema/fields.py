@@ -5,6 +5,7 @@ For the structs of this package and for the options of drivers.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Final
 
@@ -53,6 +54,7 @@ _UNITS: Final = {
     "_m_per_s": "m/s",
     "_s_per_m": "s/m",
     "_hz": "Hz",
+    "_pa": "Pa",
     "_nm": "N m",
     "_rad": "rad",
     "_kg": "kg",
@@ -68,9 +70,31 @@ def unit(key: str) -> str:
     return next((name for suffix, name in _UNITS.items() if key.endswith(suffix)), "")
 
 
+TopicPart = Annotated[
+    str,
+    Meta(
+        min_length=int(limits.TOPIC_PART_LENGTH.low),
+        max_length=int(limits.TOPIC_PART_LENGTH.high),
+        pattern="^[A-Za-z0-9_-]+$",
+        description="name, in letters, digits, - and _, since it is part of a telemetry topic",
+        examples=["thumb"],
+    ),
+]
+"""Name of a finger, or of its section of a rig."""
 Coordinate = Annotated[float, Meta(ge=limits.COORDINATE_M.low, le=limits.COORDINATE_M.high)]
 Length = Annotated[float, Meta(ge=limits.LENGTH_M.low, le=limits.LENGTH_M.high)]
 Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION.high)]
+
+
+def normalise_orientation(table: Table) -> None:
+    """Make the quaternion `orientation_wxyz` of a table that is being made a unit one, where it has a direction."""
+    given = table.orientation_wxyz  # type: ignore[attr-defined]
+    if not known(given) or given is None:
+        return
+    norm = math.hypot(*given)
+    # A quaternion that is unit to the last bits stays as it is, so that a scene survives a round trip.
+    if norm > 0.0 and math.isfinite(norm) and abs(norm - 1.0) > 1e-15:
+        msgspec.structs.force_setattr(table, "orientation_wxyz", tuple(part / norm for part in given))
 
 
 def direction_faults(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:

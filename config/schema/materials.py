@@ -1,4 +1,4 @@
-"""What an object feels like: its stiffness, its friction, its torsion."""
+"""What an object feels like: its normal force, its friction, its torsion."""
 
 from __future__ import annotations
 
@@ -12,6 +12,41 @@ from softfinger.config.schema.fields import Complaint, Component, Table, known, 
 
 TorsionModel = Literal["independent", "limit_surface", "soft_finger_proxy"]
 Scale = Annotated[float, Meta(ge=limits.FRICTION_SCALE.low, le=limits.FRICTION_SCALE.high)]
+
+
+class Normal(Table, frozen=True, kw_only=True):
+    """Law of the normal force; without this table it is in proportion to the depth."""
+
+    exponent: Annotated[
+        float,
+        within(
+            limits.NORMAL_EXPONENT, "power of the depth (p): 1 is linear, 1.5 Hertz's, soft fingertips lie above", 1.5
+        ),
+    ] = 1.0
+    depth_m: Annotated[
+        float,
+        within(
+            limits.NORMAL_DEPTH_M,
+            "depth (d) at which stiffness_n_per_m is meant: f_N = stiffness_n_per_m d (depth / d)^p",
+            0.001,
+        ),
+    ] = 0.001
+    damping_s_per_m: (
+        Annotated[
+            float,
+            within(
+                limits.NORMAL_DAMPING_S_PER_M,
+                "Hunt and Crossley's damping (c) in place of damping_ns_per_m: f_N (1 + c v), v the speed inwards",
+                0.5,
+            ),
+        ]
+        | None
+    ) = None
+
+    def depth_under(self, force_n: float, stiffness_n_per_m: float) -> float:
+        """Depth, m, at which a slow press has the force."""
+        relative: float = (force_n / (stiffness_n_per_m * self.depth_m)) ** (1.0 / self.exponent)
+        return self.depth_m * relative
 
 
 class Friction(Table, frozen=True, kw_only=True):
@@ -78,11 +113,29 @@ class Friction(Table, frozen=True, kw_only=True):
 class Torsion(Table, frozen=True, kw_only=True):
     """Moment of a soft finger about the contact normal; without this table there is none."""
 
-    stiffness_nm_per_rad: Annotated[float, within(limits.TORSION_NM_PER_RAD, "moment per angle of spin (k_z)", 0.05)]
-    friction_length_m: Annotated[
-        float,
-        within(limits.FRICTION_LENGTH_M, "largest moment per normal force (mu_t); beyond it the contact spins", 0.004),
-    ]
+    stiffness_nm_per_rad: (
+        Annotated[
+            float,
+            within(
+                limits.TORSION_NM_PER_RAD,
+                "moment per angle of spin (k_z); needed without [fingertip.patch], which takes its place",
+                0.05,
+            ),
+        ]
+        | None
+    ) = None
+    friction_length_m: (
+        Annotated[
+            float,
+            within(
+                limits.FRICTION_LENGTH_M,
+                "largest moment per normal force (mu_t), beyond which the contact spins; needed without "
+                "[fingertip.patch], which takes its place",
+                0.004,
+            ),
+        ]
+        | None
+    ) = None
     exponent: (
         Annotated[
             float,
@@ -115,7 +168,7 @@ class Torsion(Table, frozen=True, kw_only=True):
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
-        kinetic = self.kinetic_friction_length_m
+        kinetic, static = self.kinetic_friction_length_m, self.friction_length_m
         if not known(kinetic) or kinetic is None:
             return
         if known(self.model) and self.model != "soft_finger_proxy":
@@ -124,11 +177,13 @@ class Torsion(Table, frozen=True, kw_only=True):
                 kinetic,
                 f'belongs to model = "soft_finger_proxy", this is "{self.model}": change the model or leave it out',
             )
-        elif known(self.friction_length_m) and kinetic > self.friction_length_m:
+        elif known(static) and static is None:
+            yield "kinetic_friction_length_m", kinetic, "needs friction_length_m, the limit before it spins"
+        elif known(static) and static is not None and kinetic > static:
             yield (
                 "kinetic_friction_length_m",
                 kinetic,
-                f"must be at most friction_length_m = {self.friction_length_m:g} m, the limit before it spins",
+                f"must be at most friction_length_m = {static:g} m, the limit before it spins",
             )
 
 
@@ -145,11 +200,49 @@ class Material(Table, frozen=True, kw_only=True):
         | None
     ) = None
     stiffness_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "normal stiffness (K_n)", 1000.0)]
-    damping_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "normal damping", 0.0)] = 0.0
+    damping_ns_per_m: Annotated[
+        float,
+        within(
+            limits.DAMPING_NS_PER_M,
+            "normal damping (B_n), Kelvin and Voigt's, kept from pulling and from more than doubling the spring",
+            0.0,
+        ),
+    ] = 0.0
+    shear_modulus_pa: (
+        Annotated[
+            float,
+            within(
+                limits.SHEAR_MODULUS_PA,
+                "shear modulus, which counts for [fingertip.patch]; left out: rigid beside the fingertip",
+                600e3,
+            ),
+        ]
+        | None
+    ) = None
+    normal: Normal | None = None
     friction: Friction | None = None
     torsion: Torsion | None = None
 
+    def depth_under(self, force_n: float) -> float:
+        """Depth, m, at which a slow press has the force."""
+        if self.normal is None:
+            return force_n / self.stiffness_n_per_m
+        return self.normal.depth_under(force_n, self.stiffness_n_per_m)
+
+    def stiffness_under(self, force_n: float) -> float:
+        """Slope of the force against the depth, N/m, at that force: what stability goes by."""
+        exponent = 1.0 if self.normal is None else self.normal.exponent
+        return exponent * force_n / self.depth_under(force_n)
+
     def faults(self) -> Iterator[Complaint]:
+        if known(self.normal) and self.normal is not None:
+            ours, plain = self.normal.damping_s_per_m, self.damping_ns_per_m
+            if known(ours, plain) and ours is not None and plain > 0.0:
+                yield (
+                    "normal.damping_s_per_m",
+                    ours,
+                    f"stands in place of damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out",
+                )
         if not known(self.friction, self.torsion) or self.torsion is None:
             return
         if self.torsion.model == "limit_surface" and self.friction is None:

@@ -1,4 +1,4 @@
-"""A rig: the device, the servo loop, the guard before the hand, the telemetry."""
+"""A rig: the device, the servo loop, the guard before the hand, telemetry, commands, keys and metrics."""
 
 from __future__ import annotations
 
@@ -9,18 +9,37 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import Complaint, Table, known, said, sized, within
+from softfinger.config.schema.fields import Complaint, Component, Table, TopicPart, known, said, sized, within
 
 RealtimeMode = Literal["auto", "require", "off"]
+
+
+Arm = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)]
+
+
+class Tool(Table, frozen=True, kw_only=True):
+    """What the device's handle holds, such as a stylus: its tip is the fingertip."""
+
+    offset_m: Annotated[
+        tuple[Arm, Arm, Arm], said("from the handle to the tip, in the handle's frame", [0.0, 0.0, -0.1])
+    ] = (0.0, 0.0, 0.0)
+    orientation_wxyz: Annotated[
+        tuple[Component, Component, Component, Component], said("tip to handle", [1.0, 0.0, 0.0, 0.0])
+    ] = (1.0, 0.0, 0.0, 0.0)
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.orientation_wxyz) and not any(self.orientation_wxyz):
+            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):
     """Which driver, and the options it has; the driver checks those with its own struct."""
 
     gathers: ClassVar[str] = "options"
-    """All keys of [device] but `driver` go into this field."""
+    """All keys of [device] but those below go into this field."""
 
     driver: Annotated[str, sized(limits.NAME_LENGTH, "name of the driver", "replay")]
+    tool: Annotated[Tool | None, said("what its handle holds; without this table the handle is the fingertip")] = None
     options: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
@@ -54,7 +73,11 @@ class Telemetry(Table, frozen=True, kw_only=True):
 
     endpoint: Annotated[
         str,
-        sized(limits.ENDPOINT_LENGTH, "ZeroMQ address to bind: tcp on a loopback host, or ipc", "tcp://127.0.0.1:5555"),
+        sized(
+            limits.ENDPOINT_LENGTH,
+            "ZeroMQ address to bind: ipc, or tcp on a loopback host, or with [security] on any",
+            "tcp://127.0.0.1:5555",
+        ),
     ] = "tcp://127.0.0.1:5555"
     every: Annotated[int, within(limits.EVERY, "publish one tick in so many", 1)] = 1
 
@@ -66,7 +89,14 @@ class Telemetry(Table, frozen=True, kw_only=True):
 
 _TCP: Final = re.compile(r"tcp://(\[[^\]]*\]|[^:/@\[\]]+):(\*|[0-9]{1,5})")
 _LOOPBACK: Final = re.compile(r"localhost|127(\.[0-9]{1,3}){3}|\[::1\]")
+_PORT_MAX: Final = 65535
 _IPC_PATH_MAX: Final = 107  # bytes of a Unix socket's path
+
+
+def is_public(endpoint: str) -> bool:
+    """Whether other machines may reach what is bound to a valid endpoint."""
+    match = _TCP.fullmatch(endpoint)
+    return match is not None and not _LOOPBACK.fullmatch(match[1])
 
 
 def endpoint_complaint(endpoint: str) -> str | None:
@@ -75,17 +105,184 @@ def endpoint_complaint(endpoint: str) -> str | None:
         size = len(endpoint.removeprefix("ipc://").encode(errors="replace"))
         return None if 0 < size <= _IPC_PATH_MAX else f"must have a path of 1 to {_IPC_PATH_MAX} bytes"
     match = _TCP.fullmatch(endpoint)
-    if match is None or (match[2] != "*" and int(match[2]) > 65535):
+    if match is None or (match[2] != "*" and int(match[2]) > _PORT_MAX):
         return "must be tcp://HOST:PORT, port 0 to 65535 or *, or ipc://PATH; such as tcp://127.0.0.1:5555"
-    if not _LOOPBACK.fullmatch(match[1]):
-        return "is open to the network, and telemetry is not encrypted: bind tcp://127.0.0.1:PORT or ipc://PATH"
     return None
 
 
-class Rig(Table, frozen=True, kw_only=True):
-    """The device and the machine."""
+OFF: Final = "off"
 
-    device: DeviceConfig
+
+class Commands(Table, frozen=True, kw_only=True):
+    """Where the daemon takes commands, and whether it needs a sign of life."""
+
+    endpoint: (
+        Annotated[
+            str,
+            sized(
+                limits.ENDPOINT_LENGTH,
+                "ZeroMQ address to bind, as in [telemetry]; off: no commands; "
+                "absent: the port after the telemetry's, or its ipc path with .commands behind",
+                "tcp://127.0.0.1:5556",
+            ),
+        ]
+        | None
+    ) = None
+    heartbeat_s: (
+        Annotated[
+            float, within(limits.HEARTBEAT_S, "no force after so long without any command; absent: none is needed", 0.5)
+        ]
+        | None
+    ) = None
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.endpoint) and self.endpoint not in (None, OFF):
+            complaint = endpoint_complaint(self.endpoint)
+            if complaint is not None:
+                yield "endpoint", self.endpoint, f"{complaint}; or off"
+        if known(self.endpoint, self.heartbeat_s) and self.endpoint == OFF and self.heartbeat_s is not None:
+            yield "heartbeat_s", self.heartbeat_s, "nobody can send a heartbeat where commands are off: leave it out"
+
+
+class Recording(Table, frozen=True, kw_only=True):
+    """What the daemon records by command."""
+
+    directory: Annotated[
+        str,
+        sized(limits.FILE_NAME_LENGTH, "folder that record_start writes below, seen from where run is started", "."),
+    ] = "."
+
+
+class Security(Table, frozen=True, kw_only=True):
+    """Keys, made by `softfinger keys`, without which nothing is open to other machines; paths beside the rig's file."""
+
+    key: Annotated[
+        str, sized(limits.FILE_NAME_LENGTH, "file of the server's secret key, mode 600", "keys/rig.key_secret")
+    ]
+    readers: (
+        Annotated[
+            str,
+            sized(limits.FILE_NAME_LENGTH, "folder of the public keys that may read telemetry", "keys/readers"),
+        ]
+        | None
+    ) = None
+    commanders: (
+        Annotated[
+            str,
+            sized(limits.FILE_NAME_LENGTH, "folder of the public keys that may command", "keys/commanders"),
+        ]
+        | None
+    ) = None
+
+
+class Metrics(Table, frozen=True, kw_only=True):
+    """What Prometheus reads."""
+
+    endpoint: (
+        Annotated[
+            str,
+            sized(
+                limits.ENDPOINT_LENGTH,
+                "loopback address and port of the figures' HTTP server; absent: there is none",
+                "127.0.0.1:9464",
+            ),
+        ]
+        | None
+    ) = None
+
+    def faults(self) -> Iterator[Complaint]:
+        if not known(self.endpoint) or self.endpoint is None:
+            return
+        if endpoint_complaint(f"tcp://{self.endpoint}") is not None or self.endpoint.endswith(":*"):
+            yield "endpoint", self.endpoint, "must be HOST:PORT, port 0 to 65535, such as 127.0.0.1:9464"
+        elif is_public(f"tcp://{self.endpoint}"):
+            yield "endpoint", self.endpoint, "is open to the network, and anybody could read it: take 127.0.0.1:PORT"
+
+
+class Rig(Table, frozen=True, kw_only=True):
+    """The device, or one for each finger, and the machine."""
+
+    device: DeviceConfig | None = None
+    devices: Annotated[dict[TopicPart, DeviceConfig], said("a device for each finger, by name")] = msgspec.field(
+        default_factory=dict
+    )
     servo: Servo = Servo()
     guard: Guard = Guard()
     telemetry: Telemetry = Telemetry()
+    commands: Commands = Commands()
+    recording: Recording = Recording()
+    security: Annotated[Security | None, said("what other machines need to read or command")] = None
+    metrics: Metrics = Metrics()
+
+    @property
+    def tables(self) -> dict[str, DeviceConfig]:
+        """Every device, by the table it is from."""
+        if self.device is not None:
+            return {"device": self.device}
+        return {f"devices.{name}": device for name, device in self.devices.items()}
+
+    @property
+    def commands_endpoint(self) -> str | None:
+        """Where commands are taken: as given, else beside the telemetry; None where they are off."""
+        given = self.commands.endpoint
+        if given is not None:
+            return None if given == OFF else given
+        if self.telemetry.endpoint.startswith("ipc://"):
+            return f"{self.telemetry.endpoint}.commands"
+        host, _, port = self.telemetry.endpoint.rpartition(":")
+        if port in ("*", "0"):
+            return f"{host}:{port}"
+        return f"{host}:{int(port) + (1 if int(port) < _PORT_MAX else -1)}"
+
+    def faults(self) -> Iterator[Complaint]:
+        yield from self._device_faults()
+        yield from self._endpoint_faults()
+
+    def _device_faults(self) -> Iterator[Complaint]:
+        if not known(self.device, self.devices):
+            return
+        if self.device is None and not self.devices:
+            yield (
+                "device",
+                msgspec.UNSET,
+                "is missing: add the table [device], or a table [devices.NAME] for each of several fingers",
+            )
+        if self.device is not None and self.devices:
+            yield (
+                "device",
+                msgspec.UNSET,
+                "stands beside [devices]: it is for a single finger; leave it out, or the tables [devices.NAME]",
+            )
+
+    def _endpoint_faults(self) -> Iterator[Complaint]:
+        if not known(self.telemetry, self.commands) or not known(self.telemetry.endpoint, self.commands.endpoint):
+            return
+        if endpoint_complaint(self.telemetry.endpoint) is not None:
+            return
+        beside = self.commands_endpoint
+        if beside is not None and endpoint_complaint(beside) is not None and self.commands.endpoint is None:
+            yield (
+                "commands.endpoint",
+                msgspec.UNSET,
+                f"{beside}, which follows from the telemetry's, is none: give one",
+            )
+        elif beside == self.telemetry.endpoint and not beside.endswith((":*", ":0")):
+            yield "commands.endpoint", beside, "is the telemetry's: give another"
+        elif known(self.security):
+            yield from self._public_faults(beside)
+
+    def _public_faults(self, commands: str | None) -> Iterator[Complaint]:
+        """What is open to the network needs the keys of those who may use it."""
+        for key, endpoint, folder, use in (
+            ("telemetry.endpoint", self.telemetry.endpoint, "readers", "read"),
+            ("commands.endpoint", commands, "commanders", "command"),
+        ):
+            if endpoint is not None and is_public(endpoint) and getattr(self.security, folder, None) is None:
+                yield (
+                    key,
+                    endpoint,
+                    f"is open to the network, and there are no keys of those who may {use}: add [security] with key "
+                    f"and {folder} (softfinger keys makes them), or take tcp://127.0.0.1:PORT or ipc://PATH",
+                )
+                if self.commands.endpoint is None:  # it follows, and so would its fault
+                    return

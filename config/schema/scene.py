@@ -3,21 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Final
+from typing import Annotated, NamedTuple
 
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.schema.contact import Coupling, Fingertip, Passivity, Probe, Rolling
+from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Probe, Rolling
 from softfinger.config.schema.effects import Effect
 from softfinger.config.schema.fields import Complaint, Table, known, sized
+from softfinger.config.schema.patch import Patch
 from softfinger.config.schema.shapes import Object
+
+
+class FingerParts(NamedTuple):
+    """A fingertip as it is modelled, whichever table it is from; that of [fingertip] has no name.
+
+    radius_m is that of a sphere, or the shortest of the radii_m of an ellipsoid.
+    """
+
+    name: str
+    device: str
+    radius_m: float
+    radii_m: tuple[float, float, float] | None
+    orientation_wxyz: tuple[float, float, float, float]
+    patch: Patch | None
+    coupling: Coupling
+    probe: Probe
 
 
 class Scene(Table, frozen=True, kw_only=True):
     """What is touched and which effects are modelled."""
 
-    fingertip: Fingertip
+    fingertip: Fingertip | None = None
+    finger: Annotated[tuple[Finger, ...], sized(limits.FINGERS, "who touches it")] = ()
     rolling: Rolling | None = None
     coupling: Coupling = Coupling()
     probe: Probe = Probe()
@@ -25,36 +43,116 @@ class Scene(Table, frozen=True, kw_only=True):
     object: Annotated[tuple[Object, ...], sized(limits.OBJECTS, "what can be touched")]
     effect: Annotated[tuple[Effect, ...], sized(limits.EFFECTS, "what the workspace does to the hand")] = ()
 
+    @property
+    def fingers(self) -> tuple[FingerParts, ...]:
+        """Who touches: one, or several. [coupling] and [probe] are those of a finger without tables of its own."""
+        if self.fingertip is not None:
+            tip = self.fingertip
+            return (self._parts(tip, "", "", self.coupling, self.probe),)
+        return tuple(
+            self._parts(
+                each, each.name, each.device or each.name, each.coupling or self.coupling, each.probe or self.probe
+            )
+            for each in self.finger
+        )
+
+    @staticmethod
+    def _parts(tip: Fingertip | Finger, name: str, device: str, coupling: Coupling, probe: Probe) -> FingerParts:
+        turn = tip.orientation_wxyz or (1.0, 0.0, 0.0, 0.0)
+        return FingerParts(name, device, tip.reaches_m[0], tip.radii_m, turn, tip.patch, coupling, probe)
+
+    @property
+    def soft(self) -> bool:
+        """Whether fingertips have a contact patch: all of them, or none."""
+        return any(finger.patch is not None for finger in self.fingers)
+
     def faults(self) -> Iterator[Complaint]:
+        yield from _finger_faults(self)
+        yield from _patch_faults(self)
         yield from _coupling_faults(self)
         yield from _object_faults(self)
         yield from _law_faults(self)
+        yield from _torsion_faults(self)
         yield from _method_faults(self)
+        yield from _form_faults(self)
         yield from _tight_faults(self)
 
 
-def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
-    if not known(scene.rolling, scene.coupling) or scene.rolling is None:
+def _finger_faults(scene: Scene) -> Iterator[Complaint]:
+    if not known(scene.fingertip, scene.finger):
         return
-    k_tau, k_t = scene.rolling.torque_stiffness_n_per_m, scene.coupling.stiffness_n_per_m
-    if known(k_tau, k_t) and k_tau is not None and k_tau > k_t:
+    if scene.fingertip is None and not scene.finger:
         yield (
-            "rolling.torque_stiffness_n_per_m",
-            k_tau,
-            f"must be at most coupling.stiffness_n_per_m = {k_t:g} N/m, or a roll gives back more than was put in; "
-            "leave it out to have the coupling's",
+            "fingertip",
+            msgspec.UNSET,
+            "is missing: add the table [fingertip], or a table [[finger]] for each of several fingers",
         )
+    if scene.fingertip is not None and scene.finger:
+        yield (
+            "fingertip",
+            msgspec.UNSET,
+            "stands beside [[finger]]: it is the short form for one finger; leave it out, or the tables [[finger]]",
+        )
+    for key in ("name", "device"):
+        first: dict[str, int] = {}
+        for index, item in enumerate(scene.finger):
+            if not known(item) or not known(item.name, item.device):
+                continue
+            given = item.name if key == "name" else item.device or item.name
+            for other, earlier in first.items():
+                if key == "device" and given == other and given != item.name:
+                    yield (
+                        f"finger[{index}].device",
+                        given,
+                        f"moves finger[{earlier}] already: name another",
+                    )
+                elif key == "name" and (given.startswith(other) or other.startswith(given)):
+                    yield (
+                        f"finger[{index}].name",
+                        given,
+                        f"and the name of finger[{earlier}], {other!r}, begin alike, one with the whole other: who "
+                        "subscribes to the telemetry of the shorter would get both; choose another",
+                    )
+            first.setdefault(given, index)
 
 
-_CLOSED_FORM: Final = ("plane", "sphere", "cylinder", "capsule", "box")
-"""Shapes on which `rotation_vector` is in closed form."""
+def _patch_faults(scene: Scene) -> Iterator[Complaint]:
+    """One law of torsion is compiled for all fingers: that of a patch, or that of the material's numbers."""
+    fingers = [item for item in scene.finger if known(item) and known(item.patch)] if known(scene.finger) else []
+    if len({item.patch is None for item in fingers}) < 2:
+        return
+    for index, item in enumerate(scene.finger):
+        if known(item) and known(item.patch) and item.patch is None:
+            yield (
+                f"finger[{index}].patch",
+                msgspec.UNSET,
+                "is missing, and another finger has one: give it to all of them, or to none",
+            )
+
+
+def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
+    if not known(scene.rolling, scene.coupling, scene.finger) or scene.rolling is None:
+        return
+    own = [(f"finger[{index}].coupling", item.coupling) for index, item in enumerate(scene.finger) if known(item)]
+    k_tau = scene.rolling.torque_stiffness_n_per_m
+    for where, coupling in [("coupling", scene.coupling), *own]:
+        if not known(k_tau, coupling) or k_tau is None or coupling is None:
+            continue
+        k_t = coupling.stiffness_n_per_m
+        if known(k_t) and k_tau > k_t:
+            yield (
+                "rolling.torque_stiffness_n_per_m",
+                k_tau,
+                f"must be at most {where}.stiffness_n_per_m = {k_t:g} N/m, or a roll gives back more than was put in; "
+                "leave it out to have the coupling's",
+            )
 
 
 def _method_faults(scene: Scene) -> Iterator[Complaint]:
     if not known(scene.rolling, scene.object) or scene.rolling is None or scene.rolling.method != "rotation_vector":
         return
     for index, item in enumerate(scene.object):
-        if known(item) and item.shape not in _CLOSED_FORM:
+        if known(item) and not item.unrolls:
             yield (
                 "rolling.method",
                 "rotation_vector",
@@ -63,12 +161,59 @@ def _method_faults(scene: Scene) -> Iterator[Complaint]:
             )
 
 
-def _tight_faults(scene: Scene) -> Iterator[Complaint]:
-    if not known(scene.fingertip, scene.object) or not known(scene.fingertip.radius_m):
+def _form_faults(scene: Scene) -> Iterator[Complaint]:
+    """What a fingertip that is an ellipsoid cannot do."""
+    if not known(scene.fingertip, scene.finger):
+        return
+    named: list[tuple[str, Form]] = [
+        (f"finger[{index}].radii_m", item) for index, item in enumerate(scene.finger) if known(item)
+    ]
+    if scene.fingertip is not None:
+        named.append(("fingertip.radii_m", scene.fingertip))
+    where = next((key for key, tip in named if known(tip.radii_m) and tip.radii_m is not None), None)
+    if where is None:
+        return
+    if known(scene.rolling) and scene.rolling is not None and known(scene.rolling.method):
+        method = scene.rolling.method
+        if method not in ("midpoint", "montana_rk4", "montana_rk45"):
+            yield (
+                "rolling.method",
+                method,
+                f"rolls a sphere, and {where} are an ellipsoid's: choose midpoint, or montana_rk4 for long ticks",
+            )
+    if not known(scene.object):
         return
     for index, item in enumerate(scene.object):
-        if known(item):
-            for key, seen, text in item.tight(scene.fingertip.radius_m):
+        if not known(item):
+            continue
+        if all(known(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
+            yield (
+                f"object[{index}].shape",
+                item.shape,
+                f"as it is cannot be touched by an ellipsoid, and {where} are those of one: planes can, spheres and "
+                "cylinders without ends from outside, and boxes from inside; take one of these, or radius_m",
+            )
+        texture = getattr(item, "texture", None)
+        if known(texture) and texture is not None:
+            yield (
+                f"object[{index}].texture",
+                msgspec.UNSET,
+                f"is felt under a sphere, and {where} are an ellipsoid's: leave it out, or take radius_m",
+            )
+
+
+def _tips(scene: Scene) -> list[Fingertip | Finger]:
+    return [scene.fingertip] if scene.fingertip is not None else [item for item in scene.finger if known(item)]
+
+
+def _tight_faults(scene: Scene) -> Iterator[Complaint]:
+    if not known(scene.fingertip, scene.finger, scene.object):
+        return
+    tips = _tips(scene)
+    radii = [tip.reaches_m[1] for tip in tips if known(tip.radius_m, tip.radii_m)]
+    for index, item in enumerate(scene.object):
+        if known(item) and any(radii):  # what the thickest fits into, all do
+            for key, seen, text in item.tight(max(radii)):
                 yield f"object[{index}].{key}", seen, text
 
 
@@ -100,6 +245,29 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
                 "model limit_surface, or none has",
             )
             return
+
+
+def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
+    """Numbers of torsion that neither the material nor the fingertip's patch gives."""
+    if not known(scene.fingertip, scene.finger, scene.object):
+        return
+    tips = _tips(scene)
+    if not tips or not known(*(tip.patch for tip in tips)):
+        return
+    soft = any(tip.patch is not None for tip in tips)
+    for index, item in enumerate(scene.object):
+        if not known(item) or not known(item.material) or not known(item.material.friction, item.material.torsion):
+            continue
+        torsion, where = item.material.torsion, f"object[{index}].material.torsion"
+        if torsion is None:
+            continue
+        lacking = [key for key in ("stiffness_nm_per_rad", "friction_length_m") if getattr(torsion, key) is None]
+        if not soft:
+            table = "[fingertip.patch]" if scene.fingertip is not None else "[finger.patch]"
+            for key in lacking:
+                yield f"{where}.{key}", msgspec.UNSET, f"is missing: give it, or the fingertip a {table}"
+        elif lacking and item.material.friction is None:
+            yield where, msgspec.UNSET, "follows from the patch and from friction, and there is none: leave it out"
 
 
 def _not_in_the_paper(known_law: str) -> str:

@@ -4,15 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, TypeVar, get_args
 
-import msgspec
+from msgspec import Struct
 
 from softfinger.config import limits
 from softfinger.config.schema.effects import ObjectEffect
-from softfinger.config.schema.fields import Complaint, Component, Coordinate, Length, Table, known, said, sized, within
+from softfinger.config.schema.fields import (
+    Complaint,
+    Component,
+    Coordinate,
+    Length,
+    Table,
+    known,
+    normalise_orientation,
+    said,
+    sized,
+    within,
+)
 from softfinger.config.schema.materials import Material
 from softfinger.config.schema.motions import Motion
+from softfinger.config.schema.textures import Texture
+
+CLOSES = 1e-3
+"""Share of its width by which a texture round a cylinder may miss itself, since sizes are written with a few digits."""
 
 Inside = Annotated[bool, said("touched from inside: a hollow, and the fingertip in it", False)]
 
@@ -21,6 +36,10 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     """What every object has, whatever its shape. A shape adds its own dimensions and its tag."""
 
     shape: ClassVar[str]
+    unrolls: ClassVar[bool] = False
+    """Whether the rolling method `rotation_vector` has its closed form on it."""
+    added: ClassVar[list[type[Struct]]] = []
+    """Tables of shapes from other packages, in `add_shape`'s order."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "name of the object, unlike any other in the scene", "table")]
     position_m: Annotated[
@@ -35,13 +54,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     motion: Annotated[Motion | None, said("how it moves by itself; without this table it stands still")] = None
 
     def __post_init__(self) -> None:
-        if not known(self.orientation_wxyz):
-            return
-        norm = math.hypot(*self.orientation_wxyz)
-        # A quaternion that is unit to the last bits stays as it is, so that a scene survives a round trip.
-        if norm > 0.0 and math.isfinite(norm) and abs(norm - 1.0) > 1e-15:
-            w, x, y, z = self.orientation_wxyz
-            msgspec.structs.force_setattr(self, "orientation_wxyz", (w / norm, x / norm, y / norm, z / norm))
+        normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.orientation_wxyz) and not any(self.orientation_wxyz):
@@ -50,36 +63,83 @@ class ObjectBase(Table, frozen=True, kw_only=True):
         if known(self.name) and not (self.name.isprintable() and self.name.strip()):
             yield "name", self.name, "must have printable characters only, and not blanks alone"
 
+    @property
+    def bears_ellipsoid(self) -> bool:
+        """Whether a fingertip that is an ellipsoid can touch it."""
+        return False
+
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         """What leaves no room for a fingertip of this radius, m, on the side that is touched."""
         yield from ()
 
 
-class Plane(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="plane"):
+class Textured(ObjectBase, frozen=True, kw_only=True):
+    """A shape with coordinates on its surface, along which a texture may lie."""
+
+    texture: Annotated[Texture | None, said("what is fine about its surface; without this table it is even")] = None
+
+    def faults(self) -> Iterator[Complaint]:
+        yield from super().faults()
+        if not known(self.texture, self.material) or self.texture is None or not known(self.material.friction):
+            return
+        if self.texture.friction_scale is not None and self.material.friction is None:
+            yield "texture.friction_scale", self.texture.friction_scale, "needs friction to scale in the material"
+
+
+class Plane(Textured, frozen=True, kw_only=True, tag_field="shape", tag="plane"):
     """A half-space: the plane through the object's origin, outward normal its z axis."""
 
     shape: ClassVar[str] = "plane"
+    unrolls: ClassVar[bool] = True
+
+    @property
+    def bears_ellipsoid(self) -> bool:
+        return True
 
 
 class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphere"):
     """A sphere about the object's origin."""
 
     shape: ClassVar[str] = "sphere"
+    unrolls: ClassVar[bool] = True
     radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the sphere", 0.05)]
     inside: Inside = False
+
+    @property
+    def bears_ellipsoid(self) -> bool:
+        return not self.inside
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         if known(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
             yield "radius_m", self.radius_m, _too_tight(fingertip_m)
 
 
-class Cylinder(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cylinder"):
+class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cylinder"):
     """A cylinder about the object's z axis, centred on its origin, with flat ends or without ends."""
 
     shape: ClassVar[str] = "cylinder"
+    unrolls: ClassVar[bool] = True
     radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the cylinder", 0.05)]
     length_m: Annotated[float, within(limits.LENGTH_M, "from end to end; absent: no ends", 0.2)] | None = None
     inside: Inside = False
+
+    @property
+    def bears_ellipsoid(self) -> bool:
+        return self.length_m is None and not self.inside
+
+    def faults(self) -> Iterator[Complaint]:
+        yield from super().faults()
+        if not known(self.radius_m, self.texture) or self.texture is None or not known(self.texture.size_m):
+            return
+        around, wide = 2.0 * math.pi * self.radius_m, self.texture.size_m[0]
+        if abs(around / wide - max(round(around / wide), 1)) > CLOSES:
+            nearest = around / max(round(around / wide), 1)
+            yield (
+                "texture.size_m",
+                self.texture.size_m,
+                f"goes {around / wide:g} times round the cylinder, must be a whole number of times to meet itself: "
+                f"make it {nearest:.6g} m wide",
+            )
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         if not known(self.inside) or not self.inside:
@@ -94,6 +154,7 @@ class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cap
     """A cylinder about the object's z axis with round ends, centred on its origin."""
 
     shape: ClassVar[str] = "capsule"
+    unrolls: ClassVar[bool] = True
     radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the cylinder and of its ends", 0.02)]
     length_m: Annotated[float, within(limits.LENGTH_M, "between the centres of the ends", 0.1)]
     inside: Inside = False
@@ -103,12 +164,17 @@ class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cap
             yield "radius_m", self.radius_m, _too_tight(fingertip_m)
 
 
-class Box(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="box"):
+class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
     """A box along the object's axes, centred on its origin."""
 
     shape: ClassVar[str] = "box"
+    unrolls: ClassVar[bool] = True
     size_m: Annotated[tuple[Length, Length, Length], said("full lengths of the edges along x, y, z", [0.1, 0.1, 0.04])]
     inside: Inside = False
+
+    @property
+    def bears_ellipsoid(self) -> bool:
+        return self.inside
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         if known(self.size_m, self.inside) and self.inside and min(self.size_m) <= 2.0 * fingertip_m:
@@ -160,8 +226,24 @@ class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus
 def _too_tight(least_m: float, measure: str = "radius", what: str = "") -> str:
     """Why the fingertip does not fit; `least_m` is its radius or diameter."""
     room = f"must be above {least_m:g} m, the {measure} of the fingertip that has to fit in"
-    return f"{what} {room}".strip() + ": widen it, or take a smaller fingertip.radius_m"
+    return f"{what} {room}".strip() + ": widen it, or take a smaller fingertip"
 
 
 Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus
 """Any object: the key `shape` tells them apart."""
+
+Added = TypeVar("Added", bound=type[ObjectBase])
+
+
+def add_shape(table: Added) -> Added:
+    """Let scene files have objects of a shape from another package: a decorator for its table, of ObjectBase.
+
+    To be called before the scene is read. TypeError for a table without a tag, or with one that is taken.
+    """
+    tag = table.__struct_config__.tag
+    if table.__struct_config__.tag_field != "shape" or not isinstance(tag, str) or getattr(table, "shape", None) != tag:
+        raise TypeError(f'{table.__name__}: a shape has tag_field="shape", and a tag that is its class\'s `shape` too')
+    if any(tag == kind.shape for kind in (*get_args(Object), *ObjectBase.added)):
+        raise TypeError(f"{table.__name__}: there is a shape {tag!r} already: take another tag")
+    ObjectBase.added.append(table)
+    return table

@@ -1,57 +1,71 @@
-"""The block of int64 words that a Falcon's C functions share with Python; its address is the device's handle."""
+"""The block of memory that a Falcon's C functions share with Python; its address is the device's handle."""
 
-from typing import Final
+from __future__ import annotations
+
+from typing import Annotated, Final, NamedTuple
 
 from softfinger.drivers.base import SAMPLE_SIZE
+from softfinger.drivers.block import address, counter, lay_out, numbers, octets, word
+from softfinger.drivers.falcon import packets
+from softfinger.drivers.system.libc import TIMESPEC_WORDS
 
-# Words of the block. Counters first.
-REPLIES: Final = 0  # whole packets received
-PASSED: Final = 1  # of these, older ones passed over for a newer
-WRITTEN: Final = 2  # packets sent
-HELD: Final = 3  # forces not sent, because an answer or the bus was late
-KICKS: Final = 4  # zeros sent into a silence
-CUT: Final = 5  # forces that the motors could not give
-GARBLED: Final = 6  # pieces of the stream that were no packet
-UNREACHED: Final = 7  # encoder counts to which no place of the knob belongs
-COUNTERS: Final = ("replies", "passed", "written", "held", "kicks", "cut", "garbled", "unreached")  # in their order
-# Settings:
-CONTEXT: Final = 8  # libusb's
-SUBMIT: Final = 9  # addresses of libusb's functions
-HANDLE_EVENTS: Final = 10
-CANCEL: Final = 11
-IN: Final = 12  # addresses of the transfers
-OUT: Final = 13
-KICK: Final = 14  # ns of silence
-TIMEOUT_AFTER: Final = 15  # ns of silence
-LIGHTS: Final = 16  # bits of the state byte, the homing request among them
-# Shared with other threads:
-OPEN: Final = 17
-ARMED: Final = 18
-LOCK: Final = 19  # held in every exchange
-# Of the exchange:
-IN_DONE: Final = 20  # set by libusb's call back; together with the next, each transfer's user data
-OUT_DONE: Final = 21
-AWAITED: Final = 22  # packets without an answer
-PUSHES: Final = 23  # whether the last packet sent was a force
-SENSED: Final = 24  # whether there is a sample to repeat
-HOMED: Final = 25  # bits of the last reply
-STAYS_HOMED: Final = 26  # the bits were seen without the homing request, so losing them means something
-HEARD_AT: Final = 27  # ns, when the newest reply was taken
-READ_AT: Final = 28  # ns, when the loop last read
-SENT_AT: Final = 29  # ns
-OPENED_AT: Final = 30  # ns
-FILL: Final = 31  # bytes in PACKET
-ERROR: Final = 32  # libusb's, at the failure
-OLDER: Final = 33  # replies still to come that answer packets of before a pause of the loop
-# Memory:
-PACKET: Final = 34  # 16 bytes being put together
-NEWEST: Final = 36  # 16 bytes of the newest reply
-TIMESPEC: Final = 38  # two words, also a struct timeval
-COUNTS: Final = 40  # three, of the newest reply
-POSITION: Final = 43  # three float64: m, device's frame
-CENTRE: Final = 46  # three float64: m, device's frame
-GAIN: Final = 49  # a float64: motor counts per N m
-BUFFER_IN: Final = 50  # 64 bytes
-BUFFER_OUT: Final = 58  # 16 bytes
-SAMPLE: Final = 60  # float64, the last one
-WORDS: Final = SAMPLE + SAMPLE_SIZE
+IN_BYTES: Final = 64
+
+
+class Words(NamedTuple):
+    """What is in the block."""
+
+    replies: Annotated[int, counter("whole packets received")]
+    passed: Annotated[int, counter("of these, older ones passed over for a newer")]
+    written: Annotated[int, counter("packets sent")]
+    held: Annotated[int, counter("forces not sent, because an answer or the bus was late")]
+    kicks: Annotated[int, counter("zeros sent into a silence")]
+    cut: Annotated[int, counter("forces that the motors could not give")]
+    garbled: Annotated[int, counter("pieces of the stream that were no packet")]
+    unreached: Annotated[int, counter("encoder counts to which no place of the knob belongs")]
+    fillers: Annotated[int, counter("replies whose byte before the last, which carries nothing, is not 'A'")]
+    # settings
+    context: Annotated[int, address("libusb's")]
+    submit: Annotated[int, address("libusb's function")]
+    handle_events: Annotated[int, address("the same")]
+    cancel: Annotated[int, address("the same")]
+    transfer_in: Annotated[int, address("the transfer in")]
+    transfer_out: Annotated[int, address("the transfer out")]
+    kick: Annotated[int, word("ns of silence")]
+    timeout_after: Annotated[int, word("ns of silence")]
+    lights: Annotated[int, word("bits of the state byte, the homing request among them")]
+    # shared with other threads
+    open: Annotated[int, word("whether libusb may be called")]
+    armed: Annotated[int, word("whether a force may go out")]
+    stopped: Annotated[int, word("for good: an `arm` after it, or under way beside it, does nothing")]
+    lock: Annotated[int, word("held in every exchange")]
+    # of the exchange
+    in_done: Annotated[int, word("set by libusb's call back; together with the next, each transfer's user data")]
+    out_done: Annotated[int, word("the same")]
+    awaited: Annotated[int, word("packets without an answer")]
+    pushes: Annotated[int, word("whether the last packet sent was a force")]
+    sensed: Annotated[int, word("whether there is a sample to repeat")]
+    homed: Annotated[int, word("bits of the last reply")]
+    stays_homed: Annotated[int, word("the bits were seen without the homing request, so losing them means something")]
+    heard_at: Annotated[int, word("ns, when the newest reply was taken")]
+    read_at: Annotated[int, word("ns, when the loop last read")]
+    sent_at: Annotated[int, word("ns")]
+    opened_at: Annotated[int, word("ns")]
+    fill: Annotated[int, word("bytes in PACKET")]
+    error: Annotated[int, word("libusb's, at the failure")]
+    older: Annotated[int, word("replies still to come that answer packets of before a pause of the loop")]
+    zeroed: Annotated[int, word("a zero went out that the loop did not command, since the last read")]
+    # memory
+    packet: Annotated[int, octets("being put together", packets.SIZE)]
+    newest: Annotated[int, octets("the newest reply", packets.SIZE)]
+    timespec: Annotated[int, numbers("for the clock, also a struct timeval", TIMESPEC_WORDS)]
+    counts: Annotated[int, numbers("of the newest reply", 3)]
+    position: Annotated[int, numbers("m, device's frame", 3)]
+    centre: Annotated[int, numbers("m, device's frame", 3)]
+    gain: Annotated[int, numbers("motor counts per N m", 1)]
+    buffer_in: Annotated[int, octets("of the transfer in", IN_BYTES)]
+    buffer_out: Annotated[int, octets("of the transfer out", packets.SIZE)]
+    sample: Annotated[int, numbers("the last one", SAMPLE_SIZE)]
+
+
+AT: Final = lay_out(Words)

@@ -12,9 +12,11 @@ import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, DeviceIO
-from softfinger.drivers.discovery import Attached
-from softfinger.drivers.falcon import block, delta, exchange, firmware, packets, usb
+from softfinger.drivers.block import Block
+from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
+from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
+from softfinger.drivers.system.discovery import Attached
 
 log: Final = logging.getLogger(__name__)
 
@@ -54,11 +56,12 @@ class Transfer(ctypes.Structure):
 
 
 class Falcon(Device):
-    """An open device on a line behind which firmware runs; it owns the line from now on."""
+    """An open device on a line behind which firmware runs; it owns the line from now on. No force until `arm`."""
 
     def __init__(self, options: Options, line: usb.Line) -> None:
         self._options, self._line = options, line
-        self._word = np.zeros(block.WORDS, dtype=np.int64)
+        self._block = Block(AT)
+        self._word = self._block.word
         self.info = DeviceInfo(
             name=f"Novint Falcon {usb.VENDOR:04x}:{usb.PRODUCT:04x}",
             sensed_dof=3,
@@ -76,12 +79,10 @@ class Falcon(Device):
             if options.counts_per_nm is None:
                 log.warning(
                     "%s: force is not calibrated: %g motor counts per N m are assumed, and the true number may be "
-                    "several times smaller or larger; `counts_per_nm` in the rig sets it (docs/falcon.md)",
+                    "several times smaller or larger; `counts_per_nm` in the rig sets it (docs/devices/falcon.md)",
                     self.info.name, COUNTS_PER_NM,
                 )  # fmt: skip
-            self._word[block.LIGHTS] = packets.GREEN
-            self._word[block.SENSED] = 0  # the first sample is one of the servo's own time
-            self._word[block.ARMED] = 1
+            self._word[AT.sensed] = 0  # the first sample is one of the servo's own time
         except BaseException:
             self.close()
             raise
@@ -93,24 +94,24 @@ class Falcon(Device):
         # pyusb has declared these already, in its own types: called by address, they need none.
         self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(call, "libusb_free_transfer"))
         allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(_address(call, "libusb_alloc_transfer"))
-        word[block.CONTEXT] = libusb.context
-        word[block.SUBMIT] = _address(call, "libusb_submit_transfer")
-        word[block.HANDLE_EVENTS] = _address(call, "libusb_handle_events_timeout_completed")
-        word[block.CANCEL] = _address(call, "libusb_cancel_transfer")
-        word[block.KICK] = round(options.kick_s * 1e9)
-        word[block.TIMEOUT_AFTER] = round(options.timeout_s * 1e9)
-        word[block.OPENED_AT] = time.monotonic_ns()
-        real = word.view(np.float64)
-        real[block.CENTRE : block.CENTRE + 3] = options.centre_m
+        word[AT.context] = libusb.context
+        word[AT.submit] = _address(call, "libusb_submit_transfer")
+        word[AT.handle_events] = _address(call, "libusb_handle_events_timeout_completed")
+        word[AT.cancel] = _address(call, "libusb_cancel_transfer")
+        word[AT.kick] = round(options.kick_s * 1e9)
+        word[AT.timeout_after] = round(options.timeout_s * 1e9)
+        word[AT.opened_at] = time.monotonic_ns()
+        numbers = self._block.numbers
+        numbers(AT.centre, 3)[:] = options.centre_m
         gain = options.counts_per_nm or COUNTS_PER_NM
-        real[block.GAIN] = -gain if options.motors_reversed else gain
-        real[block.POSITION : block.POSITION + 3] = delta.HOME
-        real[block.SAMPLE + 3] = 1.0  # it senses no rotation
-        at = word.ctypes.data
-        word[block.IN_DONE] = word[block.OUT_DONE] = 1  # not under way
+        numbers(AT.gain, 1)[:] = -gain if options.motors_reversed else gain
+        numbers(AT.position, 3)[:] = delta.HOME
+        numbers(AT.sample + 3, 1)[:] = 1.0  # it senses no rotation
+        at = self._block.handle
+        word[AT.in_done] = word[AT.out_done] = 1  # not under way
         for place, endpoint, flag, buffer, length in (
-            (block.IN, usb.ENDPOINT_IN, block.IN_DONE, block.BUFFER_IN, exchange.IN_BYTES),
-            (block.OUT, usb.ENDPOINT_OUT, block.OUT_DONE, block.BUFFER_OUT, packets.SIZE),
+            (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, IN_BYTES),
+            (AT.transfer_out, usb.ENDPOINT_OUT, AT.out_done, AT.buffer_out, packets.SIZE),
         ):
             address = allocate(0)
             if not address:
@@ -120,25 +121,25 @@ class Falcon(Device):
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
             transfer.callback, transfer.user_data = exchange.done.address, at + 8 * flag
             transfer.buffer, transfer.length = at + 8 * buffer, length
-        _under_way[at] = word
-        word[block.OPEN] = 1
+        _under_way[at] = self._block
+        word[AT.open] = 1
         if exchange.begin.ctypes(at) < 0:
-            raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[block.ERROR]}): replug it")
+            raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[AT.error]}): replug it")
 
     def _home(self) -> None:
         """Wait until the device knows where its encoders' zeros are: the user moves the knob out and in."""
         word, read, write = self._word, exchange.read.ctypes, exchange.write.ctypes
-        word[block.LIGHTS] = packets.RED | packets.HOMING
+        word[AT.lights] = packets.RED | packets.HOMING
         pointer = read.argtypes[1]
         sample, zero = np.zeros(SAMPLE_SIZE), np.zeros(6)
         until, told = time.monotonic() + self._options.homing_s, False
         while True:
-            status = read(word.ctypes.data, sample.ctypes.data_as(pointer))
+            status = read(self._block.handle, sample.ctypes.data_as(pointer))
             if status == TIMEOUT:
                 raise DeviceTimeout(f"{self.info.name} does not answer: switch it off and on, then start again")
             if status < 0:
                 raise DeviceLost(f"{self.info.name} is gone (status {status}): plug in its USB cable and its power")
-            if word[block.HOMED] == packets.HOMED:
+            if word[AT.homed] == packets.HOMED:
                 return
             if not told:
                 log.warning(
@@ -150,44 +151,50 @@ class Falcon(Device):
                     f"{self.info.name} was not homed in {self._options.homing_s:g} s: pull the knob out all the way, "
                     "then push it in, until the red light turns green; `homing_s` in the rig gives more time"
                 )
-            write(word.ctypes.data, zero.ctypes.data_as(pointer))
+            write(self._block.handle, zero.ctypes.data_as(pointer))
             time.sleep(PAUSE_S)
 
     def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._word.ctypes.data)
+        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
+
+    def arm(self) -> None:
+        # Nothing in the device counts time: it holds the last packet's light and force, here a zero.
+        if not self._word[AT.stopped]:
+            self._word[AT.lights] = packets.GREEN
+            self._word[AT.armed] = 1
 
     def stop(self) -> None:
         if not self._until_done(exchange.silence):
             log.error("%s: takes no packet for %g s, so no zero either: switch it off", self.info.name, STOP_WAIT_S)
 
     def close(self) -> None:
-        if not self._word[block.IN]:
+        if not self._word[AT.transfer_in]:
             self._line.close()
             return
-        self._word[block.LIGHTS] = packets.RED
-        self._word[block.PUSHES] = 1  # so that a last zero goes out in any case, and the light with it
+        self._word[AT.lights] = packets.RED
+        self._word[AT.pushes] = 1  # so that a last zero goes out in any case, and the light with it
         self.stop()
         if self._until_done(exchange.withdraw):
-            for place in (block.IN, block.OUT):
+            for place in (AT.transfer_in, AT.transfer_out):
                 if self._word[place]:
                     self._free(int(self._word[place]))
-            _under_way.pop(self._word.ctypes.data, None)
-        elif self._word[block.OPEN]:  # a thread is in libusb with the transfers in its hands: nothing may go
+            _under_way.pop(self._block.handle, None)
+        elif self._word[AT.open]:  # a thread is in libusb with the transfers in its hands: nothing may go
             log.error("%s: libusb does not return to the loop: the device stays open", self.info.name)
             return
         else:  # closing takes them from libusb; neither they nor the block are given back
             log.error("%s: libusb does not end its transfers", self.info.name)
-        self._word[block.IN] = self._word[block.OUT] = 0
+        self._word[AT.transfer_in] = self._word[AT.transfer_out] = 0
         self._line.close()
 
     def reason(self) -> str:
-        if self._word[block.STAYS_HOMED] and self._word[block.HOMED] != packets.HOMED:
+        if self._word[AT.stays_homed] and self._word[AT.homed] != packets.HOMED:
             return "it has lost the zeros of its encoders (its power was off?): start again and home it"
-        error = int(self._word[block.ERROR])
+        error = int(self._word[AT.error])
         return f"libusb's error {error}" if error else ""
 
     def counts(self) -> dict[str, int]:
-        return {name: int(self._word[at]) for at, name in enumerate(block.COUNTERS)}
+        return self._block.counts()
 
     @property
     def counts_per_nm(self) -> float:
@@ -196,7 +203,7 @@ class Falcon(Device):
 
     def _until_done(self, function: Any) -> bool:
         until = time.monotonic() + STOP_WAIT_S
-        while not function.ctypes(self._word.ctypes.data):
+        while not function.ctypes(self._block.handle):
             if time.monotonic() > until:
                 return False
             time.sleep(PAUSE_S / 10)

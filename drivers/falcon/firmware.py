@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError
+from softfinger.config.files import read_input
 from softfinger.drivers.falcon import packets, usb
 from softfinger.drivers.falcon.usb import Line
 
@@ -88,10 +89,10 @@ def _file(path: str | None) -> bytes:
     if path is None:
         raise DeviceError(
             "no firmware runs in the Falcon: give the path of its firmware file as `firmware` in the rig's [device] "
-            "table; the file comes with the maker's drivers (docs/falcon.md), and may not come with this program"
+            "table; the maker's drivers have the file (docs/devices/falcon.md), and it may not come with this program"
         )
     try:
-        data = Path(path).expanduser().read_bytes()
+        data = read_input(Path(path).expanduser(), 1 << 20)
     except OSError as error:
         raise DeviceError(f"firmware = {path} cannot be read: {error.strerror}: correct the path in the rig") from error
     if len(data) not in FILE_BYTES:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.native.jit import jit
 
 SIZE: Final = 16
 STATE: Final = 13
@@ -33,7 +33,7 @@ HOMED: Final = 0x70
 COUNT_MAX: Final = 4095
 """Largest motor count."""
 
-_OPEN, _CLOSE, _BASE = 0x3C, 0x3E, 0x41
+_OPEN, _CLOSE, BASE = 0x3C, 0x3E, 0x41
 
 Counts = tuple[int, int, int]
 
@@ -44,9 +44,9 @@ def encode(motors: Counts, state: int, out: Any) -> None:
     out[0] = _OPEN
     for i in range(3):
         for k in range(4):
-            out[1 + 4 * i + k] = _BASE + ((motors[i] >> (4 * k)) & 15)
-    out[STATE] = _BASE + state
-    out[FILLER] = _BASE
+            out[1 + 4 * i + k] = BASE + ((motors[i] >> (4 * k)) & 15)
+    out[STATE] = BASE + state
+    out[FILLER] = BASE
     out[SIZE - 1] = _CLOSE
 
 
@@ -54,14 +54,14 @@ def encode(motors: Counts, state: int, out: Any) -> None:
 def _count(packet: Any, at: int) -> int:
     value = 0
     for k in range(4):
-        value |= (packet[at + k] - _BASE) << (4 * k)
+        value |= (packet[at + k] - BASE) << (4 * k)
     return value - 0x10000 if value >= 0x8000 else value
 
 
 @jit
 def decode(packet: Any) -> tuple[Counts, int]:
     """Encoder counts (3,) and bits of a packet (16,) uint8 that `assemble` has found to be one."""
-    return (_count(packet, 1), _count(packet, 5), _count(packet, 9)), int(packet[STATE]) - _BASE
+    return (_count(packet, 1), _count(packet, 5), _count(packet, 9)), int(packet[STATE]) - BASE
 
 
 @jit
@@ -79,11 +79,11 @@ def assemble(byte: int, fill: int, packet: Any) -> tuple[int, bool]:
     if fill == 0:
         return 0, True
     if fill < STATE:
-        good = _BASE <= byte < _BASE + 16
+        good = BASE <= byte < BASE + 16
     elif fill == STATE:
-        good = _BASE <= byte < _BASE + 128
+        good = BASE <= byte < BASE + 128
     elif fill == FILLER:
-        good = byte == _BASE
+        good = True  # it carries nothing, and nobody has said that it is always the same
     else:
         good = byte == _CLOSE
     if not good:

@@ -8,28 +8,31 @@ from __future__ import annotations
 from math import nan
 
 from softfinger.drivers.base import FORCE_OFF, OK, SAMPLE_BUTTONS, SAMPLE_TIME
-from softfinger.drivers.falcon import block, delta, packets
-from softfinger.proxy.kernels import vec3
-from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.memory import float64_at, int64_at, uint8_at
+from softfinger.drivers.falcon import delta, packets
+from softfinger.drivers.falcon.block import AT
+from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.memory import float64_at, int64_at, uint8_at
 
 
 @jit
 def feed(handle: int, byte: int) -> bool:
     """Take one byte of the device's stream; whether it ends a reply, which is then in NEWEST."""
     word = int64_at(handle)
-    fill, garbled = packets.assemble(byte, word[block.FILL], uint8_at(handle + 8 * block.PACKET))
+    fill, garbled = packets.assemble(byte, word[AT.fill], uint8_at(handle + 8 * AT.packet))
     if garbled:
-        word[block.GARBLED] += 1
-    word[block.FILL] = fill
+        word[AT.garbled] += 1
+    word[AT.fill] = fill
     if fill < packets.SIZE:
         return False
-    word[block.FILL] = 0
-    word[block.NEWEST], word[block.NEWEST + 1] = word[block.PACKET], word[block.PACKET + 1]
-    word[block.REPLIES] += 1
-    if word[block.AWAITED] > 0:
-        word[block.AWAITED] -= 1
+    word[AT.fill] = 0
+    word[AT.newest], word[AT.newest + 1] = word[AT.packet], word[AT.packet + 1]
+    word[AT.replies] += 1
+    if uint8_at(handle + 8 * AT.newest)[packets.FILLER] != packets.BASE:
+        word[AT.fillers] += 1
+    if word[AT.awaited] > 0:
+        word[AT.awaited] -= 1
     return True
 
 
@@ -51,33 +54,33 @@ def pose(handle: int) -> int:
     Counts to which no place belongs give NaN, which the guard answers with zero force.
     """
     word = int64_at(handle)
-    counts, state = packets.decode(uint8_at(handle + 8 * block.NEWEST))
+    counts, state = packets.decode(uint8_at(handle + 8 * AT.newest))
     homed = state & packets.HOMED
-    word[block.HOMED] = homed
-    if word[block.LIGHTS] & packets.HOMING == 0 and word[block.ARMED] != 0:
+    word[AT.homed] = homed
+    if word[AT.lights] & packets.HOMING == 0 and word[AT.armed] != 0:
         if homed == packets.HOMED:
-            word[block.STAYS_HOMED] = 1
-        elif word[block.STAYS_HOMED] != 0:
+            word[AT.stays_homed] = 1
+        elif word[AT.stays_homed] != 0:
             return FORCE_OFF
     for k in range(3):
-        word[block.COUNTS + k] = counts[k]
-    at = float64_at(handle + 8 * block.POSITION)
+        word[AT.counts + k] = counts[k]
+    at = float64_at(handle + 8 * AT.position)
     angle = (
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[0],
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[1],
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[2],
     )
     p, found = delta.forward(angle, (at[0], at[1], at[2]))
-    kept = float64_at(handle + 8 * block.SAMPLE)
+    kept = float64_at(handle + 8 * AT.sample)
     if found:
-        centre = float64_at(handle + 8 * block.CENTRE)
+        centre = float64_at(handle + 8 * AT.centre)
         place = _to_world(vec3.sub(p, (centre[0], centre[1], centre[2])))
     else:
-        word[block.UNREACHED] += 1
+        word[AT.unreached] += 1
         p, place = delta.HOME, (nan, nan, nan)
     for k in range(3):
         at[k], kept[k] = p[k], place[k]
-    kept[SAMPLE_TIME] = (word[block.HEARD_AT] - word[block.OPENED_AT]) * 1e-9
+    kept[SAMPLE_TIME] = (word[AT.heard_at] - word[AT.opened_at]) * 1e-9
     kept[SAMPLE_BUTTONS] = float(state & packets.BUTTONS)
     return OK
 
@@ -101,5 +104,5 @@ def motor_counts(gain: float, place: Vec3, force: Vec3) -> tuple[packets.Counts,
 @jit
 def command(handle: int, force: Vec3) -> tuple[packets.Counts, bool]:
     """Motor counts (3,) for a force (3,) N in the world's frame where the knob is now, and whether it was limited."""
-    at = float64_at(handle + 8 * block.POSITION)
-    return motor_counts(float64_at(handle + 8 * block.GAIN)[0], (at[0], at[1], at[2]), _to_device(force))
+    at = float64_at(handle + 8 * AT.position)
+    return motor_counts(float64_at(handle + 8 * AT.gain)[0], (at[0], at[1], at[2]), _to_device(force))

@@ -128,7 +128,8 @@ def open_line(serial: str | None, node: str | None = None) -> Line:
         found: list[Any] = list(usb.core.find(find_all=True, idVendor=VENDOR, idProduct=PRODUCT))
     except usb.core.NoBackendError as error:
         raise DeviceError(
-            "libusb is not installed, and the Falcon is reached through it: `apt install libusb-1.0-0`"
+            "libusb is not installed or cannot be loaded, and the Falcon is reached through it: "
+            "`apt install libusb-1.0-0`"
         ) from error
     except usb.core.USBError as error:
         raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb is there") from error

@@ -2,9 +2,6 @@
 
 `models` says what each device can do, `library` finds and declares the maker's functions, `usb` sees what is attached
 without it, `exchange` is what the servo loop calls, `device` opens, sets up, stops and closes.
+
+Nothing of the maker's is in here: its library is looked for when a device is opened, and may be absent.
 """
-
-from softfinger.drivers.forcedimension.device import ForceDimension, identify, open_device
-from softfinger.drivers.forcedimension.options import Options
-
-__all__ = ["ForceDimension", "Options", "identify", "open_device"]

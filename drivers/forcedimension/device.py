@@ -1,7 +1,8 @@
 """A device of Force Dimension, opened through the maker's library.
 
 The order of opening is the maker's: open, calibrate if that is needed and allowed, end the library's own regulation,
-settings, force on. Whatever fails on the way, the device is stopped and closed again.
+settings. Whatever fails on the way, the device is stopped and closed again. Force and watchdog come with `arm`: the
+watchdog counts real time since the last force, and between opening and the first tick lie kernels to compile.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Final, NoReturn
 
 import numpy as np
@@ -24,16 +26,19 @@ from softfinger.config.errors import (
     DeviceTimeout,
 )
 from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
-from softfinger.drivers.discovery import Attached
+from softfinger.drivers.block import Block
 from softfinger.drivers.forcedimension import exchange, library, usb
-from softfinger.drivers.forcedimension.models import MODELS, Model
+from softfinger.drivers.forcedimension.block import AT
+from softfinger.drivers.forcedimension.models import Model, model_of
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
+from softfinger.drivers.system.discovery import Attached
 
 log: Final = logging.getLogger(__name__)
 
 TORQUE_MAX_NM: Final = 1e2
 """Where no motor turns the handle, torque is taken and not sent: it belongs to the contact and to telemetry."""
 
+ZERO: Final = (0.0,) * 7
 ZERO_TRIES: Final = 20
 LOCK_WAIT_S: Final = 0.1
 """How long `stop` waits for an exchange under way; one that takes longer hangs, and the device is stopped over it."""
@@ -41,34 +46,32 @@ LOCK_WAIT_S: Final = 0.1
 HANG_WAIT_S: Final = 0.3
 """How long a call over a hanging one is waited for: the library may let it wait too."""
 
+NO_WATCHDOG: Final = (
+    "firmware before 3.0 has no watchdog, and then nothing takes the force off if this program is killed: keep a hand "
+    "at the force button and set watchdog_s = 0 in the rig's [device] table, or have the maker renew the firmware"
+)
+
 LOOP_CALLS: Final = {
-    exchange.GET_FRAME: "dhdGetPositionAndOrientationFrame",
-    exchange.GET_BUTTONS: "dhdGetButtonMask",
-    exchange.GET_GRIPPER: "dhdGetGripperAngleRad",
-    exchange.GET_STATUS: "dhdGetStatus",
-    exchange.GET_ERROR: "dhdErrorGetLast",
-    exchange.SET_WRENCH: "dhdSetForceAndTorqueAndGripperForce",
-}
-
-
-COUNTERS: Final = {
-    "reads": exchange.READS,
-    "reads_guarded": exchange.READS_GUARDED,
-    "writes": exchange.WRITES,
-    "writes_guarded": exchange.WRITES_GUARDED,
-    "saturated": exchange.SATURATED,
+    AT.get_frame: "dhdGetPositionAndOrientationFrame",
+    AT.get_position: "dhdGetPosition",
+    AT.get_buttons: "dhdGetButtonMask",
+    AT.get_gripper: "dhdGetGripperAngleRad",
+    AT.get_status: "dhdGetStatus",
+    AT.get_error: "dhdErrorGetLast",
+    AT.set_wrench: "dhdSetForceAndTorqueAndGripperForce",
 }
 
 
 class ForceDimension(Device):
-    """An open device with its force on. `stop` takes the force off for good: to go on, open it again."""
+    """An open device, its force off until `arm`. `stop` takes the force off for good: to go on, open it again."""
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
         self._library = _load(options.library_file)
         self._options = options
-        self._word = np.zeros(exchange.WORDS, dtype=np.int64)
-        self._word[exchange.CAUSE] = -1
+        self._block = Block(AT)
+        self._word = self._block.word
+        self._word[AT.cause] = -1
         self._id, self._model = _find(self._library, options)
         try:
             self._set_up(rate_hz)
@@ -78,19 +81,30 @@ class ForceDimension(Device):
             raise
 
     def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._word.ctypes.data)
+        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
+
+    def arm(self) -> None:
+        block = self._block.handle
+        if not exchange.lock.ctypes(block):
+            return  # who holds it is stopping the device, and that is for good
+        try:
+            self._switch_on()
+        finally:
+            exchange.unlock.ctypes(block)
 
     def stop(self) -> None:
-        if not self._word[exchange.ARMED]:
+        if self._word[AT.stopped]:
             return
-        self._word[exchange.ARMED] = 0  # before the lock: no force of the loop's follows the zero
-        self._alone(self._take_force_off)
+        self._word[AT.stopped] = 1  # before the lock: no force of the loop's follows the zero
+        self._word[AT.armed] = 0
+        if self._word[AT.open]:
+            self._alone(self._take_force_off)
 
     def close(self) -> None:
         self.stop()
-        if not self._word[exchange.OPEN]:
+        if not self._word[AT.open]:
             return
-        self._word[exchange.OPEN] = 0
+        self._word[AT.open] = 0
         self._alone(lambda: self._library.drdClose(self._id))
         reads, repeated, writes, held, cut = self.counts().values()
         if repeated or held or cut:
@@ -101,35 +115,49 @@ class ForceDimension(Device):
 
     def reason(self) -> str:
         said = []
-        if self._word[exchange.ERROR]:
-            number = int(self._word[exchange.ERROR])
+        if self._word[AT.error]:
+            number = int(self._word[AT.error])
             text = self._library.dhdErrorGetStr(number) or b""
             said.append(f"the library's error {number}, {text.decode(errors='replace')}")
-        cause = int(self._word[exchange.CAUSE])
+        cause = int(self._word[AT.cause])
         if cause >= 0:
             said.append(library.FORCE_OFF_CAUSES.get(cause, f"the device gives no cause ({cause})"))
-        if self._word[exchange.FAULTY]:
-            said.append(f"its error word is {self._word[exchange.FAULTY]}")
+        if self._word[AT.faulty]:
+            said.append(f"its error word is {self._word[AT.faulty]}")
         return "; ".join(said)
 
     def counts(self) -> dict[str, int]:
-        return {name: int(self._word[at]) for name, at in COUNTERS.items()}
+        return self._block.counts()
 
     def _take_force_off(self) -> None:
         call = self._library
         for _ in range(ZERO_TRIES):
             # 1, TIMEGUARD, may mean that it was held back; -1 that the device is gone.
-            if call.dhdSetForceAndTorqueAndGripperForce(*(0.0,) * 7, self._id) in (0, 2):
+            if call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id) in (0, 2):
                 break
             time.sleep(0.001)
         call.dhdEnableForce(0, self._id)
-        call.dhdStop(self._id)
-        if self._options.brakes:
-            call.dhdSetBrakes(1, self._id)
+        call.dhdStop(self._id)  # into brake mode
+        if not self._options.brakes:
+            call.dhdSetBrakes(0, self._id)
+
+    def _switch_on(self) -> None:
+        call, word = self._library, self._word
+        word[AT.armed] = 1
+        try:
+            self._set_watchdog(self._options.watchdog_s)
+            # A watchdog may mind the force before the one that switches it on; whether one is taken yet, nobody says.
+            call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id)
+            if not word[AT.stopped]:
+                self._do("dhdEnableForce", call.dhdEnableForce, 1)
+                self._do("dhdSetForceAndTorqueAndGripperForce", call.dhdSetForceAndTorqueAndGripperForce, *ZERO)
+        finally:
+            if word[AT.stopped]:  # over a call of these that hung, so what it did came after the stop
+                self._take_force_off()
 
     def _alone(self, work: Callable[[], object]) -> None:
         """Run `work` while the loop is not in the library; where a call of the loop hangs, over it."""
-        block = self._word.ctypes.data
+        block = self._block.handle
         deadline = time.monotonic() + LOCK_WAIT_S
         while not exchange.lock.ctypes(block):
             if time.monotonic() > deadline:
@@ -152,24 +180,44 @@ class ForceDimension(Device):
 
     def _set_up(self, rate_hz: float) -> None:
         call, options, word = self._library, self._options, self._word
-        word[exchange.ID] = self._id
-        word[exchange.OPEN] = 1
-        word[exchange.STARTED_NS] = time.monotonic_ns()
-        word[exchange.STATUS_EVERY] = max(1, round(options.status_period_s * rate_hz))
-        word[exchange.HAS_GRIPPER] = call.dhdHasGripper(self._id)
-        word[exchange.TURNS] = call.dhdHasActiveWrist(self._id)
+        word[AT.id] = self._id
+        word[AT.open] = 1
+        word[AT.started_at] = time.monotonic_ns()
+        word[AT.status_every] = max(1, round(options.status_period_s * rate_hz))
+        word[AT.has_gripper] = call.dhdHasGripper(self._id)
+        word[AT.turns] = call.dhdHasActiveWrist(self._id) and self._model.limits.torque_max_nm > 0.0
         for place, name in LOOP_CALLS.items():
             word[place] = library.address(call, name)
+        if not self._model.name:
+            log.warning(
+                "%s: its limits are not known, so it gets the least of any: %g N, no torque; begin with a soft scene",
+                self._model.full_name, self._model.limits.force_max_n,
+            )  # fmt: skip
+        self._choose_pose()
         self._calibrate()
         self._do("drdStop", call.drdStop, True)  # ends the library's regulation, leaves the force to us
+        self._do("dhdEnableForce", call.dhdEnableForce, 0)  # one that a killed program left on, too
+        if call.dhdSetBrakes(int(options.brakes), self._id) not in library.SUCCESS and not options.brakes:
+            log.warning("%s: refuses to take its brakes off, so brakes = false is not kept", self._model.full_name)
         self._do("dhdSetGravityCompensation", call.dhdSetGravityCompensation, int(options.gravity_compensation))
         self._do("dhdSetMaxForce", call.dhdSetMaxForce, self._model.limits.force_max_n)
-        self._guard_by_device()
-        if options.brakes:
-            self._do("dhdSetBrakes", call.dhdSetBrakes, 0)
-        word[exchange.ARMED] = 1  # from here on a failure has to take the force off
-        self._do("dhdEnableForce", call.dhdEnableForce, 1)
-        self._do("dhdSetForceAndTorqueAndGripperForce", call.dhdSetForceAndTorqueAndGripperForce, *(0.0,) * 7)
+        self._set_watchdog(0.0)  # until `arm`; a device that has none says so here
+        if options.velocity_threshold is not None:
+            with self._expert():
+                self._do("dhdSetVelocityThreshold", call.dhdSetVelocityThreshold, options.velocity_threshold)
+
+    def _choose_pose(self) -> None:
+        """The frame is documented for devices with a wrist: others may give their position alone."""
+        call, word = self._library, self._word
+        at = word[AT.frame :].view(np.float64)
+        at[3:12] = np.eye(3).ravel()
+        place = [at[k:].ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for k in range(4)]
+        word[AT.has_frame] = (
+            call.dhdHasWrist(self._id)
+            or call.dhdGetPositionAndOrientationFrame(*place, self._id) in library.SUCCESS
+            or call.dhdGetPosition(*place[:3], self._id) not in library.SUCCESS  # neither: the loop will say why
+        )
+        at[3:12] = np.eye(3).ravel()
 
     def _calibrate(self) -> None:
         if self._library.drdIsInitialized(self._id):
@@ -182,31 +230,35 @@ class ForceDimension(Device):
         log.warning("%s calibrates itself now: it moves, keep clear", self._model.full_name)
         self._do("drdAutoInit", self._library.drdAutoInit)
 
-    def _guard_by_device(self) -> None:
-        """Watchdog and velocity threshold, which the library lets only experts set."""
-        call, options = self._library, self._options
-        if call.dhdEnableExpertMode() < 0:
+    def _set_watchdog(self, seconds: float) -> None:
+        with self._expert():
+            code = self._library.dhdSetWatchdog(round(seconds / WATCHDOG_UNIT_S), self._id)
+            if code not in library.SUCCESS and self._options.watchdog_s > 0.0:
+                self._refused("dhdSetWatchdog", NO_WATCHDOG)
+
+    @contextmanager
+    def _expert(self) -> Iterator[None]:
+        """The library lets only experts set some things; what fails in here is told before the mode is left."""
+        if self._library.dhdEnableExpertMode() < 0:
             self._refused("dhdEnableExpertMode")
         try:
-            self._do("dhdSetWatchdog", call.dhdSetWatchdog, round(options.watchdog_s / WATCHDOG_UNIT_S))
-            if options.velocity_threshold is not None:
-                self._do("dhdSetVelocityThreshold", call.dhdSetVelocityThreshold, options.velocity_threshold)
+            yield
         finally:
-            call.dhdDisableExpertMode()
+            self._library.dhdDisableExpertMode()
 
     def _do(self, name: str, function: Callable[..., int], *arguments: Any) -> None:
         if function(*arguments, self._id) not in library.SUCCESS:
             self._refused(name)
 
-    def _refused(self, name: str) -> NoReturn:
+    def _refused(self, name: str, advice: str = "switch it off and on, then start again") -> NoReturn:
         what = f"{self._model.full_name} refused {name}: {library.error_text(self._library)}"
         if self._library.dhdErrorGetLast() == library.ERROR_TIMEOUT:
             raise DeviceTimeout(f"{what}: check cable and power, then start again")
-        raise DeviceError(f"{what}: switch it off and on, then start again")
+        raise DeviceError(f"{what}: {advice}")
 
     def _info(self) -> DeviceInfo:
         call, limits = self._library, self._model.limits
-        wrist, turns = call.dhdHasWrist(self._id), bool(self._word[exchange.TURNS])
+        wrist, turns = call.dhdHasWrist(self._id), bool(self._word[AT.turns])
         reach = limits.workspace_radius_m
         return DeviceInfo(
             name=f"{self._model.full_name}, serial {_serial(call, self._id)}",
@@ -263,15 +315,13 @@ def _find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
             failed = failed or _not_opened(call, number)
             continue
         try:
-            kind, serial = call.dhdGetSystemType(device), _serial(call, device)
-            model = MODELS.get(kind)
-            wanted = options.serial in (None, serial) and (model is None or options.model in (None, model.name))
-            if wanted and model is not None:
+            model, serial = model_of(call.dhdGetSystemType(device)), _serial(call, device)
+            if options.serial in (None, serial) and options.model in (None, model.name):
                 return device, model
         except BaseException:
             call.drdClose(device)
             raise
-        passed.append(f"{model.full_name if model else f'a device of unknown type {kind}'}, serial {serial}")
+        passed.append(f"{model.full_name}, serial {serial}")
         call.drdClose(device)
     if failed is not None:
         raise failed

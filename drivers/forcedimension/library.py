@@ -64,6 +64,7 @@ PROTOTYPES: Final[Mapping[str, tuple[Any, tuple[Any, ...]]]] = {
     "dhdStop": (c_int, (_ID,)),
     "dhdGetStatus": (c_int, (POINTER(c_int), _ID)),
     "dhdGetPositionAndOrientationFrame": (c_int, (_DOUBLE, _DOUBLE, _DOUBLE, _DOUBLE, _ID)),
+    "dhdGetPosition": (c_int, (_DOUBLE, _DOUBLE, _DOUBLE, _ID)),
     "dhdGetButtonMask": (c_uint, (_ID,)),
     "dhdGetGripperAngleRad": (c_int, (_DOUBLE, _ID)),
     "dhdSetForceAndTorqueAndGripperForce": (c_int, (*(c_double,) * 7, _ID)),
@@ -87,7 +88,7 @@ def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.C
     """
     if named is not None:
         path = Path(named).expanduser()
-        if not path.is_file():
+        if not os.path.isfile(path):  # also where this user may not look
             raise DeviceNotFound(f"library_file = '{named}': there is no such file; {_advice()}")
         return _declared(_opened(str(path)), str(path))
     for pattern in patterns(environ):

@@ -1,7 +1,8 @@
 """What each of Force Dimension's devices can do, by the number its library gives it.
 
-Limits: the recommended maxima of CHAI3D's driver for omega, delta.3, sigma.7 and lambda.7. The other sigma and lambda
-are assumed to have those of their .7; for the damping of a lambda nothing is published, so it has what the others have.
+Numbers: those of the maker's header, and those that CHAI3D's driver takes beside them. Limits: the recommended maxima
+of that driver for omega, delta.3, sigma.7 and lambda.7. The other sigma and lambda are assumed to have those of their
+.7.
 """
 
 from __future__ import annotations
@@ -33,6 +34,13 @@ SIGMA_3: Final = Limits(12.0, 0.0, 4000.0, 30.0, 0.075)
 SIGMA_7: Final = SIGMA_3._replace(torque_max_nm=0.2)
 LAMBDA_3: Final = Limits(12.0, 0.0, 8000.0, 30.0, 0.1125)
 LAMBDA_7: Final = LAMBDA_3._replace(torque_max_nm=0.2)
+UNKNOWN: Final = Limits(8.0, 0.0, 3000.0, 20.0, 0.04)
+"""For a device of a number that is not listed: the least that CHAI3D has for any device of this library (its Falcon),
+and no torque."""
+
+_SIGMA_6_RIGHT, _SIGMA_6_LEFT = (Model("sigma.6", f"sigma.6 {hand}", SIGMA_7) for hand in ("right", "left"))
+_SIGMA_7_RIGHT, _SIGMA_7_LEFT = (Model("sigma.7", f"sigma.7 {hand}", SIGMA_7) for hand in ("right", "left"))
+_LAMBDA_7_RIGHT, _LAMBDA_7_LEFT = (Model("lambda.7", f"lambda.7 {hand}", LAMBDA_7) for hand in ("right", "left"))
 
 MODELS: Final = {
     33: Model("omega.3", "omega.3", OMEGA),
@@ -42,12 +50,27 @@ MODELS: Final = {
     37: Model("omega.7", "omega.7 left", OMEGA),
     63: Model("delta.3", "delta.3", DELTA),
     206: Model("sigma.3", "sigma.3", SIGMA_3),
-    104: Model("sigma.7", "sigma.7 right", SIGMA_7),
-    105: Model("sigma.7", "sigma.7 left", SIGMA_7),
+    104: _SIGMA_7_RIGHT,
+    105: _SIGMA_7_LEFT,
     203: Model("lambda.3", "lambda.3", LAMBDA_3),
     131: Model("lambda.6", "lambda.6 right", LAMBDA_3),
     132: Model("lambda.6", "lambda.6 left", LAMBDA_3),
-    108: Model("lambda.7", "lambda.7 right", LAMBDA_7),
-    109: Model("lambda.7", "lambda.7 left", LAMBDA_7),
+    108: _LAMBDA_7_RIGHT,
+    109: _LAMBDA_7_LEFT,
+    # What follows is in CHAI3D's driver alone.
+    110: Model("omega.3", "omega.3", OMEGA),
+    111: Model("delta.3", "delta.3", DELTA),
+    133: Model("sigma.3", "sigma.3", SIGMA_3),
+    115: _SIGMA_6_RIGHT,
+    116: _SIGMA_6_LEFT,
+    **dict.fromkeys((102, 209), _SIGMA_7_RIGHT),
+    103: _SIGMA_7_LEFT,
+    **dict.fromkeys((112, 114, 117, 119, 121, 123, 125, 127, 129, 210), _LAMBDA_7_RIGHT),
+    **dict.fromkeys((113, 118, 120, 122, 124, 126, 128, 130, 211), _LAMBDA_7_LEFT),
 }
 """By `dhdGetSystemType`."""
+
+
+def model_of(kind: int) -> Model:
+    """The model of a number of `dhdGetSystemType`; one without a name, with the least limits, where none is known."""
+    return MODELS.get(kind) or Model("", f"device of unknown type {kind}", UNKNOWN)

@@ -20,12 +20,14 @@ STATUS_S: Final = Range(0.001, 1.0, "asked at most every tick; a second is long 
 class Options(Table, frozen=True, kw_only=True):
     """Which device, which library, and what may be done to it. What moves the device or its weight is off."""
 
-    library_file: Annotated[str, said("file of libdrd; absent: looked for, see docs/forcedimension.md")] | None = None
+    library_file: (
+        Annotated[str, said("file of libdrd; absent: looked for, see docs/devices/forcedimension.md")] | None
+    ) = None
     model: (
         Annotated[
             Literal[
                 "omega.3", "omega.6", "omega.7", "delta.3",
-                "sigma.3", "sigma.7", "lambda.3", "lambda.6", "lambda.7",
+                "sigma.3", "sigma.6", "sigma.7", "lambda.3", "lambda.6", "lambda.7",
             ],
             said("the only kind of device to accept", "omega.6"),
         ]
@@ -37,7 +39,7 @@ class Options(Table, frozen=True, kw_only=True):
     gravity_compensation: Annotated[bool, said("let the library carry the handle's weight, on top of the force")] = (
         False
     )
-    brakes: Annotated[bool, said("brake the handle electrically when the force is off")] = False
+    brakes: Annotated[bool, said("the handle drags while the force is off; false: it is let go, and falls")] = True
     watchdog_s: Annotated[float, within(WATCHDOG_S, "the device turns force off after so long without one", 0.03)] = (
         0.03
     )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
+
+from softfinger.drivers.system import discovery
 
 VENDOR: Final = 0x1451
 PRODUCTS: Final = {0x0402: "omega.x haptic device", 0x0301: "omega.x", 0x040C: "lambda"}
@@ -28,14 +30,8 @@ class Attached(NamedTuple):
 
 def attached() -> list[Attached]:
     """Every device of the vendor. Empty also where there is no USB, or no libusb to look with."""
-    import usb.core
-
     found: list[Attached] = []
-    try:
-        devices: list[Any] = list(usb.core.find(find_all=True, idVendor=VENDOR))
-    except usb.core.USBError:  # NoBackendError is one of them: no libusb, and no USB to look at
-        return found
-    for device in devices:
+    for device in discovery.seen_by_pyusb(idVendor=VENDOR):
         node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
         name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
         permitted = not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK, effective_ids=True)

@@ -3,9 +3,6 @@
 What a rig may say is in `options`, the bytes in `reports`, the arm in `chain`, the exchange of a tick in `exchange`.
 The way to the device is chosen in `link`: the system's node in `node`, or `usb` without one, and `pump` where threads
 carry the reports. `device` puts them together.
+
+What every board on a file descriptor does is not in here but in `drivers.conversation`.
 """
-
-from softfinger.drivers.hid.device import HidDevice, open_device
-from softfinger.drivers.hid.options import Options
-
-__all__ = ["HidDevice", "Options", "open_device"]

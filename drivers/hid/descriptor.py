@@ -1,64 +1,26 @@
-"""The reports that a HID report descriptor announces: how long each is, and whether they are those of a rig.
+"""Whether a device that is attached has the reports that a rig describes; its ids alone do not tell.
 
-Source: Device Class Definition for Human Interface Devices 1.11, section 6.2.2.
+Boards of one vendor share their ids with other programs, and one board may have several interfaces under them.
 """
 
 from __future__ import annotations
 
-from typing import Final, Literal, NamedTuple
-
 from softfinger.config.errors import DeviceError
-from softfinger.drivers.hid.options import Reports
-
-Kind = Literal["input", "output"]
-
-_MAIN: Final[dict[int, Kind]] = {0x80: "input", 0x90: "output"}
-_REPORT_SIZE, _REPORT_ID, _REPORT_COUNT, _PUSH, _POP = 0x74, 0x84, 0x94, 0xA4, 0xB4
-_LONG: Final = 0xFE
+from softfinger.drivers.hid.options import Reports, library_lengths
+from softfinger.drivers.system.descriptor import Announced, announced
 
 
-class Announced(NamedTuple):
-    """Report lengths in bytes without the id, by id (0: not numbered)."""
-
-    input: dict[int, int]
-    output: dict[int, int]
-
-    def __str__(self) -> str:
-        return f"input {_listed(self.input)}, output {_listed(self.output)}"
+def lengths(reports: Reports) -> Announced:
+    """The reports that a rig describes."""
+    return Announced({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
 
 
-def announced(descriptor: bytes) -> Announced:
-    """The reports of a descriptor. ValueError when its items do not add up to its length."""
-    bits: dict[Kind, dict[int, int]] = {"input": {}, "output": {}}
-    size = count = number = 0
-    kept: list[tuple[int, int, int]] = []
-    at = 0
-    while at < len(descriptor):
-        prefix = descriptor[at]
-        if prefix == _LONG:
-            at += 3 + descriptor[at + 1] if at + 1 < len(descriptor) else 3
-            continue
-        length = (0, 1, 2, 4)[prefix & 3]
-        data = descriptor[at + 1 : at + 1 + length]
-        if len(data) != length:
-            raise ValueError(f"item 0x{prefix:02x} at byte {at} of {len(descriptor)} is cut off")
-        value, tag = int.from_bytes(data, "little"), prefix & 0xFC
-        if tag in _MAIN:
-            lengths = bits[_MAIN[tag]]
-            lengths[number] = lengths.get(number, 0) + size * count
-        elif tag == _REPORT_SIZE:
-            size = value
-        elif tag == _REPORT_ID:
-            number = value
-        elif tag == _REPORT_COUNT:
-            count = value
-        elif tag == _PUSH:
-            kept.append((size, count, number))
-        elif tag == _POP and kept:
-            size, count, number = kept.pop()
-        at += 1 + length
-    lengths_in, lengths_out = ({n: (b + 7) // 8 for n, b in bits[kind].items()} for kind in ("input", "output"))
-    return Announced(lengths_in, lengths_out)
+def fits(descriptor: bytes, reports: Reports) -> bool:
+    """Whether a descriptor announces the reports of a rig; one that is not known may be anything."""
+    try:
+        return not descriptor or announced(descriptor).has(lengths(reports))
+    except ValueError:
+        return True  # opening says that it is damaged
 
 
 def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
@@ -67,16 +29,12 @@ def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
         theirs = announced(descriptor)
     except ValueError as error:
         raise DeviceError(f"{path}: its report descriptor is damaged: {error}") from error
-    ours = Announced({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
-    for mine, has in ((ours.input, theirs.input), (ours.output, theirs.output)):
-        if not mine.items() <= has.items():
-            raise DeviceError(
-                f"{path} has other reports than the rig: the device announces {theirs}; the rig describes {ours}: "
-                f"correct [device.reports] (descriptor {descriptor.hex()})"
-            )
-
-
-def _listed(lengths: dict[int, int]) -> str:
-    if not lengths:
-        return "none"
-    return " and ".join(f"{length} bytes" + (f" with id {n}" if n else "") for n, length in sorted(lengths.items()))
+    ours = lengths(reports)
+    if theirs.has(ours):
+        return
+    known = [name for name, one in library_lengths().items() if theirs.has(one)]
+    hint = f'set reports to "{known[0]}", whose they are' if known else "correct [device.reports]"
+    raise DeviceError(
+        f"{path} has other reports than the rig: the device announces {theirs}; the rig describes {ours}: "
+        f"{hint} (descriptor {descriptor.hex()})"
+    )

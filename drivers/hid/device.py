@@ -5,26 +5,26 @@ from __future__ import annotations
 import logging
 import os
 import time
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceIO
+from softfinger.drivers.block import Block
+from softfinger.drivers.conversation import TALK, Times, begin, info_of
 from softfinger.drivers.hid import exchange, reports
 from softfinger.drivers.hid.chain import Chain, make_chain
-from softfinger.drivers.hid.exchange import Model
+from softfinger.drivers.hid.exchange import AT, Model
 from softfinger.drivers.hid.link import open_link
 from softfinger.drivers.hid.options import Chain as ChainOptions
 from softfinger.drivers.hid.options import Options, OutputReport
 from softfinger.drivers.hid.pump import Pump
-from softfinger.proxy.kernels.pack import flatten
+from softfinger.proxy.kernels.native.pack import flatten
 
 log: Final = logging.getLogger(__name__)
 
-TORQUE_MAX_NM: Final = 1e2
-"""No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry."""
 STOP_WAIT_S: Final = 1.0
 """How long a stop waits for a write under way. One that takes longer hangs in the kernel."""
 PRESET_WAIT_S: Final = 1.0
@@ -35,69 +35,57 @@ PRESET_NEAR: Final = 20.0
 class HidDevice(Device):
     """An open device on the file descriptor `fd`, which it owns from now on: of its node, or of `pump`, with that."""
 
-    def __init__(self, options: Options, fd: int, pump: Pump | None = None) -> None:
-        self._options, self.pump, self._told = options, pump, False
+    def __init__(self, options: Options, fd: int, pump: Pump | None = None, node: str = "") -> None:
+        self._options, self.pump, self._node, self._told = options, pump, node, False
         given = options.kinematics
         self._chain: Chain | None = make_chain(given) if isinstance(given, ChainOptions) else None
-        self._word = np.zeros(exchange.WORDS, dtype=np.int64)
         spec = options.reports
-        numbered = spec.input.id != 0
-        self._tables = (reports.input_table(spec.input), reports.output_table(spec.output))
-        self._in = [np.zeros(spec.input.bytes + numbered + exchange.IN_SPARE, np.uint8) for _ in range(2)]
-        self._out = np.zeros(1 + spec.output.bytes, np.uint8)
-        self._out[0] = spec.output.id
-        self._values, self._command = np.zeros(reports.SENSED_SIZE), np.zeros(reports.COMMANDED_SIZE)
-        self._sample = np.zeros(SAMPLE_SIZE)
         self._zero = _encoded(spec.output, {})
-        self._model = flatten(self._make_model())
-        self._wire(fd, numbered)
         wrist = isinstance(given, ChainOptions) and given.wrist_counts_per_turn is not None
         turns = wrist or any(field.meaning == "qw" for field in spec.input.field)
         kinds = (exchange.CARTESIAN, exchange.CARTESIAN_WITH_ORIENTATION, exchange.CHAIN, exchange.CHAIN_WITH_WRIST)
-        self._word[exchange.KIND] = kinds[2 * (self._chain is not None) + turns]
-        x, y, z = (float(v) for v in options.mounting.position_m)
-        r = options.workspace_radius_m
-        self.info = DeviceInfo(
-            name=f"hid {spec.name or 'described'} {options.vendor_id:04x}:{options.product_id:04x}",
-            sensed_dof=6 if turns else 3,
-            actuated_dof=3,
-            force_max_n=options.force_max_n,
-            torque_max_nm=TORQUE_MAX_NM,
-            stiffness_max_n_per_m=options.stiffness_max_n_per_m,
-            damping_max_ns_per_m=options.damping_max_ns_per_m,
-            workspace_min_m=(x - r, y - r, z - r),
-            workspace_max_m=(x + r, y + r, z + r),
-        )
+        self._block = self._make_block(fd, kinds[2 * (self._chain is not None) + turns])
+        name = f"hid {spec.name or 'described'} {options.vendor_id:04x}:{options.product_id:04x}"
+        self.info = info_of(options, name, sensed_dof=6 if turns else 3)
         try:
             if options.calibrate:
                 self._calibrate()
-                self._word[exchange.SENSED] = 0  # the sample of before the calibration is no place of now
+                self._block.word[TALK.sensed] = 0  # the sample of before the calibration is no place of now
         except BaseException:
             self.close()
             raise
 
-    def _make_model(self) -> Model:
-        chain = exchange.NO_CHAIN if self._chain is None else self._chain
-        return Model(chain, *self._options.mounting.frame(), self._options.force_max_n)
+    def _make_block(self, fd: int, kind: int) -> Block:
+        block, options = Block(TALK, AT), self._options
+        # A board that is being awaited has a zero report with each wait.
+        begin(block, fd, Times(options.kick_s, options.kick_s, kick_awaiting=0.0, timeout=options.timeout_s))
+        word, spec = block.word, options.reports
+        word[AT.kind] = kind
+        word[AT.in_id], word[AT.in_bytes] = spec.input.id, spec.input.bytes + (spec.input.id != 0)
+        word[AT.out_bytes] = 1 + spec.output.bytes
+        word[AT.in_rows], word[AT.out_rows] = len(spec.input.field), len(spec.output.field)
+        block.point(AT.in_table, reports.input_table(spec.input))
+        block.point(AT.out_table, reports.output_table(spec.output))
+        for buffer in (AT.in_buffer, AT.newest):
+            block.point(buffer, np.zeros(word[AT.in_bytes] + exchange.IN_SPARE, np.uint8))
+        out = np.zeros(word[AT.out_bytes], np.uint8)
+        out[0] = spec.output.id
+        block.point(AT.out_buffer, out)
+        word[AT.taken] = 0 if self.pump is None else self.pump.taken_at
+        self._set_model(block)
+        return block
 
-    def _wire(self, fd: int, numbered: bool) -> None:
-        word, spec = self._word, self._options.reports
-        word[exchange.FD] = fd
-        word[exchange.ARMED] = 1
-        word[exchange.OPENED_AT] = time.monotonic_ns()
-        word[exchange.KICK] = round(self._options.kick_s * 1e9)
-        word[exchange.TIMEOUT_AFTER] = round(self._options.timeout_s * 1e9)
-        word[exchange.IN_ID] = spec.input.id
-        word[exchange.IN_BYTES] = spec.input.bytes + numbered
-        word[exchange.OUT_BYTES] = len(self._out)
-        word[exchange.IN_ROWS], word[exchange.OUT_ROWS] = (len(table) for table in self._tables)
-        arrays: list[NDArray[Any]] = [
-            *self._tables, *self._in, self._out, self._values, self._command, self._sample, self._model
-        ]  # fmt: skip
-        word[exchange.IN_TABLE : exchange.MODEL + 1] = [array.ctypes.data for array in arrays]
+    def _set_model(self, block: Block) -> None:
+        chain = exchange.NO_CHAIN if self._chain is None else self._chain
+        model = Model(chain, *self._options.mounting.frame(), self._options.force_max_n)
+        block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
 
     def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._word.ctypes.data)
+        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
+
+    def arm(self) -> None:
+        """Wake the board and wait for a report of now: minutes may have passed since the device was opened."""
+        self._fresh_report()
 
     def stop(self) -> None:
         # However often it is asked to stop, a write under way has its time once.
@@ -105,7 +93,7 @@ class HidDevice(Device):
         until = time.monotonic() + STOP_WAIT_S - hung_s
         if self.pump is not None:
             self.pump.disarm(self._zero)
-        while not exchange.silence.ctypes(self._word.ctypes.data):
+        while not exchange.silence.ctypes(self._block.handle):
             if time.monotonic() > until:
                 self._tell_no_zero()
                 return
@@ -122,8 +110,8 @@ class HidDevice(Device):
 
     def close(self) -> None:
         self.stop()
-        fd = int(self._word[exchange.FD])
-        self._word[exchange.FD] = -1
+        fd = int(self._block.word[TALK.fd])
+        self._block.word[TALK.fd] = -1
         if fd >= 0:
             os.close(fd)
         if self.pump is not None:
@@ -135,8 +123,11 @@ class HidDevice(Device):
         hung_s = self.pump.hangs_s()
         return f"a write has been under way for {hung_s:.2g} s" if hung_s else self.pump.failure
 
+    def last_word(self) -> tuple[str, bytes] | None:
+        return (self._node, self._zero) if self._node else None
+
     def counts(self) -> dict[str, int]:
-        return {name: int(self._word[at]) for at, name in enumerate(exchange.COUNTERS)}
+        return self._block.counts()
 
     def _calibrate(self) -> None:
         """Make the encoders show the calibration counts where the arm is now.
@@ -151,7 +142,7 @@ class HidDevice(Device):
         if preset is None:
             a, b, c = (float(v) for v in wanted - seen)
             self._chain = self._chain._replace(offset=(a, b, c))
-            self._model[:] = flatten(self._make_model())
+            self._set_model(self._block)
             return
         until = time.monotonic() + PRESET_WAIT_S
         self._send_preset(preset, wanted)
@@ -166,27 +157,30 @@ class HidDevice(Device):
     def _send_preset(self, report: OutputReport, counts: NDArray[np.float64]) -> None:
         data = _encoded(report, {reports.PRESET + k: float(counts[k]) for k in range(3)})
         try:
-            os.write(int(self._word[exchange.FD]), data)
+            os.write(int(self._block.word[TALK.fd]), data)
         except OSError as error:
             raise DeviceLost(f"{self.info.name} is gone: {error.strerror}: plug it in again") from error
-        self._word[exchange.WRITTEN] += 1
-        # Nothing follows it before it has gone: the pump passes a report over for a newer one.
+        self._block.word[AT.written] += 1
         if self.pump is not None and not self.pump.flush(self.counts()["written"], time.monotonic() + PRESET_WAIT_S):
             because = f" ({self.reason()})" if self.reason() else ""
             raise DeviceTimeout(f"{self.info.name} takes no report{because}: check its power, and its firmware")
 
-    def _read_counts(self) -> NDArray[np.float64]:
-        """Counts of encoders a, b, c in a report of now, without what is added to them."""
-        self._word[exchange.SENSED] = 0  # the next read waits for a report rather than repeat one
+    def _fresh_report(self) -> None:
+        """Read a report of now; DeviceTimeout or DeviceLost when none comes."""
+        self._block.word[TALK.sensed] = 0  # the next read waits for a report rather than repeat one
         sample = np.zeros(SAMPLE_SIZE)
         status = exchange.read.ctypes(
-            self._word.ctypes.data, sample.ctypes.data_as(exchange.read.ctypes.argtypes[1])
+            self._block.handle, sample.ctypes.data_as(exchange.read.ctypes.argtypes[1])
         )  # fmt: skip
         if status == TIMEOUT:
             raise DeviceTimeout(f"{self.info.name} sends no report: check its power, and its firmware")
         if status < 0:
             raise DeviceLost(f"{self.info.name} cannot be read (status {status}): plug it in again")
-        return self._values[reports.COUNTS : reports.COUNTS + 3].copy()
+
+    def _read_counts(self) -> NDArray[np.float64]:
+        """Counts of encoders a, b, c in a report of now, without what is added to them."""
+        self._fresh_report()
+        return self._block.numbers(AT.values + reports.COUNTS, 3).copy()
 
 
 def _encoded(report: OutputReport, commanded: dict[int, float]) -> bytes:
@@ -202,4 +196,4 @@ def _encoded(report: OutputReport, commanded: dict[int, float]) -> bytes:
 def open_device(options: Options, rate_hz: float) -> HidDevice:
     """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
     link = open_link(options)
-    return HidDevice(options, link.fd, link.pump)
+    return HidDevice(options, link.fd, link.pump, link.node)

@@ -1,33 +1,27 @@
 """One tick with a hidraw node, from nopython: reports drained to the newest, one report written.
 
-The node may be the socket of `pump`, which behaves as one.
-
-The C functions share a block of int64 words with Python; its address is the device's handle. They call the C library
-on the node's file descriptor, without an allocation and without the interpreter lock.
-
-A device of this family answers each report it is sent, so the answer to the report of one tick is read in the next,
-and nobody waits. Silence of `kick_s` is answered with a zero report every `kick_s`, which wakes such a device, and no
-force is sent while it lasts; silence of `timeout_s` is the end.
+The node may be the socket of `pump`, which behaves as one. What is the same for any board is in `conversation`. A
+device of this family answers each report it is sent, so the answer to the report of one tick is read in the next, and
+nobody waits. A zero report wakes it.
 """
 
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any, Final, NamedTuple
-
-from numba import carray, types
+from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.drivers.base import (
+    HELD,
     LOST,
     OK,
     PROTOCOL,
     SAMPLE_BUTTONS,
     SAMPLE_GRIPPER,
-    SAMPLE_SIZE,
-    SAMPLE_TIME,
     STALE,
     TIMEOUT,
 )
+from softfinger.drivers.block import address, counter, lay_out, numbers, word
+from softfinger.drivers.conversation import TALK, busy, c_functions, command, drain, pose, send_zero, wake
 from softfinger.drivers.hid.chain import Chain, angles_of, currents_for, forward, orientation_of
 from softfinger.drivers.hid.reports import (
     BUTTONS,
@@ -39,66 +33,18 @@ from softfinger.drivers.hid.reports import (
     GRIPPER,
     POSITION,
     QUATERNION,
+    SENSED_SIZE,
     WRIST,
     decode,
     encode,
 )
-from softfinger.drivers.libc import (
-    EAGAIN,
-    EINTR,
-    ETIMEDOUT,
-    IO_SIGNATURE,
-    errno_location,
-    monotonic_ns,
-    poll_fd,
-    read_fd,
-    write_fd,
-)
-from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, heard_at
-from softfinger.proxy.kernels import vec3
-from softfinger.proxy.kernels.jit import c_function, jit
-from softfinger.proxy.kernels.memory import exchange_int64, float64_at, int64_at, uint8_at
+from softfinger.drivers.system.libc import EAGAIN, ETIMEDOUT, read_now, write_now
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.rotations import conjugate, multiply, normalize, rotate
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.pack import flatten, unpack
-from softfinger.proxy.kernels.rotations import conjugate, multiply, normalize, rotate
-
-# Words of the block. Counters first.
-REPORTS: Final = 0  # reports received
-DRAINED: Final = 1  # of these, older ones passed over for a newer
-WRITTEN: Final = 2  # reports sent, kicks included
-KICKS: Final = 3  # zero reports sent into a silence
-CUT: Final = 4  # wrenches that the motors could not give
-FOREIGN: Final = 5  # reports of another id, passed over
-COUNTERS: Final = ("reports", "drained", "written", "kicks", "cut", "foreign")  # names of these words, in their order
-FD: Final = 6
-ARMED: Final = 7
-LOCK: Final = 8  # held while a report is written
-SENSED: Final = 9  # whether there is a sample to repeat
-OPENED_AT: Final = 10  # ns
-HEARD_AT: Final = 11  # ns, when the newest report was read
-READ_AT: Final = 12  # ns, when the loop last read
-KICKED_AT: Final = 13  # ns
-KICK: Final = 14  # ns of silence
-TIMEOUT_AFTER: Final = 15  # ns of silence
-KIND: Final = 16
-IN_ID: Final = 17
-IN_BYTES: Final = 18  # with the id, if there is one
-OUT_BYTES: Final = 19  # with the id, which is always there
-IN_ROWS: Final = 20
-OUT_ROWS: Final = 21
-IN_TABLE: Final = 22  # addresses, from here on
-OUT_TABLE: Final = 23
-IN_BUFFER: Final = 24
-NEWEST: Final = 25
-OUT_BUFFER: Final = 26
-VALUES: Final = 27  # (SENSED_SIZE,) float64 of the newest report
-COMMAND: Final = 28  # (COMMANDED_SIZE,) float64
-SAMPLE: Final = 29  # (SAMPLE_SIZE,) float64, the last one
-MODEL: Final = 30  # (MODEL_SIZE,) float64
-POLL: Final = 31  # struct pollfd
-TIMESPEC: Final = 32  # two words
-SCRATCH: Final = 34
-WORDS: Final = 35
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.memory import float64_at, int64_at, uint8_at
+from softfinger.proxy.kernels.native.pack import flatten, unpack_at
 
 CARTESIAN: Final = 0
 CARTESIAN_WITH_ORIENTATION: Final = 1
@@ -107,12 +53,15 @@ CHAIN_WITH_WRIST: Final = 3
 
 DRAIN_MAX: Final = 256
 """Reads in one tick: four times what the kernel keeps for a node; a device that floods cannot hold the loop."""
-WAIT_MS: Final = 10
-"""Time of one wait for a report of now."""
+WAITING_MAX: Final = 2
+"""Reports that the pump may have: one on its way, the next behind it. With more a force would come late, and with some
+passed over the device would meet forces further apart than those of two ticks."""
 IN_SPARE: Final = 1
 """A buffer is so much longer than its report: a longer one than described is then seen to be longer."""
 
-_POLLIN: Final = 1 << 32  # `events` of a struct pollfd read as one little-endian word
+
+class Hid(NamedTuple):
+    """Marks the kernels of this driver."""
 
 
 class Model(NamedTuple):
@@ -133,140 +82,74 @@ class Model(NamedTuple):
 _ZERO: Final = (0.0, 0.0, 0.0)
 NO_CHAIN: Final = Chain(_ZERO, _ZERO, _ZERO, _ZERO, _ZERO, 0.0, _ZERO)
 _MODEL_LIKE: Final = Model(NO_CHAIN, _ZERO, (1.0, 0.0, 0.0, 0.0), 0.0)
-_MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
+MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 
-@jit
-def _now(handle: int) -> int:
-    return monotonic_ns(handle + TIMESPEC * 8)
+class Words(NamedTuple):
+    """The words of this driver, behind those of the conversation."""
+
+    reports: Annotated[int, counter("reports received")]
+    drained: Annotated[int, counter("of these, older ones passed over for a newer")]
+    written: Annotated[int, counter("reports sent, kicks included")]
+    kicks: Annotated[int, counter("zero reports sent into a silence")]
+    cut: Annotated[int, counter("wrenches that the motors could not give")]
+    foreign: Annotated[int, counter("reports of another id, passed over")]
+    held: Annotated[int, counter("forces not sent, because the pump still had others")]
+    kind: Annotated[int, word("CARTESIAN or one of those after it")]
+    in_id: Annotated[int, word("of a report, 0 where reports have none")]
+    in_bytes: Annotated[int, word("with the id, if there is one")]
+    out_bytes: Annotated[int, word("with the id, which is always there")]
+    in_rows: Annotated[int, word("fields of a report")]
+    out_rows: Annotated[int, word("the same")]
+    in_table: Annotated[int, address("(in_rows, ROW) float64")]
+    out_table: Annotated[int, address("(out_rows, ROW) float64")]
+    in_buffer: Annotated[int, address("where the next report goes; it changes places with the newest")]
+    newest: Annotated[int, address("the newest report")]
+    out_buffer: Annotated[int, address("the last report sent")]
+    taken: Annotated[int, address("how many reports the pump has handed on, 0 without one")]
+    scratch: Annotated[int, word("of a field being read or written")]
+    values: Annotated[int, numbers("of the newest report", SENSED_SIZE)]
+    command: Annotated[int, numbers("of the report being written", COMMANDED_SIZE)]
+    model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
 
 
-@jit
-def _drain(handle: int) -> int:
-    """Read until nothing is left; how many reports came, the newest in NEWEST, or a status below 0."""
-    word = int64_at(handle)
-    came, size = 0, word[IN_BYTES]
+AT: Final = lay_out(Words, after=TALK)
+
+
+@drain.of(Hid)
+def _drain(driver: Hid, handle: int) -> int:
+    at = int64_at(handle)
+    came, size = 0, at[AT.in_bytes]
     for _ in range(DRAIN_MAX):
-        count = read_fd(word[FD], word[IN_BUFFER], size + IN_SPARE)
-        if count < 0:
-            error = errno_location()[0]
-            if error == EINTR:
-                continue
-            if error != EAGAIN:
-                return LOST
+        count = read_now(at[TALK.fd], at[AT.in_buffer], size + IN_SPARE)
+        if count == -EAGAIN:
             break
-        if count == 0:
+        if count <= 0:
             return LOST
-        if word[IN_ID] != 0 and uint8_at(word[IN_BUFFER])[0] != word[IN_ID]:
-            word[FOREIGN] += 1
+        if at[AT.in_id] != 0 and uint8_at(at[AT.in_buffer])[0] != at[AT.in_id]:
+            at[AT.foreign] += 1
             continue
         if count != size:
             return PROTOCOL
         if came > 0:
-            word[DRAINED] += 1
+            at[AT.drained] += 1
         came += 1
-        word[REPORTS] += 1
-        spare = word[NEWEST]
-        word[NEWEST] = word[IN_BUFFER]
-        word[IN_BUFFER] = spare
+        at[AT.reports] += 1
+        spare = at[AT.newest]
+        at[AT.newest] = at[AT.in_buffer]
+        at[AT.in_buffer] = spare
     return came
 
 
-@jit
-def _send(handle: int) -> int:
-    """Write OUT_BUFFER; OK, STALE when the device took nothing just now, or a status below 0."""
-    word = int64_at(handle)
-    for _ in range(4):
-        count = write_fd(word[FD], word[OUT_BUFFER], word[OUT_BYTES])
-        if count == word[OUT_BYTES]:
-            word[WRITTEN] += 1
-            return OK
-        if count >= 0:
-            return PROTOCOL
-        error = errno_location()[0]
-        if error == ETIMEDOUT:
-            return TIMEOUT
-        if error == EAGAIN:
-            return STALE
-        if error != EINTR:
-            return LOST
-    return STALE
-
-
-@jit
-def _clear(handle: int) -> None:
-    word = int64_at(handle)
-    command = float64_at(word[COMMAND])
-    for k in range(COMMANDED_SIZE):
-        command[k] = 0.0
-    command[CONSTANT] = 1.0
-
-
-@jit
-def _encode(handle: int) -> bool:
-    word = int64_at(handle)
-    # The report id stands before the data, 0 where reports have none.
-    return encode(
-        float64_at(word[COMMAND]), word[OUT_TABLE], word[OUT_ROWS], handle + SCRATCH * 8, word[OUT_BUFFER] + 1
-    )
-
-
-@jit
-def _send_zero(handle: int) -> int:
-    _clear(handle)
-    _encode(handle)
-    return _send(handle)
-
-
-@jit
-def _kick(handle: int) -> int:
-    """A zero report, unless one is being written by who stops the device: then that one is the kick."""
-    if exchange_int64(handle + LOCK * 8, 1) != 0:
-        return STALE
-    status = _send_zero(handle)
-    exchange_int64(handle + LOCK * 8, 0)
-    word = int64_at(handle)
-    word[KICKS] += 1
-    word[KICKED_AT] = _now(handle)
-    return status
-
-
-@jit
-def _await(handle: int) -> int:
-    """Throw away what is queued and wait for a report of now, kicking; how many came, or a status below 0.
-
-    With a sample to repeat the wait is short.
-    """
-    word = int64_at(handle)
-    status = _drain(handle)
-    begun = _now(handle)
-    running = word[SENSED] != 0
-    while status >= 0:
-        status = _kick(handle)
-        if status < 0:
-            return status
-        word[POLL] = word[FD] | _POLLIN
-        poll_fd(int64_at(handle + POLL * 8), 1, WAIT_MS)
-        status = _drain(handle)
-        if status > 0:
-            break
-        waited = _now(handle) - begun
-        if status == 0 and running and waited > RESUME_WAIT_NS:
-            return 0
-        if status == 0 and not running and waited > word[TIMEOUT_AFTER]:
-            return TIMEOUT
-    return status
-
-
-@jit
-def _pose(handle: int, model: Model) -> bool:
-    """The newest report as the sample; False where it holds no pose."""
-    word = int64_at(handle)
-    values, kept = float64_at(word[VALUES]), float64_at(word[SAMPLE])
-    at = word[NEWEST] + (1 if word[IN_ID] != 0 else 0)
-    if not decode(at, word[IN_TABLE], word[IN_ROWS], handle + SCRATCH * 8, values):
+@pose.of(Hid)
+def _pose(driver: Hid, handle: int) -> bool:
+    at = int64_at(handle)
+    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    values, kept = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * TALK.sample)
+    report = at[AT.newest] + (1 if at[AT.in_id] != 0 else 0)
+    if not decode(report, at[AT.in_table], at[AT.in_rows], handle + 8 * AT.scratch, values):
         return False
-    kind, orientation = word[KIND], (1.0, 0.0, 0.0, 0.0)
+    kind, orientation = at[AT.kind], (1.0, 0.0, 0.0, 0.0)
     if kind in (CHAIN, CHAIN_WITH_WRIST):
         angles = angles_of(model.chain, (values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]))
         position = forward(model.chain, angles)
@@ -295,103 +178,111 @@ def _pose(handle: int, model: Model) -> bool:
     return usable
 
 
-@c_function(IO_SIGNATURE)
-def read(handle: int, sample: Any) -> int:
-    word = int64_at(handle)
-    if word[FD] < 0:
-        return LOST
-    now = _now(handle)
-    paused = now - word[READ_AT] > RESUME_NS or word[SENSED] == 0
-    if paused:
-        word[HEARD_AT] = heard_at(word[HEARD_AT], word[READ_AT], now, word[KICK])
-    word[READ_AT] = now
-    came = _await(handle) if paused else _drain(handle)
-    if came < 0:
-        return came
-    status = STALE
-    if came > 0:
-        word[HEARD_AT] = _now(handle)
-        if not _pose(handle, unpack(_MODEL_LIKE, carray(float64_at(word[MODEL]), (_MODEL_SIZE,)))):
-            return PROTOCOL
-        word[SENSED] = 1
-        float64_at(word[SAMPLE])[SAMPLE_TIME] = (word[HEARD_AT] - word[OPENED_AT]) * 1e-9
-        status = OK
-    else:
-        silence = now - word[HEARD_AT]
-        if silence > word[TIMEOUT_AFTER]:
-            return TIMEOUT
-        if silence > word[KICK] and now - word[KICKED_AT] > word[KICK]:
-            kicked = _kick(handle)
-            if kicked < 0:
-                return kicked
-    if paused:
-        word[READ_AT] = _now(handle)  # waiting for the device is no pause of the loop
-    kept = float64_at(word[SAMPLE])
-    for k in range(SAMPLE_SIZE):
-        sample[k] = kept[k]
-    return status
+@jit
+def _send(handle: int) -> int:
+    """Write the report; OK, HELD when the device took nothing just now, or a status below 0."""
+    at = int64_at(handle)
+    count = write_now(at[TALK.fd], at[AT.out_buffer], at[AT.out_bytes])
+    if count == at[AT.out_bytes]:
+        at[AT.written] += 1
+        return OK
+    if count >= 0:
+        return PROTOCOL
+    if count == -EAGAIN:
+        return HELD
+    return TIMEOUT if count == -ETIMEDOUT else LOST
 
 
 @jit
-def _command(handle: int, model: Model, wrench: Any) -> bool:
-    """Put a wrench into the report; whether it had to be limited."""
-    word = int64_at(handle)
+def _clear(handle: int) -> None:
+    values = float64_at(handle + 8 * AT.command)
+    for k in range(COMMANDED_SIZE):
+        values[k] = 0.0
+    values[CONSTANT] = 1.0
+
+
+@jit
+def _encode(handle: int) -> bool:
+    at = int64_at(handle)
+    values = float64_at(handle + 8 * AT.command)
+    # The report id stands before the data, 0 where reports have none.
+    return encode(values, at[AT.out_table], at[AT.out_rows], handle + 8 * AT.scratch, at[AT.out_buffer] + 1)
+
+
+@jit
+def _crowded(handle: int) -> bool:
+    """Whether the pump has as many reports as it may."""
+    at = int64_at(handle)
+    return bool(at[AT.taken] != 0 and at[AT.written] - int64_at(at[AT.taken])[0] >= WAITING_MAX)
+
+
+@busy.of(Hid)
+def _busy(driver: Hid, handle: int, deaf: bool) -> bool:
+    return _crowded(handle)
+
+
+@jit
+def _zero(handle: int) -> int:
+    at = int64_at(handle)
+    if at[TALK.loaded] == 0 and _crowded(handle):
+        return OK  # the newest of those that wait is a zero
     _clear(handle)
-    command = float64_at(word[COMMAND])
-    values = float64_at(word[VALUES])
+    _encode(handle)
+    status = _send(handle)
+    if status == OK:
+        at[TALK.loaded] = 0
+    return status
+
+
+@send_zero.of(Hid)
+def _send_zero(driver: Hid, handle: int) -> int:
+    return _zero(handle)
+
+
+@wake.of(Hid)
+def _wake(driver: Hid, handle: int) -> int:
+    int64_at(handle)[AT.kicks] += 1
+    return _zero(handle)
+
+
+@jit
+def _fill(handle: int, wrench: Any) -> bool:
+    """Put a wrench into the report; whether it had to be limited."""
+    at = int64_at(handle)
+    _clear(handle)
+    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    values, given = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.command)
     force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
-    if word[KIND] in (CHAIN, CHAIN_WITH_WRIST):
+    if at[AT.kind] in (CHAIN, CHAIN_WITH_WRIST):
         angles = angles_of(model.chain, (values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]))
         current, cut = currents_for(model.chain, angles, force)
         for k in range(3):
-            command[CURRENT + k] = current[k]
+            given[CURRENT + k] = current[k]
     else:
         size = vec3.norm(force)
         cut = size > model.force_max
         if cut:
             force = vec3.scale(model.force_max / size, force)
         for k in range(3):
-            command[FORCE + k] = force[k]
+            given[FORCE + k] = force[k]
     return _encode(handle) or cut
 
 
-@c_function(IO_SIGNATURE)
-def write(handle: int, wrench: Any) -> int:
-    word = int64_at(handle)
-    # Never wait here: who holds the lock is stopping the device, so refusing is right as well.
-    if exchange_int64(handle + LOCK * 8, 1) != 0:
-        return STALE
-    finite, zero = True, True
-    for k in range(3):  # no motor turns the handle: torque is taken, and not displayed
-        finite = finite and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
-    if word[FD] < 0:
-        status = OK if zero else STALE
-    elif zero or not finite or not word[ARMED] or _now(handle) - word[HEARD_AT] > word[KICK] or word[SENSED] == 0:
-        # Stopped, or deaf: where the arm is now, a force for where it was may push it the wrong way.
-        status = _send_zero(handle)
-        if status == OK and not zero:
+@command.of(Hid)
+def _command(driver: Hid, handle: int, wrench: Any) -> int:
+    at = int64_at(handle)
+    if _crowded(handle):
+        at[AT.held] += 1
+        return HELD
+    cut = _fill(handle, wrench)
+    status = _send(handle)
+    if status == OK:
+        at[TALK.loaded] = 1
+    if cut:
+        at[AT.cut] += 1
+        if status == OK:
             status = STALE
-    else:
-        cut = _command(handle, unpack(_MODEL_LIKE, carray(float64_at(word[MODEL]), (_MODEL_SIZE,))), wrench)
-        status = _send(handle)
-        if cut:
-            word[CUT] += 1
-            if status == OK:
-                status = STALE
-    exchange_int64(handle + LOCK * 8, 0)
     return status
 
 
-@c_function(types.int64(types.int64))
-def silence(handle: int) -> int:
-    """Disarm and send a zero report; 1 when it is done, 0 when it was not taken and must be tried again."""
-    word = int64_at(handle)
-    word[ARMED] = 0
-    if exchange_int64(handle + LOCK * 8, 1) != 0:
-        return 0  # a write is under way
-    status = OK
-    if word[FD] >= 0:
-        status = _send_zero(handle)
-    exchange_int64(handle + LOCK * 8, 0)
-    return 0 if status == STALE else 1
+read, write, silence = c_functions(Hid())

@@ -7,18 +7,23 @@ import sys
 from typing import NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
-from softfinger.drivers import discovery
 from softfinger.drivers.hid import exchange, node, usb
+from softfinger.drivers.hid.descriptor import fits
 from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.pump import HidApi, Pump
-from softfinger.drivers.hidraw import ids
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.hidraw import ids
 
 
 class Link(NamedTuple):
-    """What the exchange reads and writes: a node, or with a pump the socket that stands in for one."""
+    """What the exchange reads and writes: a node, or with a pump the socket that stands in for one.
+
+    node  path of the hidraw node behind it; empty on the USB bus
+    """
 
     fd: int
     pump: Pump | None = None
+    node: str = ""
 
 
 def open_link(options: Options) -> Link:
@@ -35,9 +40,9 @@ def open_link(options: Options) -> Link:
         return pumped(opened.device, options, opened.held)
     fd = node.open_node(path, options)
     if options.through != "thread":
-        return Link(fd)
+        return Link(fd, None, path)
     try:
-        return pumped(node.open_hidapi(path), options, fd)
+        return pumped(node.open_hidapi(path), options, fd)._replace(node=path)
     except BaseException:
         os.close(fd)
         raise
@@ -51,20 +56,23 @@ def pumped(device: HidApi, options: Options, held: int | None = None) -> Link:
 
 
 def find(options: Options) -> str:
-    """Path of the one device with the rig's ids: its node, or where it has none, hidapi's path on the USB bus.
+    """Path of the one device with the rig's ids and reports: its node, or where it has none, hidapi's path on the bus.
 
-    Raises DeviceNotFound when there is none, or more than one.
+    Raises DeviceNotFound when there is none, or more than one; and what `usb.open_usb` raises, where interfaces of one
+    device on the bus have to be asked which of them has the reports.
     """
-    every = node.attached()
+    every = list(discovery.hidraw_nodes())
     wanted = (options.vendor_id, options.product_id)
-    nodes = {one.path: one.serial for one in every if (one.vendor, one.product) == wanted}
+    nodes = {one.node: one for one in every if (one.vendor, one.product) == wanted}
     # In a container the system's table may list nodes that were not passed on.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
         interfaces = usb.attached(*wanted)
         if interfaces:
-            return _choose(options, interfaces)
+            return _choose_on_bus(options, interfaces)
     if nodes:
-        return _choose(options, nodes)
+        fitting = {path: one.serial for path, one in nodes.items() if fits(one.descriptor, options.reports)}
+        # Where none has the rig's reports, opening one says what it has.
+        return _choose(options, fitting or {path: one.serial for path, one in nodes.items()})
     bare = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
     if bare:
         raise DeviceNotFound(
@@ -76,8 +84,19 @@ def find(options: Options) -> str:
     raise DeviceNotFound(f"no HID device {ids(*wanted)} is attached: plug it in and switch it on; {there}")
 
 
+def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
+    """The path of the rig's device among interfaces on the bus (serial number by path)."""
+    of_device: dict[str, list[str]] = {}
+    for path in sorted(interfaces):
+        of_device.setdefault(path.partition(":")[0], []).append(path)
+    paths = of_device[_choose(options, {name: interfaces[mine[0]] for name, mine in of_device.items()})]
+    if len(paths) > 1:
+        paths = usb.fitting(paths, options) or paths
+    return paths[0]
+
+
 def _choose(options: Options, serials: dict[str, str]) -> str:
-    """The path of the rig's serial number, of those that have its ids."""
+    """The path of the rig's serial number, of those that have its ids (serial number by path)."""
     wanted = ids(options.vendor_id, options.product_id)
     matching = [path for path, serial in serials.items() if options.serial is None or serial == options.serial]
     if len(matching) == 1:

@@ -1,41 +1,22 @@
-"""The system's hidraw nodes: listed, opened for this process alone, their reports compared with those of a rig."""
+"""The system's hidraw nodes: opened for this process alone, their reports compared with those of a rig."""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import struct
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from softfinger.config.errors import DeviceError
 from softfinger.drivers.hid.descriptor import check_reports
 from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.pump import HidApi
-from softfinger.drivers.hidraw import open_path
+from softfinger.drivers.system.hidraw import hidapi, open_path
 
 # ioctl requests of <linux/hidraw.h>.
 _GET_DESCRIPTOR_SIZE: Final = 0x80044801
 _GET_DESCRIPTOR: Final = 0x90044802
 _DESCRIPTOR_MAX: Final = 4096
-
-
-class Node(NamedTuple):
-    """What the system says of a hidraw node."""
-
-    vendor: int
-    product: int
-    path: str
-    serial: str
-
-
-def attached() -> list[Node]:
-    """Every hidraw node."""
-    import hidraw  # here, because it opens the system's device list when it is imported
-
-    return [
-        Node(one["vendor_id"], one["product_id"], os.fsdecode(one["path"]), one["serial_number"] or "")
-        for one in hidraw.enumerate()
-    ]
 
 
 def open_node(path: str, options: Options) -> int:
@@ -55,9 +36,7 @@ def open_node(path: str, options: Options) -> int:
 
 def open_hidapi(path: str) -> HidApi:
     """The node a second time, through hidapi's hidraw backend; DeviceError when that refuses."""
-    import hidraw
-
-    device: Any = hidraw.device()
+    device: Any = hidapi("hidraw").device()
     try:
         device.open_path(os.fsencode(path))
     except OSError as error:

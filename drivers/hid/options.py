@@ -15,6 +15,7 @@ from softfinger.config import limits
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, known, said, sized, within
 from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.system.descriptor import Announced
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 REPORT_ID: Final = Range(0, 255, "one byte; 0 where the device does not number its reports")
@@ -144,6 +145,14 @@ def _library() -> Mapping[str, Mapping[str, Any]]:
     return msgspec.toml.decode(LIBRARY.read_bytes(), type=dict[str, dict[str, Any]])
 
 
+def library_lengths() -> dict[str, Announced]:
+    """Lengths of the reports of each format of the library."""
+    return {
+        name: Announced(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
+        for name, one in _library().items()
+    }
+
+
 class Reports(Table, frozen=True, kw_only=True):
     """The wire format: one of the library by name, or every report described."""
 
@@ -168,7 +177,7 @@ class Cartesian(Table, frozen=True, kw_only=True, tag_field="kind", tag="cartesi
 
 
 class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
-    """Three joints driven over capstans, and a wrist of three encoders where there is one; docs/hid.md draws it."""
+    """Three joints over capstans, and a wrist of three encoders where there is one; docs/devices/hid.md draws it."""
 
     capstan_m: Annotated[Lengths, said("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
     body_m: Annotated[Lengths, said("diameters of the bodies they drive", [0.16, 0.12, 0.12])]

@@ -16,6 +16,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, Protocol
 
+import numpy as np
+
 log: Final = logging.getLogger(__name__)
 
 QUEUE_BYTES: Final = 24576
@@ -61,10 +63,7 @@ class Pump:
         self.fd: Final = ours.detach()
         self.failure = ""
         """What ended the pump before it was closed; empty while nothing did."""
-        self.taken = 0
-        """Reports of the driver that the device has taken, or a newer one in their place."""
-        self.passed_over = 0
-        """Of these, the ones a newer one took the place of."""
+        self._taken = np.zeros(1, dtype=np.int64)
         self._zero: bytes | None = None
         self._began: float | None = None  # s, monotonic clock: of the write under way
         self._ending = threading.Event()
@@ -80,6 +79,16 @@ class Pump:
         self._reader.start()
         self._writer.start()
 
+    @property
+    def taken(self) -> int:
+        """Reports of the driver that the device has taken."""
+        return int(self._taken[0])
+
+    @property
+    def taken_at(self) -> int:
+        """Address of `taken`, an int64, valid as long as the pump is there."""
+        return int(self._taken.ctypes.data)
+
     def hangs_s(self) -> float:
         """For how long (s) a write has been under way; 0 while that is within the patience."""
         began = self._began
@@ -91,7 +100,7 @@ class Pump:
         self._zero = zero
 
     def flush(self, sent: int, until: float) -> bool:
-        """Wait until the device has taken the first `sent` reports of the driver, or a newer one in their place.
+        """Wait until the device has taken the first `sent` reports of the driver.
 
         until    s, monotonic clock
         returns  False if it has not by then, or never will
@@ -137,30 +146,23 @@ class Pump:
 
     def _write(self) -> None:
         try:
-            while reports := self._waiting():
-                report = self._zero or reports[-1]
+            # In their order, and none passed over: the driver sends no more than may wait.
+            while report := self._receive():
+                report = self._zero or report
                 self._began = time.monotonic()
                 count = self._device.write(report)
                 hung_s, self._began = self.hangs_s(), None
                 if count != len(report):
                     after = f" after {hung_s:.2g} s" if hung_s else ""
                     raise OSError(f"a write of {len(report)} bytes came back as {count}{after}")
-                self.passed_over += len(reports) - 1
-                self.taken += len(reports)
+                self._taken[0] += 1
         finally:
             self._ending.set()
 
-    def _waiting(self) -> list[bytes]:
-        """What the driver has sent, at least one report; empty once its end is closed."""
-        reports = [self._receive(0)]
-        with suppress(BlockingIOError):
-            while reports[-1]:
-                reports.append(self._receive(socket.MSG_DONTWAIT))
-        return [report for report in reports if report]
-
-    def _receive(self, flags: int) -> bytes:
+    def _receive(self) -> bytes:
+        """The next report of the driver; empty once its end is closed."""
         while True:
             try:
-                return self._end.recv(REPORT_MAX, flags)
+                return self._end.recv(REPORT_MAX)
             except ConnectionResetError:
                 pass  # said once, of a driver's end closed over unread reports: what it had sent is still there

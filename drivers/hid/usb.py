@@ -10,13 +10,13 @@ import os
 from typing import Any, NamedTuple
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
-from softfinger.drivers import discovery
-from softfinger.drivers.discovery import Attached
-from softfinger.drivers.hid.descriptor import check_reports
+from softfinger.drivers.hid.descriptor import check_reports, fits
 from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.pump import HidApi
-from softfinger.drivers.hidraw import ids
-from softfinger.drivers.nodes import by_rule, open_locked
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.hidraw import hidapi, ids
+from softfinger.drivers.system.nodes import by_rule, open_locked
 
 
 class Opened(NamedTuple):
@@ -28,9 +28,7 @@ class Opened(NamedTuple):
 
 def attached(vendor: int, product: int) -> dict[str, str]:
     """Serial numbers of the HID interfaces of these ids, by hidapi's path, as in 1-2.3:1.0: bus, ports, interface."""
-    import hid
-
-    found: list[dict[str, Any]] = hid.enumerate(vendor, product)
+    found: list[dict[str, Any]] = hidapi("hid").enumerate(vendor, product)
     named = {os.fsdecode(one["path"]): one["serial_number"] or "" for one in found}
     # hidapi has to open a device to learn its serial number, and may not; the system's table tells everybody
     return {path: seen.serial if (seen := _on_bus(path)) else serial for path, serial in named.items()}
@@ -42,8 +40,36 @@ def open_usb(path: str, options: Options) -> Opened:
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device, or one whose
     reports are not those of the rig.
     """
-    import hid
+    opened, descriptor = _open(path, options)
+    try:
+        check_reports(descriptor, path, options.reports)
+    except BaseException:
+        _close(opened)
+        raise
+    return opened
 
+
+def fitting(paths: list[str], options: Options) -> list[str]:
+    """Those interfaces of one device that have the rig's reports: each is opened, asked, and closed again.
+
+    Raises what `open_usb` raises, but for other reports.
+    """
+    found = []
+    for path in paths:
+        opened, descriptor = _open(path, options)
+        _close(opened)
+        if fits(descriptor, options.reports):
+            found.append(path)
+    return found
+
+
+def _close(opened: Opened) -> None:
+    opened.device.close()
+    os.close(opened.held)
+
+
+def _open(path: str, options: Options) -> tuple[Opened, bytes]:
+    """The interface at `path`, and its report descriptor."""
     vendor, product = options.vendor_id, options.product_id
     seen = _on_bus(path)
     if seen is None:
@@ -54,7 +80,7 @@ def open_usb(path: str, options: Options) -> Opened:
             "`path` out"
         )
     held = open_locked(seen.node, by_rule(discovery.usb_rule(vendor, product), discovery.HID_RULE_FILE))
-    device: Any = hid.device()
+    device: Any = hidapi("hid").device()
     try:
         try:
             device.open_path(os.fsencode(path))
@@ -64,12 +90,11 @@ def open_usb(path: str, options: Options) -> Opened:
             descriptor = bytes(device.get_report_descriptor())
         except OSError as error:
             raise DeviceError(f"{path} does not give its report descriptor: unplug it, plug it in again") from error
-        check_reports(descriptor, path, options.reports)
     except BaseException:
         device.close()
         os.close(held)
         raise
-    return Opened(device, held)
+    return Opened(device, held), descriptor
 
 
 def _on_bus(path: str) -> Attached | None:

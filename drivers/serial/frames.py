@@ -17,9 +17,9 @@ from typing import Any, Final
 
 from numba import types
 
-from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.memory import uint8_at
 from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.memory import uint8_at
 
 FRAME_BYTES: Final = 64
 NEWLINE: Final = 10
@@ -41,6 +41,8 @@ INFO_MAX: Final = 32768.0
 MILLI: Final = 1000.0
 FORCE_COMMAND: Final = 2
 """Fourth number to the device: the first three are forces."""
+ZERO: Final = f"0 0 0 {FORCE_COMMAND} 0 0 0".ljust(FRAME_BYTES - 1).encode() + bytes([NEWLINE])
+"""The frame that takes the force off."""
 LOOKBACK: Final = FRAME_BYTES
 """Bytes that stand in front of new ones: a frame that has come in part, and the newline before it."""
 

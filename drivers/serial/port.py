@@ -11,10 +11,11 @@ import time
 from typing import Final
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
-from softfinger.drivers import discovery
-from softfinger.drivers.hidraw import ids
-from softfinger.drivers.nodes import by_rule, open_locked
 from softfinger.drivers.serial.options import Options
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.claims import other_product, undecided
+from softfinger.drivers.system.hidraw import ids
+from softfinger.drivers.system.nodes import by_rule, open_locked
 
 DRAIN_WAIT_S: Final = 0.2
 """How long what was written has to leave before the port is closed; the system's own close would wait for 30 s."""
@@ -61,13 +62,23 @@ def _queued(fd: int) -> int:
 
 
 def find(options: Options) -> str:
-    """Path of the port of the one device with the rig's ids; DeviceNotFound when there is none or more than one."""
+    """Path of the port of the one device with the rig's ids.
+
+    Raises DeviceNotFound when there is none or more than one, or when ids and product string do not tell what it is:
+    a port is not written to before somebody has said that it is the right one.
+    """
     ports = list(discovery.serial_ports())
     wanted = ids(options.vendor_id, options.product_id)
-    theirs = [port for port in ports if port.ids == wanted]
+    theirs = [port for port in ports if port.ids == wanted and other_product(port) is None]
     matching = [port for port in theirs if options.serial in (None, port.serial)]
     if len(matching) == 1:
-        return matching[0].node
+        why = undecided(matching[0]) if options.serial is None else None
+        if why is None:
+            return matching[0].node
+        raise DeviceNotFound(
+            f"{matching[0].node} may be the device or not: {why}: if it is the one, name its port with path = "
+            f'"{matching[0].node}" under [device] of the rig, or its serial number with serial'
+        )
     if matching:
         listed = ", ".join(f"{port.node} (serial '{port.serial}')" for port in matching)
         raise DeviceNotFound(f"{len(matching)} serial ports are {wanted}: name one with serial or path: {listed}")
@@ -76,7 +87,7 @@ def find(options: Options) -> str:
         raise DeviceNotFound(
             f"no serial port {wanted} has the serial number '{options.serial}': attached are {serials}"
         )
-    others = ", ".join(str(port) for port in ports)
+    others = ", ".join(f"{other_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports)
     there = f"attached are {others}" if ports else "no serial port on USB is attached"
     raise DeviceNotFound(
         f"no serial port {wanted} is attached: plug the device in and switch it on, correct vendor_id and product_id, "
@@ -93,6 +104,8 @@ def _check_ids(path: str, options: Options) -> None:
             f"{path} is the device {port.ids} ({port.name}), and the rig is for {wanted}: name the right port, or "
             "leave `path` out"
         )
+    if port is not None and (other := other_product(port)) is not None:
+        raise DeviceError(f"{path} is {other} ('{port.name}'), which speaks another language: name the right port")
 
 
 def _how_to_permit(path: str, options: Options) -> str:

@@ -1,31 +1,12 @@
-"""Writing the contact's part of a record: the layout of `softfinger.proxy.state`, compiled."""
+"""Writing the contact's part of a record: the layout of `softfinger.proxy.record`, compiled."""
 
 from typing import Any
 
-from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.model import Contact, Quaternion, Vec3
-from softfinger.proxy.state import OFFSET
-
-DT = OFFSET["dt"]
-TICK = OFFSET["tick"]
-TIMESTAMP = OFFSET["timestamp"]
-POSITION = OFFSET["probe.position"]
-ORIENTATION = OFFSET["probe.orientation"]
-VELOCITY = OFFSET["probe.velocity"]
-PROXY = OFFSET["proxy.position"]
-MODE = OFFSET["contact.mode"]
-OBJECT = OFFSET["contact.object"]
-PENETRATION = OFFSET["contact.penetration"]
-POINT = OFFSET["contact.point"]
-NORMAL = OFFSET["contact.normal"]
-FINGER_POINT = OFFSET["contact.finger_point"]
-ROLLED = OFFSET["contact.rolled"]
-SPIN = OFFSET["contact.spin"]
-FORCE = OFFSET["force"]
-TORQUE = OFFSET["torque"]
-CAUSE = OFFSET["contact.cause"]
-NORMAL_FORCE = OFFSET["contact.normal_force"]
-TANGENTIAL_FORCE = OFFSET["contact.tangential_force"]
+from softfinger.proxy.kernels.geometry.bodies import number_of
+from softfinger.proxy.kernels.model import NO_PATCH, Contact, PatchState, Quaternion, Vec3
+from softfinger.proxy.kernels.native.dispatch import by_count
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.record import AT
 
 
 @jit
@@ -47,25 +28,60 @@ def write_contact(
     torque: Vec3,
 ) -> None:
     """Fill a record (RECORD_SIZE,) with one tick; the servo's and the device's fields are left as they are."""
-    row[TICK] = tick
-    row[DT] = dt
-    put3(row, POSITION, position)
-    row[ORIENTATION] = orientation[0]
-    row[ORIENTATION + 1] = orientation[1]
-    row[ORIENTATION + 2] = orientation[2]
-    row[ORIENTATION + 3] = orientation[3]
-    put3(row, VELOCITY, contact.velocity)
-    put3(row, PROXY, contact.center)
-    row[MODE] = contact.mode
-    row[OBJECT] = contact.object
-    row[PENETRATION] = contact.penetration
-    put3(row, POINT, contact.point)
-    put3(row, NORMAL, contact.normal)
-    put3(row, FINGER_POINT, contact.finger_point)
-    row[ROLLED] = contact.rolled
-    row[SPIN] = contact.spin
-    put3(row, FORCE, force)
-    put3(row, TORQUE, torque)
-    row[CAUSE] = contact.cause
-    row[NORMAL_FORCE] = contact.normal_force
-    row[TANGENTIAL_FORCE] = contact.tangential_force
+    row[AT.tick] = tick
+    row[AT.dt] = dt
+    put3(row, AT.probe_position, position)
+    row[AT.probe_orientation] = orientation[0]
+    row[AT.probe_orientation + 1] = orientation[1]
+    row[AT.probe_orientation + 2] = orientation[2]
+    row[AT.probe_orientation + 3] = orientation[3]
+    put3(row, AT.probe_velocity, contact.velocity)
+    put3(row, AT.proxy_position, contact.center)
+    row[AT.contact_mode] = contact.mode
+    row[AT.contact_object] = contact.object
+    row[AT.contact_penetration] = contact.penetration
+    put3(row, AT.contact_point, contact.point)
+    put3(row, AT.contact_normal, contact.normal)
+    put3(row, AT.contact_finger_point, contact.finger_point)
+    row[AT.contact_rolled] = contact.rolled
+    row[AT.contact_spin] = contact.spin
+    put3(row, AT.force, force)
+    put3(row, AT.torque, torque)
+    row[AT.contact_cause] = contact.cause
+    row[AT.contact_normal_force] = contact.normal_force
+    row[AT.contact_tangential_force] = contact.tangential_force
+    row[AT.contact_torsion] = contact.torsion
+    row[AT.contact_patch_radius] = contact.patch_radius
+    put3(row, AT.contact_patch_normal, contact.patch_normal)
+    put3(row, AT.contact_patch_stretch, contact.patch_stretch)
+
+
+@by_count
+def write_patches(patches: Any, row: Any, objects: Any) -> Any:
+    """Fill what a record (RECORD_SIZE,) has of each patch of contact."""
+
+
+@write_patches.of(1)
+def write_the_only_patch(patches: Any, row: Any, objects: Any) -> None:
+    write_patch(row, AT.contacts0_object, objects, patches[0])
+    write_patch(row, AT.contacts1_object, objects, NO_PATCH)
+    write_patch(row, AT.contacts2_object, objects, NO_PATCH)
+
+
+@write_patches.of(2)
+def write_three_patches(patches: Any, row: Any, objects: Any) -> None:
+    write_patch(row, AT.contacts0_object, objects, patches[0])
+    write_patch(row, AT.contacts1_object, objects, patches[1])
+    write_patch(row, AT.contacts2_object, objects, patches[2])
+
+
+@jit
+def write_patch(row: Any, at: int, objects: Any, patch: PatchState) -> None:
+    """One of them, from column `at` on; zeros where there is none."""
+    row[at] = number_of(objects, patch.body)
+    held = patch.body >= 0.0
+    put3(row, at + AT.contacts0_point - AT.contacts0_object, patch.point)
+    put3(row, at + AT.contacts0_normal - AT.contacts0_object, patch.normal if held else (0.0, 0.0, 0.0))
+    put3(row, at + AT.contacts0_force - AT.contacts0_object, patch.force)
+    row[at + AT.contacts0_mode - AT.contacts0_object] = patch.mode
+    row[at + AT.contacts0_spin - AT.contacts0_object] = patch.angle

@@ -1,146 +1,514 @@
-"""One tick of contact: probe pose in, force and torque out, in the order of the equations."""
+"""One tick of contact: probe poses in, forces and torques out, in the order of the equations."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels import rotations, vec3
-from softfinger.proxy.kernels.approach import has_ended, stay, touch
-from softfinger.proxy.kernels.bodies import material_of, number_of, place_all, pose_of
-from softfinger.proxy.kernels.cones import turned
-from softfinger.proxy.kernels.contacts import NONE, Held, displacement_by, hold_by, load_of, settle, tangent_to_all
-from softfinger.proxy.kernels.effects import Moment, apply_effects
-from softfinger.proxy.kernels.friction import hold
-from softfinger.proxy.kernels.jit import jit
-from softfinger.proxy.kernels.model import Contact, Pose, Quaternion, Scene, State, Tick, Vec3
-from softfinger.proxy.kernels.object_effects import Touched, apply_objects_effects
-from softfinger.proxy.kernels.rolling import torque_stiffness
-from softfinger.proxy.state import CAUSE_NONE, CAUSE_RELEASE, FREE, SLIDING
+from softfinger.proxy.kernels.contact.approach import has_ended, meet, no_patches, parted, stay, touch
+from softfinger.proxy.kernels.contact.carry import carried_direction, carry, velocity_against
+from softfinger.proxy.kernels.contact.constraints import (
+    INSIDE,
+    NONE,
+    Constraints,
+    one_constraint,
+    settle_among_several,
+    settle_on_one,
+    tangent_to_all,
+)
+from softfinger.proxy.kernels.contact.fingertip import point_on, point_under, roundness, seen_by, torque_of, velocity_at
+from softfinger.proxy.kernels.contact.normal import press
+from softfinger.proxy.kernels.contact.patches import Motion, again, aside, carried_patches, hand_on, load_on, sheared
+from softfinger.proxy.kernels.contact.rolling_resistance import Bent, resist
+from softfinger.proxy.kernels.contact.texture import embossed, roughened
+from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
+from softfinger.proxy.kernels.effects.objects import Touched, apply_objects_effects
+from softfinger.proxy.kernels.friction.footprint import footprint, torsion_under, winding_unit
+from softfinger.proxy.kernels.friction.laws import turned
+from softfinger.proxy.kernels.friction.machine import react
+from softfinger.proxy.kernels.friction.torsion import share_of
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, material_of, number_of, pose_of
+from softfinger.proxy.kernels.geometry.world import advance, place_all
+from softfinger.proxy.kernels.model import (
+    NO_PATCH,
+    Contact,
+    Coupling,
+    Finger,
+    FingerState,
+    Patch,
+    PatchState,
+    Pose,
+    Probe,
+    Quaternion,
+    Scene,
+    State,
+    Vec3,
+)
+from softfinger.proxy.kernels.native.dispatch import by_count
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_TOUCH, FREE, SLIDING
 
 
 @jit
-def filter_velocity(state: State, position: Vec3, dt: float, time_constant: float) -> Vec3:
+def step(scene: Scene, state: State, poses: Any, dt: float) -> tuple[State, Any]:
+    """Advance the world by one tick, and every finger over it.
+
+    scene     Scene   what is modelled, with its parameters
+    state     State   what the last tick left
+    poses             a Pose for each finger: probe position, m, and orientation, unit quaternion, fingertip to world
+    dt        s       time since the last tick; 0 freezes velocity and damping
+    returns   State, and a Contact for each finger
+    """
+    world = advance(scene.objects, state.world, dt)
+    objects = place_all(scene.objects, world.poses, world.was)
+    fingers, contacts = step_fingers(scene.fingers, scene, objects, state.fingers, poses, dt)
+    return State(world=world, fingers=fingers), contacts
+
+
+@by_count
+def step_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
+    """`step_finger` for each finger; states and Contacts, a tuple each."""
+
+
+@step_fingers.of(1)
+def step_the_only_finger(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
+    state, contact = step_finger(scene, fingers[0], objects, states[0], poses[0], dt)
+    return (state,), (contact,)
+
+
+@step_fingers.of(2)
+def step_several_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
+    state, contact = step_finger(scene, fingers[0], objects, states[0], poses[0], dt)
+    others, contacts = step_fingers(fingers[1:], scene, objects, states[1:], poses[1:], dt)
+    # numba joins tuples of known types, and does not unpack one inside another.
+    return (state,) + others, (contact,) + contacts  # noqa: RUF005
+
+
+@jit
+def step_finger(
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, pose: Pose, dt: float
+) -> tuple[FingerState, Contact]:
+    """One finger's contact in a world that has been advanced: `objects` are where `place_all` has put them."""
+    velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
+    probe = Probe(pose.position, pose.orientation, velocity)
+    seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
+    return touch_or_stay(seen, scene, finger, state, probe, dt)
+
+
+@by_count
+def touch_or_stay(objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float) -> Any:
+    """The finger's state and Contact: with one object there is one patch, and the proxy follows it where it slips."""
+
+
+@touch_or_stay.of(1)
+def on_the_only_object(
+    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+) -> tuple[FingerState, Contact]:
+    position, form = probe.position, finger.form
+    touches = state.mode == FREE
+    if not touches:
+        comes = stay(scene, finger, objects, state, probe, dt)
+        touches = has_ended(comes.active)
+    if touches:  # what is met in the tick in which the last contact ended is another one
+        state = parted(state)
+        comes = touch(finger, objects, state, probe, dt)
+    if comes.active.first < 0.0:
+        return out_of_contact(scene, finger, objects, state, probe, dt)
+
+    rough = roughened(objects, comes.active, comes.center)
+    material, last = rough[0].material, state.patches[0]
+    felt = embossed(objects, comes.active, position)
+    moves, since = carry(objects, 0.0), 0.0 if touches else dt
+    against = velocity_at(form, comes.against, moves, probe, state.probe, comes.active.n1, since)
+    normal_force = press(material.normal, felt.push.first, vec3.dot(against, felt.n1))
+    round_by = roundness(form, finger.radius, probe.orientation, comes.active.n1)
+    area = footprint(finger.patch, round_by, material.compliance, normal_force)
+    torsion, unit = torsion_under(material.torsion, area), winding_unit(material.torsion, area, 1.0)
+    kept = react(
+        turned(material.friction, pose_of(objects, 0.0).orientation),
+        torsion,
+        finger.coupling,
+        finger.torque_stiffness,
+        Patch(
+            radius=finger.radius,
+            resolution=finger.position_resolution,
+            dt=dt,
+            mode=comes.mode,
+            normal=comes.active.n1,
+            deflection=comes.deflection,
+            deflection_before=comes.before,
+            rolled_part=comes.rolled_part,
+            slip_speed=last.slip_speed,
+            slip_deflection=last.slip_deflection,
+            spin=last.spin / unit,
+            twist=comes.twist,
+            spin_slip_speed=last.spin_slip_speed,
+            spin_slip_angle=last.spin_slip_angle / unit,
+            normal_force=normal_force,
+        ),
+    )
+
+    # Where friction lets go the proxy follows, and the forces are those at its new place.
+    slips = kept.mode == SLIDING or kept.deflection != comes.deflection or comes.strays
+    center, rests = settle_on_one(objects, finger.radius, position, comes.center, kept.deflection, comes.active, slips)
+    normal = rests.n1
+    felt = embossed(objects, rests, position)
+    against = velocity_at(form, comes.against, moves, probe, state.probe, normal, since)
+    load = press(material.normal, felt.push.first, vec3.dot(against, felt.n1))
+    tangential, moment = vec3.reject(kept.force, normal), kept.moment
+    bent = Bent(0.0, comes.active.n1, 1.0, carried_direction(moves, last.bend), touches)
+    bend, bending = resist(finger.patch, objects, bent, probe, state.probe, area)
+    if normal_force > load:
+        # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
+        ease = load / normal_force
+        tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
+        bending = vec3.scale(ease * ease, bending)
+
+    rolled, pressing = state.rolled + comes.theta, vec3.scale(load, felt.n1)
+    torque = torque_of(form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    torque = vec3.add(torque, bending)
+    extra, states = all_effects(scene, finger.radius, objects, state, rests, probe, comes.against, dt)
+    behind = vec3.sub(center, position)
+    point = point_under(form, finger.radius, probe.orientation, center, normal)
+    force = vec3.add(pressing, tangential)
+    deflection = vec3.sub(behind, vec3.scale(rests.push.first, normal))
+    patch = PatchState(
+        body=0.0,
+        normal=normal,
+        push=rests.push.first,
+        share=1.0,
+        mode=kept.mode,
+        deflection=deflection,
+        rolled_part=vec3.reject(kept.rolled_part, normal),
+        spin=kept.spin * unit,
+        slip_speed=kept.slip_speed,
+        slip_deflection=kept.slip_deflection,
+        spin_slip_speed=kept.spin_slip_speed,
+        spin_slip_angle=kept.spin_slip_angle * unit,
+        angle=kept.spin,
+        bend=bend,
+        point=point,
+        force=force,
+    )
+    after = FingerState(
+        started=1.0,
+        probe=probe,
+        mode=kept.mode,
+        center=center,
+        patches=(patch,),
+        rolled=rolled,
+        effects=states,
+    )
+    cause = kept.cause if kept.cause != CAUSE_NONE else comes.cause
+    to_fingertip = rotations.conjugate(probe.orientation)
+    inward = rotations.rotate(to_fingertip, normal)
+    contact = Contact(
+        mode=kept.mode,
+        object=number_of(objects, 0.0),
+        cause=cause,
+        velocity=probe.velocity,
+        center=center,
+        penetration=vec3.dot(behind, normal),
+        point=point,
+        normal=normal,
+        finger_point=point_on(form, finger.radius, inward),
+        rolled=rolled,
+        spin=kept.spin,
+        normal_force=load,
+        tangential_force=vec3.norm(tangential),
+        force=vec3.add(force, extra),
+        torque=torque,
+        torsion=moment,
+        patch_radius=area.radius,
+        patch_normal=inward,
+        patch_stretch=rotations.rotate(to_fingertip, vec3.reject(deflection, normal)),
+    )
+    return after, contact
+
+
+class Wrench(NamedTuple):
+    """What a patch does to the hand, torque about the fingertip's centre, and what becomes of it.
+
+    after    PatchState, its point the proxy's, which is not known yet
+    cause    of its change of mode
+    theta    rad    roll in this tick
+    torsion  N m    moment about the normal
+    radius   m      of the contact patch
+    """
+
+    after: PatchState
+    cause: float
+    theta: float
+    normal_force: Vec3
+    tangential_force: Vec3
+    torque: Vec3
+    torsion: float
+    radius: float
+
+
+@jit
+def wrench_of(scene: Scene, finger: Finger, objects: Any, patch: PatchState, motion: Motion) -> Wrench:
+    """Friction and torsion of one of several patches: with its own load, its own law, and its share of the springs."""
+    zero = (0.0, 0.0, 0.0)
+    if patch.body < 0.0:
+        return Wrench(
+            after=NO_PATCH, cause=float(CAUSE_NONE), theta=0.0,
+            normal_force=zero, tangential_force=zero, torque=zero, torsion=0.0, radius=0.0,
+        )  # fmt: skip
+    material, share, normal = material_of(objects, patch.body), patch.share, patch.normal
+    load = load_on(objects, patch, motion)
+    orientation = motion.probe.orientation
+    round_by = roundness(finger.form, finger.radius, orientation, normal)
+    area = footprint(finger.patch, round_by, material.compliance, load.size)
+    unit = winding_unit(material.torsion, area, share)
+    seen, theta = sheared(scene.rolling, objects, patch, motion, load.size, unit)
+    kept = react(
+        turned(material.friction, pose_of(objects, patch.body).orientation),
+        torsion_under(share_of(material.torsion, share), area),
+        Coupling(share * finger.coupling.stiffness, share * finger.coupling.damping),
+        share * finger.torque_stiffness,
+        seen,
+    )
+    bent = Bent(patch.body, normal, share, patch.bend, motion.touches)
+    bend, bending = resist(finger.patch, objects, bent, motion.probe, motion.last, area)
+    pressing = vec3.scale(load.size, load.along)
+    torque = torque_of(finger.form, finger.radius, orientation, normal, kept.moment, pressing, kept.force)
+    after = PatchState(
+        body=patch.body,
+        normal=normal,
+        push=patch.push,
+        share=share,
+        mode=kept.mode,
+        deflection=kept.deflection,
+        rolled_part=kept.rolled_part,
+        spin=kept.spin * unit,
+        slip_speed=kept.slip_speed,
+        slip_deflection=kept.slip_deflection,
+        spin_slip_speed=kept.spin_slip_speed,
+        spin_slip_angle=kept.spin_slip_angle * unit,
+        angle=kept.spin,
+        bend=bend,
+        point=patch.point,
+        force=vec3.add(pressing, kept.force),
+    )
+    return Wrench(
+        after=after,
+        cause=kept.cause,
+        theta=theta,
+        normal_force=pressing,
+        tangential_force=kept.force,
+        torque=vec3.add(torque, bending),
+        torsion=kept.moment,
+        radius=area.radius,
+    )
+
+
+@jit
+def at_point(patch: PatchState, finger: Finger, orientation: Quaternion, center: Vec3) -> PatchState:
+    """The patch with its point (3,) m under the proxy."""
+    return PatchState(
+        body=patch.body,
+        normal=patch.normal,
+        push=patch.push,
+        share=patch.share,
+        mode=patch.mode,
+        deflection=patch.deflection,
+        rolled_part=patch.rolled_part,
+        spin=patch.spin,
+        slip_speed=patch.slip_speed,
+        slip_deflection=patch.slip_deflection,
+        spin_slip_speed=patch.spin_slip_speed,
+        spin_slip_angle=patch.spin_slip_angle,
+        angle=patch.angle,
+        bend=patch.bend,
+        point=point_under(finger.form, finger.radius, orientation, center, patch.normal),
+        force=patch.force,
+    )
+
+
+@jit
+def beside(objects: Any, radius: float, center: Vec3, way: Vec3) -> Vec3:
+    """The proxy (3,) m that friction keeps `way` (3,) m beside `center`: on what is nearest there, outside of all."""
+    if way == (0.0, 0.0, 0.0):
+        return center
+    there = vec3.add(center, way)
+    _, at = deepest(objects, there)
+    _, point, normal = closest_to(objects, at, there)
+    there = vec3.add_scaled(point, radius, normal)
+    gap, _ = deepest(objects, there)
+    return there if gap >= radius * (1.0 - INSIDE) else center
+
+
+@touch_or_stay.of(2)
+def among_several_objects(
+    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+) -> tuple[FingerState, Contact]:
+    radius, position = finger.radius, probe.position
+    start, center, active = state.center, state.center, one_constraint(NONE, (0.0, 0.0, 1.0))
+    touches = state.mode == FREE
+    if not touches:
+        center, active = again(objects, radius, state, position)
+        touches = has_ended(active)
+    if touches:  # what is met in the tick in which the last contact ended is another one
+        state = parted(state)
+        start, center, active = meet(finger, objects, state, position)
+    if active.first < 0.0:
+        return out_of_contact(scene, finger, objects, state, probe, dt)
+
+    center, active = settle_among_several(objects, radius, position, start, center, active)
+    last = carried_patches(objects, state.patches)
+    patches = hand_on(objects, last, active)
+    way = aside(last, patches)
+    motion = Motion(
+        radius=radius,
+        form=finger.form,
+        resolution=finger.position_resolution,
+        dt=dt,
+        probe=probe,
+        last=state.probe,
+        center=state.center,
+        turn=rotations.relative(probe.orientation, state.probe.orientation),
+        free=vec3.add(vec3.sub(position, state.probe.position), way),
+        blocked=vec3.scale(-1.0, way),
+        touches=touches,
+    )
+    rough = roughened(objects, active, center)
+    one = wrench_of(scene, finger, rough, patches[0], motion)
+    two = wrench_of(scene, finger, rough, patches[1], motion)
+    three = wrench_of(scene, finger, rough, patches[2], motion)
+
+    normal, rolled, mode = active.n1, state.rolled + one.theta, one.after.mode
+    pressing = vec3.add(vec3.add(one.normal_force, two.normal_force), three.normal_force)
+    tangential = vec3.add(vec3.add(one.tangential_force, two.tangential_force), three.tangential_force)
+    lag = vec3.scale(one.after.share, one.after.deflection)
+    lag = vec3.add_scaled(lag, two.after.share, two.after.deflection)
+    lag = vec3.add_scaled(lag, three.after.share, three.after.deflection)
+    shown = beside(objects, radius, center, tangent_to_all(active, lag))
+    against = velocity_against(carry(objects, active.first), probe.velocity, state.probe.position, dt)
+    extra, states = all_effects(scene, radius, objects, state, active, probe, against, dt)
+    cause = one.cause
+    if cause == CAUSE_NONE and touches:
+        cause = float(CAUSE_TOUCH)
+    after = FingerState(
+        started=1.0,
+        probe=probe,
+        mode=mode,
+        center=center,
+        patches=(
+            at_point(one.after, finger, probe.orientation, shown),
+            at_point(two.after, finger, probe.orientation, shown),
+            at_point(three.after, finger, probe.orientation, shown),
+        ),
+        rolled=rolled,
+        effects=states,
+    )
+    to_fingertip = rotations.conjugate(probe.orientation)
+    inward = rotations.rotate(to_fingertip, normal)
+    contact = Contact(
+        mode=mode,
+        object=number_of(objects, active.first),
+        cause=cause,
+        velocity=probe.velocity,
+        center=shown,
+        penetration=vec3.dot(vec3.sub(shown, position), normal),
+        point=point_under(finger.form, radius, probe.orientation, shown, normal),
+        normal=normal,
+        finger_point=point_on(finger.form, radius, inward),
+        rolled=rolled,
+        spin=one.after.angle,
+        normal_force=vec3.norm(pressing),
+        tangential_force=vec3.norm(tangential),
+        force=vec3.add(vec3.add(pressing, tangential), extra),
+        torque=vec3.add(vec3.add(one.torque, two.torque), three.torque),
+        torsion=one.torsion,
+        patch_radius=one.radius,
+        patch_normal=inward,
+        patch_stretch=rotations.rotate(to_fingertip, vec3.reject(one.after.deflection, normal)),
+    )
+    return after, contact
+
+
+@jit
+def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant: float) -> Vec3:
     """Probe velocity (3,) m/s: backward difference through a first-order low-pass."""
     if state.started == 0.0 or dt <= 0.0:
-        return state.velocity
+        return state.probe.velocity
     gain = 1.0 / (time_constant + dt)
-    moved = vec3.sub(position, state.position)
-    return vec3.add_scaled(vec3.scale(time_constant * gain, state.velocity), gain, moved)
+    moved = vec3.sub(position, state.probe.position)
+    return vec3.add_scaled(vec3.scale(time_constant * gain, state.probe.velocity), gain, moved)
 
 
 @jit
 def out_of_contact(
-    scene: Scene,
-    objects: Any,
-    state: State,
-    position: Vec3,
-    orientation: Quaternion,
-    velocity: Vec3,
-    dt: float,
-) -> tuple[State, Contact]:
-    """State and outcome in free space; leaving a contact is a release."""
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
+) -> tuple[FingerState, Contact]:
+    """State and outcome in free space."""
+    up, free = (0.0, 0.0, 1.0), float(FREE)
+    force, states = all_effects(
+        scene, finger.radius, objects, state, one_constraint(NONE, up), probe, probe.velocity, dt
+    )  # fmt: skip
+    after = FingerState(
+        started=1.0,
+        probe=probe,
+        mode=free,
+        center=probe.position,
+        patches=no_patches(state.patches),
+        rolled=0.0,
+        effects=states,
+    )
+    return after, no_contact(state, probe, force)
+
+
+@jit
+def no_contact(state: FingerState, probe: Probe, force: Vec3) -> Contact:
+    """The outcome in free space; leaving a contact is a release."""
     zero, cause = (0.0, 0.0, 0.0), float(CAUSE_NONE)
     if state.mode != FREE:
         cause = float(CAUSE_RELEASE)
-    time = state.time + dt
-    up, free, still = (0.0, 0.0, 1.0), float(FREE), (1.0, 0.0, 0.0, 0.0)
-    force, states = all_effects(scene, objects, state, hold_by(NONE, up), position, velocity, velocity, dt)
-    after = State(
-        1.0, time, position, orientation, velocity, free, NONE, NONE, NONE, Pose(zero, still), position, up, zero, zero,
-        0.0, 0.0, 0.0, 0.0, 0.0, 0.0, states,
-    )  # fmt: skip
-    contact = Contact(
-        free, -1.0, cause, velocity, position, 0.0, zero, zero, zero, 0.0, 0.0, 0.0, 0.0, force, zero
-    )  # fmt: skip
-    return after, contact
+    return Contact(
+        mode=float(FREE),
+        object=-1.0,
+        cause=cause,
+        velocity=probe.velocity,
+        center=probe.position,
+        penetration=0.0,
+        point=zero,
+        normal=zero,
+        finger_point=zero,
+        rolled=0.0,
+        spin=0.0,
+        normal_force=0.0,
+        tangential_force=0.0,
+        force=force,
+        torque=zero,
+        torsion=0.0,
+        patch_radius=0.0,
+        patch_normal=zero,
+        patch_stretch=zero,
+    )
 
 
 @jit
 def all_effects(
     scene: Scene,
+    radius: float,
     objects: Any,
-    state: State,
-    held: Held,
-    position: Vec3,
-    velocity: Vec3,
+    state: FingerState,
+    active: Constraints,
+    probe: Probe,
     against: Vec3,
     dt: float,
 ) -> tuple[Vec3, Any]:
     """Force of the workspace's and the objects' effects, and their states."""
-    up, in_contact = (0.0, 0.0, 1.0), 0.0 if held.first < 0.0 else 1.0
-    around = Moment(position, velocity, dt, in_contact, 0.0, up, None)
+    up, in_contact = (0.0, 0.0, 1.0), 0.0 if active.first < 0.0 else 1.0
+    around = Situation(
+        position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None
+    )  # fmt: skip
     force, states = apply_effects(scene.effects, state.effects[0], around)
-    contact = Moment(position, against, dt, 0.0, 0.0, up, None)
+    contact = Situation(
+        position=probe.position, velocity=against, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
+    )  # fmt: skip
     touched = Touched(
-        number_of(objects, held.first), number_of(objects, held.second), number_of(objects, held.third),
-        held.n1, held.n2, held.n3,
+        number_of(objects, active.first), number_of(objects, active.second), number_of(objects, active.third),
+        active.n1, active.n2, active.n3,
     )  # fmt: skip
-    more, states_of_objects = apply_objects_effects(objects, state.effects[1], scene.radius, touched, contact)
+    more, states_of_objects = apply_objects_effects(objects, state.effects[1], radius, touched, contact)
     return vec3.add(force, more), (states, states_of_objects)
-
-
-@jit
-def step(scene: Scene, state: State, position: Vec3, orientation: Quaternion, dt: float) -> tuple[State, Contact]:
-    """Advance the contact by one tick.
-
-    scene        Scene   what is modelled, with its parameters
-    state        State   what the last tick left
-    position     (3,)    m  probe position, world
-    orientation  (4,)    1  probe orientation, unit quaternion, fingertip to world
-    dt           s          time since the last tick; 0 freezes velocity and damping
-    returns      State, Contact
-    """
-    velocity = filter_velocity(state, position, dt, scene.velocity_time_constant)
-    objects = place_all(scene.objects, state.time + dt)
-    if state.mode == FREE:
-        comes = touch(scene, objects, state, position, velocity)
-    else:
-        comes = stay(scene, objects, state, position, orientation, velocity, dt)
-    if has_ended(objects, scene.radius, position, comes.held):
-        return out_of_contact(scene, objects, state, position, orientation, velocity, dt)
-
-    load = load_of(objects, comes.held, comes.against)
-    material = material_of(objects, comes.held.first)
-    kept = hold(
-        turned(material.friction, pose_of(objects, comes.held.first).orientation),
-        material.torsion,
-        scene.coupling,
-        torque_stiffness(scene.rolling, scene.coupling),
-        Tick(
-            scene.radius, scene.position_resolution, dt, comes.mode, comes.held.n1, comes.deflection, comes.before,
-            comes.rolled_part, state.slip_speed, state.slip_deflection, state.spin, comes.twist,
-            state.spin_slip_speed, state.spin_slip_angle, load.friction,
-        ),
-    )  # fmt: skip
-
-    # Where friction lets go the proxy follows, and the forces are those at its new place.
-    slips = kept.mode == SLIDING or kept.deflection != comes.deflection
-    center, rests, _ = settle(objects, scene.radius, position, comes.center, kept.deflection, comes.held, slips)
-    loads = load_of(objects, rests, comes.against)
-    tangential = tangent_to_all(rests, kept.force)
-    spin, moment, slip_speed, slip_angle = kept.spin, kept.moment, kept.spin_slip_speed, kept.spin_slip_angle
-    if load.friction > loads.friction:
-        # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
-        ease = loads.friction / load.friction
-        tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
-    if rests.first != comes.held.first:  # another normal now: what was wound up about the old one is gone
-        spin, moment, slip_speed, slip_angle = 0.0, 0.0, 0.0, 0.0
-
-    # A contact force f at -r n from the centre turns the hand by -r n x f; the normal part does not.
-    normal, rolled = rests.n1, state.rolled + comes.theta
-    torque = vec3.add_scaled(vec3.scale(moment, normal), -scene.radius, vec3.cross(normal, tangential))
-    extra, states = all_effects(scene, objects, state, rests, position, velocity, comes.against, dt)
-    behind = vec3.sub(center, position)
-    after = State(
-        1.0, state.time + dt, position, orientation, velocity, kept.mode, rests.first, rests.second, rests.third,
-        pose_of(objects, rests.first), center, normal,
-        vec3.sub(behind, displacement_by(objects, rests)),
-        tangent_to_all(rests, kept.rolled_part), spin, kept.slip_speed, kept.slip_deflection, slip_speed, slip_angle,
-        rolled, states,
-    )  # fmt: skip
-    inward = rotations.rotate(rotations.conjugate(orientation), normal)
-    contact = Contact(
-        kept.mode, number_of(objects, rests.first), kept.cause if kept.cause != CAUSE_NONE else comes.cause, velocity,
-        center, vec3.dot(behind, normal), vec3.add_scaled(center, -scene.radius, normal), normal,
-        vec3.scale(-scene.radius, inward), rolled, spin, loads.total, vec3.norm(tangential),
-        vec3.add(vec3.add(loads.force, tangential), extra), torque,
-    )  # fmt: skip
-    return after, contact

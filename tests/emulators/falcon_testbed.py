@@ -19,7 +19,6 @@ import json
 import os
 import socket
 import struct
-import subprocess
 import sys
 import tempfile
 import threading
@@ -32,6 +31,7 @@ gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from emulators import bounded  # noqa: E402
 from emulators.falcon import from_case, to_world  # noqa: E402
 
 EAGAIN, EBUSY, EINVAL, ENODEV, ENODATA, ENOENT, ENOTTY, EPROTO, ESHUTDOWN = 11, 16, 22, 19, 61, 2, 25, 71, 108
@@ -291,7 +291,7 @@ def main() -> int:
 
     def run() -> None:
         # The environment of the C library is passed on, to which umockdev has added where the emulated files are.
-        code.append(subprocess.run(command, check=False).returncode)
+        code.append(bounded.run(command))
         loop.quit()
 
     threading.Thread(target=run, daemon=True).start()

@@ -58,19 +58,30 @@ class UsbBed(testbed.Bed):
         self.bed.add_from_string("\n".join([*lines, f"A: product={self.name}\\n", f"H: descriptors={blob}", ""]))
         if self.case.get("listed"):
             for text in self.hidraw_table()[1:]:
-                self.bed.add_from_string(text.replace("N: hidraw0\n", ""))
+                self.bed.add_from_string(text.replace("N: hidraw0\n", "").replace("N: hidraw1\n", ""))
         self.node = testbed.UMockdev.IoctlBase()
         self.node.connect("handle-ioctl", self._ioctl)
         self.bed.attach_ioctl(NODE, self.node)
 
     def _descriptors(self) -> bytes:
-        """Device and configuration: one HID interface, interrupt in 0x81 and out 0x02."""
-        size = self.woody.report_bytes
-        ends = b"".join(bytes([7, 5, end, 3, size, 0, 1]) for end in (0x81, 0x02))
-        hid = bytes([9, 0x21, 0x11, 1, 0, 1, REPORT]) + struct.pack("<H", len(self.descriptor))
-        body = bytes([9, 4, 0, 0, 2, 3, 0, 0, 0]) + hid + ends
+        """Device and configuration: HID interfaces, each with an interrupt endpoint in and one out."""
+        body = b""
+        for n, one in enumerate(self.board.interfaces):
+            ends = bytes([7, 5, one.end_in, 3, one.bytes_in, 0, 1, 7, 5, one.end_out, 3, one.bytes_out, 0, 1])
+            hid = bytes([9, 0x21, 0x11, 1, 0, 1, REPORT]) + struct.pack("<H", len(self._report(n)))
+            body += bytes([9, 4, n, 0, 2, 3, 0, 0, 0]) + hid + ends
         device = bytes([18, 1, 0, 2, 0, 0, 0, 64]) + struct.pack("<HHH", *self.ids, 0x0100) + bytes([1, 2, 3, 1])
-        return device + bytes([9, 2]) + struct.pack("<H", 9 + len(body)) + bytes([1, 1, 0, 0x80, 45]) + body
+        return (
+            device
+            + bytes([9, 2])
+            + struct.pack("<H", 9 + len(body))
+            + bytes([len(self.board.interfaces), 1, 0, 0x80, 45])
+            + body
+        )
+
+    def _report(self, interface: int) -> bytes:
+        """Report descriptor of an interface."""
+        return self.descriptor if interface == self.board.arm else self.board.interfaces[interface].descriptor
 
     def _ioctl(self, _: object, client: object) -> bool:
         request, argument, code = client.get_request(), client.get_arg(), 0
@@ -104,8 +115,13 @@ class UsbBed(testbed.Bed):
         buffer = urb.resolve(16, length) if length else None
         if kind == CONTROL:
             self._control(stream, urb, buffer)
-        elif end & 0x80:
+        elif end == self.board.interfaces[self.board.arm].end_in:
             stream.waiting.append((urb, buffer, length))
+        elif end & 0x80:  # of an interface that says nothing
+            stream.blocked.append(urb)
+        elif end != self.board.interfaces[self.board.arm].end_out:
+            self.astray += 1
+            stream.finish(urb, 0, length)
         elif self._past("block_after"):
             stream.blocked.append(urb)
         else:
@@ -114,10 +130,13 @@ class UsbBed(testbed.Bed):
         return 0
 
     def _control(self, stream: Stream, urb: object, buffer: object) -> None:
-        _, request, value, _, length = struct.unpack_from("<BBHHH", bytes(buffer.retrieve()))
+        _, request, value, index, length = struct.unpack_from("<BBHHH", bytes(buffer.retrieve()))
         texts = {1: "Emulated", 2: self.name, 3: "SN42"}
         strings = {n: bytes([2 + 2 * len(t), STRING]) + t.encode("utf-16le") for n, t in texts.items()}
-        answers = {(STRING, 0): bytes([4, STRING, 9, 4]), (REPORT, 0): self.descriptor}
+        answers = {
+            (STRING, 0): bytes([4, STRING, 9, 4]),
+            (REPORT, 0): self._report(index if index < len(self.board.interfaces) else 0),
+        }
         answers |= {(STRING, n): text for n, text in strings.items()}
         answer = answers.get((value >> 8, value & 255))
         if request != GET_DESCRIPTOR or answer is None:

@@ -1,7 +1,8 @@
 """An emulated SpaceMouse as a hidraw node of umockdev, and a program run beside it, as in testbed.py.
 
-The first argument: product (number), push (deflection in counts by the words of puck.py), buttons, unplug_after_s,
-reports: split or combined. What the puck was sent goes to the last line of standard output as JSON.
+The first argument: product (number), push (deflection in counts by the words of puck.py), buttons, unplug_after_s
+(since it was first written to), unplug_when (a path, as soon as it exists), reports: split or combined.
+What the puck was sent goes to the last line of standard output as JSON.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from gi.repository import GLib
 
 from emulators import puck, testbed
+from emulators.boards import Board, Interface, raw_hid
 
 REPORT_PERIOD_MS = 16
 
@@ -25,14 +27,15 @@ class PuckBed(testbed.Bed):
 
     def __init__(self, case: dict) -> None:
         self.case, self.ids = case, (0x046D, case.get("product", 0xC626))
-        self.descriptor = testbed.descriptor(13)
+        self.descriptor = raw_hid(13)
+        self.board = Board(*self.ids, self.name, (Interface(self.descriptor, 0x81, 0x02, 13, 13),))
         self.queue: list[bytes] = []
         self.written: list[bytes] = []
         self.gone = False
         self._wire()
         GLib.timeout_add(REPORT_PERIOD_MS, self._report)
-        if "unplug_after_s" in case:
-            GLib.timeout_add(round(1000 * case["unplug_after_s"]), self._unplug)
+        if "unplug_when" in case:
+            GLib.timeout_add(REPORT_PERIOD_MS, self._unplug_when)
 
     def _report(self) -> bool:
         kind = puck.combined if self.case.get("reports") == "combined" else puck.split
@@ -41,6 +44,9 @@ class PuckBed(testbed.Bed):
                 self.queue.append(report)
                 os.write(self.terminal, b"\1")
         return not self.gone
+
+    def _unplug_when(self) -> bool:
+        return self._unplug() if os.path.exists(self.case["unplug_when"]) else True
 
     def _unplug(self) -> bool:
         self.gone = True
@@ -56,6 +62,8 @@ class PuckBed(testbed.Bed):
 
     def _write(self, _: object, client: object) -> bool:
         data = bytes(client.get_arg().retrieve())
+        if not self.written and "unplug_after_s" in self.case:
+            GLib.timeout_add(round(1000 * self.case["unplug_after_s"]), self._unplug)
         self.written.append(data)
         client.complete(len(data), 0)
         return True

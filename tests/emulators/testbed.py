@@ -5,7 +5,8 @@
 Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The program's exit code is this one's; what the emulated
 arm saw goes to the last line of standard output as JSON.
 
-The first argument: arm (a row of the emulator's table), generation (1 or 2), and optionally descriptor (hex), place
+The first argument: arm (a row of the emulator's table), generation (1 or 2), and optionally board (a row of boards.py;
+without one, a single interface), descriptor (hex), place
 (m), press (m: how far the hand then goes down), drag (m: and to the side), lost_after (reports until the device is
 unplugged), short_after (reports until it sends short ones), mute_after, block_after (reports until a write hangs for
 ever), permission (mode of the node, octal text).
@@ -16,7 +17,6 @@ from __future__ import annotations
 import json
 import os
 import struct
-import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -27,6 +27,8 @@ gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from emulators import bounded  # noqa: E402
+from emulators.boards import BOARDS, Board, Interface, raw_hid  # noqa: E402
 from emulators.hand import stroke  # noqa: E402
 from emulators.woodenhaptics import Woody  # noqa: E402
 
@@ -37,30 +39,27 @@ GET_SIZE, GET_DESCRIPTOR, GET_INFO = 0x80044801, 0x90044802, 0x80084803
 DEVICE = "/devices/pci0000:00/0000:00:14.0/usb1/1-1"
 
 
-def descriptor(size: int) -> bytes:
-    """Vendor page, one input and one output report of `size` bytes, not numbered."""
-    head = bytes.fromhex("06abff0a0002a1017508150026ff00")
-    return head + bytes([0x95, size, 0x09, 1, 0x81, 2, 0x95, size, 0x09, 2, 0x91, 2, 0xC0])
-
-
 class Bed:
     """The node, and what happens to it."""
 
-    name = "Emulated arm"
     node_path = "/dev/hidraw0"
 
     def __init__(self, case: dict) -> None:
         self.case = case
         generation = case["generation"]
-        self.ids = IDS[generation]
         intention = stroke(tuple(case.get("place", (0.0, 0.0, 0.0))), case.get("press", 0.0), case.get("drag", 0.0))
-        self.woody = Woody(case["arm"], generation, intention)
+        size = {1: 8, 2: 64}[generation]
+        only = Interface(raw_hid(size), 0x81, 0x02, size, size)
+        self.board = BOARDS[case["board"]] if "board" in case else Board(*IDS[generation], "Emulated arm", (only,))
+        self.ids, self.name = (self.board.vendor, self.board.product), self.board.name
+        mine = self.board.interfaces[self.board.arm].descriptor
+        self.descriptor = bytes.fromhex(case["descriptor"]) if "descriptor" in case else mine
+        self.woody = Woody(case["arm"], generation, intention, mine[mine.index(0x95) + 1])
+        self.astray = 0
+        """Reports to an interface that is not the arm's."""
         self.woody.wrist = tuple(case.get("wrist", (0, 0, 0)))
         self.queue: list[bytes] = []
         self.blocked: list[object] = []
-        self.descriptor = (
-            bytes.fromhex(case["descriptor"]) if "descriptor" in case else descriptor(self.woody.report_bytes)
-        )
         self._wire()
         if "permission" in case:
             os.chmod(self.bed.get_root_dir() + self.node_path, int(case["permission"], 8))
@@ -69,36 +68,44 @@ class Bed:
         self.bed = UMockdev.Testbed.new()
         for text in self.hidraw_table():
             self.bed.add_from_string(text)
-        node = UMockdev.IoctlBase()
-        node.connect("handle-ioctl", self._ioctl)
-        node.connect("handle-read", self._read)
-        node.connect("handle-write", self._write)
-        self.bed.attach_ioctl("/dev/hidraw0", node)
-        self.node = node
+        self.nodes = []
+        for number, interface in enumerate(self.board.interfaces):
+            mine = number == self.board.arm
+            node = UMockdev.IoctlBase()
+            node.connect("handle-ioctl", self._ioctl, self.descriptor if mine else interface.descriptor)
+            node.connect("handle-read", self._read if mine else self._read_nothing)
+            node.connect("handle-write", self._write if mine else self._write_astray)
+            self.bed.attach_ioctl(f"/dev/hidraw{number}", node)
+            self.nodes.append(node)
         # The node is a pseudo terminal here: a byte in it makes poll report that there is something to read.
-        self.terminal = self.bed.get_dev_fd("/dev/hidraw0")
+        self.terminal = self.bed.get_dev_fd(f"/dev/hidraw{self.board.arm}")
 
     def hidraw_table(self) -> tuple[str, ...]:
-        """The device, its interface and its node as the system lists them."""
+        """The device, its interfaces and their nodes as the system lists them."""
         vendor, product = self.ids
-        hid = f"{DEVICE}/1-1:1.0/0003:{vendor:04X}:{product:04X}.0001"
-        return (
+        texts = [
             f"P: {DEVICE}\nE: DEVTYPE=usb_device\nE: SUBSYSTEM=usb\nA: idVendor={vendor:04x}\\n\n"
             f"A: idProduct={product:04x}\\n\nA: bcdDevice=0100\\n\nA: serial=SN42\\n\nA: busnum=1\\n\nA: devnum=2\\n\n",
-            f"P: {DEVICE}/1-1:1.0\nE: DEVTYPE=usb_interface\nE: DRIVER=usbhid\nE: SUBSYSTEM=usb\n"
-            "A: bInterfaceNumber=00\\n\nA: bInterfaceClass=03\\n\n",
-            f"P: {hid}\nE: DRIVER=hid-generic\nE: HID_ID=0003:{vendor:08X}:{product:08X}\nE: HID_NAME={self.name}\n"
-            f"E: HID_UNIQ=SN42\nE: SUBSYSTEM=hid\nH: report_descriptor={self.descriptor.hex().upper()}\n",
-            f"P: {hid}/hidraw/hidraw0\nN: hidraw0\nE: DEVNAME=/dev/hidraw0\nE: MAJOR=240\nE: MINOR=0\n"
-            f"E: SUBSYSTEM=hidraw\nL: device=../../../0003:{vendor:04X}:{product:04X}.0001\n",
-        )
+        ]
+        for n, interface in enumerate(self.board.interfaces):
+            descriptor = self.descriptor if n == self.board.arm else interface.descriptor
+            hid = f"{DEVICE}/1-1:1.{n}/0003:{vendor:04X}:{product:04X}.000{1 + n}"
+            texts += [
+                f"P: {DEVICE}/1-1:1.{n}\nE: DEVTYPE=usb_interface\nE: DRIVER=usbhid\nE: SUBSYSTEM=usb\n"
+                f"A: bInterfaceNumber=0{n}\\n\nA: bInterfaceClass=03\\n\n",
+                f"P: {hid}\nE: DRIVER=hid-generic\nE: HID_ID=0003:{vendor:08X}:{product:08X}\nE: HID_NAME={self.name}\n"
+                f"E: HID_UNIQ=SN42\nE: SUBSYSTEM=hid\nH: report_descriptor={descriptor.hex().upper()}\n",
+                f"P: {hid}/hidraw/hidraw{n}\nN: hidraw{n}\nE: DEVNAME=/dev/hidraw{n}\nE: MAJOR=240\nE: MINOR={n}\n"
+                f"E: SUBSYSTEM=hidraw\nL: device=../../../0003:{vendor:04X}:{product:04X}.000{1 + n}\n",
+            ]
+        return tuple(texts)
 
-    def _ioctl(self, _: object, client: object) -> bool:
+    def _ioctl(self, _: object, client: object, descriptor: bytes) -> bool:
         request, argument = client.get_request(), client.get_arg()
         if request == GET_SIZE:
-            argument.resolve(0, 4).update(0, struct.pack("<i", len(self.descriptor)))
+            argument.resolve(0, 4).update(0, struct.pack("<i", len(descriptor)))
         elif request == GET_DESCRIPTOR:
-            argument.resolve(0, 4100).update(4, self.descriptor)
+            argument.resolve(0, 4100).update(4, descriptor)
         elif request == GET_INFO:
             argument.resolve(0, 8).update(0, struct.pack("<IHH", 3, *self.ids))
         else:
@@ -139,6 +146,15 @@ class Bed:
         client.complete(len(data), 0)
         return True
 
+    def _read_nothing(self, _: object, client: object) -> bool:
+        client.complete(-1, EAGAIN)
+        return True
+
+    def _write_astray(self, _: object, client: object) -> bool:
+        self.astray += 1
+        client.complete(len(client.get_arg().retrieve()), 0)
+        return True
+
     def take(self, data: bytes) -> bool:
         """A report of the host, id in front; whether it was answered."""
         answer = self.woody.answer(data)
@@ -153,7 +169,7 @@ class Bed:
         return {
             "reports": len(w.sent), "last": w.sent[-1:] and list(w.sent[-1]), "place": w.place, "silences": w.silences,
             "most": [max((abs(s[k]) for s in w.sent), default=0) for k in range(3)],
-            "zero": w.zero,
+            "zero": w.zero, "astray": self.astray,
         }  # fmt: skip
 
 
@@ -165,7 +181,7 @@ def main(make: type[Bed] = Bed) -> int:
 
     def run() -> None:
         # Without the interpreter's own paths of this process: the program may be another Python.
-        code.append(subprocess.run(command, check=False).returncode)
+        code.append(bounded.run(command))
         loop.quit()
 
     threading.Thread(target=run, daemon=True).start()

@@ -108,10 +108,14 @@ def _solve(m: list[list[float]], v: list[float]) -> Vector:
 
 
 class Woody(Handle):
-    """An arm with a hand on it; `name` is a row of the table."""
+    """An arm with a hand on it; `name` is a row of the table, `report_bytes` 8 of the first generation, and 64 or 14 of
+    the second's boards."""
 
-    def __init__(self, name: str, generation: int, intention: Callable[[float], Vector]) -> None:
+    def __init__(
+        self, name: str, generation: int, intention: Callable[[float], Vector], report_bytes: int | None = None
+    ) -> None:
         super().__init__(intention)
+        self.report_bytes = report_bytes or {1: 8, 2: 64}[generation]
         self.arm, self.generation = Arm(name), generation
         self.milliamperes: tuple[int, int, int] = (0, 0, 0)
         self.button = self.calibration_button = False
@@ -123,10 +127,6 @@ class Woody(Handle):
         """Gaps between reports (s) after which the amplifiers had been cut."""
         self.sent: list[tuple[int, ...]] = []
         """Words of every report of the host."""
-
-    @property
-    def report_bytes(self) -> int:
-        return 8 if self.generation == 1 else 64
 
     def answer(self, report: bytes) -> bytes:
         """Take a report with its id in front; the report that answers it, without an id."""
@@ -143,6 +143,7 @@ class Woody(Handle):
         if self.generation == 2 and words[3] == 1:
             true = self.arm.counts(self.place)
             self.zero = (words[4] - true[0], words[5] - true[1], words[6] - true[2])
+            self.wrist = (words[0], words[1], words[2])  # the same command sets all six encoders
             self.milliamperes = (0, 0, 0)
         else:
             self.milliamperes = (words[0], words[1], words[2])
@@ -156,4 +157,6 @@ class Woody(Handle):
         if self.generation == 1:
             return struct.pack("<3hH", -a, b, c, 0)
         d = self.wrist[0] + (10000 if self.button else 0)
-        return struct.pack("<7h", a, b, c, d, *self.wrist[1:], int(self.calibration_button)).ljust(64, b"\0")
+        return struct.pack("<7h", a, b, c, d, *self.wrist[1:], int(self.calibration_button)).ljust(
+            self.report_bytes, b"\0"
+        )

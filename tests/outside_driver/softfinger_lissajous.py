@@ -15,7 +15,7 @@ from numba import carray, types
 
 from softfinger.config.limits import COORDINATE_M, MOTION_FREQUENCY_HZ
 from softfinger.config.schema import Coordinate, Table, said, within
-from softfinger.drivers.base import OK, STALE, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.base import OK, WITHHELD, Device, DeviceInfo, DeviceIO
 
 Frequency = Annotated[float, within(MOTION_FREQUENCY_HZ, "cycles per second")]
 
@@ -58,7 +58,7 @@ def _write(handle, wrench):
     for i in range(6):
         force = force or wrench[i] != 0.0
     if block[ARMED] == 0.0:
-        return STALE if force else OK
+        return WITHHELD if force else OK
     for i in range(6):
         block[WRENCH + i] = wrench[i]
     return OK

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from references.hand import Hand
-from softfinger.proxy.state import OFFSET
+from softfinger.proxy.record import NAMED
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def handling(draw: st.DrawFn, pieces: int = 8) -> Handling:
 
 def column(records: Array, name: str, size: int = 1) -> Array:
     """A field of records (n, RECORD_SIZE): (n,) or (n, size)."""
-    at = OFFSET[name]
+    at = NAMED[name].at
     return records[:, at] if size == 1 else records[:, at : at + size]
 
 

@@ -8,10 +8,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels import model, rotations
-from softfinger.proxy.kernels.jit import OPTIONS
-from softfinger.proxy.kernels.rolling import Roll, roll
-from softfinger.proxy.kernels.surfaces import closest
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.contact.rolling import Roll, roll
+from softfinger.proxy.kernels.geometry import rotations
+from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.native.jit import OPTIONS
 
 Array = NDArray[np.float64]
 
@@ -37,12 +38,12 @@ PIECED = {
 SHAPES: dict[str, Any] = {**SMOOTH, **PIECED}
 
 METHODS: dict[str, Any] = {
-    "euler_zxz": model.EulerZxz(1000.0),
-    "euler_zyx": model.EulerZyx(1000.0),
-    "rotation_vector": model.RotationVector(1000.0),
-    "midpoint": model.Midpoint(1000.0),
-    "montana_rk4": model.MontanaRk4(1000.0),
-    "montana_rk45": model.MontanaRk45(1000.0, 1e-12),
+    "euler_zxz": model.EulerZxz(),
+    "euler_zyx": model.EulerZyx(),
+    "rotation_vector": model.RotationVector(),
+    "midpoint": model.Midpoint(),
+    "montana_rk4": model.MontanaRk4(),
+    "montana_rk45": model.MontanaRk45(1e-12),
 }
 
 

@@ -2,7 +2,9 @@
  *
  * Written from the header's rules, not from the driver. Frame of the library: x towards the user, y right, z up.
  * A hand holds the handle by a spring and follows a path; the handle weighs, and falls if nobody carries it.
- * Time passes by `step_s` with each reading of the pose, so that a run does not depend on the machine.
+ * The hand's time passes by `step_s` with each reading of the pose, so that a run does not depend on the machine. The
+ * watchdog's does not: it is in the device, which knows of no readings, so it counts real time since the last force
+ * command. Nothing else feeds it: not enabling the force, not setting the watchdog.
  *
  * Tests steer it through stub_set and stub_get, by the names in KNOBS, and read what it was asked to do.
  */
@@ -13,6 +15,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 #include <unistd.h>
 
 enum { COM = 2, BUSY = 3, NO_DEVICE = 5, NOT_AVAILABLE = 6, TIMEOUT = 7, EXPERT_OFF = 9, INDEX = 15, IN_USE = 20 };
@@ -34,10 +37,11 @@ static __thread int last_error;
  /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
     X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) X(nan_at, -1) \
-    X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) \
+    X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) X(refuse_frame, 0) \
+    X(refuse_brakes, 0) X(enable_s, 0) \
  /* what was asked of it, to be read */ \
     X(opens, 0) X(closes, 0) X(reads, 0) X(writes, 0) X(force_on, 0) X(expert, 0) \
-    X(watchdog, 0) X(threshold, 0) X(gravity, 1) X(brakes, 0) X(max_force, 0) X(moved, 0) \
+    X(watchdog, 0) X(threshold, 0) X(gravity, 1) X(brakes, 1) X(max_force, 0) X(moved, 0) \
     X(regulated, 0) X(cause, 0) X(fx, 0) X(fy, 0) X(fz, 0) X(torque_sent, 0) \
     X(tx, 0) X(ty, 0) X(tz, 0) X(disables, 0) X(stops, 0) X(gripper_sent, 0) X(peak, 0) X(expert_misuse, 0) X(threads, 0) X(unplugged, 0)
 
@@ -47,7 +51,8 @@ static struct { KNOBS } k;
 #define X(name, first) {#name, &k.name, first},
 static const struct knob { const char *name; double *value, first; } knob[] = {KNOBS {0, 0, 0}};
 #undef X
-static double position[3], velocity[3], now_s, fed_s;
+static double position[3], velocity[3], now_s;
+static volatile int64_t fed_ns;
 static double before[12];
 static volatile int inside;
 static uint64_t noise = 88172645463325252ull;
@@ -65,15 +70,18 @@ static void put_back(void)
     const double goal[3] = {k.x, k.y, k.z + k.az};
     memcpy(position, goal, sizeof position);
     memset(velocity, 0, sizeof velocity);
-    now_s = fed_s = 0;
+    now_s = 0;
 }
 
+static void watch(void);
+
 void stub_set(const char *name, double value) { *at(name) = value; }
-double stub_get(const char *name) { return *at(name); }
+double stub_get(const char *name) { watch(); return *at(name); }
 int stub_busy(void) { return inside; }
 void stub_reset(void)
 {
     for (const struct knob *one = knob; one->name; one++) *one->value = one->first;
+    fed_ns = 0;
     put_back();
 }
 void stub_pose(double *out) { memcpy(out, position, sizeof position); }
@@ -81,6 +89,7 @@ void stub_pose(double *out) { memcpy(out, position, sizeof position); }
 /* What the motors give now; a device without power or with its force off gives nothing. */
 void stub_force(double *out)
 {
+    watch();
     const bool on = k.force_on && !k.unplugged;
     out[0] = on ? k.fx : 0;
     out[1] = on ? k.fy : 0;
@@ -91,16 +100,35 @@ static int fail(int error) { last_error = error; return -1; }
 
 static int usable(int id)
 {
+    watch();
     if (k.unplugged) return fail(COM);
     if (id != 7 || k.opens <= k.closes) return fail(INDEX);  /* IDs are not numbers: the first open device has 7 */
     return 0;
 }
 
+/* The maker's words: stopping disables the force and puts the device into brake mode, in which the circuits of its
+ * motors are closed in themselves and drag. */
 static void force_off(int cause)
 {
     k.force_on = 0;
+    k.brakes = 1;
     k.fx = k.fy = k.fz = 0;
     k.cause = cause;
+}
+
+static void watch(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    const int64_t since = now.tv_sec * 1000000000ll + now.tv_nsec - fed_ns;
+    if (k.watchdog > 0 && k.force_on && since > k.watchdog * 125000) force_off(WATCHDOG);
+}
+
+static void feed(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    fed_ns = now.tv_sec * 1000000000ll + now.tv_nsec;
 }
 
 static void pass(double dt)
@@ -122,7 +150,6 @@ static void pass(double dt)
         /* The header does not say the unit; here it is mm/s. */
         if (k.threshold > 0 && sqrt(speed) > k.threshold * 1e-3 && k.force_on) force_off(VELOCITY);
     }
-    if (k.watchdog > 0 && now_s - fed_s > k.watchdog * 125e-6 && k.force_on) force_off(WATCHDOG);
 }
 
 /* An exchange; with `exclusive`, a second one waits for the first. */
@@ -173,7 +200,7 @@ int drdClose(char id)
 {
     if (id != 7 || k.opens <= k.closes) return fail(INDEX);
     k.closes += 1;
-    force_off(SOFTWARE);
+    if (k.force_on) force_off(SOFTWARE);
     return 0;
 }
 int dhdGetSystemType(char id) { return usable(id) ? -1 : (int)k.type; }
@@ -213,9 +240,8 @@ static int expert(char id)
 int dhdSetWatchdog(unsigned char units, char id)
 {
     if (expert(id)) return -1;
-    if (k.refuse_watchdog) return fail(NOT_AVAILABLE);
+    if (k.refuse_watchdog) return fail((int)k.refuse_watchdog);
     k.watchdog = units;
-    fed_s = now_s;
     return 0;
 }
 int dhdSetVelocityThreshold(unsigned value, char id)
@@ -229,14 +255,20 @@ int dhdSetGravityCompensation(int on, char id) { if (usable(id)) return -1; k.gr
 int dhdSetBrakes(int on, char id)
 {
     if (usable(id)) return -1;
-    k.brakes = on;
+    if (k.refuse_brakes) return fail(NOT_AVAILABLE);
     if (on) force_off(SOFTWARE);
+    k.brakes = on;
     return 0;
 }
 int dhdEnableForce(unsigned char on, char id)
 {
     if (usable(id)) return -1;
-    if (on) { k.force_on = 1; k.cause = 0; fed_s = now_s; } else { k.disables += 1; force_off(SOFTWARE); }
+    if (on && k.enable_s > 0) {
+        enter();
+        usleep((useconds_t)(k.enable_s * 1e6));
+        leave();
+    }
+    if (on) { k.force_on = 1; k.cause = k.brakes = 0; } else { k.disables += 1; force_off(SOFTWARE); }
     return 0;
 }
 int dhdStop(char id) { if (usable(id)) return -1; k.stops += 1; force_off(SOFTWARE); return 0; }
@@ -282,7 +314,7 @@ static int garbage(double *p[3], double m[9])
     return (int)(random_bits() % 3);
 }
 
-int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double m[3][3], char id)
+static int pose(double *px, double *py, double *pz, double m[3][3], char id)
 {
     double *const p[3] = {px, py, pz};
     if (k.unplug_at == k.reads) k.unplugged = 1;
@@ -322,6 +354,18 @@ int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double
     return code;
 }
 
+/* Documented for devices with a wrist; what it says of the others is left to each. */
+int dhdGetPositionAndOrientationFrame(double *px, double *py, double *pz, double m[3][3], char id)
+{
+    if (k.refuse_frame && !k.wrist) return fail(NOT_AVAILABLE);
+    return pose(px, py, pz, m, id);
+}
+int dhdGetPosition(double *px, double *py, double *pz, char id)
+{
+    double m[3][3];
+    return pose(px, py, pz, m, id);
+}
+
 int dhdSetForceAndTorqueAndGripperForce(
     double fx, double fy, double fz, double tx, double ty, double tz, double fg, char id)
 {
@@ -331,7 +375,7 @@ int dhdSetForceAndTorqueAndGripperForce(
     const double n = k.writes++;
     int code = 0;
     double norm = sqrt(fx * fx + fy * fy + fz * fz);
-    fed_s = now_s;
+    feed();
     k.tx = tx;
     k.ty = ty;
     k.tz = tz;

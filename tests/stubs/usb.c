@@ -108,16 +108,17 @@ int stub_busy(void) { return inside; }
 
 /* `ticks` ticks of a driver's exchange against a device that spoils its replies, with a force in each. seen[]: statuses
  * 0, 1, below 0; places; samples that are no number; forces after such a one; places whose counts the device did not
- * send; samples partly a number. A place is checked with this file's own inverse kinematics. */
+ * send; samples partly a number; status 3, after a pause of this loop. A place is checked with this file's own inverse
+ * kinematics. */
 void stub_fuzz(int64_t (*read)(int64_t, double *), int64_t (*write)(int64_t, double *), int64_t block, int64_t counts_at,
-               int size, int ticks, int64_t seen[8])
+               int size, int ticks, int64_t seen[9])
 {
     double sample[32] = {0}, force[6] = {0.3, -0.2, 0.5, 0, 0, 0};
     struct falcon *f = &falcon[0];
     if (size > 32) abort();
     for (int n = 0; n < ticks; n++) {
         const int64_t status = read(block, sample);
-        seen[status < 0 ? 2 : status]++;
+        seen[status < 0 ? 2 : status == 3 ? 8 : status]++;
         const int finite = !!isfinite(sample[0]) + !!isfinite(sample[1]) + !!isfinite(sample[2]);
         if (finite == 3) {
             const double p[3] = {sample[0] + CENTRE[0], sample[2] + CENTRE[1], CENTRE[2] - sample[1]};

@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from closed_loop import assert_engine_agrees
+from helpers.closed_loop import assert_engine_agrees
 from test_hid_emulated import STROKE
 
 from softfinger.config.load import load_scene
-from softfinger.proxy.state import OFFSET
+from softfinger.proxy.record import AT
 from vm.guest import NOBODY, RATE_HZ, Gadget, Run, Wanted, attached, daemon, gadget, keep, other_daemon, pushing
 
 PRESS: Mapping[str, Any] = {"place": [0.0, 0.0, 0.004]}
@@ -82,7 +82,7 @@ class Cases:
 
     def agrees(self, records: Any, saw: dict[str, Any]) -> None:
         """All modes and the engine's forces are in the records, and reached the device; the last one is zero."""
-        assert {0.0, 1.0, 2.0} == set(records[:, OFFSET["contact.mode"]])
+        assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
         assert max(saw["most"]) > self.felt
         assert not any(saw[self.force])
         assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 100, "too few ticks in contact"

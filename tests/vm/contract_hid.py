@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import driver_contract
 import pytest
-from asked_bench import AskedBench
-from driver_contract import RATE_HZ
-from hid_devices import rig_options
+from helpers import driver_contract
+from helpers.asked_bench import AskedBench
+from helpers.driver_contract import RATE_HZ
+from helpers.hid_devices import rig_options
 
-from softfinger.drivers.hid import HidDevice, open_device
+from softfinger.drivers.hid.device import HidDevice, open_device
 
 
 class Bench(AskedBench):

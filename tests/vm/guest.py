@@ -25,18 +25,19 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
-from asked_bench import SOCKET
-from closed_loop import records_of_daemon
-from driver_contract import Servo as Caller
+from helpers.asked_bench import SOCKET
+from helpers.closed_loop import records_of_daemon
+from helpers.driver_contract import Servo as Caller
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import OK
-from softfinger.server import cli, hotplug
-from softfinger.server import devices as _devices  # noqa: F401  (imported here, once)
-from softfinger.server import run as _run  # noqa: F401
-from softfinger.server.app import open_device
-from softfinger.server.servo import Servo
-from softfinger.server.tuning import make_tuning
+from softfinger.drivers.registry import open_device
+from softfinger.server import cli
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.services import hotplug
+from softfinger.server.verbs import devices as _devices  # noqa: F401  (imported here, once)
+from softfinger.server.verbs import run as _run  # noqa: F401
 from vm.warm import SCENES
 
 if "SOFTFINGER_VM" not in os.environ:
@@ -350,7 +351,7 @@ def loaded() -> None:
     rig = load_rig("replay")
     with open_device(rig.device, rig.servo.rate_hz) as device:
         for scene in SCENES:
-            servo = Servo(device, make_tuning(load_scene(scene), rig.guard, device.info), rig.servo.rate_hz)
+            servo = Servo([device], make_tuning(load_scene(scene), rig.guard, [device.info]), rig.servo.rate_hz)
             servo.compile()
             servo.close()
 

@@ -21,6 +21,8 @@ mount -t tmpfs run /host/run
 mkdir -p /host/run/vm /host/run/tmp
 chmod 1777 /host/run/tmp
 mount -t 9p -o "$shared,rw,cache=loose" vm /host/run/vm || echo "vm: no folder to leave the outcome in"
+# Copied, so that they are root's: kernels of another user, as they are on the host, are not loaded.
+cp -R /host/run/vm/kernels /host/run/kernels && chown -R 0:0 /host/run/kernels && chmod -R go-w /host/run/kernels
 mount -t proc proc /host/proc
 mount -t sysfs sys /host/sys
 mount -t devtmpfs dev /host/dev

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop import assert_engine_agrees
+from helpers.closed_loop import assert_engine_agrees
 
 from softfinger.config.load import load_scene
-from softfinger.proxy.state import OFFSET
+from softfinger.proxy.record import AT
 from vm.guest import RATE_HZ, attached, daemon, gadget, keep, other_daemon
 from vm.guest import loaded as loaded
 
@@ -30,12 +30,12 @@ def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
         keep("spacemouse", "paper-plane", 200, kept)
         assert puck.seen()["written"] == ["0401", "0400"]
     records = np.load(kept)
-    way = np.ptp(records[:, OFFSET["probe.position"] : OFFSET["probe.position"] + 3], axis=0)
+    way = np.ptp(records[:, AT.probe_position : AT.probe_position + 3], axis=0)
     assert way[0] / way[2] == pytest.approx((100 - 15) / (200 - 15), rel=1e-9)  # one time for both: rounding alone
     assert way[1] == 0.0
-    assert {0.0, 1.0} <= set(records[:, OFFSET["contact.mode"]])
+    assert {0.0, 1.0} <= set(records[:, AT.contact_mode])
     assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 20
-    assert records[-1, OFFSET["buttons"]] == 5
+    assert records[-1, AT.buttons] == 5
 
 
 def test_unplugged_in_use() -> None:

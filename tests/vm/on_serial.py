@@ -29,10 +29,11 @@ class TestCases(Cases):
     forbidden = r"/dev/ttyACM\d+ may not be opened by this user"
 
     def test_it_is_found(self) -> None:
-        """`devices` lists it by its port under its driver, usable; unplugged, it is gone."""
+        """`devices` lists it by its port under its driver, to be named, for any Teensy has its ids; unplugged, it is
+        gone."""
         with gadget("serialboard"):
             (found,) = self.listed()
-        assert (found["driver"], found["state"], found["bus"]) == ("serial", "usable", self.bus)
+        assert (found["driver"], found["state"], found["bus"]) == ("serial", "product", self.bus)
         assert (found["serial"], found["name"]) == ("SN42", self.name)
         assert found["rigs"] == ["woodenhaptics-v3"]
         assert re.fullmatch(self.node, found["node"])
@@ -60,8 +61,10 @@ class TestCases(Cases):
 
 @pytest.fixture
 def rig(tmp_path: Path) -> str:
-    """The shipped rig, with silences that an emulated processor keeps."""
+    """The shipped rig with its board named, and with silences that an emulated processor keeps."""
     text = find("woodenhaptics-v3", Rig).read_text()
     path = tmp_path / "rig.toml"
-    path.write_text(text.replace('driver = "serial"\n', 'driver = "serial"\nquiet_s = 0.15\ntimeout_s = 1.0\n'))
+    path.write_text(
+        text.replace('driver = "serial"\n', 'driver = "serial"\nserial = "SN42"\nquiet_s = 0.15\ntimeout_s = 1.0\n')
+    )
     return str(path)

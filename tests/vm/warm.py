@@ -6,14 +6,19 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from driver_contract import RATE_HZ, pulling
+from helpers.driver_contract import RATE_HZ, pulling
 
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers import falcon, hid, serial, spacemouse  # noqa: F401  (compiled by their import)
-from softfinger.server.app import open_device
-from softfinger.server.servo import Servo
-from softfinger.server.tuning import make_tuning
-from softfinger.server.warmup import compile_engine, prune
+from softfinger.drivers.falcon import device as falcon  # noqa: F401  (compiled by their import)
+from softfinger.drivers.hid import device as hid  # noqa: F401
+from softfinger.drivers.registry import open_device
+from softfinger.drivers.serial import device as serial  # noqa: F401
+from softfinger.drivers.spacemouse import device as spacemouse  # noqa: F401  (compiled by their import)
+from softfinger.proxy.engine import compiled
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.verbs.warmup import prune
+from softfinger.server.wire.native.sender import Sender
 
 SCENES = ("paper-plane", "frictionless-plane")
 
@@ -22,11 +27,12 @@ def main() -> None:
     prune()
     rig = load_rig("replay")
     with open_device(rig.device, RATE_HZ) as device:
-        for tuning in (*(make_tuning(load_scene(name), rig.guard, device.info) for name in SCENES), pulling()):
-            servo = Servo(device, tuning, RATE_HZ)
+        for tuning in (*(make_tuning(load_scene(name), rig.guard, [device.info]) for name in SCENES), pulling()):
+            servo = Servo([device], tuning, RATE_HZ)
             servo.compile()
             servo.close()
-    compile_engine(make_tuning(load_scene(SCENES[0]), rig.guard).scene)
+    compiled(make_tuning(load_scene(SCENES[0]), rig.guard).scene)
+    Sender([""], 1, topics=1, retained=0, messages=1).close()
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.surfaces import closest
+from softfinger.proxy.kernels.geometry.surfaces import closest
 
 Array = NDArray[np.float64]
 Motion = Literal["constant", "changing"]
@@ -71,14 +71,14 @@ SURFACES: Final[dict[str, Surface]] = {
 }  # fmt: skip
 
 METHODS: Final[dict[str, Callable[[float], Any]]] = {
-    "euler_zxz": lambda _: model.EulerZxz(1.0),
-    "euler_zyx": lambda _: model.EulerZyx(1.0),
-    "rotation_vector": lambda _: model.RotationVector(1.0),
-    "midpoint": lambda _: model.Midpoint(1.0),
-    "montana_rk4": lambda _: model.MontanaRk4(1.0),
-    "montana_rk45": lambda tolerance: model.MontanaRk45(1.0, tolerance),
+    "euler_zxz": lambda _: model.EulerZxz(),
+    "euler_zyx": lambda _: model.EulerZyx(),
+    "rotation_vector": lambda _: model.RotationVector(),
+    "midpoint": lambda _: model.Midpoint(),
+    "montana_rk4": lambda _: model.MontanaRk4(),
+    "montana_rk45": lambda tolerance: model.MontanaRk45(tolerance),
 }
-"""Kernel nodes by name; the argument is the tolerance of `montana_rk45`. The torque stiffness plays no part here."""
+"""Kernel nodes by name; the argument is the tolerance of `montana_rk45`."""
 
 
 def has_method(surface: str, method: str) -> bool:

@@ -9,16 +9,16 @@ a tenth of the span, the first as short as the slope at its start asks for.
 from __future__ import annotations
 
 from math import cos, sin
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels import rotations, vec3
-from softfinger.proxy.kernels.jit import entry, jit
+from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.montana import Coordinates, chart, moved, rolling_rates
-from softfinger.server.clock import now_ns
+from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.server.loop.clock import Stopwatch, now_ns
+from softfinger.tools.accuracy.montana import Coordinates, chart, moved, rolling_rates
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,28 @@ MAX_STEP_SHARE: Final = 0.1
 """Longest step, of the span."""
 THRESHOLD: Final = ABSOLUTE_TOLERANCE / RELATIVE_TOLERANCE
 """Coordinates smaller than this are judged by the absolute tolerance."""
+
+
+class Precession(NamedTuple):
+    """An angular velocity whose axis turns: `w` (3,) rad/s, turned about `normal` by angle + spin_rate t, rad."""
+
+    w: Vec3
+    normal: Vec3
+    angle: float
+    spin_rate: float
+
+
+class Steps(NamedTuple):
+    """Rotations, each at a constant rate over its step.
+
+    turns      (n, 4)  unit quaternions, world frame
+    dt         s       length of a step
+    spin_rate  rad/s   at which the axes of the rates spin about the normal at the start, 0 for the world's
+    """
+
+    turns: Array
+    dt: float
+    spin_rate: float
 
 
 @jit
@@ -55,14 +77,13 @@ def largest(v: Coordinates, y: Coordinates, other: Coordinates) -> float:
 
 @jit
 def ode45(
-    radius: float, shape: Any, start: Coordinates, w: Vec3, normal: Vec3, angle: float, spin_rate: float, span: float,
-    share: float,
-) -> tuple[Coordinates, int]:  # fmt: skip
+    radius: float, shape: Any, start: Coordinates, turning: Precession, span: float, share: float
+) -> tuple[Coordinates, int]:
     """Coordinates after `span` (s), and how often the equations were evaluated.
 
-    w, normal, angle, spin_rate  the angular velocity is w turned about `normal` by angle + spin_rate t
-    share                        longest step, of the span
+    share  longest step, of the span
     """
+    w, normal, angle, spin_rate = turning
     y, t, count = start, 0.0, 1
     k1 = slope(radius, shape, y, w, normal, angle)
     h = share * span
@@ -111,23 +132,22 @@ def ode45(
 
 @entry
 def roll_classical(
-    shape: Any, radius: float, start: Any, turns: Array, dt: float, share: float, spin_rate: float, path: Array,
-    timespec: Any, block_ns: Any,
-) -> int:  # fmt: skip
-    """Roll through `turns` (n, 4) from the coordinates `start`, once for each block; note the time of each block.
+    shape: Any, radius: float, start: Coordinates, steps: Steps, share: float, path: Array, watch: Stopwatch
+) -> int:
+    """Roll through the steps from the coordinates `start`, once for each block of `watch`.
 
-    A rotation is taken at a constant rate over `dt` s, in axes that spin at `spin_rate` rad/s about the normal at the
-    start, 0 for the world's. Every step leaves the contact point in a row of `path` (n, 3). Returns the evaluations
-    of the equations in a block.
+    Every step leaves the contact point in a row of `path` (n, 3). Returns the evaluations of the equations in a block.
     """
+    turns, dt, spin_rate = steps
     count, normal = 0, chart(shape, start.u_o, start.v_o).z
-    for block in range(block_ns.shape[0]):
-        begun = now_ns(timespec)
+    for block in range(watch.ns.shape[0]):
+        begun = now_ns(watch.timespec)
         at, count = start, 0
         for i in range(turns.shape[0]):
             w = vec3.scale(1.0 / dt, rotations.log((turns[i, 0], turns[i, 1], turns[i, 2], turns[i, 3])))
-            at, evaluations = ode45(radius, shape, at, w, normal, spin_rate * dt * i, spin_rate, dt, share)
+            turning = Precession(w, normal, spin_rate * dt * i, spin_rate)
+            at, evaluations = ode45(radius, shape, at, turning, dt, share)
             count += evaluations
             path[i, 0], path[i, 1], path[i, 2] = chart(shape, at.u_o, at.v_o).point
-        block_ns[block] = now_ns(timespec) - begun
+        watch.ns[block] = now_ns(watch.timespec) - begun
     return count

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from softfinger.server.figures import figure, save
+from softfinger.server.offline.figures import figure, save
 from softfinger.tools.accuracy.cases import METHODS
 from softfinger.tools.accuracy.front import front, grouped, standard
 from softfinger.tools.accuracy.paper import MOTIONS, exact_path, method_path

@@ -9,10 +9,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from softfinger.proxy.kernels.jit import entry
-from softfinger.proxy.kernels.rolling import roll
-from softfinger.proxy.kernels.surfaces import closest
-from softfinger.server.clock import now_ns
+from softfinger.proxy.kernels.contact.rolling import OffsetPoint, roll
+from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
 from softfinger.tools.accuracy.cases import (
     METHODS,
     RADIUS_M,
@@ -38,24 +38,30 @@ DRIFT_BLOCK: Final = 1000
 
 @entry
 def roll_turns(
-    method: Any, shape: Any, radius: float, start: Any, normal: Any, turns: Array, passes: int, path: Array,
-    timespec: Any, block_ns: Any,
-) -> None:  # fmt: skip
-    """Roll through `turns` (n, 4) from one contact, `passes` times for each block; note the time of each block.
+    method: Any,
+    shape: Any,
+    radius: float,
+    start: OffsetPoint,
+    turns: Array,
+    passes: int,
+    path: Array,
+    watch: Stopwatch,
+) -> None:
+    """Roll through `turns` (n, 4) from one contact, `passes` times for each block of `watch`.
 
     Every step leaves centre, normal and spin so far in a row of `path` (n, 7), as a servo leaves a record.
     """
-    for block in range(block_ns.shape[0]):
-        begun = now_ns(timespec)
+    for block in range(watch.ns.shape[0]):
+        begun = now_ns(watch.timespec)
         for _ in range(passes):
-            center, n, spin = start, normal, 0.0
+            center, n, spin = start.center, start.normal, 0.0
             for i in range(turns.shape[0]):
                 out = roll(method, shape, radius, center, n, (turns[i, 0], turns[i, 1], turns[i, 2], turns[i, 3]))
                 center, n, spin = out.center, out.normal, spin + out.spin
                 path[i, 0], path[i, 1], path[i, 2] = center
                 path[i, 3], path[i, 4], path[i, 5] = n
                 path[i, 6] = spin
-        block_ns[block] = now_ns(timespec) - begun
+        watch.ns[block] = now_ns(watch.timespec) - begun
 
 
 class Rolled(NamedTuple):
@@ -70,10 +76,10 @@ class Rolled(NamedTuple):
 def rolled(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes: int = 1) -> Rolled:
     """The path of the fingertip through the rotations `dq` (n, 4), timed in `passes` blocks."""
     path, repeats = np.zeros((len(dq), 7)), ceil(BLOCK_STEPS / len(dq)) if passes > 1 else 1
-    block_ns, timespec = np.zeros(passes, np.int64), np.zeros(2, np.int64)
-    roll_turns(method, shape, RADIUS_M, center, normal, dq, repeats, path, timespec, block_ns)
+    watch = stopwatch(passes)
+    roll_turns(method, shape, RADIUS_M, OffsetPoint(center, normal), dq, repeats, path, watch)
     points = path[:, :3] - RADIUS_M * path[:, 3:6]
-    return Rolled(points, path[:, 3:6], path[:, 6], float(np.median(block_ns)) / (repeats * len(dq)))
+    return Rolled(points, path[:, 3:6], path[:, 6], float(np.median(watch.ns)) / (repeats * len(dq)))
 
 
 @lru_cache(maxsize=16)

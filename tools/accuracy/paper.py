@@ -16,17 +16,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from softfinger.proxy.kernels import model, rotations, vec3
-from softfinger.proxy.kernels.montana import Coordinates
-from softfinger.proxy.kernels.rolling import roll
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.contact.rolling import roll
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.server.loop.clock import stopwatch
 from softfinger.tools.accuracy.cases import METHODS, RADIUS_M, Array
 from softfinger.tools.accuracy.classical import (
     ABSOLUTE_TOLERANCE,
     MAX_STEP_SHARE,
     RELATIVE_TOLERANCE,
+    Steps,
     roll_classical,
 )
 from softfinger.tools.accuracy.measure import rolled
+from softfinger.tools.accuracy.montana import Coordinates
 from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.bench.step import reference_ns
 
@@ -106,10 +109,9 @@ def time_classical(
     turns: Array, dt: float, share: float, spin_rate: float = 0.0, blocks: int = 1
 ) -> tuple[Array, float, int]:
     """Path (n, 3) m, median time of the whole motion, ns, and evaluations of the equations in it."""
-    path, block_ns = np.zeros((len(turns), 3)), np.zeros(blocks, np.int64)
-    timespec = np.zeros(2, np.int64)
-    count = roll_classical(PLANE, RADIUS_M, START, turns, dt, share, spin_rate, path, timespec, block_ns)
-    return path, float(np.median(block_ns)), int(count)
+    path, watch = np.zeros((len(turns), 3)), stopwatch(blocks)
+    count = roll_classical(PLANE, RADIUS_M, START, Steps(turns, dt, spin_rate), share, path, watch)
+    return path, float(np.median(watch.ns)), int(count)
 
 
 def speed(tolerance: float, blocks: int = 50) -> dict[str, Any]:

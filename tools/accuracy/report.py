@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TextIO
 
+from softfinger.config.files import new_file
 from softfinger.tools.accuracy.front import grouped, standard
 
 RATE_HZ: Final = 1000.0
@@ -38,7 +39,8 @@ def write_report(result: dict[str, Any], path: Path) -> None:
     """The same as a text file."""
     text = io.StringIO()
     print_report(result, text)
-    path.write_text("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()), encoding="utf-8")
+    with new_file(path) as file:
+        file.write("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()).encode())
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> Any:

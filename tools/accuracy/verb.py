@@ -17,7 +17,7 @@ from typing import Any, Final
 import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.figures import unusable
+from softfinger.server.offline.figures import unusable
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts

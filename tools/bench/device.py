@@ -10,8 +10,9 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
-from softfinger.server.app import open_device
-from softfinger.server.figures import figure, save
+from softfinger.config.schema.pairing import single_device
+from softfinger.drivers.registry import open_device
+from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.exchange import (
     EMPTY_READ,
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
     compile_exchange()
-    with open_device(rig.device, rate) as device, Exchange(device, rig, disarmed(rig)) as exchange:
+    with open_device(single_device(rig), rate) as device, Exchange(device, rig, disarmed(rig)) as exchange:
         with progress("measuring the exchange with the device"):
             rows = exchange.record(args.seconds)
             burst = exchange.burst()

@@ -6,14 +6,15 @@ nothing else, on the paper's plane for what needs friction.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 
 from softfinger.config import schema
-from softfinger.config.load import build
-from softfinger.server.cost import BLOCK, Array, touching_poses
+from softfinger.config.load import FOLDERS, build
+from softfinger.server.offline.cost import BLOCK, Array, touching_poses
 
 Table = dict[str, Any]
 
@@ -35,6 +36,10 @@ SHAPES: Final[dict[str, Table]] = {
 }
 """Room for a fingertip of 10 mm in each, and in the hole of the torus."""
 
+NORMALS: Final[dict[str, Table]] = {
+    "power law": {"normal": {"exponent": 1.5}},
+    "Hunt-Crossley": {"normal": {"damping_s_per_m": 0.5}},
+}
 LAWS: Final[dict[str, Table]] = {
     "Stribeck": {"stribeck_speed_m_per_s": 0.02},
     "viscous": {"viscous_s_per_m": 0.5},
@@ -45,6 +50,12 @@ TORSIONS: Final[dict[str, Table]] = {
     "power law": {"exponent": 0.25},
     "limit_surface": {"model": "limit_surface"},
     "soft_finger_proxy": {"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003},
+}
+PAD: Final[Table] = {"shear_modulus_pa": 45e3}
+PATCHES: Final[dict[str, Table]] = {
+    "Hertz": PAD,
+    "power law": PAD | {"radius_m": 0.004, "exponent": 0.25},
+    "Hertz, with a loss in rolling": PAD | {"rolling_loss": 0.3},
 }
 BAND: Final[Table] = {"stiffness_n_per_m": 400.0, "damping_ns_per_m": 2.0, "force_max_n": 5.0}
 WORKSPACE: Final[dict[str, Table]] = {
@@ -70,6 +81,10 @@ MOTIONS: Final[dict[str, Table]] = {
     "turntable": {"kind": "turntable", "rate_rad_per_s": 0.5},
     "driven": {"kind": "driven"},
 }
+RIBS: Final = FOLDERS[schema.Scene] / "ribs.csv"
+TEXTURES: Final[dict[str, Table]] = {"heights": {"height_m": 1e-4}, "friction": {"friction_scale": [0.5, 1.5]}}
+ROUND_M: Final = 2.0 * math.pi * 0.05 / 64.0
+"""Sixty-four ribs round the cylinder."""
 WALLS: Final[list[Table]] = [
     {"name": "left wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]},
     {"name": "back wall", "shape": "plane", "orientation_wxyz": [1.0, -1.0, 0.0, 0.0]},
@@ -110,7 +125,19 @@ def _carried(here: schema.Scene, there: schema.Scene) -> tuple[Array, Array]:
 
 def all_features() -> list[Feature]:
     """Every feature, in the order of the scene file's tables."""
-    return [*_rolling(), *_friction(), *_torsion(), *_shapes(), *_several(), *_motions(), *_effects()]
+    return [
+        *_normal(),
+        *_rolling(),
+        *_friction(),
+        *_torsion(),
+        *_patch(),
+        *_forms(),
+        *_shapes(),
+        *_several(),
+        *_motions(),
+        *_textures(),
+        *_effects(),
+    ]
 
 
 def _scene(
@@ -122,6 +149,11 @@ def _scene(
     things = [{"name": shape, **SHAPES[shape], **own}, *(others or [])]
     objects = [{"material": dict(material), **thing} for thing in things]
     return build(schema.Scene, {"fingertip": {"radius_m": 0.01}, "object": objects, **tables}, f"bench, {shape}")
+
+
+def _normal() -> Iterator[Feature]:
+    for name, keys in NORMALS.items():
+        yield Feature(f"normal force {name}", "bare plane", _scene(), _scene(material=STUFF | keys))
 
 
 def _rolling() -> Iterator[Feature]:
@@ -153,6 +185,23 @@ def _torsion() -> Iterator[Feature]:
         yield Feature(f"torsion {name}", "plane with friction, rolling", without, having)
 
 
+def _patch() -> Iterator[Feature]:
+    base, without = "plane with friction, torsion, rolling", _scene(material=GRIP, **ROLLING)
+    for name, keys in PATCHES.items():
+        having = _scene(material=GRIP, fingertip={"radius_m": 0.01, "patch": keys}, **ROLLING)
+        yield Feature(f"patch {name}", base, without, having)
+
+
+def _forms() -> Iterator[Feature]:
+    tip = {"radii_m": [0.01, 0.009, 0.012], "orientation_wxyz": [0.8, 0.36, 0.48, 0.0]}
+    for shape in ("plane", "sphere", "cylinder"):
+        having = _scene(shape, fingertip=tip)
+        yield Feature(f"fingertip an ellipsoid, on a {shape}", f"bare {shape}", _scene(shape), having)
+    rolled: Table = {"rolling": {"method": "midpoint"}}
+    without, having = _scene(material=GRIP, **rolled), _scene(material=GRIP, fingertip=tip, **rolled)
+    yield Feature("fingertip an ellipsoid, rolling", "plane with friction, torsion, midpoint", without, having)
+
+
 def _shapes() -> Iterator[Feature]:
     plane = _scene()
     for name in SHAPES:
@@ -182,6 +231,16 @@ def _motions() -> Iterator[Feature]:
     base, full = "plane with friction, torsion, rolling", _scene(material=GRIP, **ROLLING)
     for name, keys in MOTIONS.items():
         yield Feature(f"motion {name}", base, full, _scene(material=GRIP, object_motion=keys, **ROLLING))
+
+
+def _textures() -> Iterator[Feature]:
+    for shape in ("plane", "cylinder", "box"):
+        for name, keys in TEXTURES.items():
+            texture = {"file": str(RIBS), "size_m": [ROUND_M, 0.004], **keys}
+            base = f"{shape} with friction and torsion"
+            yield Feature(
+                f"texture {name}, {shape}", base, _scene(shape, GRIP), _scene(shape, GRIP, object_texture=texture)
+            )
 
 
 def _effects() -> Iterator[Feature]:

@@ -20,18 +20,19 @@ import numpy as np
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
-from softfinger.proxy.state import OFFSET, RECORD_SIZE
-from softfinger.server import realtime
-from softfinger.server.app import open_device
-from softfinger.server.figures import figure, save
+from softfinger.config.schema.pairing import single_device
+from softfinger.drivers.registry import open_device
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.loop import realtime
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.server.servo import Servo
-from softfinger.server.tuning import make_tuning
 from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")
-FIGURES: Final = [OFFSET["servo.late"], OFFSET["servo.exec"], OFFSET["servo.busy"], OFFSET["servo.missed"]]
+FIGURES: Final = [AT.servo_late, AT.servo_exec, AT.servo_busy, AT.servo_missed]
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -83,18 +84,21 @@ def measure(
 
 
 def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Setting]) -> Array:
-    """One turn of the real servo on a replay, its records taken by a thread; (n, 4) late, exec, busy s, missed."""
+    """One turn of the real servo on a replay, its records taken by a thread; (n, 4) late, exec, busy s, missed.
+
+    Several fingers share the replay: each reads the pose after the other's.
+    """
 
     def prepare() -> Callable[[], None]:
         applied = realtime.apply(rig.servo.realtime, rig.servo.priority, rig.servo.cpu)
         settings[:] = applied.settings
         return applied.undo
 
-    with open_device(rig.device, rig.servo.rate_hz) as device:
-        servo = Servo(device, make_tuning(scene, rig.guard), rig.servo.rate_hz, ticks, prepare)
+    with open_device(single_device(rig), rig.servo.rate_hz) as device:
+        servo = Servo([device] * len(scene.fingers), make_tuning(scene, rig.guard), rig.servo.rate_hz, ticks, prepare)
         servo.compile()
         servo.start()
-        batch, parts = np.empty((256, RECORD_SIZE)), []
+        batch, parts = np.empty((256, servo.width)), []
         running = True
         while running:
             servo.wait_record()

@@ -1,84 +1,213 @@
 """`bench telemetry`: from the tick to the subscriber, end to end, over real sockets and processes.
 
-One process runs the daemon, each subscriber is a process of its own. Beside it, the reference: a bare
-loop that sends a message of the same size at the same rate, to the same number of subscribers.
+One process runs the daemon, each subscriber is a process of its own. Beside it, in turn, so that whatever the machine
+does meanwhile falls on all of them: a sender in C over libzmq that does nothing else, where there is a compiler; with
+`--busy` the daemon with a thread that spins in Python inside it; with `--forward` what `softfinger forward` hands on,
+by CURVE with `--keys`; with `--beside` the daemon of another version.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import zmq
 
-from softfinger.server.client import NoTelemetry
-from softfinger.server.figures import figure, save
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.record import AT
+from softfinger.server.keys import client_keys, make_pair
+from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
+from softfinger.server.wire.client import NoTelemetry
+from softfinger.server.wire.protocol import CONTACT
 from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
 
 START_S: Final = 180.0
 """How long a cold daemon may take to compile."""
 
+TURN_S: Final = 10.0
+SOURCE: Final = Path(__file__).with_name("reference_sender.c")
+
+SPINNING: Final = """
+import sys, threading
+def spin():
+    total = 0
+    while True:
+        for number in range(10_000):
+            total += number * number
+threading.Thread(target=spin, daemon=True).start()
+from softfinger.server.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+FORWARD: Final = "forward"
+
+
+class Turn(NamedTuple):
+    """What the subscribers of a source saw: (n, 2) tick, latency s, of each; and the source's share of a processor."""
+
+    seen: list[Array]
+    load: float
+
+
+class Source(NamedTuple):
+    """Something that publishes: its process, the endpoint, and the client's key files, none where no key is needed."""
+
+    process: subprocess.Popen[Any]
+    endpoint: str
+    keys: tuple[str, ...] = ()
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--subscribers", type=int, default=8, help="processes that subscribe (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each (default: %(default)s)")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
     parser.add_argument("--transport", choices=["tcp", "ipc"], default="tcp", help="default: %(default)s")
+    parser.add_argument("--busy", action="store_true", help="also with a thread that spins in Python in the daemon")
+    parser.add_argument("--forward", action="store_true", help="also through `softfinger forward`")
+    parser.add_argument("--keys", action="store_true", help="with --forward: by CURVE keys")
+    parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
+    parser.add_argument("--beside", metavar="PYTHON", help="interpreter of another version, whose daemon takes turns")
     add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    found = {}
+    turns = max(1, round(args.seconds / TURN_S))
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("reference", "daemon"):
-            with source(name, args, Path(folder)) as endpoint:
-                await_messages(endpoint)
-                found[name] = subscribe_all(name, endpoint, args, Path(folder))
-    block = round(args.rate)
+        sources = commands(args, Path(folder))
+        found: dict[str, list[Turn]] = {name: [] for name in sources}
+        for _ in range(turns):
+            for name, words in sources.items():
+                found[name].append(measure(name, words, args, args.seconds / turns))
     result: dict[str, Any] = {"subscribers": args.subscribers, "rate_hz": args.rate, "seconds": args.seconds}
     for name, parts in found.items():
+        seen = [each for part in parts for each in part.seen]
         result[name] = {
-            "latency": quantiles(np.concatenate([part[:, 1] for part in parts]), block),
-            "messages": sum(len(part) for part in parts),
-            "lost": int(sum((np.diff(part[:, 0]) - 1).sum() for part in parts)),
+            "latency": quantiles(np.concatenate([each[:, 1] for each in seen]), round(args.rate)),
+            "messages": sum(len(each) for each in seen),
+            "lost": int(sum((np.diff(each[:, 0]) - 1).sum() for each in seen)),
+            "load": float(np.mean([part.load for part in parts])),
         }
-    result["p50_daemon_over_reference"] = result["daemon"]["latency"]["p50"] / result["reference"]["latency"]["p50"]
     lines = [f"tick to subscriber, {args.subscribers} subscribers at {args.rate:g} Hz over {args.transport}, us"]
+    own = result["daemon"]["latency"]["blocks"]
     for name in found:
-        latency = result[name]["latency"]
-        cells = "  ".join(f"{q} {microseconds(latency[q])}" for q in ("p50", "p99", "p999", "max"))
-        lines.append(f"  {name:<10} {cells}   lost {result[name]['lost']} of {result[name]['messages']}")
-    lines.append(f"  p50 of the daemon over a bare sender: {result['p50_daemon_over_reference']:.2f}")
+        latency = result[name]["latency"]["blocks"]
+        cells = "  ".join(f"{q} {microseconds(latency[q])} ({latency[q] / own[q]:4.2f})" for q in ("p50", "p99"))
+        lost = f"lost {result[name]['lost']} of {result[name]['messages']}"
+        lines.append(f"  {name:<10} {cells}   {lost}   processor {100.0 * result[name]['load']:4.1f} %")
+    lines.append("  medians over blocks of a second; in brackets the ratio to the daemon")
     show(result, args.json, lines)
     if args.plot:
-        draw(args.plot, found)
+        draw(args.plot, {name: [each for part in parts for each in part.seen] for name, parts in found.items()})
     return 0
 
 
+def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
+    """The words that start each source; `ENDPOINT` stands where its endpoint belongs."""
+    daemon = ["run", "--endpoint", "ENDPOINT", "--commands", "off", "--rate", repr(args.rate), "--rig", args.rig]
+    found = {}
+    if (program := compile_reference(folder)) is not None:
+        found["c"] = [*program, "ENDPOINT", repr(args.rate), CONTACT, *body(folder)]
+    interpreters = {"daemon": sys.executable} | ({"beside": args.beside} if args.beside else {})
+    for name, python in interpreters.items():
+        found[name] = [python, "-m", "softfinger.server.cli", *daemon]
+        if args.busy:
+            found[f"{name} busy"] = [python, "-c", SPINNING, *daemon]
+    if args.forward:
+        found[FORWARD] = found["daemon"]
+    return found
+
+
+def compile_reference(folder: Path) -> list[str] | None:
+    """The sender in C and the library it is to load; None where there is no C compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        return None
+    maps = Path("/proc/self/maps").read_text("utf-8").splitlines()
+    libraries = {line.split()[-1] for line in maps if "libzmq" in line}  # pyzmq has loaded one
+    if not libraries:
+        raise ConfigError("the libzmq that pyzmq uses is part of it: install pyzmq from its wheel")
+    program = folder / "reference_sender"
+    subprocess.run([compiler, "-O2", "-o", str(program), str(SOURCE), "-ldl"], check=True)
+    return [str(program), libraries.pop()]
+
+
+def body(folder: Path) -> list[str]:
+    """A file with the map of a message in free space, and where in it the time and the tick are."""
+    # Here, for it brings numba with it: a subscriber, which this module is too, starts without.
+    from softfinger.server.wire.native.templates import Shown, make_plan
+
+    plan, path = make_plan(("",), 1, Shown()), folder / "body"
+    frames = plan.templates[0, : plan.sizes[0]].tobytes()
+    headers = 2 + len(CONTACT) + 9
+    path.write_bytes(frames[headers:])
+    places = {column: at - headers for at, column, _ in plan.spots[0, : plan.counts[0]].tolist()}
+    return [str(path), str(places[AT.timestamp]), str(places[AT.tick])]
+
+
+def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> Turn:
+    """A turn of a source; of what is forwarded, the share of a processor is that of the process that does so."""
+    with tempfile.TemporaryDirectory() as made, ExitStack() as running:
+        shown = running.enter_context(source(words, args.transport, Path(made)))
+        await_messages(shown.endpoint)
+        if name == FORWARD:
+            shown = running.enter_context(forward(shown.endpoint, args.keys, Path(made)))
+        used, begun = processor_s(shown.process.pid), time.monotonic()
+        seen = subscribe_all(name, shown, args.subscribers, seconds, Path(made))
+        return Turn(seen, (processor_s(shown.process.pid) - used) / (time.monotonic() - begun))
+
+
+def processor_s(pid: int) -> float:
+    """Time that a process has had of processors."""
+    fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 @contextmanager
-def source(name: str, args: argparse.Namespace, folder: Path) -> Iterator[str]:
-    """A process that publishes until the block ends; gives its endpoint."""
-    if args.transport == "ipc":
-        endpoint = f"ipc://{folder}/{name}.sock"
+def source(words: list[str], transport: str, folder: Path) -> Iterator[Source]:
+    """A process that publishes until the block ends."""
+    if transport == "ipc":
+        endpoint = f"ipc://{folder}/source.sock"
     else:
         with zmq.Context() as context, context.socket(zmq.PUB) as probe:
             endpoint = f"tcp://127.0.0.1:{probe.bind_to_random_port('tcp://127.0.0.1')}"
-    words = {
-        "daemon": ["-m", "softfinger.server.cli", "run", "--endpoint", endpoint, "--rate", repr(args.rate)],
-        "reference": ["-m", "softfinger.tools.bench.telemetry", "send", endpoint, repr(args.rate)],
-    }[name]
-    with subprocess.Popen([sys.executable, *words], stderr=subprocess.PIPE) as process:
+    started = [endpoint if word == "ENDPOINT" else word for word in words]
+    with subprocess.Popen(started, stderr=subprocess.DEVNULL) as process:
         try:
-            yield endpoint
+            yield Source(process, endpoint)
+        finally:
+            process.terminate()
+            process.wait(timeout=30.0)
+
+
+@contextmanager
+def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[Source]:
+    """A process that hands on what comes from an endpoint; its keys, if any, are in the folder."""
+    words = [sys.executable, "-m", "softfinger.server.cli", "forward", "--from", endpoint, "--to", "tcp://127.0.0.1:*"]
+    pair: tuple[str, ...] = ()
+    if keys:
+        make_pair(folder, "server")
+        public, _ = make_pair(folder, "client")
+        (folder / "readers").mkdir(mode=0o755)
+        (folder / "readers" / public.name).write_bytes(public.read_bytes())
+        words += ["--keys", str(folder / "server.key_secret"), "--readers", str(folder / "readers")]
+        pair = str(folder / "client.key_secret"), str(folder / "server.key")
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            said = next((line for line in process.stderr if "forwarded on " in line), "")
+            yield Source(process, said.partition("forwarded on ")[2].partition(",")[0], pair)
         finally:
             process.terminate()
             process.communicate(timeout=30.0)
@@ -95,28 +224,30 @@ def await_messages(endpoint: str) -> None:
                 raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
 
 
-def subscribe_all(name: str, endpoint: str, args: argparse.Namespace, folder: Path) -> list[Array]:
+def subscribe_all(name: str, shown: Source, subscribers: int, seconds: float, folder: Path) -> list[Array]:
     """Messages of every subscriber, (n, 2): tick, latency s."""
-    paths = [folder / f"{name}-{number}.npy" for number in range(args.subscribers)]
-    words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", "receive", endpoint, repr(args.seconds)]
-    processes = [subprocess.Popen([*words, str(path)]) for path in paths]
-    with progress(f"measuring the {name}", round(args.seconds)) as done:
+    paths = [folder / f"{number}.npy" for number in range(subscribers)]
+    words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", shown.endpoint, repr(seconds)]
+    processes = [subprocess.Popen([*words, str(path), *shown.keys]) for path in paths]
+    with progress(f"measuring: {name}", round(seconds)) as done:
         begun = time.monotonic()
         while any(process.poll() is None for process in processes):
-            done(min(int(time.monotonic() - begun), round(args.seconds)))
+            done(min(int(time.monotonic() - begun), round(seconds)))
             time.sleep(0.5)
     failed = [process.returncode for process in processes if process.returncode]
     if failed:
-        raise NoTelemetry(f"{len(failed)} of {args.subscribers} subscribers failed: see their messages above")
+        raise NoTelemetry(f"{len(failed)} of {subscribers} subscribers failed: see their messages above")
     return [np.load(path) for path in paths]
 
 
-def receive(endpoint: str, seconds: float, path: str) -> None:
+def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
     """A subscriber: notes each message's tick and age as it arrives, and saves them at the end."""
     import msgpack
 
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-        socket.rcvhwm, socket.rcvtimeo, socket.linger = 0, 5000, 0
+        socket.rcvhwm, socket.rcvtimeo, socket.linger = 0, 10_000, 0
+        if keys:
+            client_keys(*keys).put_on(socket)
         socket.subscribe(b"contact")
         socket.connect(endpoint)
         seen: list[tuple[float, bytes]] = []
@@ -128,27 +259,6 @@ def receive(endpoint: str, seconds: float, path: str) -> None:
     # start of all the others.
     messages = [(at, msgpack.unpackb(body)) for at, body in seen if at > seen[0][0] + 1.0]
     np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))
-
-
-def send(endpoint: str, rate_hz: float) -> None:
-    """The reference: a loop that does nothing but send a message of a tick's size on time."""
-    import msgpack
-
-    from softfinger.proxy.state import RECORD_SIZE
-    from softfinger.server.protocol import contact_map
-
-    message = contact_map(np.zeros(RECORD_SIZE), 1)
-    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
-        socket.sndhwm = 0
-        socket.linger = 0
-        socket.bind(endpoint)
-        tick, due = 0, time.monotonic()
-        while True:
-            due += 1.0 / rate_hz
-            time.sleep(max(due - time.monotonic(), 0.0))
-            message["tick"], message["timestamp"] = tick, time.time()
-            socket.send_multipart([b"contact", msgpack.packb(message)])
-            tick += 1
 
 
 def draw(path: Path, found: dict[str, list[Array]]) -> None:
@@ -165,10 +275,4 @@ def draw(path: Path, found: dict[str, list[Array]]) -> None:
 
 
 if __name__ == "__main__":
-    role, *rest = sys.argv[1:]
-    if role == "receive":
-        receive(rest[0], float(rest[1]), rest[2])
-    elif role == "send":
-        send(rest[0], float(rest[1]))
-    else:
-        raise SystemExit(f"{role}: send or receive")
+    receive(sys.argv[1], float(sys.argv[2]), *sys.argv[3:])

@@ -7,10 +7,11 @@ from typing import Final
 
 from softfinger.config.errors import HapticError
 from softfinger.config.schema import Rig
-from softfinger.drivers import discovery
-from softfinger.drivers.claims import Claim, claim_on, claims
-from softfinger.drivers.discovery import Attached
-from softfinger.server.devices import diagnose
+from softfinger.config.schema.pairing import single_device
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.claims import Claim, claim_on, claims, may_be
+from softfinger.drivers.system.diagnosis import diagnose
+from softfinger.drivers.system.discovery import Attached
 from softfinger.tools.doctor.check import STATES, Check, State
 
 OVER_USB: Final = ("falcon", "forcedimension")
@@ -32,7 +33,7 @@ def libusb(rig: Rig) -> Check:
     there = usb.backend.libusb1.get_backend() is not None
     return Check(
         "libusb",
-        "good" if there else _missing(rig.device.driver in OVER_USB),
+        "good" if there else _missing(single_device(rig).driver in OVER_USB),
         "found" if there else "not found",
         "there, for a Falcon",
         "apt install libusb-1.0-0",
@@ -48,7 +49,7 @@ def hidapi(rig: Rig) -> Check:
             missing.append(f"{name} cannot be imported: {error}")
     return Check(
         "hidapi",
-        _missing(rig.device.driver in OVER_HID) if missing else "good",
+        _missing(single_device(rig).driver in OVER_HID) if missing else "good",
         "; ".join(missing) or "modules hid and hidraw found",
         "both modules, for HID devices",
         "pip install --force-reinstall hidapi, and apt install libusb-1.0-0 libudev1",
@@ -59,10 +60,10 @@ def maker_library(rig: Rig) -> Check:
     """Force Dimension's library, which does not come with this program; only its own devices need it."""
     from softfinger.drivers.forcedimension import library
 
-    needed = rig.device.driver == "forcedimension"
+    needed = single_device(rig).driver == "forcedimension"
     wanted = "there, for devices of Force Dimension"
     try:
-        library.load(rig.device.options.get("library_file") if needed else None)
+        library.load(single_device(rig).options.get("library_file") if needed else None)
     except HapticError as error:
         if not needed:
             return Check("Force Dimension's library", "good", "not here, and this rig does not need it", wanted)
@@ -73,7 +74,7 @@ def maker_library(rig: Rig) -> Check:
 
 def devices(rig: Rig, found: list[Attached]) -> list[Check]:
     """Each device that a driver claims, as `devices` diagnoses it; bad where it is the rig's and cannot be used."""
-    driver, wanted = rig.device.driver, "usable"
+    driver, wanted = single_device(rig).driver, "usable"
     seen, own = [], False
     for device in found:
         claim, mine = claim_on(device), is_of(rig, device)
@@ -82,7 +83,7 @@ def devices(rig: Rig, found: list[Attached]) -> list[Check]:
         if claim is None:
             continue
         own = own or mine
-        diagnosis = diagnose(device, claim, rig.device)
+        diagnosis = diagnose(device, claim, single_device(rig))
         state: State = "good" if diagnosis.state == "usable" else _missing(mine)
         said = f": {diagnosis.reason}" if diagnosis.reason else ""
         seen.append(
@@ -102,7 +103,7 @@ def devices(rig: Rig, found: list[Attached]) -> list[Check]:
 
 def is_of(rig: Rig, device: Attached) -> bool:
     """Whether a device may be the one that a rig names: by its ids where the rig has them, else by its driver."""
-    options, claim = rig.device.options, claim_on(device)
+    options, claim = single_device(rig).options, claim_on(device)
     if "vendor_id" in options:
-        return (device.vendor, device.product) == (options["vendor_id"], options.get("product_id"))
-    return claim is not None and claim.driver == rig.device.driver
+        return may_be(device, options)
+    return claim is not None and claim.driver == single_device(rig).driver

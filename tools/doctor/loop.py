@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 import time
 from pathlib import Path
@@ -13,15 +12,16 @@ import numpy as np
 from softfinger.config.errors import AddressInUse, HapticError
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig, Scene
-from softfinger.proxy.kernels.jit import CACHE_DIR
-from softfinger.server import realtime
-from softfinger.server.app import open_device
-from softfinger.server.cost import measure as step_cost
-from softfinger.server.cost import touching_poses
+from softfinger.config.schema.pairing import single_device
+from softfinger.drivers.registry import open_device
+from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
+from softfinger.server.loop import realtime
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.cost import measure as step_cost
+from softfinger.server.offline.cost import touching_poses
 from softfinger.server.progress import progress
-from softfinger.server.servo import Servo
-from softfinger.server.telemetry import Publisher
-from softfinger.server.tuning import make_tuning
+from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.bench import loop
 from softfinger.tools.doctor.check import STATES, Check, graded
 
@@ -71,18 +71,14 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
     """Whether compiled kernels are kept, and were there; compiles what is not."""
     bare = without_device(rig)
     begun = time.monotonic()
-    with progress("compiling the kernels"), open_device(bare.device, bare.servo.rate_hz) as device:
-        servo = Servo(device, make_tuning(scene, bare.guard), bare.servo.rate_hz)
+    with progress("compiling the kernels"), open_device(single_device(bare), bare.servo.rate_hz) as device:
+        servo = Servo([device] * len(scene.fingers), make_tuning(scene, bare.guard), bare.servo.rate_hz)
         warm = servo.compile()
         servo.close()
     took = time.monotonic() - begun
     wanted = "a folder that this user may write to, with the kernels of the scene in it"
-    try:
-        CACHE_DIR.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=CACHE_DIR):
-            pass
-    except OSError as error:
-        seen = f"{CACHE_DIR} cannot be written to: {error.strerror}: every start compiles, now {took:.1f} s"
+    if (problem := KEPT.problem()) is not None:
+        seen = f"{problem}; every start compiles, now {took:.1f} s"
         remedy = "export SOFTFINGER_CACHE_DIR=/a/folder/of/yours"
         return Check("kernel cache", "bad", seen, wanted, remedy)
     if warm:

@@ -105,7 +105,7 @@ def virtual(root: Path = ROOT) -> Check:
     if any(one.startswith("virtual") for one in seen):
         advice.append("run on the machine itself: a host stalls its guests for milliseconds")
     if "container" in seen:
-        advice.append("give a container what docs/docker.md lists")
+        advice.append("give a container what docs/operate/docker.md lists")
     return Check(
         "bare machine",
         "could be better" if seen else "good",

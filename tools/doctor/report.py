@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import platform
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, DeviceError, HapticError, SafetyStop
+from softfinger.config.files import new_file
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
-from softfinger.drivers import discovery
+from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.base import Device
-from softfinger.server.app import open_device
-from softfinger.server.guard import Guard
-from softfinger.server.tuning import guard_limits
+from softfinger.drivers.registry import open_device
+from softfinger.drivers.system import discovery
+from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.tuning import guard_limits
 from softfinger.tools.bench.device import draw
 from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answered
@@ -33,9 +31,6 @@ from softfinger.tools.measure import show
 
 FORMAT: Final = 1
 """Raised when a key changes its meaning."""
-INTERRUPTED: Final = 130
-"""Exit code after Ctrl-C, as a shell has it."""
-SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 LIBRARY: Final = "libdrd"
 
 
@@ -62,33 +57,32 @@ def run(args: argparse.Namespace) -> int:
     """Record, write and print the report; returns the exit code. Raises what kept the device from being opened or
     ended its exchange, after the report was written."""
     rig = load_rig(args.rig)
-    file = Path(args.device_report or f"softfinger-{rig.device.driver}-report.json")
+    file = Path(args.device_report or f"softfinger-{single_device(rig).driver}-report.json")
     if not file.parent.is_dir() or file.is_dir():
         raise ConfigError(f"--device-report {file}: there is no folder {file.parent}, or it is one: name a file")
     check_force(args.with_force, args.seconds, rig)
     guided = sys.stdin.isatty() and not args.no_prompts
     report, serials = begun(rig, guided)
     failure: HapticError | KeyboardInterrupt | None = None
-    with interruptible():
-        try:
-            record(rig, report, args.seconds, args.with_force, args.plot)
-            report["ended"], report["complete"] = "in full", True
-        except KeyboardInterrupt as error:
-            report["ended"], failure = "cut short by the user", error
-        except (DeviceError, SafetyStop) as error:
-            report["ended"], failure = "by a fault", error
-            report["fault"] = {
-                "kind": type(error).__name__,
-                "message": str(error),
-                "in_use": report["device"] is not None,
-            }
+    try:
+        record(rig, report, args.seconds, args.with_force, args.plot)
+        report["ended"], report["complete"] = "in full", True
+    except KeyboardInterrupt as error:
+        report["ended"], failure = "cut short by the user", error
+    except (DeviceError, SafetyStop) as error:
+        report["ended"], failure = "by a fault", error
+        report["fault"] = {
+            "kind": type(error).__name__,
+            "message": str(error),
+            "in_use": report["device"] is not None,
+        }
     report["questions"] = answered(report)
     report = privacy.Privacy(serials).clean(report)
     write(file, report)
     show(report, args.json, lines(report, file))
-    if isinstance(failure, HapticError):
+    if failure is not None:
         raise failure
-    return INTERRUPTED if failure is not None else 0
+    return 0
 
 
 def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
@@ -116,8 +110,8 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
             "packages": machine.versions(),
             "checks": {one.name: one.seen for one in (machine.kernel(), machine.virtual(), machine.processors())},
         },
-        "driver": rig.device.driver,
-        "options": privacy.options(rig.device.options),
+        "driver": single_device(rig).driver,
+        "options": privacy.options(single_device(rig).options),
         "rate_hz": rig.servo.rate_hz,
         "guided": guided,
         "identity": [identity(one) for one in found],
@@ -164,7 +158,7 @@ def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | No
     Zero force on every way out. Raises what opening raises, and the error of a device that failed in use.
     """
     compile_exchange()  # before the device is open: it would wait for its first exchange
-    with open_device(rig.device, rig.servo.rate_hz) as device:
+    with open_device(single_device(rig), rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
         report["maker_library"] = loaded_libraries()
         guard = disarmed(rig) if force_n is None else pushing(rig, device, force_n)
@@ -200,30 +194,10 @@ def loaded_libraries() -> list[str]:
     return sorted({Path(line.split()[-1]).name for line in mapped if LIBRARY in line})
 
 
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """The first of SIGNALS raises KeyboardInterrupt; later ones are ignored, so that nothing keeps the force from
-    being taken off and the report from being written."""
-
-    def first(*_: object) -> None:
-        for number in SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, first) for number in SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def write(file: Path, report: dict[str, Any]) -> None:
     """Write the file whole or not at all. ConfigError where it cannot be written."""
-    part = file.with_name(f".{file.name}.part")
     try:
-        part.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-        os.replace(part, file)
+        with new_file(file) as part:
+            part.write((json.dumps(report, indent=2) + "\n").encode())
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise ConfigError(f"--device-report {file}: cannot be written: {error.strerror}: name another file") from error

@@ -1,1 +1,4 @@
-"""`softfinger stability`: the stiffest stable wall, and the tick at the ends of its inputs."""
+"""`softfinger stability`: the stiffest stable wall, and the tick at the ends of its inputs.
+
+The tick is the servo's own; what is predicted beside it shares no code with it.
+"""

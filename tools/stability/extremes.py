@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.load import build
-from softfinger.proxy.kernels.pack import flatten
-from softfinger.proxy.state import FREE, OFFSET, RECORD_SIZE, SLIDING
-from softfinger.server.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
+from softfinger.proxy.kernels.native.pack import packed
+from softfinger.proxy.record import AT, FREE, RECORD_SIZE, SLIDING
+from softfinger.server.loop.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
+from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.simulate import tick_many
 from softfinger.server.progress import progress
-from softfinger.server.simulate import tick_many
-from softfinger.server.tick import Tuning, begin
-from softfinger.server.tuning import make_tuning
+from softfinger.tools.stability.wrenches import try_wrenches
 
 Array = NDArray[np.float64]
 
@@ -33,8 +34,8 @@ TORQUE_MAX_NM: Final = 0.3
 GUARD: Final = schema.Guard(force_max_n=FORCE_MAX_N, torque_max_nm=TORQUE_MAX_NM, ramp_s=0.01)
 ROUNDING: Final = 1e-12
 """A clamp by norm is exact to a few roundings; relative."""
-
-FORCE, TORQUE, MODE, BITS = OFFSET["force"], OFFSET["torque"], OFFSET["contact.mode"], OFFSET["servo.guard"]
+SUMMING: Final = 1e-9
+"""A change of a force of 12 N by 0.04 N, as at 50 kHz, is known to 1e-13; relative."""
 
 
 class Case(NamedTuple):
@@ -44,6 +45,7 @@ class Case(NamedTuple):
     scene         mapping of a scene file
     samples       (n, 7)  poses as a device gives them
     dts           (n,) s  time since the last tick
+    period        s       nominal length of a tick
     refused       poses that are to be refused, by name, or None where none may be
     expects       what else must hold of the records; returns what is wrong, "" for nothing
     """
@@ -55,6 +57,7 @@ class Case(NamedTuple):
     dts: Array
     refused: bool = False
     expects: Callable[[Array], str] = lambda records: ""
+    period: float = 0.001
 
 
 class Finding(NamedTuple):
@@ -130,23 +133,25 @@ def even(count: int, dt: float = 0.001) -> Array:
 
 
 def touches_and_leaves(records: Array) -> str:
-    modes = records[:, MODE]
+    modes = records[:, AT.contact_mode]
     if not (modes != FREE).any():
         return "nothing was touched"
     return "" if modes[-1] == FREE else "the contact did not end"
 
 
 def slides(records: Array) -> str:
-    return touches_and_leaves(records) or ("" if (records[:, MODE] == SLIDING).any() else "it did not slide")
+    return touches_and_leaves(records) or ("" if (records[:, AT.contact_mode] == SLIDING).any() else "it did not slide")
 
 
 def never_slides(records: Array) -> str:
-    return touches_and_leaves(records) or ("it slid" if (records[:, MODE] == SLIDING).any() else "")
+    return touches_and_leaves(records) or ("it slid" if (records[:, AT.contact_mode] == SLIDING).any() else "")
 
 
 def zero_where_refused(records: Array) -> str:
-    refused = records[:, BITS] == POSE_REFUSED
-    silent = not records[refused][:, FORCE : FORCE + 3].any() and not (records[refused, MODE] != FREE).any()
+    refused = records[:, AT.servo_guard] == POSE_REFUSED
+    silent = (
+        not records[refused][:, AT.force : AT.force + 3].any() and not (records[refused, AT.contact_mode] != FREE).any()
+    )
     return "" if silent else "a refused pose left a force or a contact"
 
 
@@ -178,7 +183,7 @@ def cases() -> Iterator[Case]:
     yield Case("friction", "mu = 0", scene(friction=(0.0, 0.0)), poses, even(TICKS), expects=slides)
     yield Case("friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even(TICKS), expects=never_slides)
     for rate in (8000.0, 50.0):
-        yield Case("period", f"T = 1/{rate:g} s", scene(), poses, even(TICKS, 1.0 / rate), expects=slides)
+        yield Case("period", f"T = 1/{rate:g} s", scene(), poses, even(TICKS, 1.0 / rate), False, slides, 1.0 / rate)
     missed = np.asarray(0.001 * np.random.default_rng(1).integers(1, 100, TICKS), np.float64)
     yield Case("missed ticks", "1 to 99 at a time", scene(), poses, missed, expects=touches_and_leaves)
     yield Case("no time passes", "dt = 0", scene(), poses, even(TICKS, 0.0), expects=touches_and_leaves)
@@ -233,7 +238,7 @@ def cases() -> Iterator[Case]:
 
 
 def clamped(records: Array) -> str:
-    force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
+    force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
     return "" if force.max() > 0.99 * FORCE_MAX_N else "the clamp was not reached"
 
 
@@ -244,20 +249,21 @@ def tuning_of(mapping: dict[str, Any]) -> Tuning:
 def run_case(case: Case) -> Array:
     """Records (n, RECORD_SIZE) of a case."""
     tuning = tuning_of(case.scene)
-    records, start = np.zeros((len(case.samples), RECORD_SIZE)), begin(tuning.scene)
-    tick_many(tuning, flatten(tuning), start, flatten(start), case.samples, case.dts, 0, records)
+    records = np.zeros((len(case.samples), RECORD_SIZE))
+    samples, rows = case.samples[:, None], records[:, None]
+    tick_many(packed(tuning), packed(begin(tuning.scene)), samples, case.dts, case.period, 0, rows)
     return records
 
 
 def judge(case: Case, records: Array) -> Finding:
     """What happened in a case, and what of it must not."""
-    force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
-    modes = np.unique(records[:, MODE])
-    bits = int(np.bitwise_or.reduce(records[:, BITS].astype(np.int64)))
+    force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
+    modes = np.unique(records[:, AT.contact_mode])
+    bits = int(np.bitwise_or.reduce(records[:, AT.servo_guard].astype(np.int64)))
     named = [name for n, name in enumerate(GUARD_NAMES) if bits >> n & 1]
     wrong = ""
-    if broken := broken_rules(records):
-        wrong = f"{broken} ticks with a number not finite, a wrench past the guard or no mode"
+    if broken := broken_rules(records, case.period):
+        wrong = f"{broken} ticks with a number not finite, a wrench past the guard, a jump or no mode"
     elif case.refused != bool(bits & POSE_REFUSED):
         wrong = "a pose refused" if not case.refused else "a broken pose taken"
     words = " ".join(("free", "rolling", "sliding")[int(mode)] for mode in modes if isfinite(mode))
@@ -267,12 +273,13 @@ def judge(case: Case, records: Array) -> Finding:
 
 
 def try_extremes() -> list[Finding]:
-    """Every case, in order."""
+    """Every case, in order, and after them the guard alone."""
     found, todo = [], list(cases())
     with progress("extremes", len(todo)) as done:
         for number, case in enumerate(todo):
             found.append(judge(case, run_case(case)))
             done(number + 1)
+    found += [Finding("wrench", given, n, force, "-", named, wrong) for given, n, force, named, wrong in try_wrenches()]
     return found
 
 
@@ -304,14 +311,24 @@ def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     return samples, dts
 
 
-def broken_rules(records: Array) -> int:
-    """How many of the records (n, RECORD_SIZE) break a rule that holds for every tick."""
+def broken_rules(records: Array, period: float) -> int:
+    """How many of the records (n, RECORD_SIZE) of ticks of `period` (s) break a rule that holds for every tick."""
     with np.errstate(invalid="ignore", over="ignore"):
-        force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
-        torque = np.linalg.norm(records[:, TORQUE : TORQUE + 3], axis=1)
+        force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
+        torque = np.linalg.norm(records[:, AT.torque : AT.torque + 3], axis=1)
         kept = (force <= FORCE_MAX_N * (1.0 + ROUNDING)) & (torque <= TORQUE_MAX_NM * (1.0 + ROUNDING))
-        kept &= np.isin(records[:, MODE], (0.0, 1.0, 2.0)) & (records[:, BITS] % (2 * NOT_FINITE) < NOT_FINITE)
-        return int(np.count_nonzero(~(kept & np.isfinite(records).all(axis=1))))
+        kept &= np.isin(records[:, AT.contact_mode], (0.0, 1.0, 2.0)) & (
+            records[:, AT.servo_guard] % (2 * NOT_FINITE) < NOT_FINITE
+        )
+        kept &= np.isfinite(records).all(axis=1)
+        for at, size, slew in (
+            (AT.force, force, GUARD.force_slew_n_per_s),
+            (AT.torque, torque, GUARD.torque_slew_nm_per_s),
+        ):
+            change = np.linalg.norm(np.diff(records[:, at : at + 3], axis=0), axis=1)
+            # From the last tick, or from zero where the force was let go.
+            kept[1:] &= np.minimum(change, size[1:]) <= slew * period * (1.0 + SUMMING)
+        return int(np.count_nonzero(~kept))
 
 
 def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
@@ -320,16 +337,16 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
     with progress("hostile input", ticks * len(HOSTILE_SCENES)) as done:
         for number, (name, mapping) in enumerate(HOSTILE_SCENES.items()):
             tuning, rng = tuning_of(mapping), np.random.default_rng((seed, number))
-            values, start = flatten(tuning), begin(tuning.scene)
-            memory, records = flatten(start), np.zeros((HOSTILE_BLOCK, RECORD_SIZE))
+            scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
+            records = np.zeros((HOSTILE_BLOCK, RECORD_SIZE))
             broken, refused, strongest = 0, 0, 0.0
             for first in range(0, ticks, HOSTILE_BLOCK):
                 samples, dts = garbage(rng, min(HOSTILE_BLOCK, ticks - first))
                 part = records[: len(samples)]
-                tick_many(tuning, values, start, memory, samples, dts, first, part)
-                broken += broken_rules(part)
-                refused += int(np.count_nonzero(part[:, BITS] == POSE_REFUSED))
-                strongest = max(strongest, float(np.linalg.norm(part[:, FORCE : FORCE + 3], axis=1).max()))
+                tick_many(scene_and_guard, memory, samples[:, None], dts, 0.001, first, part[:, None])
+                broken += broken_rules(part, 0.001)
+                refused += int(np.count_nonzero(part[:, AT.servo_guard] == POSE_REFUSED))
+                strongest = max(strongest, float(np.linalg.norm(part[:, AT.force : AT.force + 3], axis=1).max()))
                 done(number * ticks + first + len(samples))
             rows.append({"scene": name, "ticks": ticks, "broken": broken, "refused": refused, "force_max_n": strongest})
     return rows

@@ -18,16 +18,34 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from softfinger.config import limits
-from softfinger.drivers.plant import LINE_SIZE, Plant, PlantState, advance, make_plant, sense
-from softfinger.proxy.kernels.jit import entry, jit
-from softfinger.proxy.kernels.model import ConstantForce, Coupling, Material, Object, Plane, Scene
-from softfinger.proxy.kernels.pack import flatten, unpack
-from softfinger.server.clock import NS_PER_S, period_ns
-from softfinger.server.closed_loop import NOWHERE
-from softfinger.server.guard import Guard
-from softfinger.server.passivity import Passivity
+from softfinger.drivers.simulated.plant import (
+    LINE_SIZE,
+    Handle,
+    Impedance,
+    Plant,
+    PlantState,
+    advance,
+    make_plant,
+    sense,
+)
+from softfinger.proxy.kernels.model import (
+    ConstantForce,
+    Coupling,
+    Finger,
+    LinearNormal,
+    Material,
+    Object,
+    Plane,
+    Scene,
+)
+from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.proxy.kernels.native.pack import flatten, unpack
+from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.passivity import Passivity
+from softfinger.server.loop.tick import Memory, Tuning, begin, tick
+from softfinger.server.offline.closed_loop import NOWHERE
 from softfinger.server.progress import progress
-from softfinger.server.tick import Memory, Tuning, begin, tick
 from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit
 
 Array = NDArray[np.float64]
@@ -112,17 +130,15 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
 
     def plant(self) -> Plant:
         """The simulated device and hand."""
-        return make_plant(
-            self.period_s,
-            (self.mass_kg,) * 3,
-            (self.damping_ns_per_m,) * 3,
+        handle = Handle(
+            mass=(self.mass_kg,) * 3,
+            damping=(self.damping_ns_per_m,) * 3,
             friction=(self.friction_n,) * 3,
             delay=self.delay_ticks,
             resolution=self.resolution_m,
-            hand_mass=self.hand_mass_kg,
-            hand_damping=self.hand_damping_ns_per_m,
-            hand_stiffness=self.hand_stiffness_n_per_m,
         )
+        hand = Impedance(self.hand_mass_kg, self.hand_damping_ns_per_m, self.hand_stiffness_n_per_m)
+        return make_plant(self.period_s, handle, hand)
 
 
 class Loop(NamedTuple):
@@ -154,12 +170,16 @@ def wall_and_weight(
     stiffness: float, damping: float, velocity_time_constant: float, passivity_damping: float, depth: float
 ) -> Tuning:
     """A plane and the weight that presses `depth` m into it, in balance at the origin; a guard that lets all pass."""
-    material = Material(stiffness, damping, None, None)
-    wall = Object(Plane((0.0, 0.0, 1.0), depth - RADIUS_M), None, None, material, 0.0, ())
+    material = Material(LinearNormal(stiffness, damping), None, None, None)
+    shape = Plane((0.0, 0.0, 1.0), depth - RADIUS_M)
+    wall = Object(  # whole: a kernel does not know the defaults of a tuple
+        shape=shape, pose=None, motion=None, material=material, number=0.0, effects=(), was=None, texture=None
+    )
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
-    scene = Scene(RADIUS_M, (wall,), None, Coupling(1.0, 0.0), velocity_time_constant, 0.0, (weight,))
+    finger = Finger(RADIUS_M, Coupling(1.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)
+    scene = Scene(fingers=(finger,), objects=(wall,), rolling=None, effects=(weight,))
     # The observer is always there: with a largest damping of 0 it leaves the force alone.
-    return Tuning(scene, Guard(inf, inf, inf, inf, 0.0, 1.0), Passivity(passivity_damping))
+    return Tuning(scene, (Guard(inf, inf, inf, inf, 0.0, 1.0),), Passivity(passivity_damping), (None,))
 
 
 pressed_wall: Final = jit(wall_and_weight)
@@ -195,8 +215,8 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
     for k in range(int(ticks)):
         x, y, z = sense(plant, state)
         sample: Any = (x, y, z, 1.0, 0.0, 0.0, 0.0)
-        memory = tick(tuning, start, memory, sample, loop.period, k, NOWHERE)
-        state = advance(plant, state, memory.guarded.force, zero, upright, line)
+        memory = tick(tuning, start, memory, (sample,), loop.period, loop.period, k, (NOWHERE,))
+        state = advance(plant, state, memory.fingers[0].guarded.force, zero, upright, line)
         if not abs(state.position[2]) < REACH * knock:
             return True, k + 1.0
         u = (k + 0.5) / third - 1.0

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from softfinger.server.figures import figure, save
+from softfinger.server.offline.figures import figure, save
 from softfinger.tools.measure import Array
 from softfinger.tools.stability.limit import Case
 from softfinger.tools.stability.predicted import linear_limit, passive_limit

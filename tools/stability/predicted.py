@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from softfinger.drivers.plant import expm
+from softfinger.drivers.simulated.plant import expm
 from softfinger.tools.measure import Array
 
 RADIUS_TOLERANCE: Final = 1e-12

@@ -19,7 +19,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import unit
 from softfinger.config.validate import examine
-from softfinger.server.figures import figure, save
+from softfinger.server.offline.figures import figure, save
 from softfinger.tools.measure import add_output_options, show
 from softfinger.tools.stability import extremes, runs
 from softfinger.tools.stability.limit import Case, compile_search, find_limits

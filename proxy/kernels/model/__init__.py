@@ -4,7 +4,6 @@ A part that a scene does not have is None, and the kernel for None does nothing:
 Lengths m, forces N, angles rad; vectors (3,) in the world frame unless said; quaternions w, x, y, z.
 """
 
-from softfinger.proxy.kernels.model.contact import Contact, Hold, State, Tick
 from softfinger.proxy.kernels.model.effects import (
     Anchor,
     BoxBoundary,
@@ -34,20 +33,36 @@ from softfinger.proxy.kernels.model.laws import (
 )
 from softfinger.proxy.kernels.model.methods import EulerZxz, EulerZyx, Midpoint, MontanaRk4, MontanaRk45, RotationVector
 from softfinger.proxy.kernels.model.motions import Driven, Place, Pose, Sinusoid, Turntable
-from softfinger.proxy.kernels.model.scene import Coupling, Material, Object, Scene
+from softfinger.proxy.kernels.model.normal import HuntCrossley, LinearNormal, PowerNormal
+from softfinger.proxy.kernels.model.patch import HertzPatch, PatchTorsion, PowerPatch, RollingLoss
+from softfinger.proxy.kernels.model.scene import Coupling, EllipsoidTip, Finger, Material, Object, Scene
 from softfinger.proxy.kernels.model.shapes import (
     Box,
     CappedCylinder,
     Capsule,
     Cylinder,
     Ellipsoid,
+    Grown,
     Plane,
     Sphere,
     Torus,
 )
+from softfinger.proxy.kernels.model.state import (
+    NO_PATCH,
+    Contact,
+    FingerState,
+    Patch,
+    PatchState,
+    Probe,
+    Reaction,
+    State,
+    World,
+)
+from softfinger.proxy.kernels.model.textures import Grip, Relief, Texture
 from softfinger.proxy.kernels.model.vectors import ZERO, Quaternion, Vec3
 
 __all__ = [
+    "NO_PATCH",
     "ZERO",
     "Anchor",
     "Anisotropic",
@@ -62,11 +77,18 @@ __all__ = [
     "Cylinder",
     "Driven",
     "Ellipsoid",
+    "EllipsoidTip",
     "EulerZxz",
     "EulerZyx",
+    "Finger",
+    "FingerState",
     "Friction",
-    "Hold",
+    "Grip",
+    "Grown",
+    "HertzPatch",
+    "HuntCrossley",
     "LimitSurface",
+    "LinearNormal",
     "Magnet",
     "Material",
     "Midpoint",
@@ -75,12 +97,21 @@ __all__ = [
     "NormalVibration",
     "Object",
     "PaperFriction",
+    "Patch",
+    "PatchState",
+    "PatchTorsion",
     "Phase",
     "Place",
     "Plane",
     "Pose",
+    "PowerNormal",
+    "PowerPatch",
     "PowerTorsion",
+    "Probe",
     "Quaternion",
+    "Reaction",
+    "Relief",
+    "RollingLoss",
     "RotationVector",
     "Scene",
     "Sinusoid",
@@ -93,7 +124,7 @@ __all__ = [
     "State",
     "StickSlip",
     "Stribeck",
-    "Tick",
+    "Texture",
     "Torsion",
     "Torus",
     "Touching",
@@ -101,4 +132,5 @@ __all__ = [
     "Vec3",
     "Vibration",
     "Viscosity",
+    "World",
 ]

@@ -2,14 +2,19 @@
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
+
 
 class Material(NamedTuple):
-    """Normal stiffness N/m and damping N s/m, a friction law or None, a torsion law or None."""
+    """A law of the normal force, a friction law or None, a torsion law or None.
 
-    stiffness: float
-    damping: float
+    compliance  m^2/N  1/G, G its shear modulus; None in a scene whose fingertips have no patch
+    """
+
+    normal: Any
     friction: Any
     torsion: Any
+    compliance: Any = None
 
 
 class Object(NamedTuple):
@@ -21,6 +26,8 @@ class Object(NamedTuple):
     material  Material, of the same parts for all objects of a scene
     number    of the object in the scene file; several shapes may make one object
     effects   tuple of effects
+    was       Pose at the last tick of an object that can move; None for one that cannot, and in a scene
+    texture   Texture or None; its coordinates are those of the frame of `pose`
     """
 
     shape: Any
@@ -29,6 +36,8 @@ class Object(NamedTuple):
     material: Material
     number: float
     effects: Any
+    was: Any = None
+    texture: Any = None
 
 
 class Coupling(NamedTuple):
@@ -38,22 +47,48 @@ class Coupling(NamedTuple):
     damping: float
 
 
-class Scene(NamedTuple):
-    """Everything the contact step is compiled for.
+class EllipsoidTip(NamedTuple):
+    """The form of a fingertip that is an ellipsoid about the probe.
 
-    radius                  m    fingertip
-    objects                      tuple of Object
-    rolling                      a rolling method or None
+    semi_axes    (3,)  m
+    orientation  (4,)     of its axes in the fingertip's frame
+    """
+
+    semi_axes: Vec3
+    orientation: Quaternion
+
+
+class Finger(NamedTuple):
+    """A fingertip and the probe that moves it.
+
+    radius                  m    r; of an ellipsoid the shortest semi-axis
     coupling                     Coupling
+    torque_stiffness        N/m  k_tau: force per length of roll that the hand has not followed
     velocity_time_constant  s    low-pass of the probe velocity, 0 for the plain difference
     position_resolution     m    encoder step of the probe
-    effects                      tuple of effects of the workspace
+    patch                        HertzPatch, PowerPatch or None
+    form                         EllipsoidTip, or None for a ball
     """
 
     radius: float
-    objects: Any
-    rolling: Any
     coupling: Coupling
+    torque_stiffness: float
     velocity_time_constant: float
     position_resolution: float
+    patch: Any = None
+    form: Any = None
+
+
+class Scene(NamedTuple):
+    """Everything the contact step is compiled for.
+
+    fingers   tuple of Finger, one or more
+    objects   tuple of Object
+    rolling   a rolling method or None
+    effects   tuple of effects of the workspace
+    """
+
+    fingers: Any
+    objects: Any
+    rolling: Any
     effects: Any

@@ -1,8 +1,8 @@
 """Surfaces that a fingertip can touch: their sizes, m, each in the frame of its shape."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.model.vectors import Vec3
+from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
 
 
 class Plane(NamedTuple):
@@ -52,6 +52,21 @@ class Ellipsoid(NamedTuple):
 
     semi_axes: Vec3
     side: float
+
+
+class Grown(NamedTuple):
+    """A shape as the centre of an ellipsoidal fingertip sees it, which is then taken for a ball of `radius`.
+
+    shape              Plane, Sphere or Cylinder, touched from outside
+    semi_axes    (3,)  of the fingertip
+    orientation  (4,)  of its axes in the frame of the shape
+    radius
+    """
+
+    shape: Any
+    semi_axes: Vec3
+    orientation: Quaternion
+    radius: float
 
 
 class Torus(NamedTuple):

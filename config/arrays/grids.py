@@ -1,0 +1,119 @@
+"""Numbers over a surface, from a file that a scene names: .npy, .npz, .csv, or a grey picture as .pgm."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import limits
+from softfinger.config.arrays.npz import HEADER_BYTES_MAX, Npz, npy_array
+from softfinger.config.errors import ConfigError
+from softfinger.config.files import open_input, read_input
+
+Grid = NDArray[np.float64]
+
+NUMBER_BYTES_MAX: Final = 32
+"""Of one number: float64 has 8, its text in full 24 and a comma; no kind of number of numpy has more."""
+BYTES_MAX: Final = int(limits.GRID_VALUES.high) * NUMBER_BYTES_MAX + HEADER_BYTES_MAX
+MAGNITUDE_MAX: Final = 1e100
+"""Farther apart than these, two numbers would have no difference in float64."""
+
+_GAP: Final = rb"\s+(?:#[^\n]*\n\s*)*"
+_PGM: Final = re.compile(_GAP.join((rb"P5", rb"([0-9]{1,7})", rb"([0-9]{1,7})", rb"([0-9]{1,5})")) + rb"\s")
+_PGM_HEAD_MAX: Final = 4096
+"""Bytes before the picture itself, comments among them; GIMP writes some 60."""
+
+
+def read_grid(path: str | Path) -> Grid:
+    """The numbers of a file, (rows, columns): finite, not all the same. ConfigError with file, fault and remedy."""
+    read = READERS.get(Path(path).suffix.lower())
+    if read is None:
+        raise ConfigError(
+            f"{path}: is none of {', '.join(READERS)}: save a picture as grey .pgm, or any array by "
+            "numpy.save(name, array)"
+        )
+    try:
+        values = read(path)
+        if values.dtype.kind not in "fiub":
+            raise ValueError(f"holds {values.dtype}, must hold numbers")
+        grid = np.array(values[None] if values.ndim == 1 else values, dtype=np.float64)
+        _check(grid)
+    except (OSError, MemoryError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise ConfigError(f"{path}: cannot be read: {reason}") from error
+    except Exception as error:  # zip and npy decoders fail in many ways on damaged bytes
+        raise ConfigError(f"{path}: {error}") from error
+    return grid
+
+
+def _check(grid: Grid) -> None:
+    if grid.ndim != 2 or grid.size == 0:
+        raise ValueError(f"an array of shape {grid.shape}: must have rows and columns; of a colour picture take one")
+    if grid.size > limits.GRID_VALUES.high:
+        raise ValueError(f"has {grid.size:,} values, {limits.GRID_VALUES.high:,} are the most: {limits.GRID_VALUES[2]}")
+    bad = ~(np.abs(grid) <= MAGNITUDE_MAX)
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise ValueError(f"row {row}, column {column}: {grid[row, column]}: numbers are finite, at most 1e100")
+    if grid.min() == grid.max():
+        raise ValueError(f"every value is {grid.flat[0]:g}: a texture has at least two")
+
+
+def _npy(path: str | Path) -> NDArray[Any]:
+    return npy_array(read_input(path, BYTES_MAX), "it")
+
+
+def _npz(path: str | Path) -> NDArray[Any]:
+    with open_input(path, BYTES_MAX) as file:
+        archive = Npz(file)
+        names = archive.names()
+        if len(names) != 1:
+            raise ValueError(f"has the arrays {', '.join(names) or '(none)'}: must have one; save it alone")
+        return archive.array(names[0], BYTES_MAX)
+
+
+def _csv(path: str | Path) -> NDArray[Any]:
+    lines = read_input(path, BYTES_MAX).decode("utf-8-sig").splitlines()
+    numbered = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    if not numbered:
+        raise ValueError("has no numbers: a row is a line, with commas between its numbers")
+    width = numbered[0][1].count(",") + 1
+    grid = np.empty((len(numbered), width))
+    for row, (number, line) in enumerate(numbered):
+        cells = line.split(",")
+        if len(cells) != width:
+            raise ValueError(f"line {number} has {len(cells)} numbers, the first row {width}: rows are of one length")
+        try:
+            grid[row] = [float(cell) for cell in cells]
+        except ValueError as error:
+            raise ValueError(f"line {number}: {error}") from error
+    return grid
+
+
+def _pgm(path: str | Path) -> NDArray[Any]:
+    data = read_input(path, BYTES_MAX)
+    head = _PGM.match(data[:_PGM_HEAD_MAX])
+    if head is None:
+        raise ValueError("is no binary grey picture (P5): export it as raw PGM")
+    columns, rows, white = (int(group) for group in head.groups())
+    if not 0 < white < 65536:
+        raise ValueError(f"says that white is {white}: must be 1 to 65535")
+    kind = np.dtype(np.uint8 if white < 256 else ">u2")
+    there, needed = len(data) - head.end(), rows * columns * kind.itemsize
+    if there != needed:
+        raise ValueError(f"has {there:,} bytes of picture: {columns} x {rows} need {needed:,}")
+    return np.frombuffer(data, kind, offset=head.end()).reshape(rows, columns)
+
+
+READERS: Final[dict[str, Callable[[str | Path], NDArray[Any]]]] = {
+    ".npy": _npy,
+    ".npz": _npz,
+    ".csv": _csv,
+    ".pgm": _pgm,
+}
+"""How each ending is read."""

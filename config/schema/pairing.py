@@ -1,0 +1,56 @@
+"""Which device of a rig moves which finger of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.schema.rig import DeviceConfig, Rig
+from softfinger.config.schema.scene import Scene
+
+
+class Moved(NamedTuple):
+    """A finger, by its name ("" for the only one of [fingertip]), and its device, by its table in the rig."""
+
+    finger: str
+    table: str
+    device: DeviceConfig
+
+
+def pair(scene: Scene, rig: Rig) -> tuple[Moved, ...]:
+    """The device of each of the scene's fingers, in their order.
+
+    The only finger of a scene is moved by [device], any by the [devices.NAME] that it names. What no finger names
+    stays closed. Raises ConfigError where a finger has no device.
+    """
+    fingers = scene.fingers
+    if rig.device is not None and len(fingers) == 1:
+        return (Moved(fingers[0].name, "[device]", rig.device),)
+    has = "[device]" if rig.device is not None else _tables(rig.devices)
+    if scene.fingertip is not None:
+        raise ConfigError(
+            f"the scene has [fingertip], a single finger without a name, and the rig {has}: take a rig with [device], "
+            "or in the scene a table [[finger]] with the name of a section"
+        )
+    lacking = [finger.device for finger in fingers if finger.device not in rig.devices]
+    if lacking:
+        names = ", ".join(f"'{finger.name}'" for finger in fingers)
+        raise ConfigError(
+            f"the scene has [[finger]] {names}, and the rig {has}: add {_tables(lacking)} to the rig, name a section "
+            "it has as device of the finger, or take a scene with [fingertip]"
+        )
+    return tuple(Moved(each.name, f"[devices.{each.device}]", rig.devices[each.device]) for each in fingers)
+
+
+def single_device(rig: Rig) -> DeviceConfig:
+    """The device of a rig with one; ConfigError for a rig with a device for each finger."""
+    if rig.device is None:
+        raise ConfigError(
+            f"the rig has {_tables(rig.devices)}, and this is done with one device: take a rig with [device]"
+        )
+    return rig.device
+
+
+def _tables(names: Iterable[str]) -> str:
+    return " and ".join(f"[devices.{name}]" for name in names)

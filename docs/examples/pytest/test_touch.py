@@ -1,0 +1,43 @@
+"""What a program that builds on softfinger may test: the daemon on recorded poses, without a device."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+POSES = Path(__file__).parent / "press.csv"
+SCENE = "frictionless-plane"
+STIFFNESS_N_PER_M = 1000.0  # of that scene's plane: 1 mm of depth gives 1 N
+
+
+def test_pressing_pushes_back(softfinger_daemon):
+    """The plane answers 1 mm of depth with 1 N along its normal."""
+    daemon = softfinger_daemon(scene=SCENE, recording=POSES)
+    strongest = 0.0
+    for sample in daemon.subscribe():
+        if sample.servo.guard == 0 and sample.contact.mode:
+            expected = STIFFNESS_N_PER_M * sample.contact.penetration
+            assert abs(sample["contact.normal_force"] - expected) < 1e-9 * STIFFNESS_N_PER_M
+            strongest = max(strongest, sample["force"][2])
+        if sample.probe.position[2] > 0.0149 and strongest:  # it was pressed, and let go
+            break
+    assert strongest > 0.99
+
+
+def test_a_softer_plane(softfinger_daemon):
+    """Parameters change while it runs."""
+    daemon = softfinger_daemon(scene=SCENE, recording=POSES)
+    changed = daemon.control.set_params({"object.ice.material.stiffness_n_per_m": 500.0}).changed
+    assert changed["object.ice.material.stiffness_n_per_m"].before == STIFFNESS_N_PER_M
+
+
+def test_nothing_has_changed(softfinger_daemon, tmp_path):
+    """A run is recorded, and the code of now gives the forces that were recorded: keep such a file, and find out
+    with the next version."""
+    recording = tmp_path / "press.mcap"
+    daemon = softfinger_daemon(scene=SCENE, recording=POSES, words=["--once", "--record", str(recording)])
+    assert daemon.wait() == 0
+    words = [sys.executable, "-m", "softfinger.server.cli", "replay", str(recording), "--json"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["compared"] > 1000

@@ -1,0 +1,149 @@
+"""A recording as a device: it senses the recorded poses and keeps every wrench it is given.
+
+Read number n gives sample n, whatever the clock does, so a run is reproducible to the bit.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from softfinger.config.schema import said
+from softfinger.drivers import wrench_log
+from softfinger.drivers.base import (
+    END,
+    OK,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_TIME,
+    Device,
+    DeviceInfo,
+    DeviceIO,
+)
+from softfinger.drivers.block import Block, address, lay_out, numbers, word
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import Array, close_loop, resample
+from softfinger.drivers.system.libc import IO_SIGNATURE
+from softfinger.drivers.wrench_log import LOG, WrenchLog, Written
+from softfinger.proxy.kernels.native.jit import c_function
+from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+
+
+class Words(NamedTuple):
+    """The words of a replay, behind those of the log."""
+
+    samples: Annotated[int, address("(length, 7) float64")]
+    length: Annotated[int, word("of the recording")]
+    loop: Annotated[int, word("whether it begins again at its end")]
+    next_sample: Annotated[int, word("counted up and wrapped, which is cheaper than a remainder")]
+    period: Annotated[int, numbers("s", 1)]
+
+
+AT: Final = lay_out(Words, after=LOG)
+
+# A recording feels nothing, so it sets no limit of its own: the rig's guard is what limits.
+FORCE_MAX_N: Final = 1e3
+TORQUE_MAX_NM: Final = 1e2
+STIFFNESS_MAX_N_PER_M: Final = 1e6
+DAMPING_MAX_NS_PER_M: Final = 1e3
+
+
+class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a rig's [device] table may say for `driver = "replay"`."""
+
+    recording: Annotated[str, said("file (.csv, .npz, .mcap) or name of a shipped recording", "press-roll-spin-drag")]
+    finger: Annotated[str, said("whose poses of a recording of several fingers; empty: of a single one", "thumb")] = ""
+    loop: Annotated[bool, said("start again at the end, over a smooth return; false: stop after one pass")] = True
+    forces: Annotated[str | None, said("file (.csv or .npz) for the wrenches written, saved on close")] = None
+
+
+@c_function(IO_SIGNATURE)
+def _read(handle: int, sample: Any) -> int:
+    at = int64_at(handle)
+    n = at[LOG.reads]
+    at[LOG.reads] = n + 1
+    status = OK
+    index = at[AT.next_sample]
+    if index < at[AT.length]:
+        at[AT.next_sample] = index + 1
+    elif at[AT.loop]:
+        index = 0
+        at[AT.next_sample] = 1
+    else:
+        n = index = at[AT.length] - 1
+        status = END
+    pose = float64_at(at[AT.samples] + index * 56)
+    for k in range(7):
+        sample[k] = pose[k]
+    sample[SAMPLE_TIME] = n * float64_at(handle)[AT.period]
+    sample[SAMPLE_BUTTONS] = sample[SAMPLE_GRIPPER] = 0.0
+    return status
+
+
+class Replay(Device):
+    """A recording at the servo's rate; what is written to it is kept and can be read with `written`.
+
+    Not looped, every pass's wrenches are kept; looped, at least those of the last pass and of the
+    last 10 s. Once stopped it stays disarmed: the last wrench kept is zero.
+    """
+
+    def __init__(self, options: Options, rate_hz: float) -> None:
+        samples = resample(load_poses(options.recording, options.finger), rate_hz)
+        self.samples: Array = np.ascontiguousarray(close_loop(samples, rate_hz) if options.loop else samples)
+        """Poses (M, 7) that the reads return in turn."""
+        self._block = block = Block(LOG, AT)
+        self._log = WrenchLog(block, len(self.samples), rate_hz, options.forces)
+        block.point(AT.samples, self.samples)
+        block.word[AT.length], block.word[AT.loop] = len(self.samples), options.loop
+        block.numbers(AT.period, 1)[:] = 1.0 / rate_hz
+        low, high = self.samples[:, :3].min(axis=0), self.samples[:, :3].max(axis=0)
+        self.info = DeviceInfo(
+            name=f"replay {Path(options.recording).stem}",
+            sensed_dof=6,
+            actuated_dof=6,
+            force_max_n=FORCE_MAX_N,
+            torque_max_nm=TORQUE_MAX_NM,
+            stiffness_max_n_per_m=STIFFNESS_MAX_N_PER_M,
+            damping_max_ns_per_m=DAMPING_MAX_NS_PER_M,
+            workspace_min_m=(float(low[0]), float(low[1]), float(low[2])),
+            workspace_max_m=(float(high[0]), float(high[1]), float(high[2])),
+            own_clock=True,
+        )
+
+    def io(self) -> DeviceIO:
+        return DeviceIO(_read.address, wrench_log.write.address, self._block.handle)
+
+    def stop(self) -> None:
+        self._log.stop()
+
+    def close(self) -> None:
+        self._log.close()
+
+    def counts(self) -> dict[str, int]:
+        return self._log.counts()
+
+    @property
+    def reads(self) -> int:
+        """Reads so far."""
+        return int(self._block.word[LOG.reads])
+
+    @property
+    def lost(self) -> int:
+        """Wrenches kept once and overwritten since, because a loop ran longer than the log."""
+        return self._log.lost
+
+    def written(self) -> Written:
+        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
+        return self._log.written()
+
+    def forces(self) -> Array:
+        """The wrenches kept (k, 6), oldest first: force N, torque N m in the world frame."""
+        return self.written().wrench
+
+
+def open_device(options: Options, rate_hz: float) -> Replay:
+    """Open the recording `options.recording` at `rate_hz`; RecordingError when it cannot be used."""
+    return Replay(options, rate_hz)

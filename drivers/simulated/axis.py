@@ -1,0 +1,310 @@
+"""One axis of a plant through a tick, exactly, with the Coulomb friction of its mechanism.
+
+Friction is constant against the velocity while the axis moves. At rest it holds as long as the other forces stay
+within it. So a tick is a sequence of pieces, each linear: moving one way, held, moving the other way. A piece ends
+where the velocity comes to zero, or where the force that is held back reaches the friction; both times are found to
+rounding, by Newton's method kept in a bracket.
+
+Most ticks have one piece, and `move` does those with coefficients made beforehand. Only a tick that is cut goes
+through `move_in_pieces`, in substeps short enough that a Taylor series is exact to rounding. A velocity that dips
+through zero twice within a substep, half a time constant of the fastest mode, would be seen once.
+"""
+
+from math import copysign, exp, log
+from typing import Final, NamedTuple
+
+from softfinger.proxy.kernels.native.jit import entry, jit
+
+EVENTS: Final = 64
+"""Most pieces of a tick that end early; what is left then moves as one. Few ticks have more than two."""
+TERMS: Final = 24
+"""Of the Taylor series: over half a time constant, what is left out is below 1e-18 of the motion."""
+ROUNDS: Final = 80
+"""Most steps of a bracketed root; bisection alone would need 53."""
+
+
+class Axis(NamedTuple):
+    """One axis, for ticks of one length.
+
+    With all inputs constant, a tick leads to
+        x + x_z (x - p) + x_v v + x_a a + x_u u + x_w w + x_f f
+            v_z (x - p) + v_v v + v_a a + v_u u + v_w w + v_f f
+    with a the motors' force before and u, p, w, f the `Inputs`.
+
+    friction                           N               Coulomb
+    mobility                           1/kg            acceleration by 1 N
+    damping, stiffness, hand_damping   1/s, 1/s^2, 1/s  over the moving mass
+    lag_rate                           1/s             of the motors, 0 without lag
+    period                             s
+    substep                            s               longest piece that the Taylor series takes
+    slow                               s               the same without the motors' lag
+    """
+
+    x_z: float
+    x_v: float
+    x_a: float
+    x_u: float
+    x_w: float
+    x_f: float
+    v_z: float
+    v_v: float
+    v_a: float
+    v_u: float
+    v_w: float
+    v_f: float
+    friction: float
+    mobility: float
+    damping: float
+    stiffness: float
+    hand_damping: float
+    lag_rate: float
+    period: float
+    substep: float
+    slow: float
+
+
+class Inputs(NamedTuple):
+    """What drives an axis through a linear piece.
+
+    u  N    what the motors are told
+    p  m    goal of the hand at the beginning of the piece
+    w  m/s  speed of the goal
+    f  N    force that does not pass the motors: of friction
+    """
+
+    u: float
+    p: float
+    w: float
+    f: float
+
+
+@jit
+def later(inputs: Inputs, h: float) -> Inputs:
+    """The inputs after `h` s: the goal has moved."""
+    return Inputs(inputs.u, inputs.p + inputs.w * h, inputs.w, inputs.f)
+
+
+@jit
+def rubbed(axis: Axis, way: float, inputs: Inputs) -> Inputs:
+    """The inputs with friction against a motion that goes `way`, 1 or -1."""
+    return Inputs(inputs.u, inputs.p, inputs.w, -way * axis.friction)
+
+
+@jit
+def glide(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> tuple[float, float]:
+    """Position and velocity after a whole tick under constant forces: see `Axis`."""
+    u, p, w, f = inputs
+    z = x - p
+    return (
+        x + (axis.x_z * z + axis.x_v * v + axis.x_a * a + axis.x_u * u + axis.x_w * w + axis.x_f * f),
+        axis.v_z * z + axis.v_v * v + axis.v_a * a + axis.v_u * u + axis.v_w * w + axis.v_f * f,
+    )
+
+
+@jit
+def acceleration(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> float:
+    _, p, w, f = inputs
+    return axis.mobility * (a + f) - axis.damping * v - axis.stiffness * (x - p) + axis.hand_damping * w
+
+
+@jit
+def dips(way: float, h: float, v0: float, c0: float, v1: float, c1: float) -> bool:
+    """Whether a speed that is `way` at both ends of `h` s may come to zero between them.
+
+    v0, c0, v1, c1  velocity and acceleration at the ends. Between its tangents at the ends the speed has its
+    minimum; where they meet above zero it stays there.
+    """
+    if not (way * c0 < 0.0 and way * c1 > 0.0):
+        return False
+    t = (v1 - c1 * h - v0) / (c0 - c1)
+    return way * (v0 + c0 * t) <= 0.0
+
+
+@jit
+def slowing(axis: Axis, way: float, behind: float, behind1: float, c0: float, c1: float) -> float:
+    """Strongest acceleration against `way` within a tick, m/s^2, 0 or below: never too small in magnitude.
+
+    behind, behind1  N  what the motors' force lacks at both ends, c0 and c1 the acceleration there. The motors' part
+    decays, however fast; the rest changes slowly, and is at most half as much again as at the ends.
+    """
+    rest0, rest1 = way * (c0 - axis.mobility * behind), way * (c1 - axis.mobility * behind1)
+    return 1.5 * min(rest0, rest1, 0.0) + min(way * axis.mobility * behind, 0.0)
+
+
+@jit
+def move(axis: Axis, x: float, v: float, a: float, a1: float, inputs: Inputs) -> tuple[float, float]:
+    """One tick: position (m) and velocity (m/s) after it.
+
+    x, v    m, m/s  at its beginning
+    a, a1   N       the motors' force at its beginning and at its end
+    inputs          without friction, f = 0
+    """
+    if axis.friction == 0.0:
+        return glide(axis, x, v, a, inputs)
+    u, w = inputs.u, inputs.w
+    h, limit = axis.period, axis.friction * axis.mobility
+    began = u if axis.lag_rate == 0.0 else a
+    if v == 0.0:
+        c0 = acceleration(axis, x, 0.0, began, inputs)
+        c1 = acceleration(axis, x, 0.0, a1, later(inputs, h))
+        turn0 = axis.mobility * axis.lag_rate * (u - a) + axis.stiffness * w
+        turn1 = axis.mobility * axis.lag_rate * (u - a1) + axis.stiffness * w
+        if abs(c0) <= limit and abs(c1) <= limit and turn0 * turn1 >= 0.0:
+            return x, 0.0
+    elif h <= axis.slow:
+        way = copysign(1.0, v)
+        moving = rubbed(axis, way, inputs)
+        x1, v1 = glide(axis, x, v, a, moving)
+        if way * v1 > 0.0:
+            c0 = acceleration(axis, x, v, began, moving)
+            c1 = acceleration(axis, x1, v1, a1, later(moving, h))
+            if h <= axis.substep:
+                if not dips(way, h, v, c0, v1, c1):
+                    return x1, v1
+            elif way * v + h * slowing(axis, way, began - u, a1 - u, c0, c1) > 0.0:
+                return x1, v1
+    return move_in_pieces(axis, x, v, began, inputs)
+
+
+@entry  # called and not compiled into `move`: it is long, and seldom needed
+def move_in_pieces(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> tuple[float, float]:
+    """One tick with friction, cut where the axis stops, is held and breaks away."""
+    left, events = axis.period, 0
+    way = copysign(1.0, v) if v != 0.0 else 0.0
+    while left > 0.0:
+        if way == 0.0:
+            c = acceleration(axis, x, 0.0, a, inputs)
+            if abs(c) > axis.friction * axis.mobility and events < EVENTS:
+                way = copysign(1.0, c)
+            else:
+                held, way = time_held(axis, x, a, inputs, left)
+                if events >= EVENTS:
+                    held, way = left, 0.0
+                a = inputs.u + (a - inputs.u) * exp(-axis.lag_rate * held)
+                inputs = later(inputs, held)
+                left -= held
+                continue
+        h, moving = min(left, axis.substep), rubbed(axis, way, inputs)
+        x1, v1, a1 = series(axis, x, v, a, moving, h)
+        c0 = acceleration(axis, x, v, a, moving)
+        c1 = acceleration(axis, x1, v1, a1, later(moving, h))
+        ends = h
+        # An axis that has just broken away starts with no velocity and, but for rounding, no acceleration.
+        if way * v1 >= 0.0 and v != 0.0 and dips(way, h, v, c0, v1, c1):
+            ends = lowest(axis, x, v, a, moving, h)
+            x1, v1, a1 = series(axis, x, v, a, moving, ends)
+        if way * v1 < 0.0:
+            events += 1
+            h = stop_time(axis, x, v, a, moving, ends)
+            x1, _, a1 = series(axis, x, v, a, moving, h)
+            v1, way = 0.0, 0.0
+        elif ends < h:
+            x1, v1, a1 = series(axis, x, v, a, moving, h)
+        x, v, a = x1, v1, a1
+        inputs = later(inputs, h)
+        left -= h
+    return x, v
+
+
+@jit
+def series(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> tuple[float, float, float]:
+    """Position, velocity and motors' force after `h` s of a linear piece, at most `axis.substep`."""
+    behind = inputs.u - a
+    dx, dv, da = v, acceleration(axis, x, v, a, inputs), axis.lag_rate * behind
+    # Past the first derivative the goal does not move any more, and x and x - p have the same ones.
+    dz = v - inputs.w
+    share = h
+    for n in range(2, TERMS):
+        x += share * dx
+        v += share * dv
+        a += share * da
+        dx, dz, dv, da = (
+            dv,
+            dv,
+            axis.mobility * da - axis.damping * dv - axis.stiffness * dz,
+            -axis.lag_rate * da,
+        )
+        share *= h / n
+    return x, v, a
+
+
+@jit
+def stop_time(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> float:
+    """When the velocity, which friction `inputs.f` opposes, first comes to zero; after `h` s it has turned."""
+    way = -copysign(1.0, inputs.f)
+    low, high = 0.0, h
+    t = 0.5 * h
+    for _ in range(ROUNDS):
+        xt, vt, at = series(axis, x, v, a, inputs, t)
+        if way * vt > 0.0:
+            low = t
+        else:
+            high = t
+        slope = acceleration(axis, xt, vt, at, later(inputs, t))
+        better = t - vt / slope if slope != 0.0 else low
+        if not low < better < high:
+            better = 0.5 * (low + high)
+        if better == t or better <= low or better >= high:
+            break
+        t = better
+    return t
+
+
+@jit
+def lowest(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> float:
+    """When the speed is lowest within `h` s, or a time at which it has turned already."""
+    way = -copysign(1.0, inputs.f)
+    low, high = 0.0, h
+    t = 0.5 * h
+    for _ in range(ROUNDS):
+        xt, vt, at = series(axis, x, v, a, inputs, t)
+        if way * vt < 0.0:
+            break
+        if way * acceleration(axis, xt, vt, at, later(inputs, t)) < 0.0:
+            low = t
+        else:
+            high = t
+        t = 0.5 * (low + high)
+        if t <= low or t >= high:
+            break
+    return t
+
+
+@jit
+def time_held(axis: Axis, x: float, a: float, inputs: Inputs, left: float) -> tuple[float, float]:
+    """How long friction holds the axis, at most `left` s, and which way it breaks away then; 0 if it does not.
+
+    inputs  without friction, f = 0
+
+    What pulls is mobility (u + (a - u) exp(-t / tau)) + stiffness (p + w t - x) + hand_damping w, over the mass: it
+    turns round once at most, and is followed up to there and from there.
+    """
+    limit, rate = axis.friction * axis.mobility, axis.lag_rate
+    drive, ramp = axis.mobility * (a - inputs.u), axis.stiffness * inputs.w
+    steady = acceleration(axis, x, 0.0, inputs.u, inputs)
+    turn = left
+    if rate * drive * ramp > 0.0 and abs(ramp) < abs(rate * drive):
+        turn = min(left, log(rate * drive / ramp) / rate)
+    begins = 0.0
+    for ends in (turn, left):
+        last = steady + ramp * ends + drive * exp(-rate * ends)
+        if abs(last) > limit:
+            way = copysign(1.0, last)
+            low, high, t = begins, ends, 0.5 * (begins + ends)
+            for _ in range(ROUNDS):
+                fading = drive * exp(-rate * t)
+                over = way * (steady + ramp * t + fading) - limit
+                if over > 0.0:
+                    high = t
+                else:
+                    low = t
+                slope = way * (ramp - rate * fading)
+                better = t - over / slope if slope != 0.0 else low
+                if not low < better < high:
+                    better = 0.5 * (low + high)
+                if better == t or better <= low or better >= high:
+                    break
+                t = better
+            return t, way
+        begins = ends
+    return left, 0.0

@@ -1,0 +1,223 @@
+"""A device that is computed: handle, motors and hand of `drivers.plant`, behind the contract of any other.
+
+A replay feels nothing. Here the force written moves the handle, and the hand on it follows what it intends, a
+recording or a place with a sinusoid about it, as far as the force lets it. Read number n gives the pose at tick n of
+the device's own time, so a run is reproducible to the bit whatever the clock does. Only a hand
+that a puck leads does what it likes.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated, Any, Final, NamedTuple
+
+from msgspec.structs import replace
+from numba import carray
+
+from softfinger.config.devices import presets
+from softfinger.drivers import wrench_log
+from softfinger.drivers.base import (
+    END,
+    OK,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_TIME,
+    Device,
+    DeviceInfo,
+    DeviceIO,
+)
+from softfinger.drivers.block import Block, address, lay_out, numbers, word
+from softfinger.drivers.simulated.options import Options, simulation
+from softfinger.drivers.simulated.plant import (
+    LINE_SIZE,
+    Handle,
+    Intention,
+    Plant,
+    PlantState,
+    advance,
+    at_rest,
+    goal_at,
+    make_plant,
+    sense,
+)
+from softfinger.drivers.spacemouse import device as spacemouse
+from softfinger.drivers.spacemouse.device import Puck, follow, mask, place, setup_of
+from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
+from softfinger.drivers.wrench_log import LOG, ROW_BYTES, WrenchLog, Written
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import c_function, jit
+from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.proxy.kernels.native.pack import flatten, pack, unpack, unpack_at
+
+# No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry.
+TORQUE_MAX_NM: Final = 1e2
+
+_PLANT_LIKE: Final = make_plant(1.0, Handle((1.0, 1.0, 1.0)))
+_STATE_LIKE: Final = at_rest((0.0, 0.0, 0.0))
+_INTENTION_LIKE: Final = Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+_PLANT_SIZE: Final = len(flatten(_PLANT_LIKE))
+_STATE_SIZE: Final = len(flatten(_STATE_LIKE))
+_INTENTION_SIZE: Final = len(flatten(_INTENTION_LIKE))
+
+
+class Words(NamedTuple):
+    """The words of a simulated device, behind those of the log."""
+
+    plant: Annotated[int, numbers("a `Plant`", _PLANT_SIZE)]
+    state: Annotated[int, numbers("a `PlantState`", _STATE_SIZE)]
+    intention: Annotated[int, numbers("an `Intention`", _INTENTION_SIZE)]
+    line: Annotated[int, numbers("forces under way", LINE_SIZE)]
+    poses: Annotated[int, address("(n, 7) float64 of the recording")]
+    puck: Annotated[int, word("handle of the puck that leads the hand, 0 without one")]
+
+
+AT: Final = lay_out(Words, after=LOG)
+
+
+@jit
+def _acting(handle: int) -> Vec3:
+    """Force (3,) N of the newest wrench, which acts until now.
+
+    A stop that writes its zero just now may be read in part: every component is the old one or zero, and the next
+    read has the zero.
+    """
+    word = int64_at(handle)
+    if word[LOG.writes] == 0:
+        return (0.0, 0.0, 0.0)
+    last = word[LOG.next_row] - 1
+    if last < 0:
+        last += word[LOG.capacity]
+    row = float64_at(word[LOG.log] + last * ROW_BYTES)
+    return (row[1], row[2], row[3])
+
+
+@jit
+def _tell(sample: Any, plant: Plant, state: PlantState, n: int, buttons: float) -> None:
+    position = sense(plant, state)
+    for k in range(3):
+        sample[k] = position[k]
+    for k in range(4):
+        sample[3 + k] = state.orientation[k]
+    sample[SAMPLE_TIME] = n / plant.rate
+    sample[SAMPLE_BUTTONS] = buttons
+    sample[SAMPLE_GRIPPER] = 0.0
+
+
+@c_function(IO_SIGNATURE)
+def _read(handle: int, sample: Any) -> int:
+    word = int64_at(handle)
+    plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
+    intention = unpack_at(_INTENTION_LIKE, handle + 8 * AT.intention)
+    kept = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
+    state = unpack(_STATE_LIKE, kept)
+    n, status = word[LOG.reads], OK
+    if n > 0:
+        if intention.loop == 0.0 and n >= intention.length:
+            n, status = int(intention.length) - 1, END
+        else:
+            goal, orientation = goal_at(intention, float64_at(word[AT.poses]), n)
+            state = advance(plant, state, _acting(handle), goal, orientation, float64_at(handle + 8 * AT.line))
+            pack(kept, state)
+    word[LOG.reads] += 1
+    _tell(sample, plant, state, n, 0.0)
+    return status
+
+
+@c_function(IO_SIGNATURE)
+def _read_led(handle: int, sample: Any) -> int:
+    """The same with a hand that a puck leads, which moves by one period a read, as the plant does."""
+    word = int64_at(handle)
+    plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
+    kept = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
+    state = unpack(_STATE_LIKE, kept)
+    puck, n = word[AT.puck], word[LOG.reads]
+    if n > 0:
+        status = follow(puck, setup_of(puck), monotonic_ns(puck + 8 * spacemouse.AT.timespec), 1.0 / plant.rate)
+        if status < 0:
+            return status
+        goal, orientation = place(puck)
+        state = advance(plant, state, _acting(handle), goal, orientation, float64_at(handle + 8 * AT.line))
+        pack(kept, state)
+    word[LOG.reads] += 1
+    _tell(sample, plant, state, n, mask(puck))
+    return OK
+
+
+class Simulated(Device):
+    """The plant as a device; what is written to it acts on the handle, and is kept as a replay keeps it.
+
+    Once stopped it stays disarmed: no force acts any more but those under way, and the hand goes on.
+    """
+
+    def __init__(self, options: Options, rate_hz: float, puck: tuple[int, str] | None = None) -> None:
+        """`puck`: file descriptor and name of an open one, for options that ask for it; it is this device's now."""
+        preset = presets()[options.preset]
+        self.simulation = simulation(options, rate_hz)
+        plant, state, intention, poses = self.simulation
+        self._block = block = Block(LOG, AT)
+        self._log = WrenchLog(block, int(intention.length), rate_hz, options.forces)
+        block.numbers(AT.plant, _PLANT_SIZE)[:] = flatten(plant)
+        block.numbers(AT.state, _STATE_SIZE)[:] = flatten(state)
+        block.numbers(AT.intention, _INTENTION_SIZE)[:] = flatten(intention)
+        block.point(AT.poses, poses)
+        self._puck: Puck | None = None
+        self._led_by = ""
+        if options.puck is not None and puck is not None:
+            fd, self._led_by = puck
+            self._led_block = Block(LOG, spacemouse.AT)
+            # What a device does not sense, no puck turns.
+            turning = options.puck if preset.sensed_dof == 6 else replace(options.puck, gain_rad_per_s=0.0)
+            self._puck = Puck(turning, fd, self._led_block)
+            block.word[AT.puck] = self._led_block.handle
+        reach = preset.workspace_radius_m
+        self.info = DeviceInfo(
+            name=f"simulated {preset.name}",
+            sensed_dof=preset.sensed_dof,
+            actuated_dof=3,
+            force_max_n=plant.force_max,
+            torque_max_nm=TORQUE_MAX_NM,
+            stiffness_max_n_per_m=preset.stiffness_max_n_per_m,
+            damping_max_ns_per_m=preset.damping_max_ns_per_m,
+            workspace_min_m=(-reach, -reach, -reach),
+            workspace_max_m=(reach, reach, reach),
+            own_clock=True,
+        )
+
+    def io(self) -> DeviceIO:
+        read = _read if self._puck is None else _read_led
+        return DeviceIO(read.address, wrench_log.write.address, self._block.handle)
+
+    def stop(self) -> None:
+        self._log.stop()
+
+    def close(self) -> None:
+        try:
+            self._log.close()
+        finally:
+            if self._puck is not None:
+                self._puck.close()
+
+    def reason(self) -> str:
+        return f"its hand is led by {self._led_by}" if self._led_by else ""
+
+    def counts(self) -> dict[str, int]:
+        return self._block.counts() | (self._led_block.counts(spacemouse.AT) if self._puck is not None else {})
+
+    def written(self) -> Written:
+        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
+        return self._log.written()
+
+
+def open_device(options: Options, rate_hz: float) -> Simulated:
+    """Open a simulated device at `rate_hz`.
+
+    Raises RecordingError when its recording cannot be used, DeviceError and its kinds when its puck cannot.
+    """
+    if options.puck is None:
+        return Simulated(options, rate_hz)
+    fd, name = spacemouse.open_puck(options.puck)
+    try:
+        return Simulated(options, rate_hz, (fd, name))
+    except BaseException:
+        os.close(fd)
+        raise

@@ -1,0 +1,135 @@
+"""What a rig may say of a simulated device, and the numbers that its plant and its hand come to.
+
+Kept apart from the device itself: a study without a clock needs these and no C functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import pi
+from typing import Annotated, Any, Final, Literal, NamedTuple
+
+import numpy as np
+from msgspec import Meta
+
+from softfinger.config import limits
+from softfinger.config.devices import Preset, presets
+from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import Array, close_loop, resample
+from softfinger.drivers.simulated.plant import (
+    Handle,
+    Impedance,
+    Intention,
+    Plant,
+    PlantState,
+    at_rest,
+    goal_at,
+    make_plant,
+)
+from softfinger.drivers.spacemouse.puck import Options as PuckOptions
+
+RECORDING: Final = "press-roll-spin-drag"
+"""What the hand does when nothing else is said."""
+
+Mass = Annotated[float, Meta(ge=limits.MASS_KG.low, le=limits.MASS_KG.high)]
+Damping = Annotated[float, Meta(ge=limits.DAMPING_NS_PER_M.low, le=limits.DAMPING_NS_PER_M.high)]
+Friction = Annotated[float, Meta(ge=limits.DEVICE_FRICTION_N.low, le=limits.DEVICE_FRICTION_N.high)]
+
+
+class Hand(Table, frozen=True, kw_only=True):
+    """The hand that holds the handle: its mass moves with it, spring and damper pull towards what it intends."""
+
+    mass_kg: Annotated[float, within(limits.HAND_MASS_KG, "mass that moves with the handle", 0.1)] = 0.1
+    damping_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "damping against the intended speed", 8.0)] = 8.0
+    stiffness_n_per_m: Annotated[
+        float, Meta(ge=0.0, le=limits.STIFFNESS_N_PER_M.high, description="pull per way to the intended place")
+    ] = 1000.0
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """What a rig's [device] table may say for `driver = "simulated"`; what is left out is the preset's."""
+
+    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], said("device whose numbers are taken", "omega.6")] = (
+        "omega.6"
+    )
+    mass_kg: Annotated[tuple[Mass, Mass, Mass], said("apparent mass along x, y, z")] | None = None
+    damping_ns_per_m: Annotated[tuple[Damping, Damping, Damping], said("viscous damping")] | None = None
+    friction_n: Annotated[tuple[Friction, Friction, Friction], said("Coulomb friction of the mechanism")] | None = None
+    lag_s: Annotated[float, within(limits.LAG_S, "time constant of the amplifiers")] | None = None
+    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "most that the motors give; direction kept")] | None = None
+    delay_ticks: Annotated[int, within(limits.DELAY_TICKS, "ticks until a force written acts")] | None = None
+    resolution_m: Annotated[float, within(limits.RESOLUTION_M, "step of the encoders; 0: none")] | None = None
+    orientation_lag_s: Annotated[float, within(limits.LAG_S, "time constant of the sensed orientation")] = 0.0
+    hand: Hand = Hand()
+    recording: Annotated[str, said("poses the hand intends: file or shipped recording", RECORDING)] | None = None
+    loop: Annotated[bool, said("start again at the end, over a smooth return; false: stop after one pass")] = True
+    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("where the hand stays instead")] | None = None
+    sway_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("amplitude of a sinusoid about it")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    sway_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "cycles per second of the sinusoid")] = 0.0
+    sway_phase_rad: Annotated[float, within(limits.ANGLE_RAD, "where in its cycle it starts")] = 0.0
+    puck: Annotated[PuckOptions, said("a SpaceMouse moves what the hand intends, instead")] | None = None
+    forces: Annotated[str, said("file (.csv or .npz) for the wrenches written, saved on close")] | None = None
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.recording, self.position_m) and self.recording is not None and self.position_m is not None:
+            yield "position_m", self.position_m, "the hand follows a recording: leave one of the two out"
+        if not known(self.puck) or self.puck is None:
+            return
+        for key in ("recording", "position_m"):
+            if known(getattr(self, key)) and getattr(self, key) is not None:
+                yield key, getattr(self, key), "the hand follows the puck: leave one of the two out"
+
+
+class Simulation(NamedTuple):
+    """A device ready to be computed: plant, state at tick 0, intention and its poses (7 length,), all for one rate."""
+
+    plant: Plant
+    state: PlantState
+    intention: Intention
+    poses: Array
+
+
+def simulation(options: Options, rate_hz: float) -> Simulation:
+    """The numbers of a preset with what the options change; RecordingError when the recording cannot be used."""
+    preset = presets()[options.preset]
+
+    def chosen(key: str) -> Any:
+        given = getattr(options, key)
+        return getattr(preset, key) if given is None else given
+
+    handle = Handle(
+        mass=chosen("mass_kg"),
+        damping=chosen("damping_ns_per_m"),
+        friction=chosen("friction_n"),
+        lag=chosen("lag_s"),
+        force_max=chosen("force_max_n"),
+        delay=chosen("delay_ticks"),
+        resolution=chosen("resolution_m"),
+        orientation_lag=options.orientation_lag_s,
+    )
+    hand = Impedance(options.hand.mass_kg, options.hand.damping_ns_per_m, options.hand.stiffness_n_per_m)
+    plant = make_plant(1.0 / rate_hz, handle, hand)
+    poses = _intended(options, preset, rate_hz)
+    x, y, z = (float(a) for a in options.sway_m)
+    turns = options.sway_phase_rad / (2.0 * pi)
+    endless = options.loop or options.puck is not None
+    intention = Intention(float(len(poses)), float(endless), (x, y, z), options.sway_hz / rate_hz, float(turns))
+    flat = np.ascontiguousarray(poses).reshape(-1)
+    position, orientation = goal_at(intention, flat, 0)
+    return Simulation(plant, at_rest(position, orientation), intention, flat)
+
+
+def _intended(options: Options, preset: Preset, rate_hz: float) -> Array:
+    place = options.position_m if options.puck is None else options.puck.start_m
+    if place is not None:
+        return np.array([[*place, 1.0, 0.0, 0.0, 0.0]])
+    samples = resample(load_poses(options.recording or RECORDING), rate_hz)
+    poses = close_loop(samples, rate_hz) if options.loop else samples
+    if preset.sensed_dof < 6:
+        poses[:, 3:] = 1.0, 0.0, 0.0, 0.0
+    return poses

@@ -1,0 +1,113 @@
+"""Why an attached device cannot be opened by its driver, and the command that mends it. Nothing is opened for it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from softfinger.config.errors import HapticError
+from softfinger.config.schema import DeviceConfig
+from softfinger.drivers import registry
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.claims import Claim, claims_by_ids, other_product, undecided
+from softfinger.drivers.system.discovery import Attached
+
+MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "cdc_acm")}
+"""What the system gives a device of a bus, and the module of the kernel that makes it."""
+
+
+class Diagnosis(NamedTuple):
+    """Whether a device can be used, in a word; if not, why and what to do.
+
+    state   usable, unclaimed, or what is in the way: driver, node, permission, busy, product, library, firmware;
+            error, where a device that was asked failed
+    """
+
+    state: str
+    reason: str = ""
+    remedy: str = ""
+
+
+def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = None) -> Diagnosis:
+    """Why a device cannot be opened by its driver; the first reason of those that have to be mended in turn.
+
+    rig  names the files that its driver needs
+    """
+    if claim is None:
+        if (other := other_product(device)) is not None:
+            return Diagnosis("unclaimed", f"it is {other}, which no driver knows")
+        if device.bus == "hid" and claims_by_ids(device):
+            return Diagnosis(
+                "unclaimed", "its reports are of no rig with these ids: another channel of a board, or another firmware"
+            )
+        if device.bus == "hid":
+            return Diagnosis(
+                "unclaimed", "no driver knows it", "if it is a haptic device, describe it: docs/devices/hid.md"
+            )
+        return Diagnosis("unclaimed", "no driver knows it")
+    if claim.driver not in registry.names():
+        return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
+    bare = device.bus == "usb" and claim.bus in MODULES
+    if bare and claim.driver != "hid":
+        node, module = MODULES[claim.bus]
+        return Diagnosis("node", f"the system gives it no {node}", f"sudo modprobe {module}, and plug it in again")
+    if not os.path.exists(device.node):
+        return Diagnosis(
+            "node",
+            f"{device.node or 'its node'} is not there, as in a container that was not given it",
+            f"docker run --device {device.node or '/dev/bus/usb'} ..., or run outside of the container",
+        )
+    if not discovery.permitted(device.node):
+        return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device, claim))
+    if (holder := discovery.holder(device.node)) is not None:
+        return Diagnosis("busy", f"{device.node} is held by {holder}", f"kill {holder.pid}")
+    if bare:
+        return Diagnosis("usable", "the system gives it no hidraw node, so threads carry its reports over libusb")
+    options = options_for(claim, rig)
+    named = options.get("path") == device.node or options.get("serial") == device.serial != ""
+    if not named and (why := undecided(device)) is not None:
+        return Diagnosis("product", why, f'if it is the one: path = "{device.node}" under [device] of the rig')
+    return needs(claim, options)
+
+
+def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
+    """What a rig says of a device; another driver's rig has no say."""
+    return rig.options if rig is not None and rig.driver == claim.driver else {}
+
+
+def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | None = None) -> Diagnosis:
+    """What a driver needs besides the device, with the options of a rig for it and what the device said itself."""
+    if claim.driver == "forcedimension":
+        from softfinger.drivers.forcedimension import library
+
+        try:
+            library.load(options.get("library_file"))
+        except HapticError as error:
+            return Diagnosis("library", str(error), f"export FDSDK=/path/to/sdk   # from {library.DOWNLOAD}")
+    loaded = said is not None and said.get("firmware", False)
+    if claim.driver == "falcon" and not loaded and not os.path.isfile(firmware := options.get("firmware", "")):
+        named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"
+        return Diagnosis(
+            "firmware",
+            f"it needs its firmware after every power-up, which does not come with this program, and {named}",
+            'firmware = "/path/to/firmware.bin" under [device] of the rig',
+        )
+    return Diagnosis("usable")
+
+
+def how_to_permit(device: Attached, claim: Claim) -> str:
+    """The command that lets this user open a node: a group that has the right already, else a udev rule."""
+    if (group := discovery.group_with_access(device.node)) is not None:
+        return f"sudo usermod -aG {group} $USER   # then log in again"
+    if device.bus == "hid":
+        rule, file = discovery.hid_rule(device.vendor, device.product), discovery.HID_RULE_FILE
+    elif claim.bus == "serial":
+        rule, file = discovery.serial_rule(device.vendor, device.product), discovery.SERIAL_RULE_FILE
+    elif claim.bus == "hid":
+        rule, file = discovery.usb_rule(device.vendor, device.product), discovery.HID_RULE_FILE
+    else:
+        usb = importlib.import_module(f"softfinger.drivers.{claim.driver}.usb")  # where a driver over USB has its own
+        rule, file = usb.RULE, usb.RULE_FILE
+    return f"echo '{rule}' | sudo tee -a {file} && {discovery.RELOAD}"

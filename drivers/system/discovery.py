@@ -1,0 +1,298 @@
+"""What is attached to this machine: its USB devices, hidraw nodes and serial ports, who holds them, and who may open
+them.
+
+Nothing is opened: names and numbers come from the system's tables, so that a look disturbs no device in use.
+On Linux these are sysfs, which also tells what this user may not open; elsewhere USB is asked through pyusb.
+"""
+
+from __future__ import annotations
+
+import grp
+import os
+import stat
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+Bus = Literal["usb", "hid", "serial"]
+
+ROOT: Final = Path("/")
+USB: Final = Path("sys/bus/usb/devices")
+HIDRAW: Final = Path("sys/class/hidraw")
+TTY: Final = Path("sys/class/tty")
+USB_PORTS: Final = ("ttyACM", "ttyUSB")
+"""How the names of serial ports on USB begin; the table also has every terminal of the system."""
+
+RELOAD: Final = "sudo udevadm control --reload && sudo udevadm trigger"
+HID_RULE_FILE: Final = "/etc/udev/rules.d/70-softfinger-hid.rules"
+SERIAL_RULE_FILE: Final = "/etc/udev/rules.d/70-softfinger-serial.rules"
+READ_AND_WRITE_BY_GROUP: Final = stat.S_IRGRP | stat.S_IWGRP
+
+
+NO_PRODUCT: Final = "serial port"
+"""Name of a port whose device gives no product string."""
+
+
+class Attached(NamedTuple):
+    """A device of the system's tables. `node` is what a driver opens, empty where the system has none; `descriptor` the
+    report descriptor of a HID device, empty where the system does not tell."""
+
+    bus: Bus
+    vendor: int
+    product: int
+    name: str
+    serial: str
+    node: str
+    descriptor: bytes = b""
+
+    @property
+    def ids(self) -> str:
+        return f"{self.vendor:04x}:{self.product:04x}"
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.ids}) at {self.node or 'no node'}"
+
+
+class Holder(NamedTuple):
+    """A process that has a node open."""
+
+    pid: int
+    name: str
+
+    def __str__(self) -> str:
+        return f"process {self.pid} ({self.name})"
+
+
+def attached(root: Path = ROOT) -> list[Attached]:
+    """Every hidraw node and serial port on USB, and every USB device that has neither, hubs left out.
+
+    root  holds sys and dev
+    """
+    nodes = [*hidraw_nodes(root), *serial_ports(root)]
+    seen = {(one.vendor, one.product) for one in nodes}
+    return [*nodes, *(one for one in usb_devices(root) if (one.vendor, one.product) not in seen)]
+
+
+def has_usb(root: Path = ROOT) -> bool:
+    """Whether the system has a USB bus at all."""
+    return os.path.isdir(root / USB)  # False, too, where this user may not look
+
+
+def names(root: Path = ROOT) -> frozenset[str]:
+    """Names under which the system lists what is attached; cheap enough to be asked every second."""
+    return frozenset(
+        str(folder / name)
+        for folder, is_one in ((USB, _is_device), (HIDRAW, bool), (TTY, _is_port))
+        for name in _listed(root / folder)
+        if is_one(name)
+    )
+
+
+def described(name: str, root: Path = ROOT) -> Attached | None:
+    """The device of one of `names`; None when it is gone already, or is a hub."""
+    path = root / name
+    if path.parent == root / TTY:
+        return _serial_port(path)
+    return _hidraw_node(path) if path.parent == root / HIDRAW else _usb_device(path)
+
+
+def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
+    """Every hidraw node, in the order of its number."""
+    folder = root / HIDRAW
+    for name in _in_order(_listed(folder)):
+        if (found := _hidraw_node(folder / name)) is not None:
+            yield found
+
+
+def serial_ports(root: Path = ROOT) -> Iterator[Attached]:
+    """Every serial port on USB, in the order of its number."""
+    folder = root / TTY
+    for name in _in_order(filter(_is_port, _listed(folder))):
+        if (found := _serial_port(folder / name)) is not None:
+            yield found
+
+
+def serial_port(node: str, root: Path = ROOT) -> Attached | None:
+    """The device behind a port's node, which may be a link to it; None if the port is not one on USB."""
+    return _serial_port(root / TTY / os.path.basename(os.path.realpath(node)))
+
+
+def usb_devices(root: Path = ROOT) -> Iterator[Attached]:
+    """Every USB device but hubs, by sysfs, or through pyusb where there is no such table."""
+    folder = root / USB
+    if not os.path.isdir(folder):
+        yield from _through_pyusb()
+        return
+    for name in sorted(_listed(folder)):
+        if _is_device(name) and (found := _usb_device(folder / name)) is not None:
+            yield found
+
+
+def permitted(node: str) -> bool:
+    """Whether this user may read and write a node."""
+    acting_for_another = os.geteuid() != os.getuid()
+    return os.access(node, os.R_OK | os.W_OK, effective_ids=acting_for_another)
+
+
+def holder(node: str) -> Holder | None:
+    """Who has locked a node, else another process that has it open; None when nobody can be seen to.
+
+    The locks of every user are in /proc/locks, the open files only of processes that this user may look into.
+    """
+    try:
+        wanted = os.stat(node)
+    except OSError:
+        return None
+    for pid in _lockers(wanted.st_ino):
+        return Holder(pid, _name_of(pid))
+    for folder in Path("/proc").glob("[0-9]*/fd"):
+        pid = int(folder.parent.name)
+        if pid == os.getpid():
+            continue
+        for entry in _listed(folder):
+            try:
+                if os.path.samestat(os.stat(folder / entry), wanted):
+                    return Holder(pid, _name_of(pid))
+            except OSError:
+                continue
+    return None
+
+
+def hid_rule(vendor: int, product: int) -> str:
+    """The udev rule that lets the user at the machine open a hidraw node."""
+    return f'KERNEL=="hidraw*", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", TAG+="uaccess"'
+
+
+def serial_rule(vendor: int, product: int) -> str:
+    """The udev rule that lets the user at the machine open a serial port, and keeps ModemManager from trying it."""
+    return (
+        f'SUBSYSTEM=="tty", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", '
+        'TAG+="uaccess", ENV{ID_MM_DEVICE_IGNORE}="1"'
+    )
+
+
+def group_with_access(node: str) -> str | None:
+    """A group other than root's that may read and write a node."""
+    try:
+        seen = os.stat(node)
+        opens = seen.st_gid != 0 and seen.st_mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
+        return grp.getgrgid(seen.st_gid).gr_name if opens else None
+    except (OSError, KeyError):
+        return None
+
+
+def usb_rule(vendor: int, product: int) -> str:
+    """The udev rule that lets the user at the machine open a device on the USB bus."""
+    return f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor:04x}", ATTR{{idProduct}}=="{product:04x}", TAG+="uaccess"'
+
+
+def _in_order(names: Iterable[str]) -> list[str]:
+    return sorted(names, key=lambda text: (len(text), text))
+
+
+def _listed(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)
+    except OSError:
+        return []
+
+
+def _is_device(name: str) -> bool:
+    """Interfaces have a colon in their name (1-1:1.0), and root hubs none but their own (usb1)."""
+    return ":" not in name and not name.startswith("usb")
+
+
+def _is_port(name: str) -> bool:
+    return name.startswith(USB_PORTS)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _number(text: str, base: int) -> int | None:
+    try:
+        return int(text, base)
+    except ValueError:
+        return None
+
+
+def _hidraw_node(path: Path) -> Attached | None:
+    # HID_ID=bus:vendor:product in hexadecimal digits, HID_NAME, HID_UNIQ
+    said = dict(line.split("=", 1) for line in _text(path / "device" / "uevent").splitlines() if "=" in line)
+    numbers = [_number(part, 16) for part in said.get("HID_ID", "").split(":")]
+    if len(numbers) != 3 or numbers[1] is None or numbers[2] is None:
+        return None
+    name = said.get("HID_NAME") or "HID device"
+    descriptor = _bytes(path / "device" / "report_descriptor")
+    return Attached("hid", numbers[1], numbers[2], name, said.get("HID_UNIQ", ""), f"/dev/{path.name}", descriptor)
+
+
+def _usb_device(path: Path) -> Attached | None:
+    vendor, product = (_number(_text(path / key), 16) for key in ("idVendor", "idProduct"))
+    if vendor is None or product is None or _text(path / "bDeviceClass") == "09":  # a hub
+        return None
+    bus, number = (_number(_text(path / key), 10) for key in ("busnum", "devnum"))
+    node = "" if bus is None or number is None else _usb_node(bus, number)
+    return Attached("usb", vendor, product, _text(path / "product") or "USB device", _text(path / "serial"), node)
+
+
+def _serial_port(path: Path) -> Attached | None:
+    # `device` leads to the port's interface, which lies in the folder of its USB device.
+    for folder in (path / "device").resolve().parents:
+        vendor, product = (_number(_text(folder / key), 16) for key in ("idVendor", "idProduct"))
+        if vendor is not None and product is not None:
+            name = _text(folder / "product") or NO_PRODUCT
+            return Attached("serial", vendor, product, name, _text(folder / "serial"), f"/dev/{path.name}")
+    return None
+
+
+def _usb_node(bus: int, number: int) -> str:
+    return f"/dev/bus/usb/{bus:03d}/{number:03d}"
+
+
+def seen_by_pyusb(**ids: int) -> list[Any]:
+    """pyusb's devices of these ids; none also where there is no USB, no right to list it, or no libusb to look with."""
+    import usb.core
+
+    try:
+        return list(usb.core.find(find_all=True, **ids))
+    except (usb.core.USBError, usb.core.NoBackendError):  # the second is a ValueError
+        return []
+
+
+def _through_pyusb() -> Iterator[Attached]:
+    for device in seen_by_pyusb():
+        if device.bDeviceClass != 0x09:
+            yield Attached(
+                "usb",
+                device.idVendor,
+                device.idProduct,
+                "USB device",
+                "",
+                _usb_node(device.bus or 0, device.address or 0),
+            )
+
+
+def _lockers(inode: int) -> Iterator[int]:
+    for line in _text(Path("/proc/locks")).splitlines():
+        part = line.split()
+        try:
+            if part[1] == "FLOCK" and int(part[-3].rsplit(":", 1)[1]) == inode:
+                yield int(part[-4])
+        except (ValueError, IndexError):
+            continue
+
+
+def _name_of(pid: int) -> str:
+    return _text(Path(f"/proc/{pid}/comm")) or "not to be seen"

@@ -1,0 +1,64 @@
+"""The node of a HID device, opened for this process alone, and known to be the device that was meant."""
+
+from __future__ import annotations
+
+import fcntl
+import importlib
+import os
+import stat
+import struct
+from typing import Any, Final
+
+from softfinger.config.errors import DeviceError
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.nodes import by_rule, open_locked
+
+_GET_INFO: Final = 0x80084803  # an ioctl request of <linux/hidraw.h>
+
+
+def open_path(path: str, vendor: int, product: int) -> int:
+    """File descriptor of a node of a device with these ids, non-blocking, locked.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device.
+    """
+    fd = open_locked(path, by_rule(discovery.hid_rule(vendor, product), discovery.HID_RULE_FILE))
+    try:
+        _check_device(fd, path, vendor, product)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def hidapi(backend: str) -> Any:
+    """hidapi's module `hidraw` or `hid`; DeviceError where it, or a library that it needs, is missing.
+
+    Called where it is used: the module opens the system's device list when it is imported.
+    """
+    try:
+        return importlib.import_module(backend)
+    except ImportError as error:
+        raise DeviceError(
+            f"hidapi cannot be loaded ({error}): `pip install --force-reinstall hidapi`, and "
+            "`apt install libusb-1.0-0 libudev1`"
+        ) from error
+
+
+def ids(vendor: int, product: int) -> str:
+    return f"{vendor:04x}:{product:04x}"
+
+
+def _check_device(fd: int, path: str, wanted_vendor: int, wanted_product: int) -> None:
+    info = bytearray(8)
+    try:
+        if not stat.S_ISCHR(os.fstat(fd).st_mode):
+            raise DeviceError(f"{path} is no device node: name a /dev/hidrawN, or leave `path` out")
+        fcntl.ioctl(fd, _GET_INFO, info)
+    except OSError as error:
+        raise DeviceError(f"{path} is no hidraw node: {error.strerror}: name a /dev/hidrawN") from error
+    _, vendor, product = struct.unpack("<IHH", info)
+    if (vendor, product) != (wanted_vendor, wanted_product):
+        raise DeviceError(
+            f"{path} is the device {ids(vendor, product)}, and the rig is for "
+            f"{ids(wanted_vendor, wanted_product)}: name the right node, or leave `path` out"
+        )

@@ -1,0 +1,57 @@
+"""What kernels call of the C library on a file descriptor, without an allocation and without the interpreter lock."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from numba import types
+
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.memory import int64_at
+
+_CPointer: Any = types.CPointer
+IO_SIGNATURE: Final[Any] = types.int64(types.int64, _CPointer(types.float64))
+
+EINTR: Final = 4
+EAGAIN: Final = 11
+ETIMEDOUT: Final = 110
+
+TIMESPEC_WORDS: Final = 2
+INTERRUPTED_MAX: Final = 4
+"""Times a call is made again that a signal has interrupted."""
+
+read_fd: Any = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
+write_fd: Any = types.ExternalFunction("write", types.int64(types.int32, types.int64, types.uint64))
+poll_fd: Any = types.ExternalFunction("poll", types.int32(_CPointer(types.int64), types.uint64, types.int32))
+errno_location: Any = types.ExternalFunction("__errno_location", _CPointer(types.int32)())
+_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, _CPointer(types.int64)))
+
+
+@jit
+def monotonic_ns(timespec: int) -> int:
+    """Time of the monotonic clock (ns); `timespec` is the address of two words for it."""
+    at = int64_at(timespec)
+    _clock_gettime(1, at)
+    return int(at[0] * 1_000_000_000 + at[1])
+
+
+def _unless_interrupted(call: Any) -> Any:
+    @jit
+    def again(fd: int, address: int, size: int) -> int:
+        for _ in range(INTERRUPTED_MAX):
+            count: int = call(fd, address, size)
+            if count >= 0:
+                return count
+            error = errno_location()[0]
+            if error != EINTR:
+                return -int(error)
+        return -EAGAIN
+
+    return again
+
+
+read_now: Any = _unless_interrupted(read_fd)
+"""read_now(fd, address, size): bytes read from a non-blocking file, 0 at its end, or minus the error's number."""
+
+write_now: Any = _unless_interrupted(write_fd)
+"""write_now(fd, address, size): bytes that a non-blocking file took, or minus the error's number."""

@@ -1,0 +1,59 @@
+"""A device node opened for this process alone: hidraw and serial ports alike."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
+from softfinger.drivers.system import discovery
+
+
+def open_locked(path: str, permit: str) -> int:
+    """File descriptor of a node for reading and writing, non-blocking, locked.
+
+    permit  what a user has to do who may not open it
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    except OSError as error:
+        raise _unopened(path, permit, error) from error
+    try:
+        _lock(fd, path)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def by_rule(rule: str, file: str) -> str:
+    """How a user who may not open a node comes to it by a rule of udev."""
+    return f"write {rule} to {file}, run `udevadm control --reload`, and plug the device in again"
+
+
+def _unopened(path: str, permit: str, error: OSError) -> DeviceError:
+    reason = error.strerror or str(error)
+    if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+        return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or leave `path` out")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return DevicePermission(f"{path} may not be opened by this user: {reason}: {permit}")
+    if error.errno == errno.EBUSY:
+        return _busy(path)
+    return DeviceError(f"{path} cannot be opened: {reason}")
+
+
+def _lock(fd: int, path: str) -> None:
+    # The system itself lets any number of programs write to one device; two that command forces must not.
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise _busy(path) from error
+    except OSError:
+        pass  # a node on a file system without locks
+
+
+def _busy(path: str) -> DeviceBusy:
+    return DeviceBusy(f"{path} is held by {discovery.holder(path) or 'another process'}: end that one first")

@@ -1,0 +1,262 @@
+"""What a contact brings into a tick: a first touch, or the old contact on the only object, carried along and rolled."""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.carry import (
+    any_moves,
+    carried_direction,
+    carried_point,
+    carry,
+    turn_against,
+    velocity_against,
+)
+from softfinger.proxy.kernels.contact.constraints import INSIDE, NONE, Constraints, one_constraint, pressed
+from softfinger.proxy.kernels.contact.half_spaces import Push
+from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, is_inside, roll_on, swings_on, transport_on
+from softfinger.proxy.kernels.geometry.sweep import first_hit
+from softfinger.proxy.kernels.model import (
+    NO_PATCH,
+    Finger,
+    FingerState,
+    Probe,
+    Quaternion,
+    Scene,
+    Vec3,
+)
+from softfinger.proxy.kernels.native.dispatch import by_count, by_type
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ROLLING
+
+
+class Meeting(NamedTuple):
+    """A first touch: where the way of the proxy begins, where what is met holds it, and what that is, if anything."""
+
+    start: Vec3
+    center: Vec3
+    active: Constraints
+
+
+class Approach(NamedTuple):
+    """The contact with the only object before friction has its say; `active.first` is -1 where there is none.
+
+    deflection, before, rolled_part   (3,) m  e now, e at the last tick and p, tangent to the object
+    theta, twist                      rad     roll and spin of the fingertip against the object in this tick
+    against                           m/s     probe velocity against the object
+    strays                            the roll is in `deflection` only, and `center` has not gone along
+    """
+
+    mode: float
+    cause: float
+    center: Vec3
+    active: Constraints
+    deflection: Vec3
+    before: Vec3
+    rolled_part: Vec3
+    theta: float
+    twist: float
+    against: Vec3
+    strays: bool
+
+
+@by_count
+def rest_of(objects: Any, position: Vec3, met: Vec3, active: Constraints) -> Any:
+    """Where the proxy (3,) m of a contact begins that was met at `met`."""
+
+
+@rest_of.of(1)
+def rest_over_the_probe(objects: Any, position: Vec3, met: Vec3, active: Constraints) -> Vec3:
+    return vec3.add(position, vec3.scale(active.push.first, active.n1))
+
+
+@rest_of.of(2)
+def rest_where_it_met(objects: Any, position: Vec3, met: Vec3, active: Constraints) -> Vec3:
+    """Over the probe there may be another object: `settle_among_several` finds its way there."""
+    return met
+
+
+@jit
+def is_outside(objects: Any, radius: float, position: Vec3) -> bool:
+    """Whether the fingertip at `position` touches nothing, but for rounding."""
+    gap, _ = deepest(objects, position)
+    return gap >= radius * (1.0 - INSIDE)
+
+
+@jit
+def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Meeting:
+    """First contact on the way of the last proxy, in free space the last probe, to the probe, as each object sees it.
+
+    The whole way is swept, so a thin object is not jumped over, nor does it jump over a finger that rests. The first
+    pose of all has no way: it is in contact where it stands inside.
+    """
+    radius = finger.radius
+    start = position
+    if state.started == 0.0:
+        gap, index = deepest(objects, position)
+        met = position
+        if gap >= radius:
+            index = NONE
+    else:
+        start = state.center
+        index, met = first_hit(objects, start, position, radius, False, (NONE, NONE, NONE))
+    active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position
+    if index >= 0.0:
+        _, point, normal = closest_to(objects, index, met)
+        center = vec3.add_scaled(point, radius, normal)
+        push = Push(max(vec3.dot(vec3.sub(center, position), normal), 0.0), 0.0, 0.0)
+        active = Constraints(first=index, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
+        if state.mode != FREE and push.first <= INSIDE * radius and is_outside(objects, radius, position):
+            active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position  # what has just ended, rounded
+        else:
+            center = rest_of(objects, position, center, active)
+    if not any_moves(objects):
+        start = center
+    return Meeting(start, center, active)
+
+
+@jit
+def touch(finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float) -> Approach:
+    """A first touch of the only object."""
+    zero, against = (0.0, 0.0, 0.0), probe.velocity
+    met = meet(finger, objects, state, probe.position)
+    if met.active.first >= 0.0:
+        against = velocity_against(carry(objects, met.active.first), probe.velocity, state.probe.position, dt)
+    return Approach(
+        mode=float(ROLLING),
+        cause=float(CAUSE_TOUCH),
+        center=met.center,
+        active=met.active,
+        deflection=zero,
+        before=zero,
+        rolled_part=zero,
+        theta=0.0,
+        twist=0.0,
+        against=against,
+        strays=False,
+    )
+
+
+@by_type
+def in_hollow(
+    method: Any,
+    objects: Any,
+    index: float,
+    radius: float,
+    position: Vec3,
+    start: OffsetPoint,
+    turn: Quaternion,
+    rolled: Roll,
+) -> Any:
+    """What a roll from `start` is for the coupling in a hollow; elsewhere it is as `rolled` says.
+
+    returns  Roll, what of it (3,) m the centre has not gone along, whether that is all of it
+    """
+
+
+@in_hollow.of(None)
+def no_roll_in_hollow(
+    method: None,
+    objects: Any,
+    index: float,
+    radius: float,
+    position: Vec3,
+    start: OffsetPoint,
+    turn: Quaternion,
+    rolled: Roll,
+) -> tuple[Roll, Vec3, bool]:
+    return rolled, (-0.0, -0.0, -0.0), False
+
+
+@in_hollow.otherwise
+def roll_in_hollow(
+    method: Any,
+    objects: Any,
+    index: float,
+    radius: float,
+    position: Vec3,
+    start: OffsetPoint,
+    turn: Quaternion,
+    rolled: Roll,
+) -> tuple[Roll, Vec3, bool]:
+    center, normal = start
+    beyond = (-0.0, -0.0, -0.0)
+    strays = swings_on(objects, index, radius, center, normal, rolled.theta)
+    if strays:  # the roll winds the coupling in the tangent plane, and the centre goes where friction lets it
+        theta, axis = rotations.tilt(turn, normal)
+        beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
+        rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal))
+    elif is_inside(objects, index):
+        # The normal that turns makes a tangent part of the depth: u (1 + depth / (R - r)) in a round hollow.
+        begun = vec3.reject(vec3.sub(center, position), normal)
+        ended = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
+        wound = vec3.sub(ended, transport_on(objects, index, begun, normal, rolled.normal))
+        rolled = Roll(rolled.center, rolled.normal, wound, rolled.theta, rolled.spin)
+    return rolled, beyond, strays
+
+
+@jit
+def stay(scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float) -> Approach:
+    """The contact goes with its object and rolls by what the fingertip turned against it."""
+    radius, position, index, last = finger.radius, probe.position, 0.0, state.patches[0]
+    carried = carry(objects, index)
+    old_normal, moved = carried_direction(carried, last.normal), carried_point(carried, state.center)
+    against = velocity_against(carried, probe.velocity, state.probe.position, dt)
+    turn = turn_against(carried, rotations.relative(probe.orientation, state.probe.orientation))
+    rolled = roll_on(scene.rolling, objects, index, radius, moved, old_normal, turn)
+    begun = OffsetPoint(moved, old_normal)
+    rolled, beyond, strays = in_hollow(scene.rolling, objects, index, radius, position, begun, turn, rolled)
+    center, normal = rolled.center, rolled.normal
+    rolled_part = transport_on(objects, index, carried_direction(carried, last.rolled_part), old_normal, normal)
+    before = transport_on(objects, index, carried_direction(carried, last.deflection), old_normal, normal)
+    behind = vec3.sub(center, position)
+    active = pressed(normal, behind)
+    deflection = vec3.add(vec3.sub(behind, vec3.scale(active.push.first, normal)), beyond)
+    return Approach(
+        mode=state.mode,
+        cause=float(CAUSE_NONE),
+        center=center,
+        active=active,
+        deflection=deflection,
+        before=before,
+        rolled_part=vec3.add(rolled_part, rolled.motion),
+        theta=rolled.theta,
+        twist=rolled.spin,
+        against=against,
+        strays=strays,
+    )
+
+
+@jit
+def has_ended(active: Constraints) -> bool:
+    """Whether nothing pushes: a probe that has popped through a thin body is outside of it and still active."""
+    return not (active.push.first > 0.0 or active.push.second > 0.0 or active.push.third > 0.0)
+
+
+@by_count
+def no_patches(patches: Any) -> Any:
+    """As many places for patches, with none in them."""
+
+
+@no_patches.of(1)
+def no_patch(patches: Any) -> Any:
+    return (NO_PATCH,)
+
+
+@no_patches.of(2)
+def no_three_patches(patches: Any) -> Any:
+    return (NO_PATCH, NO_PATCH, NO_PATCH)
+
+
+@jit
+def parted(state: FingerState) -> FingerState:
+    """The state without what was wound up in the contact that has ended."""
+    return FingerState(
+        started=state.started,
+        probe=state.probe,
+        mode=state.mode,
+        center=state.center,
+        patches=no_patches(state.patches),
+        rolled=0.0,
+        effects=state.effects,
+    )

@@ -1,0 +1,110 @@
+"""How a moving object takes its contact along: the point, the directions, and what the fingertip turned against it.
+
+Seen from an object that moves, the fingertip has come from where its last place has gone with the object.
+"""
+
+from typing import Any, NamedTuple
+
+from numba import literal_unroll
+
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.geometry.entries import has, member, places
+from softfinger.proxy.kernels.geometry.frames import into, out_of, pose_values, turn_into, turn_out_of
+from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+STILL = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+
+
+class Carry(NamedTuple):
+    """How an object moved since the last tick; `moves` is 0 for one that cannot."""
+
+    moves: float
+    was: Pose
+    now: Pose
+
+
+@by_type
+def ridden(was: Any, pose: Any, x: Vec3) -> Any:
+    """Where a point `x` (3,) m of the last tick is now, had it ridden on the object."""
+
+
+@ridden.of(None)
+def stayed(was: None, pose: Any, x: Vec3) -> Vec3:
+    return x
+
+
+@ridden.of(Pose)
+def ridden_on(was: Pose, pose: Pose, x: Vec3) -> Vec3:
+    return out_of(pose, into(was, x))
+
+
+@by_type
+def can_move(motion: Any) -> Any:
+    """1 for a motion that can change an object's pose."""
+
+
+@can_move.of(None)
+def cannot_move(motion: None) -> float:
+    return 0.0
+
+
+@can_move.otherwise
+def moves(motion: Any) -> float:
+    return 1.0
+
+
+@jit
+def carry(objects: Any, index: float) -> Carry:
+    """Motion in this tick of the object with that place."""
+    moves, was, now = 0.0, STILL, STILL
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            body = member(entry, index - at)
+            moves, was, now = can_move(body.motion), pose_values(body.was), pose_values(body.pose)
+        at += places(entry)
+    return Carry(moves, was, now)
+
+
+@jit
+def any_moves(objects: Any) -> bool:
+    """Whether any object can move: known when the scene is compiled."""
+    found = 0.0
+    for entry in literal_unroll(objects):
+        found += can_move(member(entry, 0.0).motion)
+    return found > 0.0
+
+
+@jit
+def carried_point(carried: Carry, x: Vec3) -> Vec3:
+    """A point of the object, (3,) m world, where it is now."""
+    if carried.moves == 0.0:
+        return x
+    return out_of(carried.now, into(carried.was, x))
+
+
+@jit
+def velocity_against(carried: Carry, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
+    """`velocity` (3,) m/s less that of the object there; `position` (3,) m at the last tick. dt = 0 has no velocity."""
+    if carried.moves == 0.0 or dt <= 0.0:
+        return velocity
+    return vec3.add_scaled(velocity, -1.0 / dt, vec3.sub(carried_point(carried, position), position))
+
+
+@jit
+def carried_direction(carried: Carry, v: Vec3) -> Vec3:
+    """A direction of the object, world, as it points now."""
+    if carried.moves == 0.0:
+        return v
+    return turn_out_of(carried.now, turn_into(carried.was, v))
+
+
+@jit
+def turn_against(carried: Carry, turn: Quaternion) -> Quaternion:
+    """The fingertip's rotation `turn` less the object's own, w >= 0: what it turned against the object."""
+    if carried.moves == 0.0:
+        return turn
+    objects_turn = rotations.relative(carried.now.orientation, carried.was.orientation)
+    return rotations.relative(turn, objects_turn)

@@ -1,0 +1,327 @@
+"""Which objects hold the proxy, how hard, and where it comes to rest.
+
+The proxy is the point nearest the probe that satisfies every constraint. One object is the common case and is solved
+on its own, friction's deflection included; with several, the objects that held the proxy last are kept and asked
+again, what stands in the way is added, and the smallest push that satisfies them all is found, until nothing changes.
+"""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.half_spaces import FACING, Push, displacement, hold
+from softfinger.proxy.kernels.contact.normal import spring
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.bodies import closest_on, closest_to, deepest, material_of
+from softfinger.proxy.kernels.geometry.surfaces import is_hollow, rest_on
+from softfinger.proxy.kernels.geometry.sweep import first_hit
+from softfinger.proxy.kernels.model import Plane, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+
+ROUNDS = 10
+"""Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""
+SLIDING_ROUNDS = 2
+"""The same for a proxy that slides: what is left is far below the slip of one tick, and the next tick takes it up."""
+SAME_SIDE = 0.5
+"""Cosine between two normals of one side of an object, one tick apart: a fingertip does not turn round it in a tick."""
+SETTLED = 1e-13
+"""Movement, as a share of the fingertip's radius, below which the proxy is at rest."""
+INSIDE = 1e-10
+"""Depth, as a share of the fingertip's radius, that counts as inside an object and not as rounding."""
+FLAT = 1e-4
+"""Volume spanned by three unit normals below which they lie in a plane, and may close in from all sides of it."""
+NONE = -1.0
+
+
+class Constraints(NamedTuple):
+    """Objects that hold the proxy.
+
+    first, second, third   places in the scene's tuple, -1 for none; the first is the one that is rolled on
+    n1, n2, n3             (3,) 1   normals
+    push                   m        weights: how far the probe lies behind the proxy along each normal
+    """
+
+    first: float
+    second: float
+    third: float
+    n1: Vec3
+    n2: Vec3
+    n3: Vec3
+    push: Push
+
+
+@jit
+def one_constraint(first: float, normal: Vec3) -> Constraints:
+    """One object alone, not yet pressed."""
+    return Constraints(first=first, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=Push(0.0, 0.0, 0.0))
+
+
+@jit
+def count_of(active: Constraints) -> int:
+    if active.second < 0.0:
+        return 1
+    return 2 if active.third < 0.0 else 3
+
+
+@jit
+def pressed(normal: Vec3, behind: Vec3) -> Constraints:
+    """The only object, for a proxy on it that lies `behind` (3,) m ahead of the probe."""
+    push = Push(max(vec3.dot(behind, normal), 0.0), 0.0, 0.0)
+    return Constraints(first=0.0, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
+
+
+@jit
+def settle_on_one(
+    objects: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, active: Constraints, slips: bool
+) -> tuple[Vec3, Constraints]:
+    """Bring the proxy to rest on the only object.
+
+    center      (3,) m  where its roll has brought it
+    deflection  (3,) m  what friction keeps between proxy and probe, tangent
+    slips               False where friction holds it
+    """
+    if not slips:
+        return center, active
+    center, normal = rest_on(objects[0].shape, objects[0], radius, probe, center, deflection, active.n1)
+    return center, pressed(normal, vec3.sub(center, probe))
+
+
+@rest_on.of(Plane)
+def rest_on_plane(
+    shape: Plane, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, Vec3]:
+    """Found from the probe alone, so that a tick does not wait for the last one's proxy."""
+    gap, _, normal = closest_on(body, probe)
+    return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal
+
+
+@rest_on.otherwise
+def rest_on_curved(
+    shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, Vec3]:
+    """Project the probe onto the tangent plane, put that onto the surface, and again from there.
+
+    In a hollow the probe itself is displaced, not its image in the tangent plane: the surface through the probe is the
+    flatter one there, and the foot from it is Newton's step. From the tangent plane a depth of more than the radius
+    that the centre moves on would lead away.
+
+    Without a deflection the answer is the surface point nearest to the probe, unless that one is on another
+    side of the object: then the normal has jumped, and the proxy goes its way round.
+    """
+    if deflection == (0.0, 0.0, 0.0):
+        _, point, foot_normal = closest_on(body, probe)
+        if vec3.dot(foot_normal, normal) > SAME_SIDE:
+            return vec3.add_scaled(point, radius, foot_normal), foot_normal
+    near, rounds = (SETTLED * radius) ** 2, SLIDING_ROUNDS
+    if deflection == (0.0, 0.0, 0.0):
+        rounds = ROUNDS
+    hollow = is_hollow(shape)
+    for _ in range(rounds):
+        depth = 0.0 if hollow else vec3.dot(vec3.sub(center, probe), normal)
+        goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
+        _, point, normal = closest_on(body, goal)
+        moved = vec3.add_scaled(point, radius, normal)
+        step = vec3.sub(moved, center)
+        center = moved
+        if vec3.dot(step, step) <= near:
+            break
+    return center, normal
+
+
+@jit
+def settle_among_several(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints
+) -> tuple[Vec3, Constraints]:
+    """Bring the proxy to rest among several objects, where it would be without friction.
+
+    start   (3,) m  where its way in this tick begins, for what may be met on it: see `first_hit`
+    center  (3,) m  where what holds it has carried it
+    active          what holds it, pushing
+    """
+    before, active_before = center, active
+    goal = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
+    for _ in range(4):
+        skip = (active.first, active.second, active.third)
+        hit, stop = first_hit(objects, start, goal, radius, True, skip)
+        if hit < 0.0:
+            break
+        _, point, normal = closest_to(objects, hit, stop)
+        if active.second >= 0.0 and active.third >= 0.0:
+            # Three constraints already: stop short of the fourth, and let the next tick sort it out.
+            goal = stop
+            break
+        active = with_another(active, hit, normal)
+        goal, active = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1)
+    # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
+    center, active = goal, with_touched(objects, radius, goal, active)
+    found = False
+    for _ in range(4):
+        center, active = relax(objects, radius, probe, center, active, ROUNDS)
+        gap, at = deepest(objects, center)
+        if gap >= radius * (1.0 - INSIDE):
+            found = True
+            break
+        if at != active.first and at != active.second and at != active.third:
+            if active.second >= 0.0 and active.third >= 0.0:
+                active = without_weakest(active)
+            _, _, normal = closest_to(objects, at, center)
+            active = with_another(active, at, normal)
+    if not found:
+        # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
+        gap, _ = deepest(objects, before)
+        if gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
+            center = before
+            _, active = relax(objects, radius, probe, before, active_before, 1)
+    return center, strongest_first(objects, active)
+
+
+@jit
+def leaves_no_room(active: Constraints) -> bool:
+    """Whether two that hold the proxy face each other, or three close in on it from all sides."""
+    if active.second < 0.0:
+        return False
+    if vec3.dot(active.n1, active.n2) < FACING:
+        return True
+    if active.third < 0.0:
+        return False
+    across = vec3.cross(active.n1, active.n2)
+    return (
+        vec3.dot(active.n1, active.n3) < FACING
+        or vec3.dot(active.n2, active.n3) < FACING
+        or abs(vec3.dot(across, active.n3)) < FLAT
+    )
+
+
+@jit
+def relax(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: Constraints, rounds: int
+) -> tuple[Vec3, Constraints]:
+    """Nearest point to `base` behind the tangent planes of all holding objects, again and again at the new point.
+
+    In a pinch the point between them; see `hold`.
+    """
+    near = (SETTLED * radius) ** 2
+    n1, n2, n3 = active.n1, active.n2, active.n3
+    push = active.push
+    for _ in range(rounds):
+        _, point, n1 = closest_to(objects, active.first, center)
+        b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
+        n2, b2, n3, b3 = n1, b1, n1, b1
+        if active.second >= 0.0:
+            _, point, n2 = closest_to(objects, active.second, center)
+            b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
+        if active.third >= 0.0:
+            _, point, n3 = closest_to(objects, active.third, center)
+            b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
+        held = hold(count_of(active), n1, n2, n3, b1, b2, b3)
+        push = held.push
+        moved = vec3.add(base, displacement(held.place, n1, n2, n3))
+        step = vec3.sub(moved, center)
+        center = moved
+        if vec3.dot(step, step) <= near:
+            break
+    return center, Constraints(
+        first=active.first, second=active.second, third=active.third, n1=n1, n2=n2, n3=n3, push=push
+    )  # fmt: skip
+
+
+@jit
+def with_another(active: Constraints, index: float, normal: Vec3) -> Constraints:
+    if active.second < 0.0:
+        return Constraints(
+            first=active.first, second=index, third=NONE, n1=active.n1, n2=normal, n3=normal, push=active.push
+        )  # fmt: skip
+    return Constraints(
+        first=active.first, second=active.second, third=index, n1=active.n1, n2=active.n2, n3=normal,
+        push=active.push,
+    )  # fmt: skip
+
+
+@jit
+def with_touched(objects: Any, radius: float, center: Vec3, active: Constraints) -> Constraints:
+    """And the object nearest to the proxy, if it touches it and there is room for one more."""
+    gap, at = deepest(objects, center)
+    if gap > radius * (1.0 + INSIDE) or active.third >= 0.0 or at == active.first or at == active.second:
+        return active
+    _, _, normal = closest_to(objects, at, center)
+    return with_another(active, at, normal)
+
+
+@jit
+def without_weakest(active: Constraints) -> Constraints:
+    """Let go of the one of three that pushes least, to make room."""
+    push = active.push
+    if push.third <= push.second and push.third <= push.first:
+        return Constraints(
+            first=active.first, second=active.second, third=NONE, n1=active.n1, n2=active.n2, n3=active.n2, push=push
+        )  # fmt: skip
+    if push.second <= push.first:
+        return Constraints(
+            first=active.first, second=active.third, third=NONE, n1=active.n1, n2=active.n3, n3=active.n3, push=push
+        )  # fmt: skip
+    return Constraints(
+        first=active.second, second=active.third, third=NONE, n1=active.n2, n2=active.n3, n3=active.n3, push=push
+    )  # fmt: skip
+
+
+@jit
+def swapped(active: Constraints, third: bool) -> Constraints:
+    """The second or the third of them first."""
+    push = active.push
+    if third:
+        return Constraints(
+            first=active.third, second=active.second, third=active.first, n1=active.n3, n2=active.n2, n3=active.n1,
+            push=Push(push.third, push.second, push.first),
+        )  # fmt: skip
+    return Constraints(
+        first=active.second, second=active.first, third=active.third, n1=active.n2, n2=active.n1, n3=active.n3,
+        push=Push(push.second, push.first, push.third),
+    )  # fmt: skip
+
+
+@jit
+def loads_of(objects: Any, active: Constraints) -> Vec3:
+    """Elastic normal forces, N, of the three; 0 for none."""
+    one = spring(material_of(objects, active.first).normal, active.push.first)
+    two, three = 0.0, 0.0
+    if active.second >= 0.0:
+        two = spring(material_of(objects, active.second).normal, active.push.second)
+    if active.third >= 0.0:
+        three = spring(material_of(objects, active.third).normal, active.push.third)
+    return one, two, three
+
+
+@jit
+def strongest_first(objects: Any, active: Constraints) -> Constraints:
+    """Drop what does not push, and let another be the first only when that has clearly come to bear more.
+
+    A plain comparison would change between two equal walls with every rounding error.
+    """
+    load = loads_of(objects, active)
+    if active.second >= 0.0 and load[1] > 1.5 * load[0] and load[1] >= load[2]:
+        active = swapped(active, False)
+    elif active.third >= 0.0 and load[2] > 1.5 * load[0]:
+        active = swapped(active, True)
+    if active.third >= 0.0 and not active.push.third > 0.0:
+        active = Constraints(
+            first=active.first, second=active.second, third=NONE, n1=active.n1, n2=active.n2, n3=active.n2,
+            push=Push(active.push.first, active.push.second, 0.0),
+        )  # fmt: skip
+    if active.second >= 0.0 and not active.push.second > 0.0:
+        active = Constraints(
+            first=active.first, second=active.third, third=NONE, n1=active.n1, n2=active.n3, n3=active.n3,
+            push=Push(active.push.first, active.push.third, 0.0),
+        )  # fmt: skip
+    return active
+
+
+@jit
+def tangent_to_all(active: Constraints, v: Vec3) -> Vec3:
+    """Part of `v` along which all holding objects leave the proxy free."""
+    v = vec3.reject(v, active.n1)
+    if active.second >= 0.0:
+        across = vec3.reject(active.n2, active.n1)
+        size = vec3.dot(across, across)
+        if size > 1e-18:
+            v = vec3.add_scaled(v, -vec3.dot(v, across) / size, across)
+            if active.third >= 0.0:
+                return (0.0, 0.0, 0.0)
+    return v

@@ -1,0 +1,178 @@
+"""What depends on the fingertip's form: where it is touched, and how forces there turn the hand.
+
+A form is None for a ball, whose radius says it all, or an EllipsoidTip. An ellipsoid sees the objects grown by it, see
+geometry.surfaces.grown; then it meets, rests, slides and leaves as a ball of the finger's radius does.
+"""
+
+from typing import Any
+
+from softfinger.proxy.kernels.contact.carry import Carry, turn_against
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.geometry.frames import pose_values
+from softfinger.proxy.kernels.geometry.surfaces.grown import arm
+from softfinger.proxy.kernels.model import EllipsoidTip, Grown, Object, Probe, Quaternion, Vec3
+from softfinger.proxy.kernels.native.dispatch import by_count, by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+
+@by_type
+def seen_by(form: Any, radius: float, objects: Any, orientation: Quaternion) -> Any:
+    """The objects as the fingertip's centre sees them; `orientation` fingertip to world."""
+
+
+@by_type
+def point_on(form: Any, radius: float, inward: Vec3) -> Any:
+    """Point of contact (3,) m in the fingertip's frame; `inward` (3,) is the object's normal there."""
+
+
+@by_type
+def point_under(form: Any, radius: float, orientation: Quaternion, center: Vec3, normal: Vec3) -> Any:
+    """The same in the world, of a fingertip with that `center` (3,) m on an object with that normal."""
+
+
+@by_type
+def roundness(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> Any:
+    """Radius of curvature at the contact, m: the geometric mean of the two principal ones."""
+
+
+@by_type
+def torque_of(
+    form: Any, radius: float, orientation: Quaternion, normal: Vec3, moment: float, pressing: Vec3, tangential: Vec3
+) -> Any:
+    """Torque (3,) N m about the centre of a moment (N m) about the normal and of forces (3,) N at the contact."""
+
+
+@by_type
+def velocity_at(
+    form: Any, velocity: Vec3, carried: Carry, probe: Probe, last: Probe, normal: Vec3, dt: float
+) -> Any:  # fmt: skip
+    """Velocity (3,) m/s along the normal of the fingertip at the contact, whose centre has `velocity`, both against
+    the object; `last` is the probe before dt, s, or dt is 0 where it has not turned."""
+
+
+# --- a ball: its forces are told apart, since those along the normal go through its centre --------------------------
+
+
+@seen_by.of(None)
+def seen_by_ball(form: None, radius: float, objects: Any, orientation: Quaternion) -> Any:
+    return objects
+
+
+@point_on.of(None)
+def point_on_ball(form: None, radius: float, inward: Vec3) -> Vec3:
+    return vec3.scale(-radius, inward)
+
+
+@point_under.of(None)
+def point_under_ball(form: None, radius: float, orientation: Quaternion, center: Vec3, normal: Vec3) -> Vec3:
+    return vec3.add_scaled(center, -radius, normal)
+
+
+@roundness.of(None)
+def roundness_of_ball(form: None, radius: float, orientation: Quaternion, normal: Vec3) -> float:
+    return radius
+
+
+@torque_of.of(None)
+def torque_of_ball(
+    form: None, radius: float, orientation: Quaternion, normal: Vec3, moment: float, pressing: Vec3, tangential: Vec3
+) -> Vec3:
+    return vec3.add_scaled(vec3.scale(moment, normal), -radius, vec3.cross(normal, tangential))
+
+
+@velocity_at.of(None)
+def velocity_of_ball(
+    form: None, velocity: Vec3, carried: Carry, probe: Probe, last: Probe, normal: Vec3, dt: float
+) -> Vec3:
+    return velocity
+
+
+# --- an ellipsoid --------------------------------------------------------------------------------
+
+
+@jit
+def axes_in_world(form: EllipsoidTip, orientation: Quaternion) -> Quaternion:
+    return rotations.multiply(orientation, form.orientation)
+
+
+@jit
+def grown(body: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Object:
+    """The object as the centre of such a fingertip sees it."""
+    to_body = rotations.conjugate(pose_values(body.pose).orientation)
+    axes = rotations.multiply(to_body, axes_in_world(form, orientation))
+    return Object(
+        shape=Grown(body.shape, form.semi_axes, axes, radius),
+        pose=body.pose,
+        motion=body.motion,
+        material=body.material,
+        number=body.number,
+        effects=body.effects,
+        was=body.was,
+        texture=body.texture,
+    )
+
+
+@by_count
+def all_grown(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any: ...
+
+
+@all_grown.of(1)
+def one_grown(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
+    return (grown(objects[0], form, radius, orientation),)
+
+
+@all_grown.of(2)
+def several_grown(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
+    first = grown(objects[0], form, radius, orientation)
+    return (first,) + all_grown(objects[1:], form, radius, orientation)  # noqa: RUF005  # see world.poses_of_several_at
+
+
+@seen_by.of(EllipsoidTip)
+def seen_by_ellipsoid(form: EllipsoidTip, radius: float, objects: Any, orientation: Quaternion) -> Any:
+    return all_grown(objects, form, radius, orientation)
+
+
+@point_on.of(EllipsoidTip)
+def point_on_ellipsoid(form: EllipsoidTip, radius: float, inward: Vec3) -> Vec3:
+    return vec3.scale(-1.0, arm(form.semi_axes, form.orientation, inward))
+
+
+@point_under.of(EllipsoidTip)
+def point_under_ellipsoid(
+    form: EllipsoidTip, radius: float, orientation: Quaternion, center: Vec3, normal: Vec3
+) -> Vec3:
+    return vec3.sub(center, arm(form.semi_axes, axes_in_world(form, orientation), normal))
+
+
+@roundness.of(EllipsoidTip)
+def roundness_of_ellipsoid(form: EllipsoidTip, radius: float, orientation: Quaternion, normal: Vec3) -> float:
+    """1 / sqrt(K) with the Gaussian curvature K = h^4 / (a b c)^2."""
+    a = form.semi_axes
+    h = vec3.dot(arm(a, axes_in_world(form, orientation), normal), normal)
+    return (a[0] / h) * (a[1] / h) * a[2]
+
+
+@torque_of.of(EllipsoidTip)
+def torque_of_ellipsoid(
+    form: EllipsoidTip,
+    radius: float,
+    orientation: Quaternion,
+    normal: Vec3,
+    moment: float,
+    pressing: Vec3,
+    tangential: Vec3,
+) -> Vec3:
+    reach = arm(form.semi_axes, axes_in_world(form, orientation), normal)
+    return vec3.sub(vec3.scale(moment, normal), vec3.cross(reach, vec3.add(pressing, tangential)))
+
+
+@velocity_at.of(EllipsoidTip)
+def velocity_of_ellipsoid(
+    form: EllipsoidTip, velocity: Vec3, carried: Carry, probe: Probe, last: Probe, normal: Vec3, dt: float
+) -> Vec3:
+    """v - w x arm: an ellipsoid that turns presses deeper or less deep, and the damping has to see it, or it gives."""
+    if dt <= 0.0:
+        return velocity
+    turn = rotations.log(turn_against(carried, rotations.relative(probe.orientation, last.orientation)))
+    reach = arm(form.semi_axes, axes_in_world(form, probe.orientation), normal)
+    return vec3.add_scaled(velocity, -1.0 / dt, vec3.cross(turn, reach))

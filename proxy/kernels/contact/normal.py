@@ -1,0 +1,63 @@
+"""Normal force f_N of one object against depth and speed.
+
+    press(law, depth, speed) -> N
+
+`depth` delta, m, is how far the probe lies behind the proxy along the normal, `speed` v, m/s, that of the probe along
+it: positive where it leaves. f_N is 0 at no depth, so a touch does not jump, and never less: a contact does not pull.
+"""
+
+from typing import Any
+
+from softfinger.proxy.kernels.model import HuntCrossley, LinearNormal, PowerNormal
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+
+@by_type
+def press(law: Any, depth: float, speed: float) -> Any: ...
+
+
+@by_type
+def spring(law: Any, depth: float) -> Any:
+    """The elastic part, N: that of a press without speed."""
+
+
+@jit
+def bounded(elastic: float, damping: float, speed: float) -> float:
+    """elastic - B v, kept between 0 and twice the elastic force: damping never pulls, and at most doubles."""
+    return min(max(elastic - damping * speed, 0.0), max(2.0 * elastic, 0.0))
+
+
+@spring.of(LinearNormal)
+def linear_spring(law: LinearNormal, depth: float) -> float:
+    return law.stiffness * depth
+
+
+@spring.of(PowerNormal)
+def power_spring(law: PowerNormal, depth: float) -> float:
+    """k delta^p (Hertz, 1882, p = 3/2; Xydas and Kao, 1999, for soft fingers)."""
+    return law.coefficient * max(depth, 0.0) ** law.exponent
+
+
+@spring.of(HuntCrossley)
+def spring_under_damping(law: HuntCrossley, depth: float) -> float:
+    return spring(law.law, depth)
+
+
+@press.of(LinearNormal)
+def press_linear(law: LinearNormal, depth: float, speed: float) -> float:
+    return bounded(linear_spring(law, depth), law.damping, speed)
+
+
+@press.of(PowerNormal)
+def press_power(law: PowerNormal, depth: float, speed: float) -> float:
+    return bounded(power_spring(law, depth), law.damping, speed)
+
+
+@press.of(HuntCrossley)
+def press_hunt_crossley(law: HuntCrossley, depth: float, speed: float) -> float:
+    """k delta^p (1 - c v), not less than 0 where the probe leaves faster than 1 / c.
+
+    Source: Hunt and Crossley (1975); c is their lambda / k.
+    """
+    return max(press(law.law, depth, speed) - law.damping * spring(law.law, depth) * speed, 0.0)

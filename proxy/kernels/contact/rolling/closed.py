@@ -1,0 +1,95 @@
+"""Rolling in closed form: the exact path for a constant angular velocity within the tick.
+
+    unroll(shape, radius, center, normal, w) -> Roll            w: the tick's rotation vector
+
+On all these surfaces the normal turns at a constant rate k times a part of w, where k = r / (r + R) is
+the share of the turning that the normal takes: 0 on a plane, 1 on an edge or a corner (R = 0), negative
+inside a hollow (R = -R_hollow). What else is needed are integrals of sines over the tick.
+"""
+
+from math import sin
+from typing import Any
+
+from softfinger.proxy.kernels.contact.rolling.base import Roll, land, roll
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.geometry.surfaces import unroll
+from softfinger.proxy.kernels.model import Cylinder, Plane, Quaternion, RotationVector, Sphere, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+
+
+@jit
+def turning_share(radius: float, distance: float) -> float:
+    """k = r / (r + R), `distance` being r + R; 0 where the fingertip fills a hollow and cannot roll."""
+    return radius / distance if distance != 0.0 else 0.0
+
+
+@jit
+def turn_about(axis: Vec3, angle: float, v: Vec3) -> Vec3:
+    """`v` turned about the unit vector `axis`."""
+    across = vec3.cross(axis, v)
+    s = sin(0.5 * angle)
+    return vec3.add_scaled(vec3.add_scaled(v, sin(angle), across), 2.0 * s * s, vec3.cross(axis, across))
+
+
+@jit
+def over_sphere(radius: float, share: float, normal: Vec3, w: Vec3) -> tuple[Vec3, Vec3, float]:
+    """Normal (3,), motion (3,) m and spin (rad) after rolling by `w` over a sphere.
+
+    n <- exp(k w) n, so w . n stays. The centre runs along a small circle; unrolled into the tangent
+    plane it is an arc that turns by k w . n, whose chord is the motion.
+    """
+    spin = vec3.dot(w, normal)
+    end = rotations.rotate(rotations.exp(vec3.scale(share, w)), normal)
+    half = 0.5 * share * spin
+    arc = vec3.scale(radius, vec3.cross(w, end))
+    motion = vec3.scale(rotations.sinc(half), turn_about(end, -half, arc))
+    return end, motion, spin
+
+
+@jit
+def over_cylinder(radius: float, share: float, axis: Vec3, normal: Vec3, w: Vec3) -> tuple[Vec3, Vec3, float]:
+    """Normal (3,), motion (3,) m and spin (rad) after rolling by `w` over a cylinder with the unit vector `axis`.
+
+    The normal turns about the axis by k w . axis, evenly. Travel along the axis and spin are the
+    integrals of r (n x axis) . w and n . w over that turn: the values half way, times sin(h) / h with h
+    half the angle. The cylinder unrolls flat, so the motion is the two travels.
+    """
+    around = vec3.dot(w, axis)
+    half = 0.5 * share * around
+    half_way, end = turn_about(axis, half, normal), turn_about(axis, 2.0 * half, normal)
+    mean = rotations.sinc(half)
+    travel = radius * mean * vec3.dot(vec3.cross(half_way, axis), w)
+    motion = vec3.add_scaled(vec3.scale(radius * around, vec3.cross(axis, end)), travel, axis)
+    return end, motion, mean * vec3.dot(half_way, w)
+
+
+@roll.of(RotationVector)
+def roll_rotation_vector(
+    method: RotationVector, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
+) -> Roll:
+    """The path for a constant rate between the two poses, exact to rounding; only for shapes that have `unroll`."""
+    return unroll(shape, radius, center, normal, rotations.log(turn))
+
+
+@unroll.of(Plane)
+def unroll_on_plane(shape: Plane, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    motion = vec3.scale(radius, vec3.cross(w, normal))
+    center, end = land(shape, radius, vec3.add(center, motion))
+    return Roll(center, end, motion, vec3.norm(motion) / radius, vec3.dot(w, normal))
+
+
+@unroll.of(Sphere)
+def unroll_on_sphere(shape: Sphere, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    distance = radius + shape.side * shape.radius
+    end, motion, spin = over_sphere(radius, turning_share(radius, distance), normal, w)
+    center, end = land(shape, radius, vec3.scale(distance, end))
+    return Roll(center, end, motion, vec3.norm(motion) / radius, spin)
+
+
+@unroll.of(Cylinder)
+def unroll_on_cylinder(shape: Cylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    distance = radius + shape.side * shape.radius
+    end, motion, spin = over_cylinder(radius, turning_share(radius, distance), (0.0, 0.0, 1.0), normal, w)
+    moved = (distance * end[0], distance * end[1], center[2] + motion[2])
+    center, end = land(shape, radius, moved)
+    return Roll(center, end, motion, vec3.norm(motion) / radius, spin)

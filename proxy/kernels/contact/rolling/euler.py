@@ -1,0 +1,68 @@
+"""Rolling by the Euler angles of the step's rotation, read in the contact frame: the paper's way.
+
+Both readings of the paper turn the rotation of a tick into one roll about an axis e of the tangent
+plane, by an angle, and a spin about the normal. The centre then goes straight ahead along e x n: on
+the offset surface's normal section, taken as the circle that has its curvature. So a rotation without
+spin is exact on planes, on spheres and across edges; with spin the paths stray, see docs/model/rolling.md.
+
+Source: Salvietti, Malvezzi, Prattichizzo (2013), Algorithm 1 and eqs. 2-7.
+"""
+
+from math import sqrt
+from typing import Any
+
+from softfinger.proxy.kernels.contact.rolling.base import Roll, land, roll
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.geometry.surfaces import ahead, curvature, transport
+from softfinger.proxy.kernels.model import EulerZxz, EulerZyx, Quaternion, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+
+
+@ahead.otherwise
+def round_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Vec3:
+    """Along the circle that the normal section has there; k = k_1 cos^2 + k_2 sin^2 (Euler's formula)."""
+    k1, k2, d1 = curvature(shape, radius, vec3.add_scaled(center, -radius, normal), normal)
+    c, s = vec3.dot(along, d1), vec3.dot(along, vec3.cross(normal, d1))
+    half = 0.5 * (k1 * c * c + k2 * s * s) * length
+    chord = rotations.sinc(half)
+    moved = vec3.add_scaled(center, length * rotations.sinc(2.0 * half), along)
+    return vec3.add_scaled(moved, -length * half * chord * chord, normal)
+
+
+@jit
+def roll_about(
+    shape: Any, radius: float, center: Vec3, normal: Vec3, axis: Vec3, theta: float, spin: float
+) -> Roll:  # fmt: skip
+    """The step that rolls by `theta` about the unit tangent `axis`, zero where there is no roll."""
+    along, length = vec3.cross(axis, normal), radius * theta
+    center, new_normal = land(shape, radius, ahead(shape, radius, center, normal, along, length))
+    motion = transport(shape, vec3.scale(length, along), normal, new_normal)
+    return Roll(center, new_normal, motion, theta, spin)
+
+
+@roll.of(EulerZxz)
+def roll_euler_zxz(method: EulerZxz, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
+    """Tilt theta about the heading half way through the step; spin phi + psi.
+
+    Differs from the paper's eq. 2 in the heading: its eqs. 5-7 give the angles of ZXZ, whose axis half
+    way through the step is (phi - psi) / 2, which is where the vector part of the quaternion points.
+    """
+    theta, axis = rotations.tilt(turn, normal)
+    return roll_about(shape, radius, center, normal, axis, theta, rotations.twist(turn, normal))
+
+
+@roll.of(EulerZyx)
+def roll_euler_zyx(method: EulerZyx, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
+    """Roll by (delta psi, delta theta), spin delta phi: eqs. 2 and 3 with roll, pitch and yaw, as the text says.
+
+    The result depends on the tangent axes x, y (`rotations.tangent_frame`) in the second order of the
+    rotation, as roll, pitch and yaw do; it is here to be compared with.
+    """
+    x, y = rotations.tangent_frame(normal)
+    v = (turn[1], turn[2], turn[3])
+    psi, pitch, phi = rotations.euler_zyx((turn[0], vec3.dot(v, x), vec3.dot(v, y), vec3.dot(v, normal)))
+    theta = sqrt(psi * psi + pitch * pitch)
+    axis = (0.0, 0.0, 0.0)
+    if theta > 0.0:
+        axis = vec3.add_scaled(vec3.scale(psi / theta, x), pitch / theta, y)
+    return roll_about(shape, radius, center, normal, axis, theta, phi)

@@ -1,0 +1,161 @@
+"""Rolling by numerical integration of dc/dt = r w x n(c), w constant over the tick, on any shape.
+
+n(c) is the normal at the object's point nearest to c: defined off the offset surface too, where the
+stages of a step lie. Needs no curvature: that is in how n turns as c moves.
+"""
+
+from typing import Any
+
+import numba
+
+from softfinger.proxy.kernels.contact.rolling.base import Roll, earlier, pace, roll, roll_angle, surface_part
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.geometry.surfaces import closest, transport
+from softfinger.proxy.kernels.model import Midpoint, MontanaRk4, MontanaRk45, Quaternion, Vec3
+from softfinger.proxy.kernels.native.jit import OPTIONS, jit
+
+MAX_TRIALS = 256
+"""Sub-steps tried in one tick by the method with step control."""
+
+
+@jit
+def unrolled(way: Vec3, normal: Vec3, length: float) -> Vec3:
+    """The straight way (3,) m of a step, laid into the tangent plane at its end at its length along the surface."""
+    flat = vec3.reject(way, normal)
+    size = vec3.norm(flat)
+    return vec3.scale(length / size if size > 0.0 else 0.0, flat)
+
+
+@roll.of(Midpoint)
+def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
+    """The midpoint rule: second order, two closest-point queries."""
+    w = rotations.log(turn)
+    point, n, slope = center, normal, (0.0, 0.0, 0.0)
+    spin = 0.0
+    length, tilted = 0.0, 0.0
+    for stage in range(2):
+        part = 0.5 if stage == 0 else 1.0
+        slope, spin = pace(earlier(shape, w, 1.5 - part), radius, w, n), vec3.dot(w, n)
+        length, tilted = surface_part(shape, slope, n), vec3.norm(vec3.cross(w, n))
+        _, point, n = closest(earlier(shape, w, 1.0 - part), vec3.add_scaled(center, part, slope))
+    end = vec3.add_scaled(point, radius, n)
+    motion = unrolled(slope, n, length)
+    return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin)
+
+
+@roll.of(MontanaRk4)
+def roll_montana_rk4(
+    method: MontanaRk4, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
+) -> Roll:
+    """One step of the classical Runge-Kutta rule: fourth order, four closest-point queries."""
+    w = rotations.log(turn)
+    point, n, moved = center, normal, (0.0, 0.0, 0.0)
+    spin, length, tilted, left = 0.0, 0.0, 0.0, 1.0
+    # A loop rather than four stages written out: the closest point is compiled into the kernel once.
+    for stage in range(4):
+        weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
+        slope = pace(earlier(shape, w, left), radius, w, n)
+        moved = vec3.add_scaled(moved, weight, slope)
+        spin += weight * vec3.dot(w, n)
+        length += weight * surface_part(shape, slope, n)
+        tilted += weight * vec3.norm(vec3.cross(w, n))
+        ahead = moved if stage == 3 else vec3.scale(1.0 if stage == 2 else 0.5, slope)
+        left = 0.5 if stage < 2 else 0.0
+        _, point, n = closest(earlier(shape, w, left), vec3.add(center, ahead))
+    end = vec3.add_scaled(point, radius, n)
+    motion = unrolled(moved, n, length)
+    return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin)
+
+
+def foot(shape: Any, x: Vec3) -> tuple[Vec3, Vec3]:
+    _, point, normal = closest(shape, x)
+    return point, normal
+
+
+# Not inlined, unlike other kernels: six copies of an iterative closest point would take seconds to compile.
+foot = numba.njit(**OPTIONS)(foot)
+
+
+@jit
+def combine(a: float, u: Vec3, b: float, v: Vec3) -> Vec3:
+    """a u + b v."""
+    return (a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2])
+
+
+@jit
+def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, tolerance: float) -> Roll:
+    """Rolling by the whole rotation vector `w`, with the pair of Dormand and Prince, order 5 with error from 4.
+
+    A sub-step is taken when its error is below tolerance x radius, and tried again shorter otherwise: where
+    the curvature jumps, much shorter. The number of trials is bounded: after half of them a sub-step is at
+    least its share of what is left, and then taken whatever its error.
+    """
+    n, motion, spin, tilted, left, h = normal, (0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 1.0
+    allowed = tolerance * radius
+    k1 = pace(earlier(shape, w, 1.0), radius, w, n)
+    for trial in range(MAX_TRIALS):
+        shortest = left / (MAX_TRIALS - trial) if trial >= MAX_TRIALS // 2 else 0.0
+        h = min(max(h, shortest), left)
+        then = earlier(shape, w, left - 1 / 5 * h)
+        _, n2 = foot(then, vec3.add_scaled(center, h / 5, k1))
+        k2 = pace(then, radius, w, n2)
+        slope = combine(3 / 40, k1, 9 / 40, k2)
+        then = earlier(shape, w, left - 3 / 10 * h)
+        _, n3 = foot(then, vec3.add_scaled(center, h, slope))
+        k3 = pace(then, radius, w, n3)
+        slope = vec3.add_scaled(combine(44 / 45, k1, -56 / 15, k2), 32 / 9, k3)
+        then = earlier(shape, w, left - 4 / 5 * h)
+        _, n4 = foot(then, vec3.add_scaled(center, h, slope))
+        k4 = pace(then, radius, w, n4)
+        slope = vec3.add(
+            combine(19372 / 6561, k1, -25360 / 2187, k2), combine(64448 / 6561, k3, -212 / 729, k4)
+        )  # fmt: skip
+        then = earlier(shape, w, left - 8 / 9 * h)
+        _, n5 = foot(then, vec3.add_scaled(center, h, slope))
+        k5 = pace(then, radius, w, n5)
+        slope = vec3.add(combine(9017 / 3168, k1, -355 / 33, k2), combine(46732 / 5247, k3, 49 / 176, k4))
+        slope = vec3.add_scaled(slope, -5103 / 18656, k5)
+        then = earlier(shape, w, left - h)
+        _, n6 = foot(then, vec3.add_scaled(center, h, slope))
+        k6 = pace(then, radius, w, n6)
+        slope = vec3.add(combine(35 / 384, k1, 500 / 1113, k3), combine(125 / 192, k4, -2187 / 6784, k5))
+        slope = vec3.add_scaled(slope, 11 / 84, k6)
+        point, n7 = foot(then, vec3.add_scaled(center, h, slope))
+        k7 = pace(then, radius, w, n7)
+
+        off = vec3.add(combine(71 / 57600, k1, -71 / 16695, k3), combine(71 / 1920, k4, -17253 / 339200, k5))
+        off = vec3.add(off, combine(22 / 525, k6, -1 / 40, k7))
+        error = h * vec3.norm(off)
+        if error <= allowed or h <= shortest:
+            end = vec3.add_scaled(point, radius, n7)
+            length = (
+                35 / 384 * surface_part(shape, k1, n) + 500 / 1113 * surface_part(shape, k3, n3)
+                + 125 / 192 * surface_part(shape, k4, n4) - 2187 / 6784 * surface_part(shape, k5, n5)
+                + 11 / 84 * surface_part(shape, k6, n6)
+            )  # fmt: skip
+            rates = (
+                35 / 384 * vec3.dot(w, n) + 500 / 1113 * vec3.dot(w, n3) + 125 / 192 * vec3.dot(w, n4)
+                - 2187 / 6784 * vec3.dot(w, n5) + 11 / 84 * vec3.dot(w, n6)
+            )  # fmt: skip
+            tilts = (
+                35 / 384 * vec3.norm(vec3.cross(w, n)) + 500 / 1113 * vec3.norm(vec3.cross(w, n3))
+                + 125 / 192 * vec3.norm(vec3.cross(w, n4)) - 2187 / 6784 * vec3.norm(vec3.cross(w, n5))
+                + 11 / 84 * vec3.norm(vec3.cross(w, n6))
+            )  # fmt: skip
+            spin, tilted = spin + h * rates, tilted + h * tilts
+            motion = vec3.add(transport(shape, motion, n, n7), unrolled(slope, n7, h * length))
+            center, n, k1 = end, n7, k7
+            left -= h
+            if left <= 0.0:
+                break
+        # An error of nothing, as on a plane, asks for the longest step; that of a fifth-order rule goes as h^5.
+        h *= min(max(0.9 * (allowed / error) ** 0.2, 0.2), 5.0) if error > 0.0 else 5.0
+    return Roll(center, n, motion, roll_angle(shape, radius, motion, tilted), spin)
+
+
+@roll.of(MontanaRk45)
+def roll_montana_rk45(
+    method: MontanaRk45, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
+) -> Roll:
+    """The paper's reference, ODE45: as many sub-steps as the tolerance asks for."""
+    return integrate(shape, radius, center, normal, rotations.log(turn), method.tolerance)

@@ -1,0 +1,240 @@
+"""Rolling in closed form over shapes made of several surfaces, one piece of path after the other.
+
+On each piece everything that decides where it ends, a coordinate of the contact point or a component
+of the normal, is a constant plus a sine and a cosine of one frequency (a parabola at frequency 0). So
+the end is a root of a quadratic, and the path is exact across faces, edges and corners.
+"""
+
+from math import atan, pi, sqrt
+
+from softfinger.proxy.kernels.contact.rolling.base import Roll, land
+from softfinger.proxy.kernels.contact.rolling.closed import over_cylinder, over_sphere, turning_share
+from softfinger.proxy.kernels.contact.rolling.integrated import integrate
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.surfaces import transport, unroll
+from softfinger.proxy.kernels.model import Box, CappedCylinder, Capsule, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+
+ToRim = tuple[float, Vec3, Vec3, float]
+
+MAX_PIECES = 256
+"""Pieces of path in one tick; what is left of the tick after so many is not rolled. Half a turn over a box takes
+nine at most. Only in a hollow capsule hardly wider than its fingertip, which winds round and round, are there more."""
+RIM_TOLERANCE = 1e-13
+"""Of the integration around the rim of a capped cylinder, relative to the fingertip's radius."""
+NEVER = 2.0
+"""A time after the end of the tick, which is at 1."""
+
+
+@jit
+def leaving_time(value: float, slope: float, bend: float, frequency: float) -> float:
+    """First time at which f falls through 0; NEVER where it does not.
+
+    value, slope, bend   f, f' and f'' at time 0, where f >= 0 up to rounding
+    frequency            of f: f''' = -frequency^2 f'
+
+    In T = tan(frequency t / 2) / (frequency / 2), which is t at frequency 0, f has the sign of
+    a T^2 + slope T + value, and of the two roots only one is a fall.
+    """
+    c = max(value, 0.0)
+    a = 0.25 * (frequency * frequency * c + 2.0 * bend)
+    discriminant = slope * slope - 4.0 * a * c
+    if discriminant < 0.0:
+        return NEVER
+    root = sqrt(discriminant)
+    if slope <= 0.0:
+        if root - slope > 0.0:
+            t = 2.0 * c / (root - slope)
+        else:
+            return 0.0 if a < 0.0 else NEVER
+    else:
+        if a == 0.0:
+            return NEVER
+        t = -0.5 * (slope + root) / a
+    if frequency == 0.0:
+        return t if t >= 0.0 else NEVER
+    time = 2.0 * atan(0.5 * frequency * t) / frequency
+    # The tangent's other branch: the second half of the period.
+    return time if time >= 0.0 else time + 2.0 * pi / frequency
+
+
+@jit
+def with_item(v: Vec3, index: int, value: float) -> Vec3:
+    """`v` with one component replaced."""
+    return (
+        value if index == 0 else v[0],
+        value if index == 1 else v[1],
+        value if index == 2 else v[2],
+    )
+
+
+@jit
+def unit(v: Vec3, otherwise: Vec3) -> Vec3:
+    size = vec3.norm(v)
+    return vec3.scale(1.0 / size, v) if size > 0.0 else otherwise
+
+
+@jit
+def leaving_barrel(
+    half_length: float, z: float, share: float, radius: float, normal: Vec3, w: Vec3
+) -> tuple[float, float]:
+    """When a path over a barrel about the z axis reaches an end of it, and which: +1 the upper, -1 the lower."""
+    slope = radius * vec3.cross(w, normal)[2]
+    bend = radius * share * vec3.cross(w, vec3.cross((0.0, 0.0, w[2]), normal))[2]
+    frequency = abs(share * w[2])
+    up = leaving_time(half_length - z, -slope, -bend, frequency)
+    down = leaving_time(half_length + z, slope, bend, frequency)
+    return (up, 1.0) if up < down else (down, -1.0)
+
+
+@unroll.of(Capsule)
+def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    """Barrel (a cylinder) and caps (spheres), touched from outside or inside."""
+    axis, distance = (0.0, 0.0, 1.0), radius + shape.side * shape.radius
+    share, outward = turning_share(radius, distance), 1.0 if distance >= 0.0 else -1.0
+    beyond = abs(center[2]) - shape.half_length
+    cap = 0.0 if beyond <= 0.0 else (1.0 if center[2] > 0.0 else -1.0)
+    z, n = min(max(center[2], -shape.half_length), shape.half_length), normal
+    if cap == 0.0:
+        n = unit((n[0], n[1], 0.0), normal)
+    motion, spin, left = (0.0, 0.0, 0.0), 0.0, 1.0
+    for _ in range(MAX_PIECES):
+        time, to = 0.0, 0.0
+        if cap == 0.0:
+            time, to = leaving_barrel(shape.half_length, z, share, radius, n, w)
+        else:
+            sign, turning = cap * outward, vec3.cross(w, n)
+            bend = share * share * vec3.cross(w, turning)[2]
+            time = leaving_time(sign * n[2], sign * share * turning[2], sign * bend, abs(share) * vec3.norm(w))
+        part = vec3.scale(min(time, left), w)
+        before = n
+        if cap == 0.0:
+            n, moved, twist = over_cylinder(radius, share, axis, n, part)
+            z = min(max(z + moved[2], -shape.half_length), shape.half_length)
+        else:
+            n, moved, twist = over_sphere(radius, share, n, part)
+        motion, spin = vec3.add(transport(shape, motion, before, n), moved), spin + twist
+        if time >= left:
+            break
+        left -= time
+        z, cap = (to * shape.half_length, to) if cap == 0.0 else (z, 0.0)
+        n = unit((n[0], n[1], 0.0), n)
+    end = vec3.add_scaled((0.0, 0.0, cap * shape.half_length if cap != 0.0 else z), distance, n)
+    center, n = land(shape, radius, end)
+    return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
+
+
+@jit
+def box_pieces(
+    half_extents: Vec3, radius: float, point: Vec3, sides: Vec3, normal: Vec3, w: Vec3
+) -> tuple[float, int, float]:
+    """When a path over a box leaves its face, edge or corner: time, the axis concerned and that axis' new side.
+
+    sides  (3,)  1  for each axis: +-1 where the contact is at that end of the box, 0 where it is between
+    """
+    clamped = abs(sides[0]) + abs(sides[1]) + abs(sides[2])
+    pivot = (0.0, 0.0, 0.0)
+    if clamped > 2.5:
+        pivot = w
+    elif clamped > 1.5:
+        free = (1.0 - abs(sides[0]), 1.0 - abs(sides[1]), 1.0 - abs(sides[2]))
+        pivot = (free[0] * w[0], free[1] * w[1], free[2] * w[2])
+    frequency = vec3.norm(pivot)
+    turning = vec3.cross(pivot, normal)
+    turning_bend = vec3.cross(pivot, turning)
+    slope, bend = vec3.scale(radius, vec3.cross(w, normal)), vec3.scale(radius, vec3.cross(w, turning))
+    time, axis, side = NEVER, 0, 0.0
+    for i in range(3):
+        if sides[i] != 0.0:
+            t = leaving_time(sides[i] * normal[i], sides[i] * turning[i], sides[i] * turning_bend[i], frequency)
+            if t < time and clamped > 1.5:
+                time, axis, side = t, i, 0.0
+        else:
+            for end in (-1.0, 1.0):
+                t = leaving_time(half_extents[i] - end * point[i], -end * slope[i], -end * bend[i], frequency)
+                if t < time:
+                    time, axis, side = t, i, end
+    return time, axis, side
+
+
+@unroll.of(Box)
+def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    """Faces (planes), edges (cylinders of radius 0) and corners (spheres of radius 0)."""
+    h = shape.half_extents
+    point = (
+        min(max(center[0], -h[0]), h[0]),
+        min(max(center[1], -h[1]), h[1]),
+        min(max(center[2], -h[2]), h[2]),
+    )
+    n = unit(vec3.sub(center, point), normal)
+    sides = (
+        1.0 if n[0] > 0.0 else (-1.0 if n[0] < 0.0 else 0.0),
+        1.0 if n[1] > 0.0 else (-1.0 if n[1] < 0.0 else 0.0),
+        1.0 if n[2] > 0.0 else (-1.0 if n[2] < 0.0 else 0.0),
+    )
+    motion, spin, left = (0.0, 0.0, 0.0), 0.0, 1.0
+    for _ in range(MAX_PIECES):
+        time, axis, side = box_pieces(h, radius, point, sides, n, w)
+        part = vec3.scale(min(time, left), w)
+        clamped = abs(sides[0]) + abs(sides[1]) + abs(sides[2])
+        before = n
+        if clamped > 2.5:
+            n, moved, twist = over_sphere(radius, 1.0, n, part)
+        elif clamped > 1.5:
+            along = (1.0 - abs(sides[0]), 1.0 - abs(sides[1]), 1.0 - abs(sides[2]))
+            n, moved, twist = over_cylinder(radius, 1.0, along, n, part)
+            point = vec3.add_scaled(point, vec3.dot(moved, along), along)
+        else:
+            moved, twist = vec3.scale(radius, vec3.cross(part, n)), vec3.dot(part, n)
+            point = vec3.add(point, moved)
+        motion, spin = vec3.add(transport(shape, motion, before, n), moved), spin + twist
+        if time >= left:
+            break
+        left -= time
+        if side == 0.0:
+            n = unit(with_item(n, axis, 0.0), n)
+        else:
+            point = with_item(point, axis, side * h[axis])
+        sides = with_item(sides, axis, side)
+    center, n = land(shape, radius, vec3.add_scaled(point, radius, n))
+    return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
+
+
+@jit
+def to_the_rim_by_barrel(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
+    """Share of the tick until a path on the barrel reaches the rim, at most 1, and centre, motion and spin by then."""
+    distance, n = radius + shape.radius, unit((normal[0], normal[1], 0.0), normal)
+    share = turning_share(radius, distance)
+    time = min(leaving_barrel(shape.half_length, center[2], share, radius, n, w)[0], 1.0)
+    n, motion, spin = over_cylinder(radius, share, (0.0, 0.0, 1.0), n, vec3.scale(time, w))
+    return time, (distance * n[0], distance * n[1], center[2] + motion[2]), motion, spin
+
+
+@jit
+def to_the_rim_by_end(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
+    """The same on one of the flat ends, where the square of the distance from the axis is a parabola."""
+    velocity = vec3.scale(radius, vec3.cross(w, normal))
+    room = shape.radius * shape.radius - center[0] * center[0] - center[1] * center[1]
+    closing = -2.0 * (center[0] * velocity[0] + center[1] * velocity[1])
+    time = min(leaving_time(room, closing, -2.0 * vec3.dot(velocity, velocity), 0.0), 1.0)
+    motion = vec3.scale(time, velocity)
+    return time, vec3.add(center, motion), motion, time * vec3.dot(w, normal)
+
+
+@unroll.of(CappedCylinder)
+def unroll_on_capped_cylinder(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    """Barrel (a cylinder) and flat ends (planes) in closed form; from the rim on, which has none, integrated."""
+    over_barrel = abs(center[2]) <= shape.half_length
+    over_end = center[0] * center[0] + center[1] * center[1] <= shape.radius * shape.radius
+    if over_barrel == over_end:  # neither: over the rim; both: inside the solid
+        return integrate(shape, radius, center, normal, w, RIM_TOLERANCE)
+    if over_barrel:
+        time, end, motion, spin = to_the_rim_by_barrel(shape, radius, center, normal, w)
+    else:
+        time, end, motion, spin = to_the_rim_by_end(shape, radius, center, normal, w)
+    center, n = land(shape, radius, end)
+    if time >= 1.0:
+        return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
+    rest = integrate(shape, radius, center, n, vec3.scale(1.0 - time, w), RIM_TOLERANCE)
+    motion = vec3.add(transport(shape, motion, n, rest.normal), rest.motion)
+    return Roll(rest.center, rest.normal, motion, vec3.norm(motion) / radius, spin + rest.spin)

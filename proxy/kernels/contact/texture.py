@@ -1,0 +1,245 @@
+"""What a texture makes of a contact: heights of the surface, and a friction that changes along it.
+
+Heights. The highest value of a texture is the shape's own surface; the others lie below it, h(u, v) <= 0. The probe
+lies delta behind the proxy and its surface depth is d = delta + h, with u, v under the probe. The force is that of
+the potential K d^2 / 2 where d > 0: K d m, with m = -grad d = n - grad h. It depends on where the probe is and on
+nothing else, so no way back to where one was gains or loses; damping acts along m too, and takes B (m . v)^2.
+
+Friction. The coefficients of the law at the contact point, and the torsional limit, times the texture's factor there.
+
+    embossed(objects, active, position) -> Constraints    for `press`: surface depths, and m in place of normals
+    roughened(objects, active, center)  -> objects        whose materials have the friction of the contact point
+"""
+
+from math import floor
+from typing import Any, NamedTuple
+
+from numba import literal_unroll
+
+from softfinger.proxy.kernels.contact.constraints import Constraints
+from softfinger.proxy.kernels.contact.half_spaces import Push
+from softfinger.proxy.kernels.effects.forces import clamp
+from softfinger.proxy.kernels.friction.laws import scaled
+from softfinger.proxy.kernels.friction.torsion import gripped
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.entries import has, member, places
+from softfinger.proxy.kernels.geometry.frames import into, turn_into, turn_out_of
+from softfinger.proxy.kernels.geometry.surfaces.charts import Chart, chart
+from softfinger.proxy.kernels.model import Grip, Material, Object, Relief, Texture, Vec3
+from softfinger.proxy.kernels.native.dispatch import by_count, by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+CELLS_CEILING = 1e15
+"""Past this many cells float64 has no fraction of a cell left, and farther out no whole number of them."""
+
+
+class Sample(NamedTuple):
+    """Value of a texture, 0 to 1, and its derivatives by u and v, 1/m."""
+
+    value: float
+    by_u: float
+    by_v: float
+
+
+@jit
+def weights(t: float) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
+    """Uniform cubic B-spline: what four neighbours count for at 0 <= t <= 1 between the middle two, and d/dt."""
+    s = 1.0 - t
+    tt, ss = t * t, s * s
+    value = (ss * s / 6.0, (4.0 - 3.0 * tt * (2.0 - t)) / 6.0, (4.0 - 3.0 * ss * (2.0 - s)) / 6.0, tt * t / 6.0)
+    slope = (-0.5 * ss, (1.5 * t - 2.0) * t, (2.0 - 1.5 * s) * s, 0.5 * tt)
+    return value, slope
+
+
+@jit
+def wrapped(index: float, count: float, period: float) -> int:
+    """Place in an array of that `count`; a coordinate that is not finite gets one too."""
+    if period != 0.0:
+        index -= count * floor(index / count)
+    if not index > 0.0:
+        return 0
+    return int(min(index, count - 1.0))
+
+
+@jit
+def sample(texture: Texture, u: float, v: float) -> Sample:
+    """The spline at u, v (m). Its coefficients sit in the middles of the array's cells."""
+    across = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
+    down = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
+    left, top = floor(across), floor(down)
+    a, da = weights(across - left)
+    b, db = weights(down - top)
+    i0 = wrapped(left - 1.0, texture.columns, texture.period_u)
+    i1 = wrapped(left, texture.columns, texture.period_u)
+    i2 = wrapped(left + 1.0, texture.columns, texture.period_u)
+    i3 = wrapped(left + 2.0, texture.columns, texture.period_u)
+    value, by_u, by_v = 0.0, 0.0, 0.0
+    for k in range(4):
+        row = wrapped(top + (k - 1.0), texture.rows, texture.period_v) * int(texture.columns)
+        z0, z1 = texture.values[row + i0], texture.values[row + i1]
+        z2, z3 = texture.values[row + i2], texture.values[row + i3]
+        line = a[0] * z0 + a[1] * z1 + a[2] * z2 + a[3] * z3
+        value += b[k] * line
+        by_v += db[k] * line
+        by_u += b[k] * (da[0] * z0 + da[1] * z1 + da[2] * z2 + da[3] * z3)
+    return Sample(value, by_u * texture.per_u, by_v * texture.per_v)
+
+
+@jit
+def chart_at(body: Any, x: Vec3, normal: Vec3) -> Chart:
+    """`chart` of a point and a normal in the world."""
+    return chart(body.shape, body.texture.fade, into(body.pose, x), turn_into(body.pose, normal))
+
+
+# --- heights -------------------------------------------------------------------------------------
+
+
+@by_type
+def emboss(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> Any:
+    """Surface depth d (m) and m (3,) on one object that the probe at `position` lies `depth` behind."""
+
+
+@emboss.of(None)
+def emboss_nothing(texture: None, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+    return depth, normal
+
+
+@emboss.of(Texture)
+def emboss_texture(texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+    return raise_by(texture.relief, texture, body, depth, normal, position)
+
+
+@by_type
+def raise_by(relief: Any, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3) -> Any: ...
+
+
+@raise_by.of(None)
+def raise_by_nothing(
+    relief: None, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
+) -> tuple[float, Vec3]:
+    return depth, normal
+
+
+@raise_by.of(Relief)
+def raise_by_relief(
+    relief: Relief, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
+) -> tuple[float, Vec3]:
+    """h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`."""
+    at = chart_at(body, position, normal)
+    z = sample(texture, at.u, at.v)
+    below = relief.height * (1.0 - z.value)
+    rise = vec3.add(vec3.scale(z.by_u, at.along_u), vec3.scale(z.by_v, at.along_v))
+    uphill = vec3.add_scaled(vec3.scale(relief.height * at.inside, rise), -below, at.inward)
+    return depth - at.inside * below, vec3.sub(normal, turn_out_of(body.pose, uphill))
+
+
+@by_count
+def embossed(objects: Any, active: Constraints, position: Vec3) -> Any:
+    """`active` as the probe at `position` (3,) m feels it."""
+
+
+@embossed.of(1)
+def embossed_by_one(objects: Any, active: Constraints, position: Vec3) -> Constraints:
+    depth, m = emboss(objects[0].texture, objects[0], active.push.first, active.n1, position)
+    return Constraints(
+        first=active.first, second=active.second, third=active.third, n1=m, n2=active.n2, n3=active.n3,
+        push=Push(depth, active.push.second, active.push.third),
+    )  # fmt: skip
+
+
+@embossed.of(2)
+def embossed_by_several(objects: Any, active: Constraints, position: Vec3) -> Constraints:
+    push = active.push
+    d1, m1 = emboss_on(objects, active.first, push.first, active.n1, position)
+    d2, m2 = emboss_on(objects, active.second, push.second, active.n2, position)
+    d3, m3 = emboss_on(objects, active.third, push.third, active.n3, position)
+    return Constraints(
+        first=active.first, second=active.second, third=active.third, n1=m1, n2=m2, n3=m3, push=Push(d1, d2, d3)
+    )  # fmt: skip
+
+
+@jit
+def emboss_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+    """`emboss` on the object with that place."""
+    d, m = depth, normal
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            body = member(entry, index - at)
+            d, m = emboss(body.texture, body, depth, normal, position)
+        at += places(entry)
+    return d, m
+
+
+# --- friction ------------------------------------------------------------------------------------
+
+
+@by_type
+def roughen(texture: Any, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+    """The object with that place, with the friction that it has under the proxy's `center` if it holds it."""
+
+
+@roughen.of(None)
+def roughen_nothing(texture: None, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+    return body
+
+
+@roughen.of(Texture)
+def roughen_texture(texture: Texture, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+    return regrip(texture.grip, texture, body, index, active, center)
+
+
+@by_type
+def regrip(grip: Any, texture: Texture, body: Any, index: float, active: Constraints, center: Vec3) -> Any: ...
+
+
+@regrip.of(None)
+def regrip_nothing(grip: None, texture: Texture, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+    return body
+
+
+@regrip.of(Grip)
+def regrip_grip(grip: Grip, texture: Texture, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+    factor = 1.0
+    if index == active.first or index == active.second or index == active.third:
+        normal = active.n1 if index == active.first else active.n2 if index == active.second else active.n3
+        at = chart_at(body, center, normal)
+        # At an edge of the object the texture ends at its highest value.
+        z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
+        factor = grip.low + (grip.high - grip.low) * z
+    made_of = body.material
+    friction, torsion = scaled(made_of.friction, factor), gripped(made_of.torsion, factor)
+    return Object(
+        shape=body.shape,
+        pose=body.pose,
+        motion=body.motion,
+        material=Material(made_of.normal, friction, torsion, made_of.compliance),
+        number=body.number,
+        effects=body.effects,
+        was=body.was,
+        texture=body.texture,
+    )
+
+
+@jit
+def roughened(objects: Any, active: Constraints, center: Vec3) -> Any:
+    """The objects with the friction that they have under the proxy's `center` (3,) m."""
+    return roughened_from(objects, 0.0, active, center)
+
+
+@by_count
+def roughened_from(objects: Any, index: float, active: Constraints, center: Vec3) -> Any:
+    """Those of a tuple that begins with the place `index`."""
+
+
+@roughened_from.of(1)
+def roughened_one(objects: Any, index: float, active: Constraints, center: Vec3) -> Any:
+    texture = member(objects[0], 0.0).texture
+    return (roughen(texture, objects[0], index, active, center),)
+
+
+@roughened_from.of(2)
+def roughened_several(objects: Any, index: float, active: Constraints, center: Vec3) -> Any:
+    texture = member(objects[0], 0.0).texture
+    body = roughen(texture, objects[0], index, active, center)
+    return (body,) + roughened_from(objects[1:], index + places(objects[0]), active, center)  # noqa: RUF005  # see world.poses_of_several_at

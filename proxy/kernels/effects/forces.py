@@ -1,0 +1,293 @@
+"""Forces on the hand beside those of the contact: fields in the workspace, and what an object does to its visitor.
+
+    apply_effects(effects, states, situation) -> force, states     all effects of the workspace or of one object
+    effect_force(effect, state, situation)    -> force, state      one effect
+    reach(region, situation)                  -> 0 to 1            share of an effect here and now
+    start_states(effects)                  -> states            before the first tick, in Python only
+
+An effect without memory has the state None. No effects are an empty tuple, which compiles to nothing.
+Finite input gives finite force, however far out or fast: the products are kept below FORCE_CEILING_N.
+"""
+
+from math import floor, pi, sin
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.frames import into, out_of
+from softfinger.proxy.kernels.model import (
+    Anchor,
+    BoxBoundary,
+    BoxRegion,
+    ConstantForce,
+    Magnet,
+    NormalVibration,
+    Phase,
+    SphereBoundary,
+    SphereRegion,
+    Spring,
+    StickSlip,
+    Touching,
+    Vec3,
+    Vibration,
+    Viscosity,
+)
+from softfinger.proxy.kernels.native.dispatch import by_count, by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+FORCE_CEILING_N = 1e6
+"""Only keeps products of absurd numbers finite; what reaches a hand is the guard's business."""
+TURNS_CEILING = 1e15
+"""Past this many turns float64 has no fraction of a turn left."""
+NO_LENGTH_M = 1e-100
+"""A shorter vector has no direction: the squares of its components underflow."""
+
+
+class Situation(NamedTuple):
+    """What an effect may ask about this tick; world frame.
+
+    position      m    probe
+    velocity      m/s  probe, filtered; for an object's effects against the object's surface under it
+    dt            s    since the last tick
+    touched       1 in contact (with this object, for an object's effects), else 0
+    gap           m    from the fingertip's surface to this object's; ignored while touched, 0 for the workspace
+    normal             unit normal of the contact, or of this object's surface point nearest to the probe
+    carrier            Pose of a moving object, None for one that stands still and for the workspace
+    """
+
+    position: Vec3
+    velocity: Vec3
+    dt: float
+    touched: float
+    gap: float
+    normal: Vec3
+    carrier: Any
+
+
+@by_type
+def effect_force(effect: Any, state: Any, situation: Situation) -> Any: ...
+
+
+@by_type
+def reach(region: Any, situation: Situation) -> Any: ...
+
+
+# --- where an effect acts ------------------------------------------------------------------------
+
+
+@jit
+def share_at(depth: float, edge: float) -> float:
+    """Share of an effect `depth` inside the border of its region, rising from 0 to 1 over `edge`."""
+    if depth <= 0.0:
+        return 0.0
+    if depth < edge:
+        return depth / edge
+    return 1.0
+
+
+@reach.of(None)
+def reach_everywhere(region: None, situation: Situation) -> float:
+    return 1.0
+
+
+@reach.of(Touching)
+def reach_while_touched(region: Touching, situation: Situation) -> float:
+    if situation.touched == 0.0:
+        return 0.0
+    return region.share
+
+
+@reach.of(BoxRegion)
+def reach_of_box(region: BoxRegion, situation: Situation) -> float:
+    away = vec3.sub(situation.position, region.center)
+    half = region.half_extents
+    depth = min(half[0] - abs(away[0]), half[1] - abs(away[1]), half[2] - abs(away[2]))
+    return share_at(depth, region.edge)
+
+
+@reach.of(SphereRegion)
+def reach_of_sphere(region: SphereRegion, situation: Situation) -> float:
+    return share_at(region.radius - vec3.norm(vec3.sub(situation.position, region.center)), region.edge)
+
+
+# --- bounds --------------------------------------------------------------------------------------
+
+
+@jit
+def clamp(x: float, largest: float) -> float:
+    return min(max(x, -largest), largest)
+
+
+@jit
+def times(s: float, v: Vec3) -> Vec3:
+    """s v, each component within the ceiling."""
+    return (
+        clamp(s * v[0], FORCE_CEILING_N),
+        clamp(s * v[1], FORCE_CEILING_N),
+        clamp(s * v[2], FORCE_CEILING_N),
+    )
+
+
+# --- fields --------------------------------------------------------------------------------------
+
+
+@effect_force.of(Viscosity)
+def viscous_force(effect: Viscosity, state: None, situation: Situation) -> tuple[Vec3, None]:
+    """-B v: takes energy and never gives any, wherever its region ends."""
+    return times(-reach(effect.region, situation) * effect.damping, situation.velocity), None
+
+
+@effect_force.of(ConstantForce)
+def constant_force(effect: ConstantForce, state: None, situation: Situation) -> tuple[Vec3, None]:
+    return times(reach(effect.region, situation), effect.force), None
+
+
+@effect_force.of(Spring)
+def spring_force(effect: Spring, state: None, situation: Situation) -> tuple[Vec3, None]:
+    """Towards the anchor by K (d - rest length), pushing when nearer than that, at most `force_max`."""
+    towards = vec3.sub(effect.anchor, situation.position)
+    length = vec3.norm(towards)
+    if length < NO_LENGTH_M:
+        return (0.0, 0.0, 0.0), None
+    pull = clamp(effect.stiffness * (length - effect.rest_length), effect.force_max)
+    return times(reach(effect.region, situation) * pull / length, towards), None
+
+
+@jit
+def wall_force(effect: Any, outward: Vec3, situation: Situation) -> Vec3:
+    """Spring-damper against a way past the boundary: `outward` (3,) m from it, zero inside.
+
+    As in a contact, damping may stop the spring or double it, not turn it round, so it is zero at the
+    boundary itself and never pulls outward.
+    """
+    depth = vec3.norm(outward)
+    if depth < NO_LENGTH_M:
+        return (0.0, 0.0, 0.0)
+    inward = vec3.scale(-1.0 / depth, outward)
+    elastic = min(effect.stiffness * depth, effect.force_max)
+    damped = elastic - clamp(effect.damping * vec3.dot(situation.velocity, inward), FORCE_CEILING_N)
+    push = min(max(damped, 0.0), 2.0 * elastic, effect.force_max)
+    return times(push, inward)
+
+
+@effect_force.of(BoxBoundary)
+def box_boundary_force(effect: BoxBoundary, state: None, situation: Situation) -> tuple[Vec3, None]:
+    away = vec3.sub(situation.position, effect.center)
+    half = effect.half_extents
+    outward = (away[0] - clamp(away[0], half[0]), away[1] - clamp(away[1], half[1]), away[2] - clamp(away[2], half[2]))
+    return wall_force(effect, outward, situation), None
+
+
+@effect_force.of(SphereBoundary)
+def sphere_boundary_force(effect: SphereBoundary, state: None, situation: Situation) -> tuple[Vec3, None]:
+    away = vec3.sub(situation.position, effect.center)
+    distance = vec3.norm(away)
+    if distance <= effect.radius:
+        return (0.0, 0.0, 0.0), None
+    return wall_force(effect, vec3.scale(1.0 - effect.radius / distance, away), situation), None
+
+
+# --- vibration -----------------------------------------------------------------------------------
+
+
+@jit
+def fraction(turns: float) -> float:
+    """Part of a turn in [0, 1)."""
+    turns = clamp(turns, TURNS_CEILING)
+    return turns - floor(turns)
+
+
+@jit
+def oscillate(amplitude: float, frequency: float, share: float, state: Phase, dt: float) -> tuple[float, Phase]:
+    """One tick of a sine, and where the next one starts; out of reach it waits at its beginning.
+
+    The phase is counted up tick by tick instead of being computed from the time, so that a change of
+    frequency while running does not make the force jump.
+    """
+    if share == 0.0:
+        return 0.0, Phase(0.0)
+    force = share * amplitude * sin(2.0 * pi * state.turns)
+    return force, Phase(fraction(state.turns + fraction(frequency * dt)))
+
+
+@effect_force.of(Vibration)
+def vibration_force(effect: Vibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
+    share = reach(effect.region, situation)
+    force, after = oscillate(effect.amplitude, effect.frequency, share, state, situation.dt)
+    return times(force, effect.direction), after
+
+
+@effect_force.of(NormalVibration)
+def normal_vibration_force(effect: NormalVibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
+    force, after = oscillate(effect.amplitude, effect.frequency, situation.touched, state, situation.dt)
+    return times(force, situation.normal), after
+
+
+# --- objects -------------------------------------------------------------------------------------
+
+
+@effect_force.of(Magnet)
+def magnet_force(effect: Magnet, state: None, situation: Situation) -> tuple[Vec3, None]:
+    """Towards the nearest point of the surface, F (1 - gap / range)^exponent.
+
+    Full strength while touched: the contact's spring then carries it, and the hand feels no step on
+    the way in. A function of the distance alone, so it gives back on leaving what it took on coming.
+    """
+    gap = 0.0 if situation.touched != 0.0 else max(situation.gap, 0.0)
+    if gap >= effect.range:
+        return (0.0, 0.0, 0.0), None
+    return times(-effect.force * (1.0 - gap / effect.range) ** effect.exponent, situation.normal), None
+
+
+@effect_force.of(StickSlip)
+def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> tuple[Vec3, Anchor]:
+    """A spring along the surface to a point that sticks to the object, until it would pull too hard.
+
+    The point then jumps under the probe and the force is zero: each jump loses the spring's energy,
+    so the texture takes F^2 / 2K per ridge and never gives any. As in CHAI3D, but along the surface
+    only: the depth of the press belongs to the contact.
+    """
+    zero = (0.0, 0.0, 0.0)
+    if situation.touched == 0.0:
+        return zero, Anchor(zero, 0.0)
+    here = Anchor(into(situation.carrier, situation.position), 1.0)
+    if state.held == 0.0:
+        return zero, here
+    stretched = vec3.sub(out_of(situation.carrier, state.point), situation.position)
+    pull = vec3.scale(effect.stiffness, vec3.reject(stretched, situation.normal))
+    if vec3.norm(pull) <= effect.force_max:
+        return pull, state
+    return zero, here
+
+
+# --- all of them ---------------------------------------------------------------------------------
+
+
+@by_count
+def apply_effects(effects: Any, states: Any, situation: Situation) -> Any:
+    """Sum of the forces (3,) N of a tuple of effects, and their states after this tick."""
+
+
+@apply_effects.of(0)
+def apply_none(effects: Any, states: Any, situation: Situation) -> Any:
+    # Negative zero: adding it changes no bit of any number, so the compiler leaves the addition out.
+    return (-0.0, -0.0, -0.0), ()
+
+
+@apply_effects.of(1)
+def apply_one(effects: Any, states: Any, situation: Situation) -> Any:
+    force, state = effect_force(effects[0], states[0], situation)
+    return force, (state,)
+
+
+@apply_effects.of(2)
+def apply_first_and_rest(effects: Any, states: Any, situation: Situation) -> Any:
+    force, state = effect_force(effects[0], states[0], situation)
+    others, states_of_others = apply_effects(effects[1:], states[1:], situation)
+    # numba joins tuples of known types, and does not unpack one inside another.
+    return vec3.add(force, others), (state,) + states_of_others  # noqa: RUF005
+
+
+def start_states(effects: tuple[Any, ...]) -> tuple[Any, ...]:
+    """States of effects before the first tick."""
+    starts = {StickSlip: Anchor((0.0, 0.0, 0.0), 0.0), Vibration: Phase(0.0), NormalVibration: Phase(0.0)}
+    return tuple(starts.get(type(effect)) for effect in effects)

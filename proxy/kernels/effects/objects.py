@@ -1,0 +1,74 @@
+"""The effects of the objects: each is told how the fingertip stands to its own object."""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.bodies import closest_on
+from softfinger.proxy.kernels.geometry.entries import member
+from softfinger.proxy.kernels.geometry.motion import moving_pose
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.dispatch import by_count
+
+
+class Touched(NamedTuple):
+    """Numbers of the up to three objects that hold the proxy, -1 for none, and the normals there."""
+
+    first: float
+    second: float
+    third: float
+    n1: Vec3
+    n2: Vec3
+    n3: Vec3
+
+
+@by_count
+def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+    """Sum of the forces (3,) N of all objects' effects, and their states."""
+
+
+@apply_objects_effects.of(1)
+def effects_of_one(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+    force, state = effects_of(member(objects[0], 0.0).effects, objects[0], states[0], radius, touched, contact)
+    return force, (state,)
+
+
+@apply_objects_effects.of(2)
+def effects_of_several(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+    force, state = effects_of(member(objects[0], 0.0).effects, objects[0], states[0], radius, touched, contact)
+    others, rest = apply_objects_effects(objects[1:], states[1:], radius, touched, contact)
+    return vec3.add(force, others), (state,) + rest  # noqa: RUF005  # see world.poses_of_several_at
+
+
+@by_count
+def effects_of(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+    """Force and states of one object's effects."""
+
+
+@effects_of.of(0)
+def effects_of_none(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+    return (-0.0, -0.0, -0.0), ()  # see effects.apply_none
+
+
+def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+    gap, _, normal = closest_on(body, contact.position)
+    is_touched = 1.0
+    # The contact's normal, not that of the nearest surface point: the probe may be through a thin body.
+    if body.number == touched.first:
+        normal = touched.n1
+    elif body.number == touched.second:
+        normal = touched.n2
+    elif body.number == touched.third:
+        normal = touched.n3
+    else:
+        is_touched = 0.0
+    carrier = moving_pose(body.motion, body.pose)
+    situation = Situation(
+        position=contact.position, velocity=contact.velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
+        normal=normal, carrier=carrier,
+    )  # fmt: skip
+    return apply_effects(effects, states, situation)
+
+
+effects_of.of(1)(effects_of_some)
+effects_of.of(2)(effects_of_some)

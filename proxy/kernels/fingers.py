@@ -1,0 +1,96 @@
+"""What is done for several fingers one after the other; with one finger nothing of it is left once it is compiled."""
+
+from typing import Any
+
+from softfinger.proxy.kernels.geometry.rotations import normalize
+from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.kernels.native.dispatch import by_count
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.record import write_contact, write_patches
+from softfinger.proxy.record import AT
+
+
+@by_count
+def rows_of(fingers: Any, table: Any, first: int) -> Any:
+    """Rows of `table` from `first` on, one for each finger, as a tuple."""
+
+
+@rows_of.of(1)
+def row_of_one(fingers: Any, table: Any, first: int) -> Any:
+    return (table[first],)
+
+
+@rows_of.of(2)
+def rows_of_several(fingers: Any, table: Any, first: int) -> Any:
+    # numba joins tuples of known types, and does not unpack one inside another.
+    return (table[first],) + rows_of(fingers[1:], table, first + 1)  # noqa: RUF005
+
+
+@by_count
+def same_for(fingers: Any, thing: Any) -> Any:
+    """A tuple of the same thing for each finger."""
+
+
+@same_for.of(1)
+def same_for_one(fingers: Any, thing: Any) -> Any:
+    return (thing,)
+
+
+@same_for.of(2)
+def same_for_several(fingers: Any, thing: Any) -> Any:
+    return (thing,) + same_for(fingers[1:], thing)  # noqa: RUF005  # see above
+
+
+@jit
+def pose_in(row: Any) -> Pose:
+    """Pose in a row x, y, z, qw, qx, qy, qz."""
+    return Pose((row[0], row[1], row[2]), normalize((row[3], row[4], row[5], row[6])))
+
+
+@by_count
+def poses_in(rows: Any) -> Any:
+    """The Pose in each row of a tuple."""
+
+
+@poses_in.of(1)
+def pose_of_one(rows: Any) -> Any:
+    return (pose_in(rows[0]),)
+
+
+@poses_in.of(2)
+def poses_of_several(rows: Any) -> Any:
+    return (pose_in(rows[0]),) + poses_in(rows[1:])  # noqa: RUF005  # see above
+
+
+@by_count
+def write_contacts(contacts: Any, rows: Any, probes: Any, tick: int, dt: float) -> None:
+    """Fill a record for each finger, of tick number `tick`; its time is that times dt (s)."""
+
+
+@write_contacts.of(1)
+def write_one_contact(contacts: Any, rows: Any, probes: Any, tick: int, dt: float) -> None:
+    contact, row = contacts[0], rows[0]
+    row[AT.timestamp] = tick * dt
+    write_contact(row, tick, dt, probes[0].position, probes[0].orientation, contact, contact.force, contact.torque)
+
+
+@write_contacts.of(2)
+def write_several_contacts(contacts: Any, rows: Any, probes: Any, tick: int, dt: float) -> None:
+    write_contacts(contacts[:1], rows[:1], probes[:1], tick, dt)
+    write_contacts(contacts[1:], rows[1:], probes[1:], tick, dt)
+
+
+@by_count
+def write_all_patches(states: Any, rows: Any, objects: Any) -> None:
+    """Fill what each finger's record has of its patches, by its FingerState."""
+
+
+@write_all_patches.of(1)
+def write_patches_of_one(states: Any, rows: Any, objects: Any) -> None:
+    write_patches(states[0].patches, rows[0], objects)
+
+
+@write_all_patches.of(2)
+def write_patches_of_several(states: Any, rows: Any, objects: Any) -> None:
+    write_all_patches(states[:1], rows[:1], objects)
+    write_all_patches(states[1:], rows[1:], objects)

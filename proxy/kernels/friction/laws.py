@@ -1,0 +1,267 @@
+"""Friction laws: how large the tangential force may be, and in which direction how much of it.
+
+    cone(law, normal_force, slip_speed) -> static, kinetic     largest forces, N, where the scale is 1
+    scales(law, normal, v, breaking) -> d1, d2, s1, s2         principal directions and their scales
+    load_size(law, normal, load) -> N                          what counts against the static cone
+    cut(law, normal, longest, breaking, deflection) -> deflection, slip, length
+
+`breaking` is 1 on the tick that leaves the static cone, else 0: the kinetic one counts.
+"""
+
+from math import exp, sqrt
+from typing import Any
+
+from softfinger.proxy.kernels.friction.ellipsoid import multiplier, shrink
+from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.model import (
+    Anisotropic,
+    Friction,
+    PaperFriction,
+    Quaternion,
+    SpeedFriction,
+    Stribeck,
+    Vec3,
+)
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+Scales = tuple[Vec3, Vec3, float, float]
+Cut = tuple[Vec3, float, float]
+
+ALONG_NORMAL = 1e-6
+"""A direction whose part tangent to the surface is shorter than this gives none."""
+
+
+@by_type
+def cone(law: Any, normal_force: float, slip_speed: float) -> Any: ...
+
+
+@by_type
+def scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Any: ...
+
+
+@by_type
+def load_size(law: Any, normal: Vec3, load: Vec3) -> Any: ...
+
+
+@by_type
+def cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Any: ...
+
+
+@by_type
+def turned(law: Any, rotation: Quaternion) -> Any:
+    """The law with its directions turned along with the object."""
+
+
+@by_type
+def scaled(law: Any, factor: float) -> Any:
+    """The law with all its coefficients times `factor`."""
+
+
+# --- Coulomb ---------------------------------------------------------------------------------------
+
+
+@cone.of(Friction)
+def coulomb_cone(law: Friction, normal_force: float, slip_speed: float) -> tuple[float, float]:
+    return law.static * normal_force, law.kinetic * normal_force
+
+
+@jit
+def isotropic_scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales:
+    length = vec3.norm(v)
+    if length > 0.0:
+        return vec3.scale(1.0 / length, v), (0.0, 0.0, 0.0), 1.0, 1.0
+    return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 1.0
+
+
+@jit
+def isotropic_cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
+    """Radial return to a circle, which is its nearest point; never extended, so friction only resists."""
+    length = vec3.norm(deflection)
+    slip = max(length - longest, 0.0)
+    if slip > 0.0:
+        deflection = vec3.scale(longest / length, deflection)
+        length = longest
+    return deflection, slip, length
+
+
+@scales.of(Friction)
+def coulomb_scales(law: Friction, normal: Vec3, v: Vec3, breaking: float) -> Scales:
+    return isotropic_scales(law, normal, v, breaking)
+
+
+@load_size.of(Friction)
+def coulomb_load_size(law: Friction, normal: Vec3, load: Vec3) -> float:
+    return vec3.norm(load)
+
+
+@cut.of(Friction)
+def coulomb_cut(law: Friction, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
+    return isotropic_cut(law, normal, longest, breaking, deflection)
+
+
+@turned.of(None)
+def unturned_nothing(law: None, rotation: Quaternion) -> None:
+    return law
+
+
+@turned.of(Friction)
+def coulomb_turned(law: Friction, rotation: Quaternion) -> Friction:
+    return law
+
+
+@turned.of(PaperFriction)
+def paper_turned(law: PaperFriction, rotation: Quaternion) -> PaperFriction:
+    return law
+
+
+@scaled.of(None)
+def unscaled_nothing(law: None, factor: float) -> None:
+    return law
+
+
+@scaled.of(Friction)
+def coulomb_scaled(law: Friction, factor: float) -> Friction:
+    return Friction(factor * law.static, factor * law.kinetic)
+
+
+@scaled.of(PaperFriction)
+def paper_scaled(law: PaperFriction, factor: float) -> PaperFriction:
+    return PaperFriction(factor * law.static, factor * law.kinetic)
+
+
+# --- with the speed --------------------------------------------------------------------------------
+
+
+@by_type
+def remaining(stribeck: Any, slip_speed: float) -> Any:
+    """Share of the fall from static to kinetic friction that is still to come at that speed."""
+
+
+@remaining.of(None)
+def fallen_at_once(stribeck: None, slip_speed: float) -> float:
+    return 0.0
+
+
+@remaining.of(Stribeck)
+def falling_with_speed(stribeck: Stribeck, slip_speed: float) -> float:
+    if stribeck.speed <= 0.0:
+        return 0.0
+    ratio = slip_speed / stribeck.speed
+    return exp(-ratio * ratio)
+
+
+@cone.of(SpeedFriction)
+def speed_cone(law: SpeedFriction, normal_force: float, slip_speed: float) -> tuple[float, float]:
+    """mu(v) = mu_d + (mu_s - mu_d) exp(-(v / v_s)^2) + c v.
+
+    Source: the general kinetic model in Armstrong-Helouvry, Dupont, Canudas de Wit (1994), exponent 2.
+    """
+    drop = (law.static - law.kinetic) * remaining(law.stribeck, slip_speed)
+    return law.static * normal_force, (law.kinetic + drop + law.viscous * slip_speed) * normal_force
+
+
+@scales.of(SpeedFriction)
+def speed_scales(law: SpeedFriction, normal: Vec3, v: Vec3, breaking: float) -> Scales:
+    return isotropic_scales(law, normal, v, breaking)
+
+
+@load_size.of(SpeedFriction)
+def speed_load_size(law: SpeedFriction, normal: Vec3, load: Vec3) -> float:
+    return vec3.norm(load)
+
+
+@cut.of(SpeedFriction)
+def speed_cut(law: SpeedFriction, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
+    return isotropic_cut(law, normal, longest, breaking, deflection)
+
+
+@turned.of(SpeedFriction)
+def speed_turned(law: SpeedFriction, rotation: Quaternion) -> SpeedFriction:
+    return law
+
+
+@scaled.of(SpeedFriction)
+def speed_scaled(law: SpeedFriction, factor: float) -> SpeedFriction:
+    return SpeedFriction(factor * law.static, factor * law.kinetic, law.stribeck, factor * law.viscous)
+
+
+# --- anisotropic -----------------------------------------------------------------------------------
+
+
+@cone.of(Anisotropic)
+def anisotropic_cone(law: Anisotropic, normal_force: float, slip_speed: float) -> tuple[float, float]:
+    return cone(law.law, normal_force, slip_speed)
+
+
+@jit
+def surface_direction(direction: Vec3, normal: Vec3) -> Vec3:
+    """Unit tangent under `direction`; where that stands on the surface, under the axis that lies flattest."""
+    along = vec3.reject(direction, normal)
+    length = vec3.norm(along)
+    if length < ALONG_NORMAL:
+        x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])
+        if x <= y and x <= z:
+            along = vec3.reject((1.0, 0.0, 0.0), normal)
+        elif y <= z:
+            along = vec3.reject((0.0, 1.0, 0.0), normal)
+        else:
+            along = vec3.reject((0.0, 0.0, 1.0), normal)
+        length = vec3.norm(along)
+    return vec3.scale(1.0 / length, along)
+
+
+@scales.of(Anisotropic)
+def anisotropic_scales(law: Anisotropic, normal: Vec3, v: Vec3, breaking: float) -> Scales:
+    along = surface_direction(law.direction, normal)
+    across = vec3.cross(normal, along)
+    if breaking != 0.0:
+        return along, across, law.static_along, law.static_across
+    return along, across, law.kinetic_along, law.kinetic_across
+
+
+@load_size.of(Anisotropic)
+def anisotropic_load_size(law: Anisotropic, normal: Vec3, load: Vec3) -> float:
+    along, across, s1, s2 = anisotropic_scales(law, normal, load, 1.0)
+    a, b = vec3.dot(load, along) / s1, vec3.dot(load, across) / s2
+    return sqrt(a * a + b * b)
+
+
+@cut.of(Anisotropic)
+def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
+    """Return to the nearest point of the ellipse: the slip is then along its normal (maximum dissipation)."""
+    if longest <= 0.0:
+        return (0.0, 0.0, 0.0), vec3.norm(deflection), 0.0
+    along, across, s1, s2 = anisotropic_scales(law, normal, deflection, breaking)
+    x, y = vec3.dot(deflection, along) / (s1 * longest), vec3.dot(deflection, across) / (s2 * longest)
+    if x * x + y * y <= 1.0:
+        return deflection, 0.0, vec3.norm(deflection)
+    a, b = 1.0 / (s1 * s1), 1.0 / (s2 * s2)
+    m = multiplier((x, y, 0.0), (a, b, 1.0))
+    x, y, _ = shrink((x, y, 0.0), (a, b, 1.0), m)
+    kept = vec3.add_scaled(vec3.scale(s1 * longest * x, along), s2 * longest * y, across)
+    return kept, vec3.norm(vec3.sub(deflection, kept)), vec3.norm(kept)
+
+
+@turned.of(Anisotropic)
+def anisotropic_turned(law: Anisotropic, rotation: Quaternion) -> Anisotropic:
+    return Anisotropic(
+        law.law,
+        rotations.rotate(rotation, law.direction),
+        law.static_along,
+        law.static_across,
+        law.kinetic_along,
+        law.kinetic_across,
+    )
+
+
+@scaled.of(Anisotropic)
+def anisotropic_scaled(law: Anisotropic, factor: float) -> Anisotropic:
+    return Anisotropic(
+        scaled(law.law, factor),
+        law.direction,
+        law.static_along,
+        law.static_across,
+        law.kinetic_along,
+        law.kinetic_across,
+    )

@@ -1,0 +1,145 @@
+"""Friction and torsion with one limit or with two: what a slip leaves of deflection and wind-up.
+
+room(torsion, spin, normal_force) -> 1                  share of the static cone that torsion leaves
+slide(torsion, law, stiffness, limit, breaking, patch) -> Slide
+"""
+
+from math import sqrt
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.friction.ellipsoid import multiplier, near, shrink
+from softfinger.proxy.kernels.friction.laws import cut, scales
+from softfinger.proxy.kernels.friction.torsion import torsional_limit, torsional_stiffness
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.model import LimitSurface, Patch, PowerTorsion, SoftFingerProxy, Torsion, Vec3
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+WEIGHT_MAX = 1e24
+"""Ratio of the energies that the two springs store at their limits, beyond which one of them is rigid."""
+
+
+class Slide(NamedTuple):
+    """What a tick of slip leaves, and how much it was.
+
+    deflection    (3,) m
+    spin, twist   rad  phi before the tick and the part of the tick's rotation that is still to be wound
+    slip          m    way the skin slipped; with a limit surface the dissipated energy over the force limit
+    length        m    |e|; with a limit surface the deflection that would store the same energy
+    """
+
+    deflection: Vec3
+    spin: float
+    twist: float
+    slip: float
+    length: float
+
+
+@by_type
+def room(torsion: Any, spin: float, normal_force: float) -> Any: ...
+
+
+@by_type
+def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch) -> Any: ...
+
+
+@jit
+def slide_alone(law: Any, stiffness: float, limit: float, breaking: float, patch: Patch) -> Slide:
+    """Tangential slip that torsion has no part in: K |e| at most `limit`."""
+    deflection, slip, length = cut(law, patch.normal, limit / stiffness, breaking, patch.deflection)
+    return Slide(deflection, patch.spin, patch.twist, slip, length)
+
+
+@room.of(None)
+def room_without_torsion(torsion: None, spin: float, normal_force: float) -> float:
+    return 1.0
+
+
+@room.of(Torsion)
+def room_beside_torsion(torsion: Torsion, spin: float, normal_force: float) -> float:
+    return 1.0
+
+
+@room.of(PowerTorsion)
+def room_beside_power_torsion(torsion: PowerTorsion, spin: float, normal_force: float) -> float:
+    return 1.0
+
+
+@room.of(SoftFingerProxy)
+def room_beside_soft_finger(torsion: SoftFingerProxy, spin: float, normal_force: float) -> float:
+    return 1.0
+
+
+@slide.of(None)
+def slide_without_torsion(
+    torsion: None, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+) -> Slide:
+    return slide_alone(law, stiffness, limit, breaking, patch)
+
+
+@slide.of(Torsion)
+def slide_beside_torsion(
+    torsion: Torsion, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+) -> Slide:
+    return slide_alone(law, stiffness, limit, breaking, patch)
+
+
+@slide.of(PowerTorsion)
+def slide_beside_power_torsion(
+    torsion: PowerTorsion, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+) -> Slide:
+    return slide_alone(law, stiffness, limit, breaking, patch)
+
+
+@slide.of(SoftFingerProxy)
+def slide_beside_soft_finger(
+    torsion: SoftFingerProxy, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+) -> Slide:
+    return slide_alone(law, stiffness, limit, breaking, patch)
+
+
+@room.of(LimitSurface)
+def room_on_limit_surface(torsion: LimitSurface, spin: float, normal_force: float) -> float:
+    """sqrt(1 - (tau_n / tau_max)^2): all of the cone without torsion, none at the torsional limit."""
+    limit = torsional_limit(torsion.law, normal_force)
+    if limit <= 0.0:
+        return 1.0
+    share = torsional_stiffness(torsion.law) * spin / limit
+    return sqrt(max(1.0 - share * share, 0.0))
+
+
+@slide.of(LimitSurface)
+def slide_on_limit_surface(
+    torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+) -> Slide:
+    """Bring (K e, k_z phi) back to (f_T / F)^2 + (tau_n / tau_max)^2 <= 1.
+
+    The nearest point, distance measured by the energy of the two springs: then what slips, (de, dphi), is along
+    the surface's normal, and dissipates the most that the surface allows.
+
+    Source: the limit surface of Goyal, Ruina, Papadopoulos (1991) as the ellipsoid of Howe and Cutkosky (1996);
+    as a god-object's, Frisoli, Barbagli, Ruffaldi, Salisbury, Bergamasco (2006), who move along a limit curve.
+    """
+    k_z = torsional_stiffness(torsion.law)
+    longest, widest = limit / stiffness, torsional_limit(torsion.law, patch.normal_force) / k_z
+    spin = patch.spin + patch.twist
+    if longest <= 0.0 or widest <= 0.0:
+        # A flat surface: each has its own limit, one of them none.
+        deflection, slip, length = cut(law, patch.normal, longest, breaking, patch.deflection)
+        return Slide(deflection, patch.spin, patch.twist, slip, length)
+
+    d1, d2, s1, s2 = scales(law, patch.normal, patch.deflection, breaking)
+    a1, a2 = s1 * longest, s2 * longest
+    y = near((vec3.dot(patch.deflection, d1) / a1, vec3.dot(patch.deflection, d2) / a2, spin / widest))
+    deflection, slip = patch.deflection, 0.0
+    if vec3.dot(y, y) > 1.0:
+        energies = longest / widest
+        ratio = min(max(energies * energies * stiffness / k_z, 1.0 / WEIGHT_MAX), WEIGHT_MAX)
+        weight = (1.0 / (s1 * s1), 1.0 / (s2 * s2), ratio)
+        kept = shrink(y, weight, multiplier(y, weight))
+        deflection = vec3.add_scaled(vec3.scale(a1 * kept[0], d1), a2 * kept[1], d2)
+        lost, turned = vec3.sub(patch.deflection, deflection), (spin - widest * kept[2]) * k_z * widest / limit
+        slip = sqrt(vec3.dot(lost, lost) + turned * turned)
+        spin = widest * kept[2]
+    length = sqrt(vec3.dot(deflection, deflection) + k_z / stiffness * spin * spin)
+    return Slide(deflection, spin, 0.0, slip, length)

@@ -1,0 +1,260 @@
+"""Spin moment of a soft finger: a torsional spring whose anchor slips at the torsional limit.
+
+    wind(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt) -> Wound
+
+Positive spin is right-handed about the normal; the moment on the hand opposes it.
+"""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.model import LimitSurface, PatchTorsion, PowerTorsion, SoftFingerProxy, Torsion
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+SPIN_SLIP_TIME_CONSTANT_S = 0.010
+"""Low-pass of the anchor's slip, as that of the tangential slip."""
+STOP_SPIN_RAD_PER_S = 0.05
+"""Below this an anchor that does not slip in this tick has stopped: 0.5 mm/s at the skin of a 10 mm finger."""
+SPIN_REVERSE_SHARE = 0.1
+"""Share of the wind-up that must be undone before a spinning slip counts as reversed."""
+SPIN_ROUNDING = 1e-9
+"""Relative size of what is rounding and not slip."""
+SLOWEST = 1e-300
+"""A slip speed that is not zero: an anchor that slips, however slowly, is told from one that sticks."""
+
+
+class Wound(NamedTuple):
+    """Wind-up phi, rad, moment about the normal on the hand, N m, and the anchor's slip (see `State`)."""
+
+    spin: float
+    moment: float
+    slip_speed: float
+    slip_angle: float
+
+
+@by_type
+def torsional_limit(torsion: Any, normal_force: float) -> Any:
+    """Largest moment about the normal, N m, under a normal force."""
+
+
+@by_type
+def torsional_stiffness(torsion: Any) -> Any:
+    """k_z, N m/rad; 1 without torsion, for what is to be compared."""
+
+
+@by_type
+def wind(
+    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
+) -> Any:
+    """The spring after a twist of `turn` rad."""
+
+
+@torsional_limit.of(Torsion)
+def linear_limit(torsion: Torsion, normal_force: float) -> float:
+    return torsion.friction_length * normal_force
+
+
+@torsional_limit.of(PowerTorsion)
+def power_limit(torsion: PowerTorsion, normal_force: float) -> float:
+    """A contact patch that grows with the load: radius ~ f_N^gamma (Xydas and Kao, 1999; gamma = 1/3 is Hertz's)."""
+    return torsion.friction_length * normal_force * normal_force**torsion.exponent
+
+
+@torsional_stiffness.of(Torsion)
+def linear_stiffness(torsion: Torsion) -> float:
+    return torsion.stiffness
+
+
+@torsional_stiffness.of(PowerTorsion)
+def power_stiffness(torsion: PowerTorsion) -> float:
+    return torsion.stiffness
+
+
+@torsional_stiffness.of(None)
+def no_stiffness(torsion: None) -> float:
+    return 1.0
+
+
+@torsional_stiffness.of(PatchTorsion)
+def stiffness_in_winding_units(torsion: PatchTorsion) -> float:
+    """A wind-up is remembered with its stiffness in it: see `friction.footprint.winding_unit`."""
+    return 1.0
+
+
+@torsional_stiffness.of(LimitSurface)
+def limit_surface_stiffness(torsion: LimitSurface) -> float:
+    return torsional_stiffness(torsion.law)
+
+
+@torsional_stiffness.of(SoftFingerProxy)
+def soft_finger_stiffness(torsion: SoftFingerProxy) -> float:
+    return torsional_stiffness(torsion.law)
+
+
+@by_type
+def gripped(torsion: Any, factor: float) -> Any:
+    """The law where friction is `factor` times what it is: so is the torsional limit, which friction makes."""
+
+
+@gripped.of(None)
+def grip_none(torsion: None, factor: float) -> None:
+    return torsion
+
+
+@gripped.of(Torsion)
+def grip_linear(torsion: Torsion, factor: float) -> Torsion:
+    return Torsion(torsion.stiffness, factor * torsion.friction_length)
+
+
+@gripped.of(PowerTorsion)
+def grip_power(torsion: PowerTorsion, factor: float) -> PowerTorsion:
+    return PowerTorsion(torsion.stiffness, factor * torsion.friction_length, torsion.exponent)
+
+
+@gripped.of(PatchTorsion)
+def grip_patch(torsion: PatchTorsion, factor: float) -> PatchTorsion:
+    return PatchTorsion(factor * torsion.friction)
+
+
+@gripped.of(LimitSurface)
+def grip_limit_surface(torsion: LimitSurface, factor: float) -> LimitSurface:
+    return LimitSurface(gripped(torsion.law, factor))
+
+
+@gripped.of(SoftFingerProxy)
+def grip_soft_finger(torsion: SoftFingerProxy, factor: float) -> SoftFingerProxy:
+    return SoftFingerProxy(gripped(torsion.law, factor), torsion.kinetic_share)
+
+
+@by_type
+def share_of(torsion: Any, share: float) -> Any:
+    """The law of a patch that has this share of the spring; its limit is that of its own normal force."""
+
+
+@share_of.of(None)
+def share_of_none(torsion: None, share: float) -> None:
+    return torsion
+
+
+@share_of.of(Torsion)
+def share_of_linear(torsion: Torsion, share: float) -> Torsion:
+    return Torsion(share * torsion.stiffness, torsion.friction_length)
+
+
+@share_of.of(PowerTorsion)
+def share_of_power(torsion: PowerTorsion, share: float) -> PowerTorsion:
+    return PowerTorsion(share * torsion.stiffness, torsion.friction_length, torsion.exponent)
+
+
+@share_of.of(PatchTorsion)
+def share_of_patch(torsion: PatchTorsion, share: float) -> PatchTorsion:
+    """Its spring is that of its own normal force already."""
+    return torsion
+
+
+@share_of.of(LimitSurface)
+def share_of_limit_surface(torsion: LimitSurface, share: float) -> LimitSurface:
+    return LimitSurface(share_of(torsion.law, share))
+
+
+@share_of.of(SoftFingerProxy)
+def share_of_soft_finger(torsion: SoftFingerProxy, share: float) -> SoftFingerProxy:
+    return SoftFingerProxy(share_of(torsion.law, share), torsion.kinetic_share)
+
+
+@wind.of(None)
+def no_torsion(
+    torsion: None, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
+) -> Wound:
+    return Wound(0.0, 0.0, 0.0, 0.0)
+
+
+@jit
+def clamped(
+    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
+) -> Wound:
+    """tau_n = k_z phi, its magnitude at most the torsional limit; what is beyond it the anchor has slipped.
+
+    Source: Salvietti et al. (2013), eq. 1; the paper has no limit.
+    """
+    stiffness = torsional_stiffness(torsion)
+    limit = torsional_limit(torsion, normal_force) / stiffness
+    wound = min(max(spin + turn, -limit), limit)
+    return Wound(wound, -stiffness * wound, 0.0, 0.0)
+
+
+@wind.of(Torsion)
+def wind_linear(
+    torsion: Torsion, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
+) -> Wound:
+    return clamped(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
+
+
+@wind.of(PowerTorsion)
+def wind_power(
+    torsion: PowerTorsion,
+    spin: float,
+    turn: float,
+    normal_force: float,
+    slip_speed: float,
+    slip_angle: float,
+    dt: float,
+) -> Wound:
+    return clamped(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
+
+
+@wind.of(LimitSurface)
+def wind_limit_surface(
+    torsion: LimitSurface,
+    spin: float,
+    turn: float,
+    normal_force: float,
+    slip_speed: float,
+    slip_angle: float,
+    dt: float,
+) -> Wound:
+    """Without a tangential load the limit surface is the torsional limit; with one, friction has cut phi before."""
+    return clamped(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
+
+
+@wind.of(SoftFingerProxy)
+def wind_soft_finger(
+    torsion: SoftFingerProxy,
+    spin: float,
+    turn: float,
+    normal_force: float,
+    slip_speed: float,
+    slip_angle: float,
+    dt: float,
+) -> Wound:
+    """The proxy's fourth degree of freedom: its angle about the normal sticks, or slips behind the probe's.
+
+    phi is the probe's angle less the proxy's. The proxy stays while k_z |phi| is within the static torsional
+    cone; outside it the proxy turns after the probe so that k_z |phi| is the kinetic limit, until the slip has
+    stopped or turned back. On the tick on which it breaks loose the moment is the static limit. The cone on
+    translation is another and knows nothing of this one.
+
+    Source: Barbagli, Frisoli, Salisbury, Bergamasco (2004). Differs from it in ending a slip as tangential
+    friction does here (band at standstill, share of unwinding) and not by the cone alone.
+    """
+    stiffness = torsional_stiffness(torsion.law)
+    static_limit = torsional_limit(torsion.law, normal_force) / stiffness
+    sticks = slip_speed == 0.0
+    limit = static_limit if sticks else torsion.kinetic_share * static_limit
+    wound = spin + turn
+    slip = max(abs(wound) - limit, 0.0)
+    wound = min(max(wound, -limit), limit)
+    slips = slip > SPIN_ROUNDING * limit
+    speed = slip / dt if dt > 0.0 else 0.0
+    if sticks:
+        if slips:
+            slip_speed, slip_angle = max(speed, SLOWEST), abs(wound)
+    else:
+        if slips:
+            slip_angle = abs(wound)
+        slip_speed = max(slip_speed + (speed - slip_speed) * dt / (SPIN_SLIP_TIME_CONSTANT_S + dt), SLOWEST)
+        stopped = slip_speed < STOP_SPIN_RAD_PER_S
+        turned_back = slip_angle - abs(wound) > SPIN_REVERSE_SHARE * slip_angle
+        if not slips and (stopped or turned_back):
+            slip_speed = 0.0
+    return Wound(wound, -stiffness * wound, slip_speed, slip_angle)

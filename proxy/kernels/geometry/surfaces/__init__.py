@@ -1,0 +1,39 @@
+"""Geometry of each shape: the only folder to extend for a new surface, with one file per family.
+
+See `contract` for what a shape has to give. A package of its own may give the same for shapes of its own.
+"""
+
+from softfinger.proxy.kernels.geometry.surfaces import ellipsoid, grown, plane, round, sharp, torus
+from softfinger.proxy.kernels.geometry.surfaces.contract import (
+    NO_HIT,
+    ahead,
+    bend,
+    closest,
+    curvature,
+    is_hollow,
+    rest_on,
+    tangent_plane,
+    transport,
+    travel,
+    unroll,
+)
+
+__all__ = [
+    "NO_HIT",
+    "ahead",
+    "bend",
+    "closest",
+    "curvature",
+    "ellipsoid",
+    "grown",
+    "is_hollow",
+    "plane",
+    "rest_on",
+    "round",
+    "sharp",
+    "tangent_plane",
+    "torus",
+    "transport",
+    "travel",
+    "unroll",
+]

@@ -1,0 +1,100 @@
+"""Which object a fingertip meets first on its way: nothing thin is jumped over in a tick, whoever moves.
+
+The way is the one that the object sees: straight, in its own frame, from where the fingertip was to where it is.
+"""
+
+from typing import Any
+
+from numba import literal_unroll
+
+from softfinger.proxy.kernels.contact.carry import ridden
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.entries import places
+from softfinger.proxy.kernels.geometry.frames import into
+from softfinger.proxy.kernels.geometry.surfaces import NO_HIT, closest, travel
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.rows import Rows
+
+ADVANCES = 32
+"""Steps of a sweep; each goes as far as the clearance allows, so most sweeps take one or two."""
+TOUCHING = 1e-9
+"""Clearance, as a share of the radius, that counts as none."""
+
+
+@travel.otherwise
+def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
+    """Conservative advancement: go as far as the clearance, which nothing can be nearer than; ask again."""
+    way = vec3.sub(end, start)
+    length = vec3.norm(way)
+    gap, _, _ = closest(shape, start)
+    clearance = gap - radius
+    if clearance >= length:
+        return NO_HIT
+    touching = TOUCHING * radius
+    if clearance <= touching:
+        gap, _, _ = closest(shape, end)
+        return 0.0 if gap - radius < (min(clearance, 0.0) if leaves else 0.0) else NO_HIT
+    share = 0.0
+    for _ in range(ADVANCES):
+        share += clearance / length
+        if share >= 1.0:
+            return NO_HIT
+        gap, _, _ = closest(shape, vec3.add_scaled(start, share, way))
+        clearance = gap - radius
+        if clearance <= touching:
+            return share
+    # A glancing pass comes ever closer without meeting: it counts only if it ends inside.
+    gap, _, _ = closest(shape, end)
+    return share if gap < radius else NO_HIT
+
+
+@by_type
+def first_in(entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any) -> Any:
+    """What of an entry that begins with the place `at` is met first: see `first_hit`.
+
+    returns  the share of the way at which it is met, its place, and where (3,) m its way begins
+    """
+
+
+@first_in.otherwise
+def meets_it(
+    entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any
+) -> tuple[float, float, Vec3]:
+    met, begin = NO_HIT, start
+    if at != skip[0] and at != skip[1] and at != skip[2]:
+        begin = ridden(entry.was, entry.pose, start)
+        met = travel(entry.shape, into(entry.pose, begin), into(entry.pose, end), radius, leaves)
+    return met, at, begin
+
+
+@first_in.of(Rows)
+def first_in_rows(
+    entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any
+) -> tuple[float, float, Vec3]:
+    share, index = NO_HIT, at
+    for i in range(len(entry)):
+        met, place, _ = meets_it(entry[i], at + i, start, end, radius, leaves, skip)
+        if met < share:
+            share, index = met, place
+    return share, index, start  # what stands in rows does not move
+
+
+@jit
+def first_hit(objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any) -> tuple[float, Vec3]:
+    """Place of the first object met, -1 for none, and where (3,) m its surface and the fingertip meet.
+
+    start   (3,) m  where the way begins, at the last tick: an object that has moved since has taken it along
+    end     (3,) m  where the way ends now
+    leaves          see `travel`
+    skip            places of up to three objects that are not asked
+    """
+    share, index, where = NO_HIT, -1.0, end
+    at = 0.0
+    for entry in literal_unroll(objects):
+        met, place, begin = first_in(entry, at, start, end, radius, leaves, skip)
+        if met < share:
+            share, index, where = met, place, vec3.add_scaled(begin, met, vec3.sub(end, begin))
+        at += places(entry)
+    return index, where

@@ -1,0 +1,48 @@
+"""Vectors in space as 3-tuples of float64; they live in registers and allocate nothing."""
+
+from math import sqrt
+
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import jit
+
+
+@jit
+def add(a: Vec3, b: Vec3) -> Vec3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+@jit
+def sub(a: Vec3, b: Vec3) -> Vec3:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@jit
+def scale(s: float, a: Vec3) -> Vec3:
+    return (s * a[0], s * a[1], s * a[2])
+
+
+@jit
+def add_scaled(a: Vec3, s: float, b: Vec3) -> Vec3:
+    """a + s b."""
+    return (a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2])
+
+
+@jit
+def dot(a: Vec3, b: Vec3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@jit
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@jit
+def norm(a: Vec3) -> float:
+    return sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+@jit
+def reject(a: Vec3, n: Vec3) -> Vec3:
+    """Part of `a` normal to the unit vector `n`."""
+    return add_scaled(a, -dot(a, n), n)

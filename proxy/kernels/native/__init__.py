@@ -1,0 +1,4 @@
+"""What makes numba compile kernels as the loop needs: options and cache, dispatch, memory, arrays, atomics, C calls.
+
+Nothing of geometry or contact.
+"""

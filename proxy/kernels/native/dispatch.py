@@ -1,0 +1,84 @@
+"""Functions chosen by the type of their first argument, compiled or in plain Python.
+
+A scene is a tree of named tuples. `@by_type` declares what every kind of node can do, `.of(Kind)`
+says how one kind does it, `.otherwise` how all those do it that have no own way. `.of(None)` is the case
+of a part the scene does not have; no default stands in for it. The choice is made while compiling, so a
+scene runs only the code of the parts it has.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any, Final
+
+from numba import types
+from numba.extending import overload
+
+from softfinger.proxy.kernels.native.jit import INLINED, jit
+from softfinger.proxy.kernels.native.kept import written_in
+
+_OTHERS: Final = object()
+
+
+def _kind_of(numba_type: types.Type) -> type | None:
+    # A named tuple whose fields all have one type is a NamedUniTuple, not a NamedTuple: ask for the class.
+    if isinstance(numba_type, types.NoneType):
+        return None
+    return getattr(numba_type, "instance_class", None) or type(numba_type)
+
+
+def _bare_signature(function: Callable[..., Any]) -> inspect.Signature:
+    # numba insists that a kernel has the signature of its declaration, annotations included; those differ.
+    plain = [
+        parameter.replace(annotation=inspect.Parameter.empty)
+        for parameter in inspect.signature(function).parameters.values()
+    ]
+    return inspect.Signature(plain)
+
+
+def by_type(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel that each kind of node implements with `.of(Kind)`, or all others with `.otherwise`.
+
+    A kind is known by its class, wherever that is defined: a package of its own adds kinds by `.of(Kind)` alone.
+    """
+    return _declare(declaration, lambda node: None if node is None else type(node), _kind_of)
+
+
+def by_count(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel chosen by the length of a tuple: `.of(1)` for exactly one, `.of(2)` for two and more."""
+    return _declare(declaration, lambda nodes: min(len(nodes), 2), lambda nodes: min(len(nodes), 2))
+
+
+def _declare(
+    declaration: Callable[..., Any], key: Callable[[Any], Any], compiled_key: Callable[[types.Type], Any]
+) -> Any:
+    kernels: dict[Any, Callable[..., Any]] = {}
+
+    def kernel_for(kind: Any) -> Callable[..., Any] | None:
+        return kernels.get(kind) if kind is None or kind in kernels else kernels.get(_OTHERS)
+
+    @functools.wraps(declaration)
+    def call(node: Any, *rest: Any) -> Any:
+        kernel = kernel_for(key(node))
+        if kernel is None:
+            raise TypeError(f"{declaration.__qualname__} is not defined for {key(node)}")
+        return kernel(node, *rest)
+
+    def of(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
+            kernels[kind] = kernel
+            written_in(kind, kernel.__code__.co_filename)
+            kernel.__signature__ = _bare_signature(kernel)  # type: ignore[attr-defined]
+            compiled: Callable[..., Any] = jit(kernel)
+            return compiled
+
+        return register
+
+    def choose(node: types.Type, *rest: types.Type) -> Callable[..., Any] | None:
+        return kernel_for(compiled_key(node))
+
+    choose.__signature__ = _bare_signature(declaration)  # type: ignore[attr-defined]
+    overload(call, jit_options=INLINED)(choose)
+    call.of = of  # type: ignore[attr-defined]
+    call.otherwise = of(_OTHERS)  # type: ignore[attr-defined]
+    return call

@@ -1,0 +1,120 @@
+"""How kernels are compiled: one set of options, one cache that cannot serve stale code.
+
+A kernel inlines code from other files and reads their constants, so it has to be compiled anew after an edit
+of any of them. So the cache lives in a folder named by a hash over every source file of this package, numba's
+version and settings and the processor: any change means another folder. Where that one cannot be used there is no
+other: kernels are compiled in memory (`kept.py`).
+
+No `fastmath`: it makes `isnan` lie, and contraction would let the servo and the offline run round
+differently. `error_model="numpy"`: a division by zero gives inf or nan, which the guard refuses,
+rather than an exception, which would end the loop.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
+
+import llvmlite.binding as llvm
+import numba
+from numba.core import sigutils
+from numba.core.ccallback import CFunc
+from numba.core.registry import CPUDispatcher
+
+from softfinger.proxy.kernels.native.kept import Folder, KernelCache
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+_PACKAGE: Final = Path(__file__).resolve().parents[3]
+_SOURCE_FOLDERS: Final = ("config", "drivers", "proxy", "server", "tools")
+
+
+def _cache_root() -> Path | None:
+    """None for a user whose home folder is not known."""
+    named = os.environ.get("SOFTFINGER_CACHE_DIR")
+    if named:
+        return Path(named).absolute()
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "softfinger"
+    except RuntimeError:
+        return None
+
+
+def _source_hash() -> str:
+    digest = hashlib.sha256()
+    for folder in _SOURCE_FOLDERS:
+        for path in sorted((_PACKAGE / folder).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+SOURCE_HASH: Final = _source_hash()
+"""What tells this version of the program from others: a hash over every source file as it was at import."""
+
+
+def _fingerprint() -> str:
+    made = numba.config
+    cpu = made.CPU_NAME or llvm.get_host_cpu_name()
+    settings = made.OPT, made.BOUNDSCHECK, made.LOOP_VECTORIZE, made.SLP_VECTORIZE
+    return hashlib.sha256(f"{numba.__version__} {sys.version} {cpu} {settings} {SOURCE_HASH}".encode()).hexdigest()[:16]
+
+
+_ROOT: Final = _cache_root()
+
+CACHE_DIR: Final = None if _ROOT is None else _ROOT / _fingerprint()
+"""Where this version's compiled kernels are kept, None for nowhere; `SOFTFINGER_CACHE_DIR` moves it."""
+
+KEPT: Final = Folder(CACHE_DIR)
+
+OPTIONS: Final = {"error_model": "numpy", "nogil": True, "_nrt": False, "no_cfunc_wrapper": True}
+"""Without numba's runtime (`_nrt`) there is no allocator and no reference count: a kernel that would
+allocate does not compile. There are no C wrappers: `c_function` makes those that are called."""
+
+
+INLINED: Final = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True}
+"""Options of a kernel that only kernels call: without a wrapper for Python it compiles in half the time."""
+
+
+class _OnCall(CPUDispatcher):  # type: ignore[misc]
+    """A kernel for other kernels. Called from Python it is compiled once more, with the wrapper that needs."""
+
+    def __call__(self, *args: Any) -> Any:
+        if "_from_python" not in self.__dict__:
+            self._from_python = numba.njit(**OPTIONS)(self.py_func)
+        return self._from_python(*args)
+
+
+def on_call(compiled: Any) -> Any:
+    """A kernel compiled without a wrapper for Python, made one that Python may call all the same."""
+    compiled.__class__ = _OnCall
+    return compiled
+
+
+def jit(function: Kernel) -> Kernel:
+    """Compile a kernel into its callers; `outlined` is for what is too large for that."""
+    return cast(Kernel, on_call(numba.njit(**INLINED)(function)))
+
+
+def entry(function: Kernel) -> Kernel:
+    """Compile a kernel that Python calls, and keep the result on disk."""
+    compiled: Any = numba.njit(**OPTIONS)(function)
+    compiled._cache = KernelCache(function, KEPT)
+    return cast(Kernel, compiled)
+
+
+def c_function(signature: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a kernel with a C address (`.address`), and keep the result on disk."""
+    wanted = sigutils.normalize_signature(signature)
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        # What numba.cfunc does, which compiles at once and offers no other cache than its own.
+        compiled: Any = CFunc(function, wanted, locals={}, options={"error_model": "numpy"})
+        compiled._cache = KernelCache(function, KEPT)
+        compiled.compile()
+        return compiled
+
+    return decorate

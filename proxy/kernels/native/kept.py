@@ -1,0 +1,286 @@
+"""Compiled kernels on disk: loaded only from a folder that nobody else can write to, and only whole.
+
+A kept kernel is a pickle of machine code: whoever can write one runs code as whoever loads it, and a flipped
+bit is another force. So two things are asked before a byte is unpickled. The folder, every folder above it and
+the file belong to this user or to root and can be written by no other: that keeps attackers out. The file's
+checksum is right: that keeps damage out, and no more, for an attacker can compute one. What fails either is
+compiled anew. numba's own files are not used: it looks for other folders where the named one cannot be
+written to, trusts what it finds there, and ends the program when a file is damaged or the disk is full.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import pickle
+import secrets
+import stat
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import llvmlite.binding as llvm
+from numba import types
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+MAGIC: Final = b"softfinger kernel 1\n"
+LINKS_MAX: Final = 40
+OWN_FOLDER: Final = "set SOFTFINGER_CACHE_DIR to a folder of your own"
+
+_PROGRAM: Final = f"{Path(__file__).parents[3]}{os.sep}"
+
+log: Final = logging.getLogger(__name__)
+
+
+class Unsound(Exception):
+    """Why nothing is loaded from a folder; what to do is in the text."""
+
+
+class Folder:
+    """The folder `path` of kept kernels; None: there is none. It is made, and looked at, when first used."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self._problem: str | None = None
+        self._looked = self._said = False
+
+    def problem(self) -> str | None:
+        """Why kernels are not kept and what to do, or None. What could not be written since counts, too."""
+        if not self._looked:
+            try:
+                if self.path is None:
+                    raise Unsound(f"this user has no home folder: {OWN_FOLDER}")
+                make_private(self.path)
+            except Unsound as error:
+                self._problem = str(error)
+            except (OSError, ValueError) as error:
+                self._problem = f"{self.path} cannot be made: {_reason(error)}: {OWN_FOLDER}"
+            self._looked = True  # last: another thread that finds it set trusts the folder
+        return self._problem
+
+    def read(self, name: str) -> bytes | None:
+        """What was kept under a name; None if it is not there, or not sound."""
+        if self.path is None or self.problem() is not None:
+            return None
+        path = self.path / name
+        try:
+            with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+                found = os.fstat(file.fileno())
+                if not stat.S_ISREG(found.st_mode) or _complaint(found, path) is not None:
+                    raise Unsound("not a file of this user alone")
+                data = file.read()
+            head = len(MAGIC) + hashlib.sha256().digest_size
+            body = data[head:]
+            if data[:head] != MAGIC + hashlib.sha256(body).digest():
+                raise Unsound("damaged")
+        except FileNotFoundError:
+            return None
+        except (Unsound, OSError) as error:
+            self.reject(name, error)
+            return None
+        return body
+
+    def reject(self, name: str, why: Exception) -> None:
+        """Say that what is kept under a name is not used."""
+        log.warning("kept kernel %s is not used but compiled anew: %s", name, _reason(why))
+
+    def write(self, name: str, body: bytes) -> None:
+        """Keep `body` under a name, whole or not at all. Where that cannot be it is said, once."""
+        if self.path is not None and self.problem() is None:
+            part = self.path / f".{secrets.token_hex(8)}.part"
+            try:
+                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+                with open(os.open(part, flags, 0o600), "wb") as file:
+                    file.write(MAGIC + hashlib.sha256(body).digest() + body)
+                os.replace(part, self.path / name)
+            except OSError as error:
+                self._problem = f"{self.path} cannot be written to: {_reason(error)}: make room, or {OWN_FOLDER}"
+                part.unlink(missing_ok=True)
+        if self._problem is not None and not self._said:
+            self._said = True
+            log.warning("compiled kernels are not kept, so every start compiles them: %s", self._problem)
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder that no other user can change, its missing parents too; Unsound where it cannot be one.
+
+    From the top down: what has been checked nobody else can change, so what is below it stays what it was.
+    """
+    at, ways, links = Path("/"), list(reversed(folder.absolute().parts[1:])), 0
+    _check(os.lstat(at), at)
+    while ways:
+        name = ways.pop()
+        at = at.parent if name == ".." else at / name
+        try:
+            found = os.lstat(at)
+        except FileNotFoundError:
+            os.mkdir(at, 0o700)
+            found = os.lstat(at)
+        _check(found, at)
+        if stat.S_ISLNK(found.st_mode):
+            links += 1
+            if links > LINKS_MAX:
+                raise Unsound(f"{folder}: links without end: {OWN_FOLDER}")
+            way = Path(os.readlink(at))
+            ways += reversed(way.parts[1:] if way.is_absolute() else way.parts)
+            at = Path("/") if way.is_absolute() else at.parent
+        elif not stat.S_ISDIR(found.st_mode):
+            raise Unsound(f"{at} is no folder: {OWN_FOLDER}")
+    if why := _complaint(found, at):
+        raise Unsound(why)
+
+
+def _check(found: os.stat_result, path: Path) -> None:
+    """A part of a path. Others may write to a sticky folder: what is ours in it they can neither move nor remove."""
+    sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
+    why = _complaint(found, path, 0 if sticky or stat.S_ISLNK(found.st_mode) else stat.S_IWGRP | stat.S_IWOTH)
+    if why is not None:
+        raise Unsound(why)
+
+
+def _complaint(found: os.stat_result, path: Path, forbidden: int = stat.S_IWGRP | stat.S_IWOTH) -> str | None:
+    if found.st_uid not in (0, os.geteuid()):
+        return f"{path} belongs to user {found.st_uid}, who could put any program there: {OWN_FOLDER}"
+    if found.st_mode & forbidden:
+        return f"{path} can be written by other users: chmod go-w it, or {OWN_FOLDER}"
+    return None
+
+
+def _reason(error: Exception) -> str:
+    return str(error.strerror if isinstance(error, OSError) and error.strerror else error)
+
+
+class KernelCache(NullCache):  # type: ignore[misc]
+    """What numba asks for a kernel's machine code: one file for each kernel and signature."""
+
+    def __init__(self, function: Callable[..., Any], folder: Folder) -> None:
+        self._function, self._folder = function, folder
+        self._own = _sources(Path(function.__code__.co_filename))
+
+    @property
+    def cache_path(self) -> str:
+        return str(self._folder.path)
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """The compiled kernel, or None.
+
+        numba's own cache first makes numba ready to compile, which imports half of it, and SciPy where that is
+        installed. Machine code needs none of that but the addresses it calls; `compile` makes itself ready.
+        """
+        key = self._key(signature, target_context.codegen())
+        body = None if key is None else self._folder.read(self._name(key))
+        if key is None or body is None:
+            return None
+        try:
+            kept, calls, reduced = pickle.loads(body)
+            if kept != key:
+                return None
+            if not _known(calls):  # what numba's runtime offers
+                target_context.refresh()
+            return CompileResult._rebuild(target_context, *reduced)
+        except Exception as error:  # what another version of a library made of it
+            self._folder.reject(self._name(key), error)
+            return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep a compiled kernel, if that can be."""
+        key = self._key(signature, compiled.codegen)
+        if key is None:
+            return
+        if compiled.lifted or compiled.library.has_dynamic_globals:
+            log.warning("%s is compiled at every start: it holds addresses of this process", self._function)
+            return
+        self._folder.write(self._name(key), dumps((key, _calls(compiled.library), compiled._reduce())))
+
+    def _key(self, signature: Any, codegen: Any) -> tuple[Any, ...] | None:
+        """What the kernel was made of; None if that is not all known."""
+        files = [sorted(_WRITTEN.get(kind, {}).items()) for kind in _kinds(signature)]
+        sources = [self._own, *(content for each in files for _, content in each)]
+        if None in sources:
+            return None
+        cells = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
+        code = self._function.__code__
+        made = hashlib.sha256(code.co_code + (dumps(cells) if cells else b"")).hexdigest()
+        place = f"{self._function.__module__}.{self._function.__qualname__}:{code.co_firstlineno}"
+        return place, signature, codegen.magic_tuple(), made, sources
+
+    def _name(self, key: tuple[Any, ...]) -> str:
+        # Without the sources, so that an edited kernel takes the place of the old one.
+        name = "".join(letter if letter.isalnum() else "_" for letter in self._function.__qualname__)
+        return f"{name[:80]}-{hashlib.sha256(repr(key[:4]).encode()).hexdigest()[:32]}.kernel"
+
+
+def _calls(library: Any) -> list[str]:
+    """Names that machine code takes from the process that loads it."""
+    module = library._final_module
+    names = [each.name for each in (*module.functions, *module.global_variables) if each.is_declaration]
+    return [name for name in names if not name.startswith("llvm.")]
+
+
+def _known(names: list[str]) -> bool:
+    """Whether this process has them all: where one is missing, LLVM ends the program."""
+    return all(llvm.address_of_symbol(name) is not None for name in names)
+
+
+_WRITTEN: Final[dict[Any, dict[str, str | None]]] = {}
+"""For each kind of node the files outside of this program that its kernels are written in, with their `_sources`."""
+
+
+def written_in(kind: Any, file: str) -> None:
+    """A kernel of that kind is in a file: one kept for a scene of such nodes is not served after the file was edited.
+
+    The file's package counts with it, and so does the module of the class. To be called as the kernel is defined,
+    when the file is what Python has read. Files of this program are in the name of the folder already.
+    """
+    module = getattr(sys.modules.get(getattr(kind, "__module__", "")), "__file__", None)
+    for name in {file, file if module is None else module}:
+        if not name.startswith(_PROGRAM):
+            _WRITTEN.setdefault(kind, {})[name] = _sources(Path(name))
+
+
+def _kinds(signature: Any) -> list[Any]:
+    """Classes of the named tuples in a signature, each once, in the order in which they appear."""
+    found: dict[Any, None] = {}
+
+    def walk(each: Any) -> None:
+        if isinstance(each, types.BaseTuple):
+            if isinstance(each, types.BaseNamedTuple):
+                found[each.instance_class] = None
+            for part in each:
+                walk(part)
+        elif isinstance(each, types.TypeRef):  # a type that is given as an argument
+            walk(each.instance_type)
+        elif (like := getattr(each, "like", None)) is not None:  # rows.py: many trees of that type
+            walk(like)
+
+    for argument in signature if isinstance(signature, tuple) else signature.args:
+        walk(argument)
+    return list(found)
+
+
+def _sources(path: Path) -> str | None:
+    """A hash over the file of a kernel and the package that it is in, whose code it may inline; None without a file.
+
+    The file is read again for each kernel: a module imported late may have been edited since the others were.
+    """
+    top = path.parent
+    while (top.parent / "__init__.py").is_file():
+        top = top.parent
+    try:
+        own = hashlib.sha256(path.read_bytes()).hexdigest()
+        return own + (_package(top) if (top / "__init__.py").is_file() else "")
+    except OSError:
+        return None
+
+
+@cache
+def _package(top: Path) -> str:
+    digest = hashlib.sha256()
+    for file in sorted(top.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,83 @@
+"""Memory behind an address: how a C function called from the loop reaches the state of its device.
+
+A handle is one int64. These intrinsics turn it into typed pointers, which kernels index like
+arrays; nothing checks the bounds, and the object that owns the memory must outlive the handle. Or the other way round:
+the address of what an array holds, for a C function that takes it. Processors that store the lowest byte first only.
+"""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core.cgutils import get_item_pointer
+from numba.extending import intrinsic
+
+_CPointer: Any = types.CPointer
+
+
+def _pointer_to(element: Any) -> Any:
+    def typed(typing_context: Any, address: Any) -> Any:
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+        return _CPointer(element)(types.int64), build
+
+    return typed
+
+
+def _exchange(typing_context: Any, address: Any, value: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = builder.inttoptr(arguments[0], context.get_value_type(_CPointer(types.int64)))
+        return builder.atomic_rmw("xchg", pointer, arguments[1], "seq_cst")
+
+    return types.int64(types.int64, types.int64), build
+
+
+def _element(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    kind = signature.args[0]
+    array = context.make_array(kind)(context, builder, arguments[0])
+    return get_item_pointer(context, builder, kind, array, list(arguments[1:2]))
+
+
+def _address_of(typing_context: Any, array: Any, index: Any) -> Any:
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.ptrtoint(_element(context, builder, signature, arguments), ir.IntType(64))
+
+    return types.int64(array, types.intp), build
+
+
+def _put_big_endian(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
+    kind = types.float64 if isinstance(value, types.Float) else types.int64
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word = ir.IntType(64)
+        pointer = builder.bitcast(_element(context, builder, signature, arguments), ir.PointerType(word))
+        builder.store(builder.bswap(builder.bitcast(arguments[2], word)), pointer, align=1)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, kind), build
+
+
+address_of: Any = intrinsic(_address_of)
+"""address_of(array, index) -> address of that element, int64; the array is one-dimensional."""
+
+put_big_endian: Any = intrinsic(_put_big_endian)
+"""put_big_endian(array of bytes, index, value): a float64's or an int64's eight bytes from there on, highest first."""
+
+float64_at: Any = intrinsic(_pointer_to(types.float64))
+"""float64_at(address: int64) -> pointer to float64."""
+
+int64_at: Any = intrinsic(_pointer_to(types.int64))
+"""int64_at(address: int64) -> pointer to int64."""
+
+int32_at: Any = intrinsic(_pointer_to(types.int32))
+"""int32_at(address: int64) -> pointer to int32."""
+
+float32_at: Any = intrinsic(_pointer_to(types.float32))
+"""float32_at(address: int64) -> pointer to float32."""
+
+uint8_at: Any = intrinsic(_pointer_to(types.uint8))
+"""uint8_at(address: int64) -> pointer to uint8."""
+
+exchange_int64: Any = intrinsic(_exchange)
+"""exchange_int64(address: int64, value: int64) -> the old value; atomic, sequentially consistent."""

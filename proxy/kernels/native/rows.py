@@ -1,0 +1,84 @@
+"""Trees of one type in memory, one behind the other, of which a kernel reads one by its number.
+
+    objects: Rows        # in a kernel: objects[i], len(objects)
+
+In a tuple every tree is code of its own; in rows the code is that of one tree, and how many there are costs only when
+it runs. The number is part of the type, as the length of a tuple is. Memory and lifetime are those of `arrays`.
+"""
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, overload, typeof_impl
+
+from softfinger.proxy.kernels.native.arrays import ReadOnly, ReadOnlyType, register_address
+from softfinger.proxy.kernels.native.jit import INLINED
+from softfinger.proxy.kernels.native.pack import flatten
+
+
+class Rows(ReadOnly):
+    """One or more trees of one type (TypeError for others), copied once and never changed."""
+
+    __slots__ = ("like", "trees")
+
+    def __init__(self, trees: Sequence[Any]) -> None:
+        self.trees = tuple(trees)
+        self.like = numba.typeof(self.trees[0])
+        for tree in self.trees:
+            if numba.typeof(tree) != self.like:
+                raise TypeError(f"rows of {self.like} and {numba.typeof(tree)}: all must be of one type")
+        super().__init__(np.stack([flatten(tree) for tree in self.trees]))
+
+    def __getitem__(self, index: int) -> Any:
+        return self.trees[index]
+
+    def __len__(self) -> int:
+        return len(self.trees)
+
+
+class RowsType(ReadOnlyType):
+    """What `Rows` is to the compiler: an address, what type of tree is there, and how many."""
+
+    instance_class = Rows
+
+    def __init__(self, like: types.Type, count: int) -> None:
+        self.like = like
+        self.count = count
+        types.Type.__init__(self, name=f"Rows({like}, {count})")
+
+
+@typeof_impl.register(Rows)
+def _typeof(value: Rows, context: Any) -> RowsType:
+    return RowsType(value.like, len(value))
+
+
+register_address(RowsType)
+
+
+@intrinsic
+def _tree_at(typing_context, rows, index):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        first = builder.inttoptr(args[0], ir.PointerType(context.get_value_type(rows.like)))
+        return builder.load(builder.gep(first, [args[1]]), align=8)
+
+    return rows.like(rows, types.int64), generate
+
+
+@overload(operator.getitem, jit_options=INLINED)
+def _getitem(rows, index):  # type: ignore[no-untyped-def]
+    if isinstance(rows, RowsType) and isinstance(index, types.Integer):
+        return lambda rows, index: _tree_at(rows, index)
+    return None
+
+
+@overload(len, jit_options=INLINED)
+def _len(rows):  # type: ignore[no-untyped-def]
+    if not isinstance(rows, RowsType):
+        return None
+    count = rows.count
+    return lambda rows: count

@@ -1,0 +1,133 @@
+"""The record: what one servo tick leaves behind, as a table.
+
+A record is one row of float64. The servo writes it, the ring carries it, telemetry names it,
+results files flatten it, and docs/protocol.md lists it; all of them read this table, so a field
+is added here and nowhere else, at the end. Integers are exact in float64 up to 2**53.
+"""
+
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Annotated, Final, Literal, NamedTuple, get_type_hints
+
+Kind = Literal["float", "int"]
+
+POSITION_MAX_M: Final = 1e6
+"""A coordinate beyond this is a broken sensor; its square is still far from overflow."""
+
+PATCHES: Final = 3
+"""Patches of contact that a record has room for, `contacts0` the most loaded; a message has them in a list."""
+
+FREE: Final = 0
+ROLLING: Final = 1
+SLIDING: Final = 2
+MODE_NAMES: Final = ("free", "rolling", "sliding")
+
+CAUSE_NAMES: Final = ("none", "touch", "drag", "theta_max", "stop", "reverse", "release")
+CAUSE_NONE: Final = 0
+CAUSE_TOUCH: Final = 1
+CAUSE_DRAG: Final = 2
+CAUSE_THETA_MAX: Final = 3
+CAUSE_STOP: Final = 4
+CAUSE_REVERSE: Final = 5
+CAUSE_RELEASE: Final = 6
+
+
+class Offsets(NamedTuple):
+    """The table: each field with its number of components, kind, unit, frame and meaning.
+
+    Its telemetry name has a dot for the first underscore.
+    """
+
+    timestamp: Annotated[int, 1, "float", "s", "", "time of the tick since the epoch"]
+    tick: Annotated[int, 1, "int", "1", "", "ticks since the servo started"]
+    dt: Annotated[int, 1, "float", "s", "", "time step the contact step used"]
+    probe_position: Annotated[int, 3, "float", "m", "world", "measured fingertip centre"]
+    probe_orientation: Annotated[int, 4, "float", "1", "fingertip to world", "unit quaternion w, x, y, z"]
+    probe_velocity: Annotated[int, 3, "float", "m/s", "world", "filtered probe velocity"]
+    proxy_position: Annotated[int, 3, "float", "m", "world", "fingertip centre kept outside all objects"]
+    contact_mode: Annotated[int, 1, "int", "1", "", "0 free, 1 rolling, 2 sliding"]
+    contact_object: Annotated[int, 1, "int", "1", "", "index of the touched object in the scene, -1 none"]
+    contact_penetration: Annotated[int, 1, "float", "m", "", "depth of the probe behind the proxy along the normal"]
+    contact_point: Annotated[int, 3, "float", "m", "world", "contact point on the object"]
+    contact_normal: Annotated[int, 3, "float", "1", "world", "outward unit normal of the object at the contact point"]
+    contact_finger_point: Annotated[int, 3, "float", "m", "fingertip", "contact point on the fingertip"]
+    contact_rolled: Annotated[int, 1, "float", "rad", "", "roll angle accumulated since touch"]
+    contact_spin: Annotated[int, 1, "float", "rad", "", "torsional wind-up about the normal"]
+    force: Annotated[int, 3, "float", "N", "world", "force on the hand as commanded, after the guard"]
+    torque: Annotated[int, 3, "float", "N m", "world", "torque on the hand about the fingertip centre, after the guard"]
+    servo_late: Annotated[int, 1, "float", "s", "", "wake-up after the deadline"]
+    servo_exec: Annotated[int, 1, "float", "s", "", "time from wake-up until the device write returned"]
+    servo_missed: Annotated[int, 1, "int", "1", "", "deadlines missed since the servo started"]
+    buttons: Annotated[int, 1, "int", "bits", "", "device buttons, bit 0 the first"]
+    contact_cause: Annotated[int, 1, "int", "1", "", "cause of this tick's mode change, 0 none"]
+    contact_normal_force: Annotated[int, 1, "float", "N", "", "normal force before the guard"]
+    contact_tangential_force: Annotated[int, 1, "float", "N", "", "magnitude of the tangential force before the guard"]
+    servo_guard: Annotated[int, 1, "int", "bits", "", "what the guard changed in this tick"]
+    servo_busy: Annotated[int, 1, "float", "s", "", "the previous tick from wake-up until it slept again"]
+    passivity_energy: Annotated[
+        int, 1, "float", "J", "", "work taken from the hand in this contact, less than 0 if owed"
+    ]
+    passivity_damping: Annotated[int, 1, "float", "N s/m", "", "damping added because of what is owed"]
+    servo_device: Annotated[int, 1, "int", "1", "", "status of this tick's device read and write"]
+    gripper: Annotated[int, 1, "float", "rad", "", "opening of the device's gripper, 0 without one"]
+    contacts0_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 for none"]
+    contacts0_point: Annotated[int, 3, "float", "m", "world", "where it is on the object"]
+    contacts0_normal: Annotated[int, 3, "float", "1", "world", "the object's outward unit normal there"]
+    contacts0_force: Annotated[int, 3, "float", "N", "world", "its force on the hand, before the guard"]
+    contacts0_mode: Annotated[int, 1, "int", "1", "", "its mode, as contact.mode"]
+    contacts0_spin: Annotated[int, 1, "float", "rad", "", "its torsional wind-up"]
+    contacts1_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 for none"]
+    contacts1_point: Annotated[int, 3, "float", "m", "world", "where it is on the object"]
+    contacts1_normal: Annotated[int, 3, "float", "1", "world", "the object's outward unit normal there"]
+    contacts1_force: Annotated[int, 3, "float", "N", "world", "its force on the hand, before the guard"]
+    contacts1_mode: Annotated[int, 1, "int", "1", "", "its mode, as contact.mode"]
+    contacts1_spin: Annotated[int, 1, "float", "rad", "", "its torsional wind-up"]
+    contacts2_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 for none"]
+    contacts2_point: Annotated[int, 3, "float", "m", "world", "where it is on the object"]
+    contacts2_normal: Annotated[int, 3, "float", "1", "world", "the object's outward unit normal there"]
+    contacts2_force: Annotated[int, 3, "float", "N", "world", "its force on the hand, before the guard"]
+    contacts2_mode: Annotated[int, 1, "int", "1", "", "its mode, as contact.mode"]
+    contacts2_spin: Annotated[int, 1, "float", "rad", "", "its torsional wind-up"]
+    contact_torsion: Annotated[int, 1, "float", "N m", "", "moment about the normal on the hand, before the guard"]
+    contact_patch_radius: Annotated[int, 1, "float", "m", "", "radius of the patch, 0 without [fingertip.patch]"]
+    contact_patch_normal: Annotated[int, 3, "float", "1", "fingertip", "normal of the object at the patch"]
+    contact_patch_stretch: Annotated[
+        int, 3, "float", "m", "fingertip", "displacement of the skin against the fingertip along the surface"
+    ]
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a record: dotted telemetry name, number of components, kind, unit, frame, meaning."""
+
+    name: str
+    size: int
+    kind: Kind
+    unit: str
+    frame: str
+    meaning: str
+
+    @property
+    def at(self) -> int:
+        """First column of the field in a record."""
+        return AT[FIELDS.index(self)]
+
+
+FIELDS: Final = tuple(
+    Field(name.replace("_", ".", 1), *declared.__metadata__)
+    for name, declared in get_type_hints(Offsets, include_extras=True).items()
+)
+
+AT: Final = Offsets(*accumulate((field.size for field in FIELDS[:-1]), initial=0))
+"""First column of each field by name, in kernels too: `row[AT.contact_mode]`."""
+
+NAMED: Final = {field.name: field for field in FIELDS}
+"""Fields by telemetry name, for names that come from outside."""
+
+RECORD_SIZE: Final = sum(field.size for field in FIELDS)
+"""Columns of one record."""
+
+
+def columns() -> list[str]:
+    """Names of the record's columns, components as `name[i]`, in order; the header of a results file."""
+    return [f"{f.name}[{i}]" if f.size > 1 else f.name for f in FIELDS for i in range(f.size)]

@@ -1,0 +1,79 @@
+"""Records by the names of their fields: arrays that know the table of a tick."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import HapticError
+from softfinger.config.words import near
+from softfinger.proxy.record import FIELDS, NAMED, RECORD_SIZE, columns
+
+if TYPE_CHECKING:
+    import pandas
+
+STRUCTURE: Final = np.dtype([(field.name, np.float64, (field.size,) if field.size > 1 else ()) for field in FIELDS])
+"""A record as numpy's structured type, dotted names; whole numbers are exact in it."""
+
+
+class NoField(HapticError, KeyError):
+    """A name that no field of a record has."""
+
+    __str__ = Exception.__str__  # KeyError shows its message in quotes
+
+
+class Records(np.ndarray[Any, np.dtype[np.float64]]):
+    """Records (..., RECORD_SIZE) float64, a row a tick, whose fields go by their telemetry names.
+
+    `records["force"]` is (..., 3), a view; `records["contact.mode"]` is (...,): whole numbers are int64 copies. Rows
+    are taken as from any array, and keep their names: `records[records["contact.mode"] == 2]["force"]`. What has no
+    whole rows any more is a plain array.
+
+    >>> from softfinger import run_recording
+    >>> records = run_recording("tap")
+    >>> records["force"].shape, int(records["contact.mode"].max())
+    ((2281, 3), 1)
+    >>> records[records["contact.penetration"].argmax()]["probe.position"].round(4).tolist()
+    [0.0, 0.0, 0.009]
+    """
+
+    def __new__(cls, rows: NDArray[np.float64]) -> Self:
+        """The same memory, with names. Raises ValueError for rows that are no records."""
+        if rows.shape[-1:] != (RECORD_SIZE,):
+            raise ValueError(f"an array of shape {rows.shape} has no records: its rows must have {RECORD_SIZE} columns")
+        return rows.view(cls)
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str):
+            return self._field(key)
+        found = super().__getitem__(key)
+        whole = not isinstance(found, Records) or found.shape[-1:] == (RECORD_SIZE,)
+        return found if whole else found.view(np.ndarray)
+
+    def _field(self, name: str) -> NDArray[Any]:
+        field = NAMED.get(name)
+        if field is None:
+            raise NoField(f"no field of a record is called {name!r}{near(name, NAMED)}: choose from {', '.join(NAMED)}")
+        rows = self.view(np.ndarray)
+        if field.size > 1:
+            return rows[..., field.at : field.at + field.size]
+        return rows[..., field.at].astype(np.int64) if field.kind == "int" else rows[..., field.at]
+
+    @property
+    def structured(self) -> NDArray[Any]:
+        """The same memory (...,) as numpy's structured type, a name for each field."""
+        return np.ascontiguousarray(self.view(np.ndarray)).view(STRUCTURE)[..., 0]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Records (n, RECORD_SIZE) as a table, columns as those of a results file: `tick`, `force[0]`, ....
+
+        Raises HapticError where pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise HapticError("to_pandas needs pandas: pip install pandas") from None
+        whole = {field.name: np.int64 for field in FIELDS if field.kind == "int"}
+        return pandas.DataFrame(self.view(np.ndarray), columns=columns()).astype(whole)

@@ -1,0 +1,111 @@
+"""Who may: the public keys in a folder, looked at again while the gateway runs."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import stat
+import threading
+import time
+from pathlib import Path
+from typing import Final
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.schema import Security
+from softfinger.server.keys import read_pair, read_public
+
+log: Final = logging.getLogger(__name__)
+
+AGAIN_S: Final = 0.1
+"""Strangers have the folder read no more often."""
+_NO_FILES: Final = (errno.EMFILE, errno.ENFILE)
+"""Peers may have taken all file descriptors: then nothing is known to have changed."""
+
+
+class Allowed:
+    """Keys of the files `*.key` in a folder. Raises ConfigError for a folder that others may write to."""
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        self._names: dict[bytes, str] = {}
+        self._let_in: set[bytes] = set()
+        self._read_s = 0.0
+        self._barred: set[bytes] = set()
+        self._said: set[str] = set()
+        self._reading = threading.Lock()
+        self._read(strictly=True)
+
+    def callback(self, domain: str, key: bytes) -> bool:
+        """Whether a peer with this key (Z85) may come in: what libzmq's authenticator asks, from its thread."""
+        # A client that is turned away does not come again: who was added just now is not to be.
+        if key not in self._names and time.monotonic() - self._read_s > AGAIN_S:
+            self._read()
+        if key not in self._names:
+            return False
+        self._let_in.add(key)
+        return True
+
+    def name(self, key: bytes) -> str:
+        """Name of the file of an allowed key (Z85)."""
+        return self._names.get(key, "")
+
+    def refresh(self) -> bool:
+        """Read the folder anew; whether a key is not allowed any more that was let in."""
+        self._read()
+        gone = set(self._let_in) - self._names.keys()
+        self._let_in -= gone
+        return bool(gone)
+
+    def bar(self, key: bytes) -> None:
+        """Let a key (Z85) in no more, until the gateway is started again."""
+        self._barred.add(key)
+
+    def _read(self, strictly: bool = False) -> None:
+        with self._reading:
+            self._read_s = time.monotonic()
+            self._read_all(strictly)
+
+    def _read_all(self, strictly: bool) -> None:
+        names: dict[bytes, str] = {}
+        try:
+            if os.stat(self.folder).st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                raise ConfigError(f"{self.folder}: others may write to it, and so let themselves in: chmod 755 it")
+            for path in sorted(self.folder.glob("*.key")):
+                self._read_one(path, names, strictly)
+        except (OSError, ConfigError) as error:
+            if isinstance(error, OSError) and error.errno in _NO_FILES:
+                return
+            text = str(error) if isinstance(error, ConfigError) else f"{self.folder}: {error.strerror}"
+            if strictly:
+                raise ConfigError(f"no keys of those who may: {text}") from error
+            self._warn(f"nobody is let in: {text}")
+            names = {}
+        self._names = {key: name for key, name in names.items() if key not in self._barred}
+
+    def _read_one(self, path: Path, names: dict[bytes, str], strictly: bool) -> None:
+        try:
+            names[read_public(path)] = path.stem
+        except ConfigError as error:
+            if isinstance(error.__cause__, OSError) and error.__cause__.errno in _NO_FILES:
+                raise error.__cause__ from None
+            if strictly:
+                raise
+            self._warn(f"left out: {error}")
+
+    def _warn(self, text: str) -> None:
+        """Once, and not each time the folder is read."""
+        if text not in self._said:
+            self._said.add(text)
+            log.warning("%s", text)
+
+
+def key_options(security: Security) -> list[str]:
+    """The options of `softfinger forward` for a rig's keys; ConfigError for what of them cannot be used."""
+    read_pair(security.key)
+    words = ["--keys", security.key]
+    for name, folder in (("--readers", security.readers), ("--commanders", security.commanders)):
+        if folder is not None:
+            Allowed(folder)
+            words += [name, folder]
+    return words

@@ -1,0 +1,201 @@
+"""The gateway's loop: one thread, all its sockets, until it is told to end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import zmq
+from zmq.auth.thread import ThreadAuthenticator
+
+from softfinger.config.errors import ConfigError
+from softfinger.server.gateway.front import Front, Gate, Lock
+from softfinger.server.gateway.lsl import Outlets
+from softfinger.server.gateway.requests import Commanders
+from softfinger.server.gateway.streams import Readers, Stream
+from softfinger.server.keys import ClientKeys
+from softfinger.server.wire.endpoint import Bound
+
+LOOK_S: Final = 1.0
+"""How often the folders of keys are looked at, and connections counted."""
+POLL_MS: Final = 100
+FILES_MAX: Final = 256
+"""File descriptors, and so connections: libzmq has no bound of its own, and leaves those in the system's queue that it
+has none for."""
+MEMORY_MAX: Final = 1 << 30
+"""Bytes that the process may write to: a peer with a key can have libzmq keep more and more. Then this process ends."""
+
+
+class Source(NamedTuple):
+    """A server's endpoint, and the keys that it wants."""
+
+    endpoint: str
+    keys: ClientKeys | None = None
+
+
+class Way(NamedTuple):
+    """From a server to where others connect, and who may; without a lock everybody who reaches it."""
+
+    source: Source
+    bound: Bound
+    lock: Lock | None = None
+
+
+class Forward:
+    """Everything that is handed on.
+
+    stream    where telemetry comes from, if any is wanted
+    readers   where it goes by ZeroMQ, a Bound and its lock
+    commands  the way of commands, if there is one
+    outlets   where it goes by Lab Streaming Layer
+    """
+
+    def __init__(
+        self,
+        stream: Source | None,
+        readers: tuple[Bound, Lock | None] | None = None,
+        commands: Way | None = None,
+        outlets: Outlets | None = None,
+    ) -> None:
+        self._files = ExitStack()
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._files.callback(self._context.destroy, 0)
+        self._begun_s = time.monotonic()
+        self.stream = self.readers = self.commanders = None
+        self.outlets: Final = outlets
+        self._fronts: list[Front] = []
+        try:
+            gate = Gate(self._context, ThreadAuthenticator(self._context))
+            gate.authenticator.start()
+            self._files.callback(gate.authenticator.stop)
+            if stream is not None:
+                self.stream = Stream(self._context, *stream)
+            if self.stream is not None and readers is not None:
+                self.readers = Readers(gate, *readers)
+                self.stream.takers.append(self.readers.send)
+                self._open(self.readers.front)
+            if self.stream is not None and outlets is not None:
+                self.stream.takers.append(outlets.send)
+            if commands is not None:
+                self.commanders = Commanders(gate, *commands.source, commands.bound, commands.lock)
+                self._files.callback(self.commanders.close)
+                self._open(self.commanders.front)
+        except zmq.ZMQError as error:
+            self._files.close()
+            raise ConfigError(f"nothing is forwarded: {error}; endpoints look like tcp://127.0.0.1:5555") from error
+        except BaseException:
+            self._files.close()
+            raise
+
+    def _open(self, front: Front) -> None:
+        self._fronts.append(front)
+        self._files.callback(front.close)
+
+    def run(
+        self, ended: Callable[[], bool], show: Callable[[str], None] | None = None, watched: int | None = None
+    ) -> None:
+        """Hand on until `ended` says so, or the file descriptor `watched` is at its end."""
+        bound_resources()
+        due = 0.0
+        while not ended():
+            ways = dict(self._ways())
+            poller = zmq.Poller()
+            for socket in [*ways, *([] if watched is None else [watched])]:
+                poller.register(socket, zmq.POLLIN)
+            changed = False
+            while not (changed or ended()):
+                for socket, _ in poller.poll(POLL_MS):
+                    if isinstance(socket, int):
+                        if not os.read(socket, 1024):
+                            self._drain()
+                            return
+                    else:
+                        changed |= bool(ways[socket]())
+                if (now := time.monotonic()) >= due:
+                    due = now + LOOK_S
+                    changed |= self._look()
+                    if show is not None:
+                        show(self.line())
+
+    def _drain(self) -> None:
+        """Hand on what the server, which has ended, had to say last."""
+        while self.stream is not None and self.stream.socket.poll(0):
+            self.stream.take()
+
+    def _ways(self) -> Iterator[tuple[Any, Callable[[], Any]]]:
+        """Sockets, and what is done when something has come; it is True where the sockets are others now."""
+        if self.stream is not None:
+            yield self.stream.socket, self.stream.take
+        if self.readers is not None:
+            yield self.readers.front.socket, self.readers.take
+        if self.commanders is not None:
+            yield self.commanders.front.socket, self.commanders.take
+            for behind in self.commanders.sockets:
+                yield behind, partial(self.commanders.answer, behind)
+
+    def _look(self) -> bool:
+        renewed = False
+        for front in self._fronts:
+            front.look()
+            if front.lock is not None and front.lock.allowed.refresh():
+                front.renew()
+                renewed = True
+        return renewed
+
+    def statistics(self) -> dict[str, Any]:
+        """What was handed on so far."""
+        found: dict[str, Any] = {"seconds": time.monotonic() - self._begun_s}
+        if self.stream is not None:
+            found |= {"messages": self.stream.messages, "bytes": self.stream.size, "lost": self.stream.lost}
+        if self.outlets is not None:
+            found["lsl"] = {"streams": self.outlets.names, "samples": self.outlets.samples}
+        for name, part in (("telemetry", self.readers), ("commands", self.commanders)):
+            if part is not None:
+                part.front.look()
+                found[name] = {
+                    "endpoint": part.front.endpoint,
+                    "connections_max": part.front.most,
+                    "refused": part.front.refused,
+                }
+        if self.commanders is not None:
+            found["commands"] |= {
+                "requests": self.commanders.requests,
+                "answers": self.commanders.answers,
+                "dropped": self.commanders.dropped,
+            }
+        return found
+
+    def line(self) -> str:
+        """The same in words."""
+        found = self.statistics()
+        said = []
+        if "messages" in found:
+            said.append(f"{found['messages']} messages, {found['lost']} ticks missing")
+        if "lsl" in found:
+            said.append(f"{found['lsl']['samples']} samples to LSL")
+        said += [
+            f"{name}: at most {found[name]['connections_max']} connections, {found[name]['refused']} refused"
+            for name in ("telemetry", "commands")
+            if name in found
+        ]
+        if "commands" in found:
+            said.append(f"{found['commands']['requests']} requests")
+        return "; ".join(said)
+
+    def close(self) -> None:
+        """Disconnect all. Any number of times."""
+        self._files.close()
+
+
+def bound_resources() -> None:
+    """What peers can take of this process has an end, whatever libzmq keeps for them."""
+    for kind, most in ((resource.RLIMIT_NOFILE, FILES_MAX), (resource.RLIMIT_DATA, MEMORY_MAX)):
+        with contextlib.suppress(ValueError, OSError):
+            soft, hard = resource.getrlimit(kind)
+            resource.setrlimit(kind, (most if soft < 0 else min(soft, most), hard))

@@ -1,0 +1,109 @@
+"""`forward`: what a daemon publishes to more subscribers, to other machines by key, or to Lab Streaming Layer; and
+commands back to it. The daemon starts this verb itself for a rig whose endpoints are open to the network."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import socket
+import threading
+from contextlib import ExitStack
+from typing import Final
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.schema import is_public
+from softfinger.server import keys, signals
+from softfinger.server.gateway.allowed import Allowed
+from softfinger.server.gateway.forward import Forward, Source, Way
+from softfinger.server.gateway.front import Lock
+from softfinger.server.gateway.lsl import Outlets
+from softfinger.server.progress import counter
+from softfinger.server.wire.client import DEFAULT_ENDPOINT
+from softfinger.server.wire.control import DEFAULT_COMMANDS
+from softfinger.server.wire.endpoint import Bound, listen
+
+log: Final = logging.getLogger(__name__)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.description = (
+        "Hand the telemetry of a daemon on to any number of subscribers, by key to other machines, and their commands "
+        "back; ends with Ctrl-C, and says then what was handed on."
+    )
+    parser.add_argument(
+        "--from", dest="source", metavar="URL", default=DEFAULT_ENDPOINT, help="telemetry (%(default)s)"
+    )
+    parser.add_argument("--to", metavar="URL", help="where it is published again, such as tcp://0.0.0.0:5565")
+    parser.add_argument(
+        "--lsl",
+        action="store_true",
+        help="as a stream of Lab Streaming Layer, which everybody on the network can read (extra lsl)",
+    )
+    parser.add_argument(
+        "--commands-from", metavar="URL", default=DEFAULT_COMMANDS, help="where the daemon takes commands (%(default)s)"
+    )
+    parser.add_argument("--commands-to", metavar="URL", help="where commands are taken for it")
+    parser.add_argument("--keys", metavar="FILE", help="secret key of this end; needed for a URL open to the network")
+    parser.add_argument("--readers", metavar="DIR", help="public keys of those who may subscribe")
+    parser.add_argument("--commanders", metavar="DIR", help="public keys of those who may command")
+    parser.add_argument("--server-key", metavar="FILE", help="public key of the daemon's end, where that wants keys")
+    parser.add_argument("--until-eof", action="store_true", help="end with standard input, so with who started this")
+    parser.add_argument("--json", action="store_true", help="print what was handed on as JSON")
+    for flag in ("--to-fd", "--commands-to-fd"):  # of a socket that the daemon listens on already
+        parser.add_argument(flag, type=int, help=argparse.SUPPRESS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Hand on until a signal; returns 0."""
+    if not (args.to or args.commands_to or args.lsl):
+        raise ConfigError("nothing to do: give --to, --commands-to or --lsl")
+    upstream = None if args.server_key is None else keys.of_options(args)
+    stop = threading.Event()
+    with ExitStack() as stack:
+        to, commands = None, None
+        if args.to:
+            lock = lock_of(args.to, "--to", args.keys, args.readers)
+            to = (bound(args.to, "--to", args.to_fd, stack), lock)
+        if args.commands_to:
+            lock = lock_of(args.commands_to, "--commands-to", args.keys, args.commanders)
+            opened = bound(args.commands_to, "--commands-to", args.commands_to_fd, stack)
+            commands = Way(Source(args.commands_from, upstream), opened, lock)
+        stream = Source(args.source, upstream) if to or args.lsl else None
+        forward = Forward(stream, to, commands, Outlets(args.source) if args.lsl else None)
+        stack.callback(forward.close)
+        for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
+            if part is not None:
+                who = "who has a key" if part.front.lock else "everybody who reaches it"
+                log.info("%s forwarded on %s, to %s", name, part.front.endpoint, who)
+        with signals.asked(stop.set), counter() as show:
+            forward.run(stop.is_set, show, 0 if args.until_eof else None)
+        found, line = forward.statistics(), forward.line()
+    print(json.dumps(found) if args.json else f"{line}; {found['seconds']:.1f} s", flush=True)
+    return signals.code_of_stop()
+
+
+def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lock | None:
+    """Who may come in at an endpoint; None: everybody who reaches it, which is nobody on another machine."""
+    folder_flag = "--readers" if flag == "--to" else "--commanders"
+    if folder is not None:
+        if own is None:
+            raise ConfigError(f"{folder_flag} {folder}: whoever shows a key meets one: add --keys FILE")
+        return Lock(keys.read_pair(own), Allowed(folder))
+    if is_public(endpoint):
+        raise ConfigError(
+            f"{flag} {endpoint} is open to the network: say who may come in, with --keys FILE and {folder_flag} DIR "
+            "(softfinger keys makes keys), or take tcp://127.0.0.1:PORT"
+        )
+    return None
+
+
+def bound(endpoint: str, flag: str, fd: int | None, stack: ExitStack) -> Bound:
+    """The endpoint, bound here or by whoever started this; `stack` frees it."""
+    if fd is None:
+        made = listen(endpoint, flag, public=True)
+        stack.enter_context(made.files)
+        return made
+    listener = stack.enter_context(socket.socket(fileno=fd))
+    return Bound(listener, stack.enter_context(ExitStack()), endpoint)

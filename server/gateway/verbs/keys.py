@@ -1,0 +1,31 @@
+"""`keys`: CURVE key pairs, by which a daemon and its clients on other machines know each other."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from softfinger.server.keys import make_pair
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.description = (
+        "Make a key pair for each name: NAME.key, which others may have, and NAME.key_secret (mode 600), which nobody "
+        "else may. What is there is not overwritten."
+    )
+    parser.add_argument("folder", type=Path, help="where to; made if it is not there")
+    parser.add_argument("names", nargs="+", metavar="NAME", help="of a machine or a person")
+    parser.add_argument("--json", action="store_true", help="print the files as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the pairs and say where they are; returns 0."""
+    made = {name: make_pair(args.folder, name) for name in args.names}
+    if args.json:
+        print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in made.items()}))
+    else:
+        for public, secret in made.values():
+            print(f"{public}: give it to others\n{secret}: keep it to yourself")
+    return 0

@@ -1,0 +1,132 @@
+"""CURVE keys: pairs in files as ZeroMQ has them, read with care, put on a client's socket.
+
+A pair is NAME.key, for others, and NAME.key_secret, for nobody else. Any program with libzmq's certificates reads and
+makes the same files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import stat
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import zmq
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.files import open_input
+from softfinger.config.words import shown
+
+SIZE_MAX: Final = 4096
+"""Bytes of a file: one that is made here has some 200."""
+_NAME: Final = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}")
+_LINE: Final = re.compile(
+    rb'^\s*(public|secret)-key\s*=\s*"([0-9A-Za-z.:+=^!/*?&<>()\[\]{}@%$#-]{40})"\s*$', re.MULTILINE
+)
+_OTHERS_MAY: Final = stat.S_IRWXG | stat.S_IRWXO
+
+
+class Pair(NamedTuple):
+    """A public key and its secret one, Z85."""
+
+    public: bytes
+    secret: bytes
+
+
+class ClientKeys(NamedTuple):
+    """A client's pair, and the public key of the server that it wants to meet, Z85."""
+
+    own: Pair
+    server: bytes
+
+    def put_on(self, socket: zmq.Socket[Any]) -> None:
+        """Before it is connected."""
+        socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = *self.own, self.server
+
+
+def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
+    """Write a new pair, the secret with mode 600; returns its files, public and secret.
+
+    Raises ConfigError for a name that is none, and where one of the files is there already.
+    """
+    if not _NAME.fullmatch(name):
+        raise ConfigError(f"{shown(name)} is no name of a key: up to 64 letters, digits, dots, - and _")
+    files = folder / f"{name}.key", folder / f"{name}.key_secret"
+    public, secret = zmq.curve_keypair()
+    texts = [f'curve\n    public-key = "{public.decode()}"\n', f'    secret-key = "{secret.decode()}"\n']
+    try:
+        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+        for path in files:
+            if os.path.lexists(path):
+                raise FileExistsError(None, "is there already, and no key is overwritten: choose another name", path)
+        _write(files[1], "".join(texts), 0o600)
+        _write(files[0], texts[0], 0o644)
+    except OSError as error:
+        raise ConfigError(f"{error.filename or folder}: {error.strerror or error}") from error
+    return files
+
+
+def _write(path: Path, text: str, mode: int) -> None:
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+    with open(fd, "w", encoding="ascii") as file:
+        os.fchmod(fd, mode)  # whatever the umask took away
+        file.write(text)
+
+
+def read_public(path: str | Path) -> bytes:
+    """The public key of a file; ConfigError where there is none."""
+    found, _ = _read(path)
+    return found["public"]
+
+
+def read_pair(path: str | Path) -> Pair:
+    """The pair of a secret file; ConfigError where there is none, and where others may read it."""
+    found, mode = _read(path)
+    if mode & _OTHERS_MAY:
+        raise ConfigError(
+            f"{path}: a secret key that others may read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
+            "keys if somebody has"
+        )
+    if "secret" not in found:
+        raise ConfigError(f"{path}: a public key: the secret one is beside it in a file .key_secret")
+    if zmq.curve_public(found["secret"]) != found["public"]:
+        raise ConfigError(f"{path}: the public key in it is not that of the secret one: make new ones")
+    return Pair(found["public"], found["secret"])
+
+
+def client_keys(own: str | Path, server: str | Path) -> ClientKeys:
+    """A client's secret file, and the server's public one; ConfigError for what they should not be."""
+    return ClientKeys(read_pair(own), read_public(server))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of a client of a server that wants keys."""
+    parser.add_argument("--keys", metavar="FILE", help="your secret key, where the server wants one")
+    parser.add_argument("--server-key", metavar="FILE", help="the server's public key")
+
+
+def of_options(args: argparse.Namespace) -> ClientKeys | None:
+    """The keys that these options name; None where the server is to be met without."""
+    if args.server_key is None and args.keys is None:
+        return None
+    if args.keys is None:
+        raise ConfigError("--server-key goes with --keys FILE, your own secret key: softfinger keys makes one")
+    if args.server_key is None:
+        raise ConfigError(f"--keys {args.keys} goes with --server-key FILE, by which the server is known")
+    return client_keys(args.keys, args.server_key)
+
+
+def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
+    """Keys of a file by their kind, and its mode."""
+    try:
+        with open_input(path, SIZE_MAX) as file:
+            mode, text = os.fstat(file.fileno()).st_mode, file.read(SIZE_MAX)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise ConfigError(f"{path}: no key can be read: {reason}; softfinger keys makes them") from error
+    found = {kind.decode(): key for kind, key in _LINE.findall(text)}
+    if "public" not in found:
+        raise ConfigError(f"{path}: no CURVE certificate: it has no line public-key; softfinger keys makes them")
+    return found, mode

@@ -1,0 +1,335 @@
+"""Real-time settings of the servo thread: scheduler, memory, timers, processor.
+
+All are made by the servo thread itself before it arms the device. Each is optional: what the system
+refuses is reported with its reason and what to do, and the servo runs without it. What they are
+worth: the scheduler keeps everything else from delaying a tick; locked memory keeps a tick from
+waiting for a page; timer slack delays wake-ups by up to 50 us without SCHED_FIFO; a processor kept
+out of deep sleep wakes about 10 us sooner; a fixed processor saves migrations.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import struct
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, Literal, NamedTuple
+
+from softfinger.config.errors import RealtimeError
+
+Mode = Literal["auto", "require", "off"]
+
+LATENCY_DEVICE: Final = "/dev/cpu_dma_latency"
+RT_RUNTIME: Final = "/proc/sys/kernel/sched_rt_runtime_us"
+RT_PERIOD: Final = "/proc/sys/kernel/sched_rt_period_us"
+
+REQUIRED: Final = ("sched_fifo", "mlockall", "affinity")
+"""What mode `require` cannot do without: the two that bound the worst tick, and a processor asked for by number.
+
+Timer slack does not act under SCHED_FIFO, and sleep states cost microseconds; their refusal is only reported."""
+
+SLACK_NS: Final = 1  # 0 would mean the default of 50 us
+
+# From <linux/prctl.h>, <asm-generic/mman.h>, <linux/capability.h>.
+PR_SET_TIMERSLACK: Final = 29
+PR_GET_TIMERSLACK: Final = 30
+MCL_CURRENT: Final = 1
+MCL_FUTURE: Final = 2
+MCL_ONFAULT: Final = 4
+MADV_DONTNEED: Final = 4
+CAP_IPC_LOCK: Final = 14
+
+BROUGHT_IN_MAX: Final = 4 << 20
+"""Bytes of the largest mapping brought in whole: a driver's library is smaller, a stack and the compiler are larger."""
+STACK_BYTES: Final = 1 << 20
+"""Of the servo thread's stack, from its top: the loop takes some kB, the library of a device some more."""
+PTHREAD_ATTR_BYTES: Final = 64  # of a pthread_attr_t: 56 on x86-64, 64 on aarch64
+
+
+class Setting(NamedTuple):
+    """Outcome of one setting; `detail` is what was set or why not, `advice` what to do about a refusal."""
+
+    name: str
+    ok: bool
+    detail: str
+    advice: str
+
+
+@dataclass
+class Applied:
+    """What `apply` set, and the way back."""
+
+    settings: list[Setting]
+    thread: int = field(default_factory=threading.get_native_id)
+    _of_thread: list[Callable[[], object]] = field(default_factory=list)
+    _of_process: list[Callable[[], object]] = field(default_factory=list)
+
+    def undo(self) -> None:
+        """Give back what was taken, in reverse order. Any number of times.
+
+        Scheduler, timer slack and processor belong to the thread that called `apply`; from another
+        thread they are left, because they end with their thread. Memory is unlocked for the whole process.
+        """
+        if threading.get_native_id() == self.thread:
+            while self._of_thread:
+                self._of_thread.pop()()
+        while self._of_process:
+            self._of_process.pop()()
+
+
+def apply(mode: Mode, priority: int, cpu: int | None) -> Applied:
+    """Make the real-time settings for the calling thread; call it in the servo thread.
+
+    mode      auto: take what is granted; require: RealtimeError unless all of REQUIRED are; off: touch nothing
+    priority  of SCHED_FIFO, 1 to 99
+    cpu       processor to stay on, None for any
+
+    In mode `require`, what had been granted is given back before RealtimeError is raised; its
+    message lists everything refused.
+    """
+    applied = Applied([])
+    if mode == "off":
+        applied.settings.append(Setting("off", True, "as asked: the servo is a thread like any other", ""))
+        return applied
+    if sys.platform != "linux":
+        applied.settings.extend(refused_elsewhere(sys.platform, cpu))
+    else:
+        # Timer slack first: a SCHED_FIFO thread has none, and the kernel ignores the request from it.
+        applied.settings.append(_set_timer_slack(applied))
+        applied.settings.append(_set_fifo(applied, priority))
+        applied.settings.append(_lock_memory(applied))
+        applied.settings.append(_hold_latency(applied))
+        if cpu is not None:
+            applied.settings.append(_set_affinity(applied, cpu))
+    if mode == "require":
+        _demand(applied)
+    return applied
+
+
+def lift(name: str, thread: int | None, priority: int) -> Setting:
+    """Put another thread of this process, given by its native id, above `priority`: it must run when that one hangs.
+
+    Nothing to undo: it ends with the thread.
+    """
+    setting = f"sched_fifo_{name}"
+    if sys.platform != "linux" or thread is None:
+        return Setting(setting, False, "made with Linux calls", "run on Linux, or say --realtime off to stop asking")
+    wanted = min(priority + 1, os.sched_get_priority_max(os.SCHED_FIFO))
+    try:
+        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(wanted))
+    except OSError as error:
+        return Setting(setting, False, f"priority {wanted}: {_reason(error.errno)}", _fifo_advice(error.errno))
+    return Setting(setting, True, f"priority {wanted}", "")
+
+
+def refused_elsewhere(platform: str, cpu: int | None) -> list[Setting]:
+    """The settings on a system that has none of them."""
+    names = ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency"] + ["affinity"] * (cpu is not None)
+    advice = "run on Linux, or say --realtime off to stop asking"
+    return [Setting(name, False, f"made with Linux calls, and this is {platform}", advice) for name in names]
+
+
+def _demand(applied: Applied) -> None:
+    refused = [s for s in applied.settings if not s.ok]
+    if any(s.name in REQUIRED for s in refused):
+        applied.undo()
+        lines = [
+            f"  {s.name}{'' if s.name in REQUIRED else ' (not required)'}: {s.detail}; {s.advice}" for s in refused
+        ]
+        raise RealtimeError(
+            "real time was required and this machine refused it; --realtime auto runs without:\n" + "\n".join(lines)
+        )
+
+
+# --- one function per setting ----------------------------------------------------------------------
+
+
+def _set_timer_slack(applied: Applied) -> Setting:
+    before = _libc("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    if before.result < 0 or (done := _libc("prctl", PR_SET_TIMERSLACK, SLACK_NS, 0, 0, 0)).result < 0:
+        error = before.error or done.error
+        return Setting("timer_slack", False, _reason(error), "allow prctl in the container's seccomp profile")
+    applied._of_thread.append(lambda: _libc("prctl", PR_SET_TIMERSLACK, before.result, 0, 0, 0))
+    return Setting("timer_slack", True, f"{SLACK_NS} ns (was {before.result} ns)", "")
+
+
+def _set_fifo(applied: Applied, priority: int) -> Setting:
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        refusal = f"priority {priority}: {_reason(error.errno)}"
+        return Setting("sched_fifo", False, refusal, _fifo_advice(error.errno))
+    applied._of_thread.append(lambda: os.sched_setscheduler(0, policy, parameters))
+    return Setting("sched_fifo", True, f"priority {priority}{_throttle_note()}", "")
+
+
+def _fifo_advice(number: int | None) -> str:
+    if number == errno.EINVAL:
+        low, high = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
+        return f"set servo.priority between {low} and {high}"
+    advice = (
+        f"this user's highest priority is {_limit('RLIMIT_RTPRIO')}: put '@realtime - rtprio 99' into "
+        "/etc/security/limits.d/realtime.conf, join the group realtime and log in again; under systemd "
+        "LimitRTPRIO=99; in Docker --cap-add=SYS_NICE or --ulimit rtprio=99"
+    )
+    if _read(RT_RUNTIME) == "0":
+        advice += f"; {RT_RUNTIME} is 0, which forbids it to everyone: write 950000"
+    return advice
+
+
+def _throttle_note() -> str:
+    """What the kernel does to a thread that never sleeps; a servo that keeps its deadlines is not touched."""
+    runtime = _read(RT_RUNTIME)
+    return "" if runtime in ("", "-1") else f", paused if ever busy for {runtime} us of {_read(RT_PERIOD)} us"
+
+
+def _lock_memory(applied: Applied) -> Setting:
+    """Lock what is in memory, lock the rest as it is first touched, and bring in now what a tick may touch."""
+    _give_back()
+    # Under a finite limit, locking what comes would turn a later malloc into a failure.
+    later = MCL_FUTURE if _may_lock_without_limit() else 0
+    done = _libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
+    if done.result < 0:
+        need, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
+        advice = (
+            "put '@realtime - memlock unlimited' into /etc/security/limits.d/realtime.conf, join the group realtime "
+            "and log in again (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
+            "--cap-add=IPC_LOCK or --ulimit memlock=-1"
+        )
+        return Setting("mlockall", False, f"{_reason(done.error)}: {need} to lock, limit {limit}", advice)
+    applied._of_process.append(lambda: _libc("munlockall"))
+    _bring_in()
+    locked = f"{_status('VmLck')} locked, {_status('VmRSS')} of them in memory"
+    rest = "later ones as they come" if later else "what is mapped later is not, under a limit"
+    return Setting("mlockall", True, f"{locked}; {rest}", "")
+
+
+def _give_back() -> None:
+    """Let go of the code of large libraries, such as the compiler's: what is called again comes from the file anew."""
+    for each in _mappings():
+        # Of a file, and never written: nothing is lost. Kernels are code too, but of no file.
+        if each.size > BROUGHT_IN_MAX and each.permissions == "r-xp" and each.inode != 0:
+            _libc("madvise", each.begin, each.size, MADV_DONTNEED)
+
+
+def _bring_in() -> None:
+    """Bring in this thread's stack, and every mapping but the large ones.
+
+    Those are the compiler, which no tick calls, the backlog of telemetry and the stacks of other threads, which no tick
+    writes, and arrays: what a tick writes, whoever makes it has written before.
+    """
+    for each in _mappings():
+        if each.permissions.startswith("r") and each.size <= BROUGHT_IN_MAX:
+            _libc("mlock", each.begin, each.size)  # refused for the kernel's own pages, which are there
+    attributes = ctypes.create_string_buffer(PTHREAD_ATTR_BYTES)
+    lowest, size = ctypes.c_size_t(), ctypes.c_size_t()
+    if _libc("pthread_getattr_np", threading.get_ident(), ctypes.addressof(attributes)).result == 0:
+        _libc("pthread_attr_getstack", *map(ctypes.addressof, (attributes, lowest, size)))
+        _libc("pthread_attr_destroy", ctypes.addressof(attributes))
+        used = min(size.value, STACK_BYTES)
+        _libc("mlock", lowest.value + size.value - used, used)
+
+
+def _hold_latency(applied: Applied) -> Setting:
+    """Ask for wake-ups without delay: holds for the whole machine as long as the file stays open."""
+    name = "cpu_dma_latency"
+    try:
+        fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
+    except OSError as error:
+        advice = (
+            f'let the group realtime write it with the udev rule KERNEL=="{name}", GROUP="realtime", MODE="0660" '
+            f"in /etc/udev/rules.d/99-{name}.rules; in Docker --device={LATENCY_DEVICE} for a user that may write it"
+        )
+        return Setting(name, False, f"{LATENCY_DEVICE}: {_reason(error.errno)}", advice)
+    try:
+        os.write(fd, struct.pack("i", 0))
+    except OSError as error:
+        os.close(fd)
+        refusal = f"writing {LATENCY_DEVICE}: {_reason(error.errno)}"
+        return Setting(name, False, refusal, "see the kernel's log: the device is there and takes no value")
+    applied._of_process.append(lambda: os.close(fd))
+    return Setting(name, True, "0 us: processors stay out of deep sleep while the servo runs", "")
+
+
+def _set_affinity(applied: Applied, cpu: int) -> Setting:
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except OSError as error:
+        allowed = ", ".join(str(number) for number in sorted(before))
+        advice = f"set servo.cpu to one this process may use: {allowed}; in Docker --cpuset-cpus decides"
+        return Setting("affinity", False, f"processor {cpu}: {_reason(error.errno)}", advice)
+    applied._of_thread.append(lambda: os.sched_setaffinity(0, before))
+    return Setting("affinity", True, f"processor {cpu}", "")
+
+
+# --- asking the system -----------------------------------------------------------------------------
+
+
+class _Outcome(NamedTuple):
+    result: int
+    error: int
+
+
+def _libc(name: str, *arguments: int) -> _Outcome:
+    """Call a libc function of C longs; errno is 0 where it succeeded."""
+    function = getattr(ctypes.CDLL(None, use_errno=True), name)
+    ctypes.set_errno(0)
+    result = function(*(ctypes.c_long(argument) for argument in arguments))
+    return _Outcome(result, ctypes.get_errno() if result < 0 else 0)
+
+
+def _reason(number: int | None) -> str:
+    return f"{os.strerror(number or 0)} ({errno.errorcode.get(number or 0, number)})"
+
+
+def _limit(name: str, unit: int = 1, suffix: str = "") -> str:
+    import resource
+
+    soft, _ = resource.getrlimit(getattr(resource, name))
+    return "unlimited" if soft == resource.RLIM_INFINITY else f"{soft // unit}{suffix}"
+
+
+def _may_lock_without_limit() -> bool:
+    capabilities = int(_status("CapEff") or "0", 16)
+    return bool(capabilities >> CAP_IPC_LOCK & 1) or _limit("RLIMIT_MEMLOCK") == "unlimited"
+
+
+class _Mapping(NamedTuple):
+    """Address and bytes; permissions such as `r-xp`; inode of its file, 0 for none."""
+
+    begin: int
+    size: int
+    permissions: str
+    inode: int
+
+
+def _mappings() -> list[_Mapping]:
+    """What the process has mapped."""
+    found = []
+    for line in _read("/proc/self/maps").splitlines():
+        span, permissions, _, _, inode, *_ = line.split()
+        begin, end = (int(place, 16) for place in span.split("-"))
+        found.append(_Mapping(begin, end - begin, permissions, int(inode)))
+    return found
+
+
+def _status(key: str) -> str:
+    """One line of this thread's /proc status, empty where there is none."""
+    for line in _read("/proc/thread-self/status").splitlines():
+        if line.startswith(f"{key}:"):
+            return " ".join(line.split()[1:])
+    return ""
+
+
+def _read(path: str) -> str:
+    try:
+        with open(path, encoding="utf-8") as file:
+            return file.read().strip()
+    except OSError:
+        return ""

@@ -1,0 +1,239 @@
+"""One tick without its clock and devices: poses in, passive and guarded wrenches and records out.
+
+The servo loop and `simulate` both run this, on the same poses to the same bits.
+"""
+
+from math import isfinite
+from typing import Any, Final, NamedTuple
+
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.rotations import normalize
+from softfinger.proxy.kernels.geometry.tool import about_handle, about_tip, tip_of
+from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
+from softfinger.proxy.kernels.native.dispatch import by_count
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.record import put3, write_contact, write_patches
+from softfinger.proxy.kernels.step import no_contact, step
+from softfinger.proxy.record import AT, POSITION_MAX_M
+from softfinger.proxy.scene import start_state
+from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, Guarded, guard_wrench
+from softfinger.server.loop.passivity import NO_ENERGY, Energy, keep_passive
+
+UNMOVED: Final = (-0.0, -0.0, -0.0)
+"""An offset that changes no bit of what it is added to, a zero's sign included."""
+
+
+class Tuning(NamedTuple):
+    """Everything that may change while the servo runs.
+
+    guards     tuple of Guard, one for each of the scene's fingers
+    passivity  Passivity or None, of all of them
+    tools      tuple of Tool or None, what each finger's device holds
+    offsets    tuple of (3,) m, what is added to the position that each device says; the loop's, of no tick
+    """
+
+    scene: Scene
+    guards: Any
+    passivity: Any = None
+    tools: Any = (None,)
+    offsets: Any = (UNMOVED,)
+
+
+class FingerMemory(NamedTuple):
+    """What a tick leaves for the next of one finger: its contact's state, the guard's, the energy so far."""
+
+    contact: FingerState
+    guarded: Guarded
+    energy: Energy
+
+
+class Memory(NamedTuple):
+    """Everything a tick leaves for the next: the world, and a FingerMemory for each finger."""
+
+    world: World
+    fingers: Any
+
+
+class Output(NamedTuple):
+    """What each finger's wrench passes on its way to the hand: guards and tools, one for each, and the passivity of
+    all."""
+
+    guards: Any
+    passivity: Any
+    tools: Any
+
+
+class Instant(NamedTuple):
+    """Number of a tick, time since the last one (s), and the nominal length of a tick (s)."""
+
+    number: int
+    dt: float
+    period: float
+
+
+def begin(scene: Scene) -> Memory:
+    """Memory before the first tick."""
+    state = start_state(scene)
+    return Memory(state.world, tuple(FingerMemory(finger, DISENGAGED, NO_ENERGY) for finger in state.fingers))
+
+
+@jit
+def let_go(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
+    """What is remembered after the hand was given no force, whatever was commanded: the guard's begins anew."""
+    return FingerMemory(hand.contact, start.guarded, hand.energy)
+
+
+@jit
+def elsewhere(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
+    """What is remembered of a finger that is somewhere else now, without a way there: its contact begins anew."""
+    return FingerMemory(start.contact, hand.guarded, hand.energy)
+
+
+@jit
+def held(before: Guarded, hand: FingerMemory) -> FingerMemory:
+    """What is remembered after the hand was left the force of `before`: the guard counts on from that one."""
+    return FingerMemory(hand.contact, Guarded(before.force, before.torque, hand.guarded.gain), hand.energy)
+
+
+@jit
+def record_wrench(tool: Any, guarded: Guarded, record: Any) -> None:
+    """Put another wrench of the device into a record whose pose stands."""
+    at = AT.probe_orientation
+    tip = (record[at], record[at + 1], record[at + 2], record[at + 3])
+    put3(record, AT.force, guarded.force)
+    put3(record, AT.torque, about_tip(tool, tip, guarded.force, guarded.torque))
+
+
+@jit
+def usable(sample: Any) -> bool:
+    """Whether a device sample holds a pose: finite, within reach, a quaternion that is about unit."""
+    square = 0.0
+    for i in range(3):
+        if not abs(sample[i]) <= POSITION_MAX_M:
+            return False
+    for i in range(3, 7):
+        if not isfinite(sample[i]):
+            return False
+        square += sample[i] * sample[i]
+    return 0.25 <= square <= 4.0
+
+
+@jit
+def pose_of(tool: Any, hand: FingerMemory, sample: Any) -> Pose:
+    """The fingertip's pose by a sample of the handle; the last one where it holds none."""
+    if usable(sample):
+        position = (sample[0], sample[1], sample[2])
+        return tip_of(tool, Pose(position, normalize((sample[3], sample[4], sample[5], sample[6]))))
+    return Pose(hand.contact.probe.position, hand.contact.probe.orientation)
+
+
+@jit
+def entered(world: World, finger: FingerState, pose: Pose) -> FingerState:
+    """A finger's state before a tick. One without a pose before, in a world that has gone on, has been where it is:
+    else a body that moves would be felt as if it had moved past."""
+    probe = finger.probe
+    if finger.started == 0.0 and world.started != 0.0:
+        probe = Probe(pose.position, pose.orientation, probe.velocity)
+    return FingerState(
+        started=finger.started,
+        probe=probe,
+        mode=finger.mode,
+        center=finger.center,
+        patches=finger.patches,
+        rolled=finger.rolled,
+        effects=finger.effects,
+    )
+
+
+@by_count
+def arrive(hands: Any, tools: Any, world: World, samples: Any) -> Any:
+    """Before the step: states of the fingers, and their poses, a tuple each."""
+
+
+@arrive.of(1)
+def arrive_with_one(hands: Any, tools: Any, world: World, samples: Any) -> Any:
+    pose = pose_of(tools[0], hands[0], samples[0])
+    return (entered(world, hands[0].contact, pose),), (pose,)
+
+
+@arrive.of(2)
+def arrive_with_several(hands: Any, tools: Any, world: World, samples: Any) -> Any:
+    finger, pose = arrive(hands[:1], tools[:1], world, samples[:1])
+    fingers, poses = arrive(hands[1:], tools[1:], world, samples[1:])
+    return finger + fingers, pose + poses
+
+
+@by_count
+def command(
+    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any, objects: Any
+) -> Any:
+    """After the step: FingerMemories with the wrench to be commanded, one for each finger.
+
+    stepped  FingerStates and Contacts, a tuple each
+    """
+
+
+@command.of(1)
+def command_one(
+    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any, objects: Any
+) -> Any:
+    hand, start, record, state, contact = hands[0], starts[0], records[0], stepped[0][0], stepped[1][0]
+    guard, tool = output.guards[0], output.tools[0]
+    before, moved = hand.contact, (0.0, 0.0, 0.0)
+    if usable(samples[0]):
+        position, orientation = state.probe.position, state.probe.orientation
+        if before.started != 0.0:
+            moved = vec3.sub(position, before.probe.position)
+        energy, force = keep_passive(
+            output.passivity, hand.energy, hand.guarded.force, moved, contact.mode, contact.force, instant.dt
+        )
+        torque = about_handle(tool, orientation, force, contact.torque)
+        guarded, bits = guard_wrench(guard, hand.guarded, force, torque, instant.dt, instant.period)
+    else:
+        position, orientation = before.probe.position, before.probe.orientation
+        contact = no_contact(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0))
+        state, guarded, energy, bits = start.contact, start.guarded, start.energy, POSE_REFUSED
+    torque = about_tip(tool, orientation, guarded.force, guarded.torque)
+    write_contact(record, instant.number, instant.dt, position, orientation, contact, guarded.force, torque)
+    write_patches(state.patches, record, objects)
+    record[AT.servo_guard] = bits
+    record[AT.passivity_energy] = energy.work
+    record[AT.passivity_damping] = energy.damping
+    return (FingerMemory(state, guarded, energy),)
+
+
+@command.of(2)
+def command_several(
+    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any, objects: Any
+) -> Any:
+    first = (stepped[0][:1], stepped[1][:1])
+    others = (stepped[0][1:], stepped[1][1:])
+    own = Output(output.guards[:1], output.passivity, output.tools[:1])
+    rest = Output(output.guards[1:], output.passivity, output.tools[1:])
+    hand = command(hands[:1], starts[:1], samples[:1], first, own, instant, records[:1], objects)
+    return hand + command(hands[1:], starts[1:], samples[1:], others, rest, instant, records[1:], objects)
+
+
+@jit
+def tick(
+    tuning: Tuning, start: Memory, memory: Memory, samples: Any, dt: float, period: float, number: int, records: Any
+) -> Memory:
+    """Contact step, passivity and guard of all fingers; fills the contact part of their records.
+
+    samples  a sample (position, quaternion, ...) for each finger, of its handle; so is the wrench that the memory is
+             left with, and the record has the fingertip's
+    dt       s  time since the last tick
+    period   s  nominal length of a tick
+    records  a record for each finger
+
+    A sample without a usable pose ends that finger's contact: force zero, everything of it as at the `start`, the ramp
+    anew. The world and the other fingers go on.
+    """
+    fingers, poses = arrive(memory.fingers, tuning.tools, memory.world, samples)
+    state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)
+    hands = command(
+        memory.fingers, start.fingers, samples, (state.fingers, contacts),
+        Output(tuning.guards, tuning.passivity, tuning.tools), Instant(number, dt, period), records,
+        tuning.scene.objects,
+    )  # fmt: skip
+    return Memory(state.world, hands)

@@ -1,0 +1,82 @@
+"""From configuration to the parameters of a tick."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Final
+
+from softfinger.config import schema
+from softfinger.drivers.base import DeviceInfo
+from softfinger.proxy.kernels.geometry.tool import make_tool
+from softfinger.proxy.scene import build_scene
+from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.passivity import Passivity
+from softfinger.server.loop.tick import UNMOVED, Tuning
+
+log: Final = logging.getLogger(__name__)
+
+DAMPING_MAX_NS_PER_M: Final = 20.0
+"""Of the passivity controller, where the scene gives none: at 1 kHz a device of 20 g still bears it."""
+
+
+def make_tuning(
+    scene: schema.Scene,
+    guard: schema.Guard,
+    devices: Sequence[DeviceInfo] = (),
+    tools: Sequence[schema.Tool | None] = (),
+) -> Tuning:
+    """Parameters of the servo for a scene, a guard and each finger's tool; what its device allows is never exceeded.
+
+    Of an object that is stiffer than a device is said to hold a warning tells; it is rendered all the same.
+    """
+    guards = tuple(guard_limits(guard, info) for info in devices)
+    for info, limits in zip(devices, guards, strict=True):
+        if limits.force_max > 0.0:
+            _tell_what_is_too_stiff(scene, limits.force_max, info)
+    guards = guards or (guard_limits(guard),) * len(scene.fingers)
+    held = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
+    held = held or (None,) * len(scene.fingers)
+    return Tuning(build_scene(scene), guards, _passivity(scene.passivity), held, (UNMOVED,) * len(scene.fingers))
+
+
+def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
+    """The tuning with other parameters of its scene, and the same guard."""
+    return tuning._replace(scene=build_scene(scene), passivity=_passivity(scene.passivity))
+
+
+def _tell_what_is_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo) -> None:
+    for thing in scene.object:
+        stiffness = thing.material.stiffness_under(force_max)
+        if stiffness > device.stiffness_max_n_per_m * (1.0 + 1e-9):  # more than rounding
+            log.warning(
+                "object '%s' has %.0f N/m at the guard's %g N, beyond the %g N/m of device %s, and may buzz: lower "
+                "stiffness_n_per_m%s",
+                thing.name,
+                stiffness,
+                force_max,
+                device.stiffness_max_n_per_m,
+                device.name,
+                "" if thing.material.normal is None else " or guard.force_max_n",
+            )
+
+
+def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard:
+    """The guard of a rig, armed, lowered to what the device allows."""
+    force, torque = guard.force_max_n, guard.torque_max_nm
+    if device is not None and force > device.force_max_n:
+        log.warning("guard.force_max_n = %g N is lowered to the device's %g N", force, device.force_max_n)
+        force = device.force_max_n
+    if device is not None and torque > device.torque_max_nm:
+        log.warning("guard.torque_max_nm = %g N m is lowered to the device's %g N m", torque, device.torque_max_nm)
+        torque = device.torque_max_nm
+    return Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
+
+
+def _passivity(wanted: schema.Passivity | None) -> Passivity | None:
+    if wanted is None:
+        return None
+    if wanted.mode == "observe":
+        return Passivity(0.0)
+    given = wanted.damping_max_ns_per_m
+    return Passivity(DAMPING_MAX_NS_PER_M if given is None else given)

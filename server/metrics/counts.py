@@ -1,0 +1,181 @@
+"""What Prometheus reads, counted over batches of records: sums and histograms by numpy, nothing tick by tick in Python.
+
+Names follow Prometheus: base units, `_total` for what only grows. docs/operate/metrics.md lists them.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    InfoMetricFamily,
+    Metric,
+)
+from prometheus_client.registry import Collector
+
+from softfinger.drivers.base import HELD, WITHHELD
+from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
+from softfinger.server.loop.guard import GUARD_NAMES
+
+Array = NDArray[np.float64]
+
+ROWS: Final = 1024
+"""Ticks that are kept until they are counted: to count a batch of one costs as much as to count all of these."""
+
+LATENESS_S: Final = [float(f"{step}e{power}") for power in (-6, -5, -4, -3) for step in (1, 2, 5)]
+EXECUTION_S: Final = LATENESS_S
+FORCE_N: Final = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0]
+"""Upper ends of the buckets; the last one is endless."""
+
+STATUSES: Final = {1: "repeated_or_limited", WITHHELD: "withheld", HELD: "held"}
+"""What a device's status in a tick means, where it is not done."""
+
+_COLUMNS: Final = [
+    AT.servo_late,
+    AT.servo_exec,
+    AT.dt,
+    AT.contact_mode,
+    AT.servo_guard,
+    AT.servo_device,
+    *range(AT.force, AT.force + 3),
+]
+
+
+class Wire(NamedTuple):
+    """Of the publisher: subscribers now, messages they were too slow for and connections refused so far."""
+
+    subscribers: int
+    lost: int
+    refused: int
+
+
+class Histogram:
+    """Counts of values by bucket, and their sum."""
+
+    def __init__(self, ends: Sequence[float]) -> None:
+        self._ends = np.asarray(ends)
+        self._counts = np.zeros(len(ends) + 1, np.int64)
+        self._sum = 0.0
+
+    def add(self, values: Array) -> None:
+        """Count values (n,); one that equals an end belongs below it, as Prometheus has it."""
+        self._counts += np.bincount(np.searchsorted(self._ends, values), minlength=len(self._counts))
+        self._sum += float(values.sum())
+
+    def put_into(self, family: HistogramMetricFamily, labels: Sequence[str] = ()) -> None:
+        """The sums up to each end, as a scrape has them."""
+        ends = [*(f"{end:g}" for end in self._ends), "+Inf"]
+        counts = np.cumsum(self._counts).tolist()
+        family.add_metric(labels, [(end, float(count)) for end, count in zip(ends, counts, strict=True)], self._sum)
+
+
+class Finger:
+    """Sums of one finger."""
+
+    def __init__(self) -> None:
+        self.force = Histogram(FORCE_N)
+        self.modes_s = np.zeros(len(MODE_NAMES))
+        self.guarded = np.zeros(len(GUARD_NAMES), np.int64)
+        self.statuses = np.zeros(max(STATUSES) + 1, np.int64)
+
+    def add(self, rows: Array) -> None:
+        """Count rows (n, columns)."""
+        _, _, dt, mode, guard, status = rows[:, :6].T
+        self.force.add(np.linalg.norm(rows[:, 6:], axis=1))
+        self.modes_s += np.bincount(mode.astype(np.int64), weights=dt, minlength=len(MODE_NAMES))
+        bits = guard.astype(np.int64)[:, None] >> np.arange(len(GUARD_NAMES)) & 1
+        self.guarded += bits.sum(axis=0)
+        self.statuses += np.bincount(status.astype(np.int64), minlength=len(self.statuses))[: len(self.statuses)]
+
+
+class Counts(Collector):
+    """Takes records, and gives the figures when it is asked. Of any thread.
+
+    fingers  their names, an empty one for a single finger
+    wire     what the publisher counts
+    """
+
+    def __init__(self, fingers: Sequence[str], wire: Callable[[], Wire]) -> None:
+        self._names, self._wire = tuple(fingers), wire
+        self._lock = threading.Lock()
+        self._rows = np.empty((ROWS, len(self._names), len(_COLUMNS)))
+        self._kept = self._ticks = self._missed = self._drops = 0
+        self._late, self._exec = Histogram(LATENESS_S), Histogram(EXECUTION_S)
+        self._fingers = [Finger() for _ in self._names]
+
+    def take(self, records: Array, drops: int) -> None:
+        """A batch (n, fingers x RECORD_SIZE), and how many the ring has lost so far."""
+        with self._lock:
+            self._drops, self._missed = drops, int(records[-1, AT.servo_missed])
+            self._ticks += len(records)
+            each = records.reshape(len(records), -1, RECORD_SIZE)
+            while len(each):
+                room = ROWS - self._kept
+                part, each = each[:room], each[room:]
+                self._rows[self._kept : self._kept + len(part)] = part[:, :, _COLUMNS]
+                self._kept += len(part)
+                if self._kept == ROWS:
+                    self._count()
+
+    def _count(self) -> None:
+        rows = self._rows[: self._kept]
+        self._late.add(rows[:, 0, 0])
+        self._exec.add(rows[:, 0, 1])
+        for place, finger in enumerate(self._fingers):
+            finger.add(rows[:, place])
+        self._kept = 0
+
+    def collect(self) -> Iterator[Metric]:
+        """Every figure; called by the registry."""
+        with self._lock:
+            self._count()
+            found = [*self._of_servo(), *self._of_fingers()]
+        subscribers, lost, refused = self._wire()
+        yield from found
+        yield GaugeMetricFamily("softfinger_subscribers", "Connections that subscribe to something", subscribers)
+        yield _counter("softfinger_messages_lost", "Messages that subscribers were too slow to take", lost)
+        yield _counter("softfinger_connections_refused", "Connections refused or cut off for what they did", refused)
+        yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})
+
+    def _of_servo(self) -> Iterator[Metric]:
+        yield _counter("softfinger_ticks", "Ticks of the servo", self._ticks)
+        yield _counter("softfinger_deadlines_missed", "Deadlines of the servo that passed without a tick", self._missed)
+        yield _counter("softfinger_records_dropped", "Ticks that the daemon was too slow to take", self._drops)
+        for name, text, histogram in (
+            ("softfinger_lateness_seconds", "Wake-up of the servo after its deadline", self._late),
+            ("softfinger_execution_seconds", "From the servo's wake-up until the device was written", self._exec),
+        ):
+            family = HistogramMetricFamily(name, text)
+            histogram.put_into(family)
+            yield family
+
+    def _of_fingers(self) -> Iterator[Metric]:
+        force = HistogramMetricFamily("softfinger_force_newtons", "Force on the hand", labels=["finger"])
+        modes = CounterMetricFamily("softfinger_mode_seconds", "Time in a contact mode", labels=["finger", "mode"])
+        guard = CounterMetricFamily("softfinger_guarded_ticks", "Ticks the guard changed", labels=["finger", "cause"])
+        errors = CounterMetricFamily(
+            "softfinger_device_errors", "Ticks that a device did not do as asked", labels=["finger", "status"]
+        )
+        for name, finger in zip(self._names, self._fingers, strict=True):
+            finger.force.put_into(force, [name])
+            _label(modes, name, zip(MODE_NAMES, finger.modes_s.tolist(), strict=True))
+            _label(guard, name, zip(GUARD_NAMES, finger.guarded.tolist(), strict=True))
+            _label(errors, name, ((text, int(finger.statuses[status])) for status, text in STATUSES.items()))
+        yield from (force, modes, guard, errors)
+
+
+def _counter(name: str, text: str, value: float) -> Metric:
+    return CounterMetricFamily(name, text, value)
+
+
+def _label(family: CounterMetricFamily, finger: str, values: Any) -> None:
+    for label, value in values:
+        family.add_metric([finger, label], value)

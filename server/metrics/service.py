@@ -1,0 +1,91 @@
+"""Metrics as a service: a small HTTP server for Prometheus, on loopback, one request at a time."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
+
+from prometheus_client import CollectorRegistry, make_wsgi_app
+
+import softfinger.server.metrics
+from softfinger.server.loop import wayout
+from softfinger.server.metrics.counts import Counts, Wire
+from softfinger.server.services.base import Worker
+from softfinger.server.services.records import Sink
+from softfinger.server.wire.endpoint import Bound
+
+log: Final = logging.getLogger(__name__)
+
+KEY: Final = "[metrics] endpoint"
+REQUEST_S: Final = 1.0
+"""How long a client may take for a piece of its request, or an answer."""
+POLL_S: Final = 0.25
+DASHBOARD: Final = Path(softfinger.server.metrics.__file__).with_name("grafana.json")
+DASHBOARD_PATH: Final = "/dashboard.json"
+
+
+class Metrics(Worker):
+    """Answers on an endpoint that is bound already. What fails here ends nothing else.
+
+    fingers, wire  as of `Counts`
+    event          publishes an event
+    """
+
+    def __init__(
+        self, bound: Bound, fingers: Sequence[str], wire: Callable[[], Wire], event: Callable[..., Any]
+    ) -> None:
+        super().__init__("metrics")
+        self.endpoint: Final = bound.endpoint.replace("tcp://", "http://")
+        self._bound, self._event = bound, event
+        counts = Counts(fingers, wire)
+        registry = CollectorRegistry()
+        registry.register(counts)
+        self._figures = make_wsgi_app(registry)
+        self.sink: Final = Sink("metrics", counts.take)
+
+    def work(self) -> None:
+        with _Server(self._bound, self._answer) as server:
+            while not self.closing.is_set():
+                server.handle_request()
+
+    def failed(self, error: Exception) -> None:
+        self._event("fault", "metrics", message=str(error))
+
+    def stop(self) -> None:
+        failed = wayout.every(super().stop, self._bound.files.close)
+        if failed is not None:
+            raise failed
+
+    def _answer(self, environ: dict[str, Any], start_response: Any) -> Iterable[bytes]:
+        if environ["PATH_INFO"] == DASHBOARD_PATH:
+            start_response("200 OK", [("Content-Type", "application/json")])
+            return [DASHBOARD.read_bytes()]
+        answer: Iterable[bytes] = self._figures(environ, start_response)
+        return answer
+
+
+class _Server(WSGIServer):
+    """On a socket that listens already."""
+
+    timeout = POLL_S
+
+    def __init__(self, bound: Bound, answer: Any) -> None:
+        host, port = bound.listener.getsockname()[:2]
+        super().__init__((host, port), _Handler, bind_and_activate=False)
+        self.socket.close()
+        self.socket, self.server_name, self.server_port = bound.listener, host, port
+        self.setup_environ()
+        self.set_app(answer)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        log.debug("metrics: a client was not answered", exc_info=True)
+
+
+class _Handler(WSGIRequestHandler):
+    timeout = REQUEST_S
+
+    def log_message(self, *_: Any) -> None:
+        """Nothing: a scrape every few seconds is no news."""

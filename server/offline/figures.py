@@ -1,0 +1,59 @@
+"""Figures: made and saved, as .png or .svg by their file's name. matplotlib is an extra, imported when one is drawn."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import re
+from argparse import ArgumentTypeError
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.files import new_file
+
+FORMATS: Final = (".png", ".svg")
+
+
+def unusable(path: Path) -> str | None:
+    """Why no figure could be saved as `path`; None if one can."""
+    if path.suffix not in FORMATS:
+        return f"a figure is {' or '.join(FORMATS)} by its file name"
+    if not path.parent.is_dir():
+        return f"there is no folder {path.parent}: create it or name another"
+    if importlib.util.find_spec("matplotlib") is None:
+        return "matplotlib is not installed: pip install 'softfinger[plots]'"
+    return None
+
+
+def plot_file(text: str) -> Path:
+    """Type of the option `--plot`: refused before the work and not after it."""
+    path = Path(text)
+    if (why := unusable(path)) is not None:
+        raise ArgumentTypeError(f"{path}: {why}")
+    return path
+
+
+def figure(width: float = 8.0, height: float = 4.5) -> Any:
+    """A matplotlib figure."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def save(drawing: Any, path: Path) -> None:
+    """Write a figure in the format its name says.
+
+    An SVG is the same for the same data, to be kept beside text: no date, words as words, coordinates to a hundredth.
+    """
+    if path.suffix != ".svg":
+        with new_file(path) as file:
+            drawing.savefig(file, format=path.suffix[1:])
+        return
+    from matplotlib import rc_context
+
+    text = io.StringIO()
+    with rc_context({"svg.hashsalt": "softfinger", "svg.fonttype": "none"}):
+        drawing.savefig(text, format="svg", metadata={"Date": None, "Creator": "softfinger"})
+    short = re.sub(r"(\.\d\d)\d+|^ +| +$", r"\1", text.getvalue(), flags=re.MULTILINE)
+    with new_file(path) as file:
+        file.write(short.encode())

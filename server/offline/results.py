@@ -1,0 +1,246 @@
+"""Results: one record a tick, written to and read from .csv, .npz and .mcap without losing a bit.
+
+All three follow from the record table: CSV has a column per component, npz an array per field, and
+MCAP a protobuf message whose dotted names become nested messages. The message type is built at run
+time and travels inside the file, so any MCAP reader can decode it.
+
+Of several fingers the names of columns and arrays begin with the finger's, as in `thumb.force[0]`, and MCAP has a
+topic for each, `finger/thumb`.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import repeat
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.arrays.npz import Npz
+from softfinger.config.errors import RecordingError
+from softfinger.config.files import new_file, open_input, open_output
+from softfinger.drivers.poses import LINE_MAX
+from softfinger.proxy.record import FIELDS, RECORD_SIZE, columns
+from softfinger.server.recording.reader import End, Ticks, contents
+from softfinger.server.recording.writer import RecordingFile
+from softfinger.server.wire.protocol import contact_topic
+
+Array = NDArray[np.float64]
+
+ENDINGS: Final = (".csv", ".npz", ".mcap")
+BLOCK_ROWS: Final = 2_000
+RESULTS_MAX: Final = 2_000_000
+"""Records read at most: 33 minutes at 1 kHz, 3 GB."""
+PROGRESS_MIN_ROWS: Final = 50_000  # about a second of writing; below, a bar would only flash
+
+_JSON: Final = msgspec.json.Encoder()
+
+log: Final = logging.getLogger(__name__)
+
+
+def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> None:
+    """Write records (n, RECORD_SIZE) in the format named by the ending; RecordingError when it cannot be done.
+
+    Of several fingers: records of each by its name, as many of each.
+    The file appears whole or not at all. Long writes show their progress when stderr is a terminal.
+    """
+    target = Path(path)
+    writer = {".csv": _write_csv, ".npz": _write_npz, ".mcap": _write_mcap}.get(target.suffix.lower())
+    if writer is None:
+        raise RecordingError(_unknown_ending(target))
+    given = records if isinstance(records, Mapping) else {"": records}
+    fingers = {name: np.ascontiguousarray(each, dtype=np.float64) for name, each in given.items()}
+    for each in fingers.values():
+        if each.ndim != 2 or each.shape[1] != RECORD_SIZE:
+            raise RecordingError(f"{target}: records of shape {each.shape}, must be (n, {RECORD_SIZE})")
+    try:
+        with new_file(target) as file:
+            writer(target, file, fingers)
+    except OSError as error:
+        raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from error
+
+
+def read_results(path: str | Path, finger: str = "") -> Array:
+    """Read records (n, RECORD_SIZE) as `write_results` wrote them, of several fingers those of `finger`.
+
+    Raises RecordingError when they cannot be read.
+    """
+    source = Path(path)
+    reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())
+    if reader is None:
+        raise RecordingError(_unknown_ending(source))
+    try:
+        return reader(source, finger)
+    except OSError as error:
+        raise RecordingError(f"{source}: cannot be read: {error.strerror or error}") from error
+
+
+def _check_count(path: Path, count: int) -> None:
+    if count > RESULTS_MAX:
+        raise RecordingError(f"{path}: more than {RESULTS_MAX:,} records, the most that are read")
+
+
+def _unknown_ending(path: Path) -> str:
+    seen = f"'{path.suffix}'" if path.suffix else "no ending"
+    return f"{path}: {seen} names no results format: use one of {', '.join(ENDINGS)}"
+
+
+def _of(finger: str) -> str:
+    """What names of columns and arrays begin with."""
+    return f"{finger}." if finger else ""
+
+
+def _write_csv(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
+    file.write((",".join(_of(name) + column for name in fingers for column in columns()) + "\n").encode())
+    for block in _blocks(np.concatenate(list(fingers.values()), axis=1), "csv"):
+        file.write(csv_lines(block))
+
+
+def csv_lines(rows: Array) -> bytes:
+    """Rows (n, width) as lines of CSV, from which every float64 comes back to the bit."""
+    if np.isfinite(rows).all():
+        # As JSON the shortest digits that bring a number back, written several times as fast as by Python.
+        text = _JSON.encode_lines(rows.tolist()).translate(None, b"[]")
+        return text.replace(b".0,", b",").replace(b".0\n", b"\n")
+    line = ",".join(repeat("%.17g", rows.shape[1])) + "\n"  # 17 digits bring every float64 back
+    return "".join([line % tuple(row) for row in rows.tolist()]).encode()
+
+
+def _read_csv(path: Path, finger: str) -> Array:
+    try:
+        with open_input(path) as file:
+            header = file.readline(LINE_MAX).decode("ascii").rstrip("\n").split(",")
+            wanted = [_of(finger) + column for column in columns()]
+            first = header.index(wanted[0]) if wanted[0] in header else 0
+            if header[first : first + RECORD_SIZE] != wanted or len(header) % RECORD_SIZE:
+                raise RecordingError(f"{path}, line 1: not the columns of this version's results{_whose(finger)}")
+            values = array("d")
+            while line := file.readline(LINE_MAX):
+                cells = line.split(b",")
+                if len(cells) != len(header):
+                    raise ValueError(f"a line of {len(cells)} numbers, must be {len(header)}")
+                values.extend(map(float, cells[first : first + RECORD_SIZE]))
+                _check_count(path, len(values) // RECORD_SIZE)
+        return np.array(values, dtype=np.float64).reshape(-1, RECORD_SIZE)
+    except ValueError as error:
+        raise RecordingError(f"{path}: not a results file: {error}") from error
+
+
+def _whose(finger: str) -> str:
+    return f" of a finger '{finger}'" if finger else ""
+
+
+def _write_npz(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
+    arrays: dict[str, Any] = {}
+    for finger, records in fingers.items():
+        arrays[_of(finger) + "records"] = records
+        for f in FIELDS:
+            arrays[_of(finger) + f.name] = records[:, f.at] if f.size == 1 else records[:, f.at : f.at + f.size]
+    np.savez(file, **arrays)
+
+
+def _read_npz(path: Path, finger: str) -> Array:
+    try:
+        with open_input(path) as file:
+            records = np.array(Npz(file).array(_of(finger) + "records", RESULTS_MAX * RECORD_SIZE * 8))
+    except OSError:
+        raise
+    except Exception as error:  # zip and npy decoders fail in many ways on damaged bytes
+        raise RecordingError(f"{path}: not a results file: {type(error).__name__}: {error}") from error
+    _check_count(path, len(records) if records.ndim else 0)
+    if records.dtype != np.float64 or records.ndim != 2 or records.shape[1] != RECORD_SIZE:
+        raise RecordingError(f"{path}: records of {records.dtype}, shape {records.shape}, must be (n, {RECORD_SIZE})")
+    return records
+
+
+def _write_mcap(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
+    with McapResults(path, file, list(fingers)) as recording:
+        for block in _blocks(np.stack(list(fingers.values()), axis=1), "mcap"):
+            for place, finger in enumerate(fingers):
+                recording.append(block[:, place], finger)
+
+
+def _read_mcap(path: Path, finger: str) -> Array:
+    blocks: list[Array] = []
+    count = 0
+    for part in contents(path):
+        if isinstance(part, Ticks) and part.finger == finger:
+            try:
+                blocks.append(part.records())
+            except RecordingError as error:
+                raise RecordingError(f"{path}: not results of this version: {error}") from error
+            count += len(part.rows)
+            _check_count(path, count)
+        elif isinstance(part, End) and part.cut and count:
+            log.warning("%s is cut short or damaged (%s): %d messages read", path, part.cut, count)
+    if not count:
+        raise RecordingError(f"{path}: holds no message of topic '{contact_topic(finger)}'")
+    return np.concatenate(blocks)
+
+
+class McapResults:
+    """Records streamed into an MCAP file on topic `contact`, or those of several fingers on a topic each.
+
+    Chunks of 64 KiB go to the system as soon as they are full: after a crash or a kill all but the
+    last one can be read. Opening raises RecordingError when the file cannot be made, `append` and
+    `close` when it cannot be written (a full disk).
+    """
+
+    def __init__(self, path: str | Path, file: IO[bytes] | None = None, fingers: Sequence[str] = ("",)) -> None:
+        """`file`: what to write to in place of the path; it is closed in the end."""
+        self._path = Path(path)
+        with self._told():
+            self._recording = RecordingFile(file or open_output(path, 0), fingers, drawn=False)
+
+    def append(self, records: Array, finger: str = "") -> None:
+        """Add records (n, RECORD_SIZE) of a finger; a single one may be (RECORD_SIZE,)."""
+        with self._told():
+            self._recording.ticks(np.atleast_2d(records), finger)
+
+    def close(self) -> None:
+        """Write what is left and the index. Any number of times."""
+        with self._told():
+            self._recording.close()
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise RecordingError(f"{self._path}: cannot be written: {error.strerror or error}") from error
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _blocks(records: Array, kind: str) -> Iterator[Array]:
+    """Slices of the records; while they are worked on, a bar on a terminal."""
+    starts = range(0, len(records), BLOCK_ROWS)
+    if len(records) < PROGRESS_MIN_ROWS or not sys.stderr.isatty():
+        for start in starts:
+            yield records[start : start + BLOCK_ROWS]
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(f"writing {kind}", total=len(records))
+        for start in starts:
+            block = records[start : start + BLOCK_ROWS]
+            yield block
+            progress.advance(task, len(block))

@@ -1,0 +1,170 @@
+"""Fixtures for tests of programs that use the daemon: it is started for a test, and its log is in the report.
+
+Installed with the package (entry point `pytest11`); docs/operate/recordings.md shows its use. Every pytest in the same
+environment imports this module, so it imports nothing of weight before a fixture is asked for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from softfinger.server.wire.client import Subscription
+    from softfinger.server.wire.control import Control
+
+READY_S = 600.0
+"""The first run of a scene compiles it, which takes minutes on a busy machine."""
+STOP_S = 20.0
+_POLL_S = 0.02
+_ASK_S = 2.0
+_TELEMETRY = re.compile(r"; telemetry on (\S+)")
+_COMMANDS = re.compile(r"commands on (\S+)")
+_LOGS = pytest.StashKey[list["SoftfingerDaemon"]]()
+
+
+class SoftfingerDaemon:
+    """A daemon in a process of its own, on ports that were free; made by the fixture `softfinger_daemon`."""
+
+    def __init__(self, words: Sequence[str], log: Path) -> None:
+        command = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", *words]
+        self._log = log
+        self._open: list[Any] = []
+        with log.open("wb") as file:
+            self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=file, stderr=file)
+        self.endpoint = self.commands = ""
+        self._stopped = False
+
+    @property
+    def log(self) -> str:
+        """What it has said so far."""
+        return self._log.read_text("utf-8", "replace")
+
+    @property
+    def control(self) -> Control:
+        """A client that commands it."""
+        from softfinger.server.wire.control import Control
+
+        client = Control(self.commands)
+        self._open.append(client)
+        return client
+
+    def subscribe(self, topics: Sequence[str] = ("contact",), timeout_s: float = 10.0) -> Subscription:
+        """A client of its telemetry; iterating raises NoTelemetry after so long without a message."""
+        from softfinger.server.wire.client import subscribe
+
+        client = subscribe(self.endpoint, topics, timeout_s)
+        self._open.append(client)
+        return client
+
+    def wait(self, timeout_s: float = READY_S) -> int:
+        """Wait for its end, such as that of a recording; returns the exit code."""
+        self._stopped = True
+        return self.process.wait(timeout_s)
+
+    def stop(self) -> int:
+        """End it in order, if it has not ended; returns the exit code."""
+        self._stopped = True
+        for client in self._open:
+            client.close()
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+        try:
+            return self.process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+    def wait_ready(self, timeout_s: float) -> None:
+        """Wait for the first tick; fails the test with the log where the daemon ends before, or takes too long."""
+        until = time.monotonic() + timeout_s
+        while not self._ticks():
+            if self.process.poll() is not None:
+                pytest.fail(f"the daemon ended with exit code {self.process.returncode}:\n{self.log}", pytrace=False)
+            if time.monotonic() > until:
+                self.stop()
+                pytest.fail(f"the daemon was not ready within {timeout_s:g} s:\n{self.log}", pytrace=False)
+            time.sleep(_POLL_S)
+
+    @property
+    def failed(self) -> str:
+        """How it ended though nobody asked it to; empty if it did not."""
+        code = self.process.poll()
+        return "" if self._stopped or not code else f"the daemon ended with exit code {code}"
+
+    def _ticks(self) -> bool:
+        if not self.commands:
+            said = self.log
+            telemetry, commands = _TELEMETRY.search(said), _COMMANDS.search(said)
+            if telemetry is None or commands is None:
+                return False
+            self.endpoint, self.commands = telemetry[1], commands[1]
+        from softfinger.config.errors import HapticError
+        from softfinger.server.wire.control import Control
+
+        with contextlib.suppress(HapticError), Control(self.commands, _ASK_S) as control:
+            return control.get_state().sequence >= 0
+        return False
+
+
+@pytest.fixture
+def softfinger_daemon(request: pytest.FixtureRequest) -> Iterator[Callable[..., SoftfingerDaemon]]:
+    """Starts daemons: `softfinger_daemon(scene=..., recording=...)`, ready when it returns, stopped after the test.
+
+    scene      shipped name or file
+    recording  poses to replay; None: what the rig has
+    device     driver in place of the rig's, such as "simulated"
+    rig        shipped name or file
+    words      further words of `softfinger run`, such as ["--once"]
+    ready_s    how long to wait for the first tick
+
+    A daemon that ends with an error fails the test; the log of each is in the report of a test that fails.
+    """
+    daemons = request.node.stash.setdefault(_LOGS, [])
+
+    def start(
+        scene: str | os.PathLike[str] = "paper-plane",
+        recording: str | os.PathLike[str] | None = None,
+        *,
+        device: str | None = None,
+        rig: str | os.PathLike[str] | None = None,
+        words: Sequence[str] = (),
+        ready_s: float = READY_S,
+    ) -> SoftfingerDaemon:
+        given = {"--scene": scene, "--recording": recording, "--device": device, "--rig": rig}
+        said = [word for flag, value in given.items() if value is not None for word in (flag, str(value))]
+        log = Path(folder) / f"{len(daemons)}.log"
+        daemon = SoftfingerDaemon([*said, "--realtime", "off", *words], log)
+        daemons.append(daemon)
+        daemon.wait_ready(ready_s)
+        return daemon
+
+    with tempfile.TemporaryDirectory(prefix="softfinger-") as folder:
+        yield start
+        problems = [each.failed for each in daemons if each.failed]
+        for daemon in daemons:
+            daemon.stop()
+        logs = "\n".join(daemon.log for daemon in daemons)
+    if problems:
+        pytest.fail(f"{'; '.join(problems)}:\n{logs}", pytrace=False)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+    """Put the daemons' logs into the report of a test that failed."""
+    report = yield
+    if report.when == "call" and report.failed:
+        for daemon in item.stash.get(_LOGS, []):
+            report.sections.append(("softfinger's log", daemon.log))
+    return report

@@ -1,0 +1,310 @@
+"""Recorded poses through today's code, and what comes out beside what was recorded, tick by tick.
+
+What a contact remembers is not in a recording. So a run is compared from where nothing is remembered: from the
+daemon's first tick, or, behind anything that breaks the chain (ticks that are missing, a command, a force that the
+driver withheld), from the first tick in free space on with no trace of the time before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import accumulate, pairwise
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import describe, numbered, overridden
+from softfinger.drivers.base import HELD, WITHHELD, DeviceInfo
+from softfinger.proxy.kernels.native.pack import Packed, flatten, packed
+from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE
+from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.guard import DISARMED, POSE_REFUSED
+from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.simulate import tick_many
+from softfinger.server.progress import CHUNK
+from softfinger.server.recording.run import Run
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+COMPARED: Final = ("force", "torque", "contact.mode", "contact.object", "contact.point")
+FIELDS: Final = ("timestamp", "servo.guard", "servo.device", "servo.missed", *COMPARED)
+"""What of a recording a comparison reads."""
+
+COMMAND_S: Final = 0.5
+"""An event tells of a command after it was done: so long before it the force may be another's already. The thread that
+answers has normal priority, and its longest delays on a busy machine are tenths of a second."""
+COMMAND_TICKS: Final = 2
+"""The tick that an event names may have begun before it; the second after it has not."""
+FORGOTTEN: Final = 40.0
+"""Time constants after which the velocity filter has forgotten all: exp(-40) is below the last bit of float64."""
+
+_KEPT: Final = ("servo.guard", *COMPARED)
+_PLACES: Final[dict[str, slice]] = {
+    name: slice(end - NAMED[name].size, end)
+    for name, end in zip(_KEPT, accumulate(NAMED[name].size for name in _KEPT), strict=True)
+}
+_COLUMNS: Final = [NAMED[name].at + i for name in _KEPT for i in range(NAMED[name].size)]
+"""Columns of a record that are kept of a replay, and where they are then."""
+
+_CHANGING: Final = {"set_params", "drive", "arm", "disarm", "heartbeat", "heartbeat_missed"}
+
+
+class Difference(NamedTuple):
+    """Two values of one key in a tick, `seconds` after the first of the recording."""
+
+    tick: int
+    seconds: float
+    finger: str
+    key: str
+    recorded: float
+    now: float
+
+
+class Span(NamedTuple):
+    """Ticks from `first` to `last` that are not compared, and why."""
+
+    first: int
+    last: int
+    why: str
+
+
+class Outcome(NamedTuple):
+    """What a comparison found.
+
+    ticks      of the recording
+    compared   of them
+    different  of those
+    first      where that begins, None where nowhere
+    largest    largest difference of each key
+    left_out   what was not compared
+    """
+
+    ticks: int
+    compared: int
+    different: int
+    first: Difference | None
+    largest: dict[str, float]
+    left_out: list[Span]
+
+
+class Replayed(NamedTuple):
+    """What comes of a run's ticks today: the columns (n, fingers, ...) that are compared; which ticks (n,) may be, and
+    why not the others."""
+
+    columns: Array
+    right: Mask
+    left_out: list[Span]
+
+    def field(self, name: str, place: int) -> Array:
+        """A field of a finger, (n, size)."""
+        return self.columns[:, place, _PLACES[name]]
+
+
+def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
+    """Every tick of a run through today's step and guard. ConfigError where the scene has other fingers."""
+    names = [finger.name for finger in scene.fingers]
+    if len(names) != len(run.fingers) or (len(names) > 1 and names != list(run.fingers)):
+        raise ConfigError(
+            f"the scene has the fingers {', '.join(names) or 'of one'}, the recording {', '.join(run.fingers)}"
+        )
+    ticks = run.first["tick"].astype(np.int64)
+    poses = np.stack([np.column_stack((f["probe.position"], f["probe.orientation"])) for f in run.fingers.values()], 1)
+    poses[_bits(run, POSE_REFUSED)] = np.nan  # as the device gave them, whatever it was
+    recorded = _at_rest(
+        np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1),
+        np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1),
+    )
+    devices, settle = _devices(run), _settle(scene, run.rate_hz)
+    columns = np.empty((len(ticks), len(names), len(_COLUMNS)))
+    right, left_out = np.zeros(len(ticks), dtype=bool), list[Span]()
+    for part in _parts(run, scene, ticks):
+        some = slice(part.start, part.stop)
+        _simulate(run, part, make_tuning(part.scene, rig.guard, devices), poses[some], columns[some])
+        start = part.start
+        if ticks[start] > 0:
+            rests = recorded[some] & _at_rest(
+                columns[some, :, _PLACES["contact.mode"]][..., 0], columns[some, :, _PLACES["servo.guard"]][..., 0]
+            )
+            rests[:settle] = False
+            start += int(np.argmax(rests)) if rests.any() else len(rests)
+        right[start : part.stop] = True
+        left_out += _span(ticks, part.start, start, part.why)
+    for row in _commands(run, scene, ticks):  # before one is told, it may have been done
+        first = max(0, row - round(COMMAND_S * run.rate_hz))
+        right[first:row] = False
+        left_out += _span(ticks, first, row, "when the command after them was done is not recorded")
+    held = _held(run)
+    right[held] = False
+    if held.any():
+        left_out.append(Span(int(ticks[held][0]), int(ticks[held][-1]), "the force was withheld or disarmed meanwhile"))
+    return Replayed(
+        columns, right, left_out + _span(ticks, _end(run, scene, ticks), len(ticks), "another scene was set")
+    )
+
+
+def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, columns: Array) -> None:
+    """What is kept (n, fingers, ...) of the poses (n, fingers, 7) of a part, from where nothing is remembered."""
+    period = period_ns(run.rate_hz) / NS_PER_S
+    first, start = run.first, begin(tuning.scene)
+    number = int(first["tick"][part.start])
+    # A device with a clock of its own is stepped a period each tick, any other one for a missed deadline too.
+    own = all(info.own_clock for info in _devices(run))
+    skipped = 0.0 if own or "servo.missed" not in first else float(first["servo.missed"][part.start])
+    memory = start._replace(world=start.world._replace(time=(number + skipped) * period))
+    dts = np.ascontiguousarray(first["dt"][part.start : part.stop])
+    scene_and_guard, carried = packed(tuning), Packed(start, flatten(memory))
+    records = np.zeros((min(len(poses), CHUNK), poses.shape[1], RECORD_SIZE))
+    for done in range(0, len(poses), CHUNK):
+        some = slice(done, done + CHUNK)
+        rows = records[: len(poses[some])]
+        tick_many(scene_and_guard, carried, poses[some], dts[some], period, number + done, rows)
+        columns[some] = rows[:, :, _COLUMNS]
+
+
+def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[Span]:
+    return [Span(int(ticks[start]), int(ticks[stop - 1]), why)] if stop > start else []
+
+
+def _at_rest(modes: Array, guards: Array) -> Mask:
+    """Ticks (n,) in which no finger, of (n, fingers), touches anything, and no guard changes anything."""
+    rests: Mask = np.all((modes == FREE) & (guards == 0.0), axis=1)
+    return rests
+
+
+def _bits(run: Run, bit: int) -> Mask:
+    """Whether the guard of each finger set this bit, (n, fingers)."""
+    guards = np.stack([fields["servo.guard"] for fields in run.fingers.values()], axis=1)
+    has: Mask = (guards.astype(np.int64) & bit) != 0
+    return has
+
+
+def _held(run: Run) -> Mask:
+    """Ticks (n,) in which a hand did not get the force of the step, for no reason that is in the poses."""
+    device = np.stack([fields["servo.device"] for fields in run.fingers.values()], axis=1)
+    held: Mask = np.any(np.isin(device, (WITHHELD, HELD)) | _bits(run, DISARMED), axis=1)
+    return held
+
+
+def _devices(run: Run) -> list[DeviceInfo]:
+    """What the devices could do, as far as the recording says."""
+    said = run.notes.get("fingers")
+    try:
+        return [msgspec.convert(each["device"], DeviceInfo) for each in said] if isinstance(said, list) else []
+    except (msgspec.ValidationError, KeyError, TypeError):
+        return []
+
+
+def _settle(scene: schema.Scene, rate_hz: float) -> int | None:
+    """Ticks after which nothing is left of the time before; None for ever, where an effect remembers."""
+    effects = [*scene.effect, *(effect for thing in scene.object for effect in thing.effect)]
+    if any(isinstance(effect, schema.StickSlip) for effect in effects):
+        return None
+    slowest = max(finger.probe.velocity_time_constant_s for finger in scene.fingers)
+    return math.ceil(FORGOTTEN * slowest * rate_hz) + 1
+
+
+def compare(run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Array]], tolerance: float) -> Outcome:
+    """Today's records beside what was recorded or what another file has, both (n,) or (n, size) by finger and key.
+
+    tolerance  largest difference of a component, N, N m or m; modes and objects have to be equal
+    """
+    ticks = run.first["tick"].astype(np.int64)
+    other = np.zeros(len(ticks), dtype=bool)
+    largest: dict[str, float] = {}
+    found: list[Difference] = []
+    for place, finger in enumerate(run.fingers):
+        for key, values in against[finger].items():
+            field = NAMED[key]
+            now = replayed.field(key, place)
+            then = values.reshape(len(values), -1)
+            with np.errstate(invalid="ignore"):
+                apart = np.abs(now - then)
+            apart[(now == then) | (np.isnan(now) & np.isnan(then))] = 0.0
+            apart[np.isnan(apart)] = math.inf
+            apart[~replayed.right] = 0.0
+            largest[key] = max(largest.get(key, 0.0), float(apart.max(initial=0.0)))
+            rows, parts = np.nonzero(apart > (tolerance if field.kind == "float" else 0.0))
+            other[rows] = True
+            if len(rows):
+                row, part = int(rows[0]), int(parts[0])
+                name = f"{key}[{part}]" if field.size > 1 else key
+                seconds = float(np.sum(run.first["dt"][1 : row + 1]))
+                found.append(
+                    Difference(int(ticks[row]), seconds, finger, name, float(then[row, part]), float(now[row, part]))
+                )
+    first = min(found, key=lambda each: each.tick, default=None)
+    return Outcome(len(ticks), int(replayed.right.sum()), int(other.sum()), first, largest, replayed.left_out)
+
+
+class _Part(NamedTuple):
+    """Ticks that follow each other: from row `start` to before `stop`, the scene they have, and why they begin anew."""
+
+    start: int
+    stop: int
+    scene: schema.Scene
+    why: str
+
+
+def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> Iterator[_Part]:
+    """The run, divided where the chain breaks."""
+    breaks = {0: "the recording begins in the middle of a run"}
+    for row in (np.flatnonzero(np.diff(ticks) != 1) + 1).tolist():
+        breaks[row] = f"{ticks[row] - ticks[row - 1] - 1} ticks before it are missing"
+    held = _held(run)
+    for row in (np.flatnonzero(held[:-1] & ~held[1:]) + 1).tolist():
+        breaks[row] = "the force was withheld or disarmed"
+    changes = _commands(run, scene, ticks)
+    breaks |= dict.fromkeys(changes, "a command came before")
+    end = _end(run, scene, ticks)
+    starts = sorted(row for row in breaks if row < end)
+    for start, stop in pairwise([*starts, end]):
+        if changes.get(start):
+            scene = overridden(scene, changes[start], "the recording's commands")
+        yield _Part(start, stop, scene, breaks[start])
+
+
+def _commands(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> dict[int, dict[str, Any]]:
+    """The first row with what a command changed, and that, by dotted key of the scene."""
+    changes: dict[int, dict[str, Any]] = {}
+    for event in run.events:
+        if event["kind"] == "command" and event["name"] in _CHANGING:
+            row = int(np.searchsorted(ticks, event["tick"] + COMMAND_TICKS))
+            changes.setdefault(row, {}).update(_changed(scene, event) or {})
+    return changes
+
+
+def _changed(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What a command changed, by dotted key of the scene with numbers; None where its event does not say it."""
+    what = event.get("what")
+    if not isinstance(what, dict):
+        return None
+    if event["name"] == "set_params":
+        if not all(isinstance(change, dict) and "to" in change for change in what.values()):
+            return None
+        mapping = describe(scene)
+        return {numbered(mapping, key): change["to"] for key, change in what.items()}
+    if event["name"] == "drive":
+        number = next((i for i, thing in enumerate(scene.object) if thing.name == what.get("object")), None)
+        return None if number is None else {
+            f"object.{number}.{key}": value for key, value in what.items() if key != "object"
+        }  # fmt: skip
+    return {}
+
+
+def _end(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> int:
+    """The first row (or one past the last) from which on the scene is not known."""
+    for event in run.events:
+        name, kind = event["name"], event["kind"]
+        unknown = (kind, name) in (("command", "set_scene"), ("lifecycle", "replaced"))
+        if kind == "command" and name in _CHANGING:
+            unknown = _changed(scene, event) is None
+        if unknown:
+            return int(np.searchsorted(ticks, event["tick"] - COMMAND_S * run.rate_hz))
+    return len(ticks)

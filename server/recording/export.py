@@ -1,0 +1,121 @@
+"""A recording's ticks as a table for other programs: CSV, Parquet, npz, by the file's ending."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.files import new_file
+from softfinger.server.offline.results import RESULTS_MAX, csv_lines
+from softfinger.server.recording.reader import Ticks, contents
+
+ENDINGS: Final = (".csv", ".parquet", ".npz")
+GROUP_ROWS: Final = 65536
+"""Ticks of a row group of Parquet, which is what a reader takes in at a time: 45 MB."""
+
+
+def check_output(path: Path) -> None:
+    """Raise ConfigError for a file that nothing is exported to."""
+    if path.suffix.lower() not in ENDINGS:
+        raise ConfigError(f"--out {path}: a recording is exported as {', '.join(ENDINGS)}, by the file's ending")
+    if path.suffix.lower() == ".parquet" and importlib.util.find_spec("pyarrow") is None:
+        raise ConfigError(f"--out {path}: pyarrow is not installed: pip install 'softfinger[parquet]'")
+
+
+def export(recording: Path, out: Path, finger: str = "") -> int:
+    """Write every tick of a finger, the single one has no name; returns how many. The file appears whole or not at all.
+
+    Columns are the file's own, named as in telemetry, components as `force[0]`. Raises RecordingError, ConfigError.
+    """
+    check_output(out)
+    wanted = _of(recording, finger)
+    first = next(wanted)
+    write = {".csv": _csv, ".parquet": _parquet, ".npz": _npz}[out.suffix.lower()]
+    try:
+        with new_file(out) as file:
+            return write(file, chain([first], wanted))
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be written: {error.strerror or error}") from error
+
+
+def _of(recording: Path, finger: str) -> Iterator[Ticks]:
+    others, found = set[str](), False
+    for part in contents(recording):
+        if isinstance(part, Ticks) and part.finger == finger:
+            found = True
+            yield part
+        elif isinstance(part, Ticks):
+            others.add(part.finger)
+    if not found:
+        there = f"it has those of {', '.join(sorted(others))}: --finger NAME" if others else "it has none"
+        raise RecordingError(
+            f"{recording}: no ticks of {f'finger {finger!r}' if finger else 'a single finger'}: {there}"
+        )
+
+
+def columns_of(ticks: Ticks) -> list[str]:
+    """Names of the columns."""
+    return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.layout.parts for i in range(p.size)]
+
+
+def _csv(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
+    count = 0
+    for part in ticks:
+        if not count:
+            file.write((",".join(columns_of(part)) + "\n").encode())
+        file.write(csv_lines(part.rows))
+        count += len(part.rows)
+    return count
+
+
+def _parquet(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
+    import pyarrow
+    import pyarrow.parquet
+
+    count, waiting = 0, list[Any]()
+    writer: Any = None
+
+    def hand_on() -> None:
+        if waiting:
+            writer.write_table(pyarrow.concat_tables(waiting).combine_chunks())
+            waiting.clear()
+
+    for part in ticks:
+        whole = np.repeat([p.whole for p in part.layout.parts], [p.size for p in part.layout.parts])
+        arrays = [
+            pyarrow.array(column.astype(np.int64) if integer else column)
+            for column, integer in zip(part.rows.T, whole, strict=True)
+        ]
+        table = pyarrow.table(arrays, names=columns_of(part))
+        writer = writer or pyarrow.parquet.ParquetWriter(file, table.schema)
+        waiting.append(table)
+        count += len(part.rows)
+        if sum(map(len, waiting)) >= GROUP_ROWS:
+            hand_on()
+    hand_on()
+    if writer is not None:
+        writer.close()
+    return count
+
+
+def _npz(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
+    """An array for each field, as results have; in memory whole, so there is a limit."""
+    parts: list[Ticks] = []
+    count = 0
+    for part in ticks:
+        parts.append(part)
+        count += len(part.rows)
+        if count > RESULTS_MAX:
+            raise RecordingError(f"more than {RESULTS_MAX:,} ticks, the most that an npz is made of: use .parquet")
+    rows = Ticks(parts[0].finger, parts[0].layout, np.concatenate([part.rows for part in parts]))
+    arrays: dict[str, Any] = {part.name: rows.column(part.name) for part in rows.layout.parts}
+    if not rows.missing():
+        arrays["records"] = rows.records()
+    np.savez(file, **arrays)
+    return count

@@ -1,0 +1,163 @@
+"""What is drawn of a run by viewers that know nothing of this program: Foxglove's messages of poses, frames, objects.
+
+Objects are drawn where the scene or the last `drive` put them; one that moves by itself stands still in the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.proxy.record import AT
+from softfinger.server.recording.schemas import FRAME, POSE, SCENE, message_class
+
+Record = NDArray[np.float64]
+
+WORLD: Final = "world"
+FINGERTIP: Final = "fingertip"
+PROXY: Final = "proxy"
+PLANE_M: Final = 0.3
+"""Edge of the square that stands for a plane, and length of a cylinder without ends: half a desk device's workspace."""
+SHEET_M: Final = 0.001
+RING_POINTS: Final = 48
+
+_OBJECT: Final = {"r": 0.55, "g": 0.62, "b": 0.72, "a": 0.6}
+_FINGER: Final = {"r": 0.9, "g": 0.55, "b": 0.35, "a": 0.9}
+_NO_TURN: Final = (1.0, 0.0, 0.0, 0.0)
+
+
+def stamp(time_ns: int) -> dict[str, int]:
+    """A time as protobuf has it."""
+    return {"seconds": time_ns // 10**9, "nanos": time_ns % 10**9}
+
+
+def frames(finger: str) -> tuple[str, str]:
+    """Names of a finger's frames: the measured fingertip, and the proxy."""
+    return (f"{finger}/{FINGERTIP}", f"{finger}/{PROXY}") if finger else (FINGERTIP, PROXY)
+
+
+def pose_message(record: Record, time_ns: int) -> bytes:
+    """The measured pose of a record (RECORD_SIZE,)."""
+    pose = _pose(_three(record, AT.probe_position), _four(record, AT.probe_orientation))
+    return _encoded(POSE, timestamp=stamp(time_ns), frame_id=WORLD, pose=pose)
+
+
+def frame_messages(record: Record, time_ns: int, finger: str) -> list[bytes]:
+    """The frames of fingertip and proxy, both turned as the fingertip is."""
+    turn = _quaternion(_four(record, AT.probe_orientation))
+    places = _three(record, AT.probe_position), _three(record, AT.proxy_position)
+    return [
+        _encoded(
+            FRAME,
+            timestamp=stamp(time_ns),
+            parent_frame_id=WORLD,
+            child_frame_id=name,
+            translation=_vector(place),
+            rotation=turn,
+        )
+        for name, place in zip(frames(finger), places, strict=True)
+    ]
+
+
+def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
+    """Every object and every fingertip, whole, so that a viewer that begins anywhere has all."""
+    when = stamp(time_ns)
+    entities = [
+        {"timestamp": when, "frame_id": WORLD, "id": thing.name, "frame_locked": True} | _drawn(thing)
+        for thing in scene.object
+    ]
+    for finger in scene.fingers:
+        _, frame = frames(finger.name)
+        ball = {"pose": _pose((0.0, 0.0, 0.0)), "size": _vector([2.0 * finger.radius_m] * 3), "color": _FINGER}
+        entities.append({"timestamp": when, "frame_id": frame, "id": frame, "frame_locked": True, "spheres": [ball]})
+    return _encoded(SCENE, entities=entities)
+
+
+def _drawn(thing: schema.Object) -> dict[str, Any]:
+    """The primitives of an object; of a shape that is none of these its name, as a text."""
+    at = _pose(thing.position_m, thing.orientation_wxyz)
+    draw: Callable[[Any, Any], dict[str, Any]] | None = _SHAPES.get(thing.shape)
+    if draw is None:
+        return {"texts": [{"pose": at, "billboard": True, "font_size": 0.01, "color": _OBJECT, "text": thing.name}]}
+    return draw(thing, at)
+
+
+def _cube(at: Any, size: Sequence[float]) -> dict[str, Any]:
+    return {"cubes": [{"pose": at, "size": _vector(size), "color": _OBJECT}]}
+
+
+def _ball(at: Any, size: Sequence[float]) -> dict[str, Any]:
+    return {"spheres": [{"pose": at, "size": _vector(size), "color": _OBJECT}]}
+
+
+def _tube(at: Any, radius: float, length: float) -> dict[str, Any]:
+    size = _vector((2.0 * radius, 2.0 * radius, length))
+    return {"cylinders": [{"pose": at, "size": size, "bottom_scale": 1.0, "top_scale": 1.0, "color": _OBJECT}]}
+
+
+def _plane(thing: schema.Plane, at: Any) -> dict[str, Any]:
+    below = _beside(thing, -0.5 * SHEET_M)  # its upper face is the plane
+    return _cube(_pose(below, thing.orientation_wxyz), (PLANE_M, PLANE_M, SHEET_M))
+
+
+def _capsule(thing: schema.Capsule, at: Any) -> dict[str, Any]:
+    diameter = [2.0 * thing.radius_m] * 3
+    ends = [_pose(_beside(thing, way * 0.5 * thing.length_m)) for way in (-1.0, 1.0)]
+    balls = [{"pose": end, "size": _vector(diameter), "color": _OBJECT} for end in ends]
+    return _tube(at, thing.radius_m, thing.length_m) | {"spheres": balls}
+
+
+def _torus(thing: schema.Torus, at: Any) -> dict[str, Any]:
+    turns = [2.0 * math.pi * k / RING_POINTS for k in range(RING_POINTS)]
+    ring = [_vector((thing.major_radius_m * math.cos(a), thing.major_radius_m * math.sin(a), 0.0)) for a in turns]
+    line = {"type": "LINE_LOOP", "pose": at, "thickness": 2.0 * thing.minor_radius_m, "points": ring, "color": _OBJECT}
+    return {"lines": [line]}
+
+
+_SHAPES: Final[dict[str, Callable[[Any, Any], dict[str, Any]]]] = {
+    "plane": _plane,
+    "sphere": lambda thing, at: _ball(at, [2.0 * thing.radius_m] * 3),
+    "cylinder": lambda thing, at: _tube(at, thing.radius_m, thing.length_m or PLANE_M),
+    "capsule": _capsule,
+    "box": lambda thing, at: _cube(at, thing.size_m),
+    "ellipsoid": lambda thing, at: _ball(at, [2.0 * axis for axis in thing.semi_axes_m]),
+    "torus": _torus,
+}
+
+
+def _beside(thing: schema.Object, along_z: float) -> tuple[float, ...]:
+    """A point on the object's z axis, world."""
+    w, x, y, z = thing.orientation_wxyz
+    axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+    return tuple(p + along_z * a for p, a in zip(thing.position_m, axis, strict=True))
+
+
+def _encoded(name: str, **fields: Any) -> bytes:
+    return bytes(message_class(name)(**fields).SerializeToString())
+
+
+def _pose(position: Sequence[float], orientation: Sequence[float] = _NO_TURN) -> dict[str, Any]:
+    return {"position": _vector(position), "orientation": _quaternion(orientation)}
+
+
+def _vector(values: Sequence[float]) -> dict[str, float]:
+    return dict(zip("xyz", values, strict=True))
+
+
+def _quaternion(wxyz: Sequence[float]) -> dict[str, float]:
+    return dict(zip("wxyz", wxyz, strict=True))
+
+
+def _three(record: Record, at: int) -> list[float]:
+    values: list[float] = record[at : at + 3].tolist()
+    return values
+
+
+def _four(record: Record, at: int) -> list[float]:
+    values: list[float] = record[at : at + 4].tolist()
+    return values

@@ -1,0 +1,201 @@
+"""Recordings read as they are written: chunk by chunk, in bounded memory, up to wherever the file ends.
+
+A recording is foreign input. Whatever its bytes are, reading it gives ticks and events or a RecordingError. It may be
+another version's: what a tick has is told by the file, and numbers are found by their telemetry names.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import RecordingError
+from softfinger.config.files import open_input
+from softfinger.drivers.containers import mcap_records, within_limit
+from softfinger.proxy.record import FIELDS
+from softfinger.server.recording.layout import Layout
+from softfinger.server.recording.schemas import class_of, event_of
+from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC
+from softfinger.server.wire.protocol import finger_of
+
+Array = NDArray[np.float64]
+
+METADATA_MAX: Final = 256
+"""Tables of metadata that are read; this program writes some ten."""
+
+
+class Ticks(NamedTuple):
+    """Ticks of a finger, some at a time: `rows` (n, width), whose columns `layout` names."""
+
+    finger: str
+    layout: Layout
+    rows: Array
+
+    def column(self, name: str) -> Array | None:
+        """A field by its telemetry name, (n,) or (n, size); None where the file does not have it."""
+        part = next((part for part in self.layout.parts if part.name == name), None)
+        if part is None:
+            return None
+        return self.rows[:, part.at] if part.size == 1 else self.rows[:, part.at : part.at + part.size]
+
+    def missing(self) -> list[str]:
+        """Fields of this version's ticks that the file lacks, or has with another number of components."""
+        have = {(part.name, part.size) for part in self.layout.parts}
+        return [field.name for field in FIELDS if (field.name, field.size) not in have]
+
+    def records(self) -> Array:
+        """The rows as records (n, RECORD_SIZE) of this version; RecordingError where a field is missing."""
+        if missing := self.missing():
+            raise RecordingError(f"its ticks have no {', '.join(missing[:5])}: it is another version's")
+        if [(part.name, part.size) for part in self.layout.parts] == [(field.name, field.size) for field in FIELDS]:
+            return self.rows
+        columns = [column for field in FIELDS if (column := self.column(field.name)) is not None]
+        return np.column_stack(columns)
+
+
+class Event(NamedTuple):
+    """An event's map, as the wire has it."""
+
+    event: dict[str, Any]
+
+
+class Note(NamedTuple):
+    """A table of metadata, and what it says."""
+
+    name: str
+    value: Any
+
+
+class Topic(NamedTuple):
+    """A topic, its schema's name, and how many messages it has, at the file's end."""
+
+    name: str
+    schema: str
+    messages: int
+
+
+class End(NamedTuple):
+    """The end of a file: its topics, and why it is cut short, empty for a whole one."""
+
+    topics: list[Topic]
+    cut: str
+
+
+class _Channel:
+    def __init__(self, topic: str, schema: Any) -> None:
+        self.topic, self.schema, self.messages = topic, schema, 0
+        self.finger = finger_of(topic)
+        self.layout: Layout | None = None
+        self._class: Any = None
+
+    @property
+    def kind(self) -> Any:
+        """The class of its messages."""
+        if self._class is None:
+            if self.schema is None or self.schema.encoding != "protobuf":
+                raise ValueError(f"messages of topic {self.topic[:40]!r} are not protobuf")
+            self._class = class_of(self.schema.data, self.schema.name)
+        return self._class
+
+    def ticks(self, messages: list[bytes]) -> Ticks:
+        layout = self.layout = self.layout or Layout(self.kind.FromString(messages[0]))
+        rows = None
+        if all(len(message) == layout.size for message in messages):
+            rows = layout.decode(np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1))
+        if rows is None:  # another writer's way to say the same
+            rows = np.array([layout.row(self.kind.FromString(message)) for message in messages])
+        return Ticks(self.finger or "", layout, rows)
+
+
+def contents(path: str | Path) -> Iterator[Ticks | Event | Note | End]:
+    """All that a recording has, in file order, in the end an End. RecordingError for a file without anything."""
+    try:
+        with open_input(path) as file:
+            yield from _contents(Path(path), file)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | Note | End]:
+    from mcap.exceptions import EndOfFile
+    from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
+
+    schemas: dict[int, Any] = {}
+    channels: dict[int, _Channel] = {}
+    described = notes = 0
+    cut = "it ends without an index: its writer was ended, or the disk was full"
+    try:
+        for outer in mcap_records(file):
+            found: dict[int, list[bytes]] = {}
+            for record in _unchunked(outer.data) if isinstance(outer, Chunk) else (outer,):
+                if isinstance(record, tuple):
+                    found.setdefault(record[0], []).append(record[1])
+                elif isinstance(record, Message):
+                    found.setdefault(record.channel_id, []).append(record.data)
+                elif isinstance(record, Schema):
+                    described = within_limit(described, record)
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    known = schemas.get(record.schema_id)
+                    channels.setdefault(record.id, _Channel(record.topic, known))
+                elif isinstance(record, Metadata) and notes < METADATA_MAX:
+                    notes += 1
+                    yield Note(record.name, _value(record.metadata))
+                elif isinstance(record, Footer):
+                    cut = ""
+            for number, messages in found.items():
+                channel = channels[number]
+                channel.messages += len(messages)
+                if channel.finger is not None:
+                    yield channel.ticks(messages)
+                elif channel.topic in (EVENT_TOPIC, MARK_TOPIC):
+                    for message in messages:
+                        yield Event(event_of(channel.kind.FromString(message)))
+    except (GeneratorExit, OSError, RecordingError):
+        raise
+    except Exception as error:  # the decoders fail in many ways on damaged bytes
+        if not isinstance(error, EndOfFile):
+            cut = f"{type(error).__name__}: {str(error)[:120]}"
+        if not channels:
+            raise RecordingError(f"{path}: not a readable MCAP recording: {cut}") from error
+    topics = [Topic(each.topic, each.schema.name if each.schema else "", each.messages) for each in channels.values()]
+    yield End(topics, cut)
+
+
+def _value(table: Mapping[str, str]) -> Any:
+    if set(table) == {JSON}:
+        return json.loads(table[JSON])
+    return dict(table)
+
+
+_HEAD: Final = struct.Struct("<BQ")
+_MESSAGE: Final = 5
+_SCHEMA, _CHANNEL = 3, 4
+
+
+def _unchunked(data: bytes) -> Iterator[Any]:
+    """Records of an unpacked chunk; of a message, which are many, only its channel and its data."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Channel, Schema
+
+    at, end = 0, len(data)
+    while at < end:
+        opcode, length = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        if at + length > end:
+            raise ValueError("a record is longer than its chunk")
+        if opcode == _MESSAGE:
+            if length < 22:
+                raise ValueError("a message without a head")
+            yield data[at] | data[at + 1] << 8, data[at + 22 : at + length]
+        elif opcode in (_SCHEMA, _CHANNEL):
+            stream = ReadDataStream(io.BytesIO(data[at : at + length]))
+            yield (Schema if opcode == _SCHEMA else Channel).read(stream)
+        at += length

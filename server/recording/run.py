@@ -1,0 +1,100 @@
+"""A recording as a run: every tick of every finger, what was commanded meanwhile, and what it was made with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import RecordingError
+from softfinger.drivers.poses import POSES_MAX, rate_of
+from softfinger.server.recording.reader import End, Event, Note, Ticks, contents
+
+Array = NDArray[np.float64]
+
+_NEEDED: Final = ("tick", "dt", "probe.position", "probe.orientation")
+
+
+class Run(NamedTuple):
+    """Ticks that all fingers have.
+
+    fingers  by name, of each its fields by telemetry name, (n,) or (n, size) each
+    notes    tables of metadata
+    events   in file order
+    cut      why the file is cut short; empty for a whole one
+    """
+
+    fingers: dict[str, dict[str, Array]]
+    notes: dict[str, Any]
+    events: list[dict[str, Any]]
+    cut: str
+
+    @property
+    def first(self) -> dict[str, Array]:
+        """The fields of the first finger; `tick` and `dt` are the same for all."""
+        return next(iter(self.fingers.values()))
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the loop: as the file says, else by the shortest time step."""
+        rate = self.notes.get("rate_hz")
+        return float(rate) if isinstance(rate, int | float) else rate_of(float(self.first["dt"].min()))
+
+
+def load_run(path: Path, fields: tuple[str, ...]) -> Run:
+    """Read these fields and those of the poses; RecordingError where there are none."""
+    blocks: dict[str, list[dict[str, Array]]] = {}
+    notes: dict[str, Any] = {}
+    events: list[dict[str, Any]] = []
+    cut, count = "", 0
+    for part in contents(path):
+        match part:
+            case Ticks():
+                blocks.setdefault(part.finger, []).append(dict(_fields(part, fields)))
+                count += len(part.rows)
+                if count > POSES_MAX:
+                    raise RecordingError(f"{path}: more than {POSES_MAX:,} ticks, the most that are read")
+            case Event():
+                events.append(part.event)
+            case Note():
+                notes[part.name] = part.value
+            case End():
+                cut = part.cut
+    if not blocks:
+        raise RecordingError(f"{path}: holds no tick")
+    fingers = {}
+    for finger, each in blocks.items():
+        if missing := [name for name in (*_NEEDED, *fields) if name not in each[0]]:
+            raise RecordingError(f"{path}: its ticks have no {', '.join(missing)}: not a recording of this program")
+        fingers[finger] = {name: np.concatenate([block[name] for block in each]) for name in each[0]}
+    return Run(_in_all(_in_order(fingers, notes)), notes, events, cut)
+
+
+def _fields(ticks: Ticks, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:
+    for name in dict.fromkeys((*_NEEDED, *fields)):
+        column = ticks.column(name)
+        if column is not None:
+            yield name, column
+
+
+def _in_order(fingers: dict[str, dict[str, Array]], notes: dict[str, Any]) -> dict[str, dict[str, Array]]:
+    """As the scene has them."""
+    said = notes.get("fingers")
+    names = [each.get("name") for each in said if isinstance(each, dict)] if isinstance(said, list) else []
+    return dict(sorted(fingers.items(), key=lambda each: names.index(each[0]) if each[0] in names else len(names)))
+
+
+def _in_all(fingers: dict[str, dict[str, Array]]) -> dict[str, dict[str, Array]]:
+    """Those ticks only that every finger has."""
+    kept = np.unique(next(iter(fingers.values()))["tick"])
+    for fields in fingers.values():
+        kept = np.intersect1d(kept, fields["tick"])
+    cut = {}
+    for finger, fields in fingers.items():
+        _, places = np.unique(fields["tick"], return_index=True)
+        places = places[np.isin(fields["tick"][places], kept)]
+        cut[finger] = {name: column[places] for name, column in fields.items()}
+    return cut

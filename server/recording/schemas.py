@@ -1,0 +1,253 @@
+"""What the messages of a recording consist of: protobuf descriptors, made at run time, that travel in the file.
+
+Ticks follow from the record table, events from the table of the wire. Beside them stand three of Foxglove's well-known
+messages, from which its 3-D panel and Rerun draw the run without knowing this program. Source of their fields:
+https://github.com/foxglove/foxglove-sdk, schemas/proto/foxglove.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Any, Final
+
+from softfinger.proxy.record import FIELDS
+from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS, EVENT_KEYS, Key
+
+TICK: Final = "softfinger.Tick"
+EVENT: Final = "softfinger.Event"
+POSE: Final = "foxglove.PoseInFrame"
+FRAME: Final = "foxglove.FrameTransform"
+SCENE: Final = "foxglove.SceneUpdate"
+
+MORE: Final = "more"
+"""Field of an event with what no field of its own is for, as JSON: keys that are maps, or in no table."""
+
+_TIME: Final = "google.protobuf.Timestamp"
+_DURATION: Final = "google.protobuf.Duration"
+
+# Message: fields in the order of their numbers, from 1. [X]: any number of them; names in capitals: an enumeration.
+_FOXGLOVE: Final[dict[str, dict[str, str]]] = {
+    "Vector3": {"x": "double", "y": "double", "z": "double"},
+    "Point3": {"x": "double", "y": "double", "z": "double"},
+    "Quaternion": {"x": "double", "y": "double", "z": "double", "w": "double"},
+    "Color": {"r": "double", "g": "double", "b": "double", "a": "double"},
+    "Pose": {"position": "Vector3", "orientation": "Quaternion"},
+    "KeyValuePair": {"key": "string", "value": "string"},
+    "PoseInFrame": {"timestamp": _TIME, "frame_id": "string", "pose": "Pose"},
+    "FrameTransform": {
+        "timestamp": _TIME,
+        "parent_frame_id": "string",
+        "child_frame_id": "string",
+        "translation": "Vector3",
+        "rotation": "Quaternion",
+    },
+    "ArrowPrimitive": {
+        "pose": "Pose",
+        "shaft_length": "double",
+        "shaft_diameter": "double",
+        "head_length": "double",
+        "head_diameter": "double",
+        "color": "Color",
+    },
+    "CubePrimitive": {"pose": "Pose", "size": "Vector3", "color": "Color"},
+    "SpherePrimitive": {"pose": "Pose", "size": "Vector3", "color": "Color"},
+    "CylinderPrimitive": {
+        "pose": "Pose",
+        "size": "Vector3",
+        "bottom_scale": "double",
+        "top_scale": "double",
+        "color": "Color",
+    },
+    "LinePrimitive": {
+        "type": "LINE_STRIP LINE_LOOP LINE_LIST",
+        "pose": "Pose",
+        "thickness": "double",
+        "scale_invariant": "bool",
+        "points": "[Point3]",
+        "color": "Color",
+        "colors": "[Color]",
+        "indices": "[fixed32]",
+    },
+    "TriangleListPrimitive": {
+        "pose": "Pose",
+        "points": "[Point3]",
+        "color": "Color",
+        "colors": "[Color]",
+        "indices": "[fixed32]",
+    },
+    "TextPrimitive": {
+        "pose": "Pose",
+        "billboard": "bool",
+        "font_size": "double",
+        "scale_invariant": "bool",
+        "color": "Color",
+        "text": "string",
+    },
+    "ModelPrimitive": {
+        "pose": "Pose",
+        "scale": "Vector3",
+        "color": "Color",
+        "override_color": "bool",
+        "url": "string",
+        "media_type": "string",
+        "data": "bytes",
+    },
+    "SceneEntityDeletion": {"timestamp": _TIME, "type": "MATCHING_ID ALL", "id": "string"},
+    "SceneEntity": {
+        "timestamp": _TIME,
+        "frame_id": "string",
+        "id": "string",
+        "lifetime": _DURATION,
+        "frame_locked": "bool",
+        "metadata": "[KeyValuePair]",
+        "arrows": "[ArrowPrimitive]",
+        "cubes": "[CubePrimitive]",
+        "spheres": "[SpherePrimitive]",
+        "cylinders": "[CylinderPrimitive]",
+        "lines": "[LinePrimitive]",
+        "triangles": "[TriangleListPrimitive]",
+        "texts": "[TextPrimitive]",
+        "models": "[ModelPrimitive]",
+    },
+    "SceneUpdate": {"deletions": "[SceneEntityDeletion]", "entities": "[SceneEntity]"},
+}
+
+_EVENT_FIELDS: Final = {
+    key.name: key.type
+    for keys in (EVENT_KEYS, *EVENT_EXTRA_KEYS.values())
+    for key in keys
+    if not key.type.startswith("map")
+}
+_PLAIN: Final = {"int": "sfixed64", "float": "double", "str": "string"}
+
+
+@cache
+def descriptor_set(name: str) -> bytes:
+    """A message type with all that it consists of, as a serialized FileDescriptorSet.
+
+    Dotted names of ticks become nested messages. Integers are sfixed64, so that every tick has the same length and
+    layout.
+    """
+    from google.protobuf import descriptor_pb2
+
+    files = descriptor_pb2.FileDescriptorSet()
+    package, _, root = name.partition(".")
+    if package == "foxglove":
+        _add_foxglove(files, root, set())
+    else:
+        file = files.file.add(name=f"softfinger/{root.lower()}.proto", package=package, syntax="proto3")
+        message = file.message_type.add(name=root)
+        if name == TICK:
+            _add_ticks(message)
+        else:
+            for key, kind in _EVENT_FIELDS.items():
+                plain, _, size = kind.partition("[")
+                _add_field(message, key, f"[{_PLAIN[plain]}]" if size else _PLAIN[plain])
+            _add_field(message, MORE, "string")
+    return bytes(files.SerializeToString(deterministic=True))
+
+
+@cache
+def message_class(name: str) -> Any:
+    """The class of a message type of this program's recordings."""
+    return class_of(descriptor_set(name), name)
+
+
+def class_of(descriptors: bytes, name: str) -> Any:
+    """The class of a message type in a FileDescriptorSet; what the library raises on damage."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(descriptors).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+
+
+def event_message(event: Mapping[str, Any]) -> bytes:
+    """An event's map, as the wire has it, encoded."""
+    known = {key.name for key in _keys_of(event)}
+    fields = {key: value for key, value in event.items() if key in known and key in _EVENT_FIELDS}
+    more = {key: value for key, value in event.items() if key not in fields}
+    # `from` is a word of Python's, so no keyword argument.
+    message = message_class(EVENT)(**fields | ({MORE: json.dumps(more)} if more else {}))
+    return bytes(message.SerializeToString())
+
+
+def event_of(message: Any) -> dict[str, Any]:
+    """The map of a decoded event; keys that the file does not have are left out."""
+    head = {"kind": message.kind}
+    names = [key.name for key in _keys_of(head) if key.name in message.DESCRIPTOR.fields_by_name]
+    event = {name: getattr(message, name) for name in names if name in _EVENT_FIELDS}
+    event = {name: list(value) if _EVENT_FIELDS[name].endswith("]") else value for name, value in event.items()}
+    more = json.loads(message.more) if message.more else {}
+    return event | (more if isinstance(more, dict) else {})
+
+
+def _keys_of(event: Mapping[str, Any]) -> Iterator[Key]:
+    yield from EVENT_KEYS
+    yield from EVENT_EXTRA_KEYS.get(event["kind"], ())
+
+
+def _add_ticks(top: Any) -> None:
+    nested: dict[str, Any] = {}
+    for field in FIELDS:
+        message, within = top, f".{TICK}"
+        *parents, leaf = field.name.split(".")
+        for depth, parent in enumerate(parents):
+            type_name, key = parent.capitalize(), ".".join(parents[: depth + 1])
+            within = f"{within}.{type_name}"
+            if key not in nested:
+                nested[key] = message.nested_type.add(name=type_name)
+                _add_field(message, parent, within)
+            message = nested[key]
+        plain = _PLAIN[field.kind]
+        _add_field(message, leaf, f"[{plain}]" if field.size > 1 else plain)
+
+
+def _add_foxglove(files: Any, name: str, done: set[str]) -> None:
+    """A file for each message, as Foxglove has them, those that it needs first."""
+    from google.protobuf import duration_pb2, timestamp_pb2
+
+    done.add(name)
+    needed = [kind.strip("[]") for kind in _FOXGLOVE[name].values()]
+    for kind in needed:
+        if kind in _FOXGLOVE and kind not in done:
+            _add_foxglove(files, kind, done)
+        for known, module in ((_TIME, timestamp_pb2), (_DURATION, duration_pb2)):
+            if kind == known and kind not in done:
+                done.add(kind)
+                module.DESCRIPTOR.CopyToProto(files.file.add())
+    file = files.file.add(name=f"foxglove/{name}.proto", package="foxglove", syntax="proto3")
+    message = file.message_type.add(name=name)
+    paths = {_TIME: "google/protobuf/timestamp.proto", _DURATION: "google/protobuf/duration.proto"}
+    paths |= {kind: f"foxglove/{kind}.proto" for kind in _FOXGLOVE}
+    file.dependency.extend(dict.fromkeys(paths[kind] for kind in needed if kind in paths))
+    for key, kind in _FOXGLOVE[name].items():
+        bare = kind.strip("[]")
+        if bare in _FOXGLOVE:
+            kind = kind.replace(bare, f".foxglove.{bare}")
+        elif bare in paths:
+            kind = kind.replace(bare, f".{bare}")
+        elif bare.isupper():
+            values = message.enum_type.add(name=key.capitalize())
+            for number, value in enumerate(bare.split()):
+                values.value.add(name=value, number=number)
+            kind = f".foxglove.{name}.{key.capitalize()}="
+        _add_field(message, key, kind)
+
+
+def _add_field(message: Any, name: str, kind: str) -> None:
+    """A field with the next number. kind: a plain type's name, `.a.Message`, `.an.Enumeration=`; in [] if repeated."""
+    from google.protobuf import descriptor_pb2
+
+    kinds = descriptor_pb2.FieldDescriptorProto
+    bare = kind.strip("[]")
+    label = kinds.LABEL_REPEATED if kind.startswith("[") else kinds.LABEL_OPTIONAL
+    field = message.field.add(name=name, number=len(message.field) + 1, label=label)
+    if not bare.startswith("."):
+        field.type = kinds.Type.Value(f"TYPE_{bare.upper()}")
+    else:
+        field.type = kinds.TYPE_ENUM if bare.endswith("=") else kinds.TYPE_MESSAGE
+        field.type_name = bare.removesuffix("=")

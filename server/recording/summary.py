@@ -1,0 +1,109 @@
+"""What is in a recording: one pass over it, in bounded memory."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import RecordingError
+from softfinger.proxy.record import MODE_NAMES
+from softfinger.server.recording.reader import End, Event, Note, Ticks, contents
+from softfinger.server.recording.recorder import END
+
+_TOLD = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
+"""Tables of metadata that go into a summary as they are."""
+
+
+class _Finger:
+    """Sums over the ticks of one finger."""
+
+    def __init__(self) -> None:
+        self.ticks = self.gaps = self.missing = 0
+        self.first = self.last = -1
+        self.begun_s = self.ended_s = 0.0
+        self.longest = 0
+        self.modes: Counter[int] = Counter()
+        self.peaks: dict[str, float] = {}
+
+    def add(self, ticks: Ticks) -> None:
+        numbers, stamps = ticks.column("tick"), ticks.column("timestamp")
+        if numbers is None or stamps is None:
+            raise RecordingError("its ticks have no tick, or no timestamp: not a recording of this program")
+        if not self.ticks:
+            self.first, self.begun_s = int(numbers[0]), float(stamps[0])
+        apart = np.diff(numbers, prepend=self.last if self.ticks else numbers[0] - 1).astype(int)
+        lost = apart[apart > 1] - 1
+        self.gaps, self.missing = self.gaps + len(lost), self.missing + int(lost.sum())
+        self.longest = max(self.longest, int(lost.max(initial=0)))
+        self.ticks, self.last, self.ended_s = self.ticks + len(numbers), int(numbers[-1]), float(stamps[-1])
+        modes = ticks.column("contact.mode")
+        if modes is not None:
+            self.modes.update(modes.astype(int).tolist())
+        for name, unit in (("force", "n"), ("torque", "nm"), ("contact.penetration", "m")):
+            values = ticks.column(name)
+            if values is not None:
+                key = f"{name.rpartition('.')[2]}_max_{unit}"
+                self.peaks[key] = max(self.peaks.get(key, 0.0), _largest(values))
+
+    def told(self) -> dict[str, Any]:
+        """As plain values."""
+        modes = {name: self.modes[number] for number, name in enumerate(MODE_NAMES)}
+        return {"ticks": self.ticks, "modes": modes} | self.peaks
+
+
+def _largest(values: NDArray[np.float64]) -> float:
+    size = np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
+    return float(np.nanmax(size, initial=0.0))
+
+
+def summary(path: Path) -> dict[str, Any]:
+    """What `softfinger info --json` prints. RecordingError for a file that is no recording of this program.
+
+    missing  ticks that the file lacks, in so many gaps; dropped: those that the disk was too slow for, as far as its
+             end says; lost: those that did not arrive over the wire
+    """
+    fingers: dict[str, _Finger] = {}
+    notes: dict[str, Any] = {}
+    events: Counter[str] = Counter()
+    marks: list[dict[str, Any]] = []
+    end = End([], "")
+    for part in contents(path):
+        match part:
+            case Ticks():
+                fingers.setdefault(part.finger, _Finger()).add(part)
+            case Note():
+                notes[part.name] = part.value
+            case Event():
+                events[f"{part.event['kind']} {part.event['name']}"] += 1
+                if part.event["kind"] == "mark":
+                    marks.append({key: part.event[key] for key in ("tick", "label")})
+            case End():
+                end = part
+    if not fingers:
+        raise RecordingError(f"{path}: holds no tick")
+    one = next(iter(fingers.values()))
+    every = notes.get("every") if isinstance(notes.get("every"), int) else 1
+    ended = notes.get(END) if isinstance(notes.get(END), dict) else {}
+    thin = every != 1
+    return {
+        "file": str(path),
+        "bytes": path.stat().st_size,
+        "whole": not end.cut,
+        "cut": end.cut,
+        "duration_s": one.ended_s - one.begun_s,
+        "first_tick": one.first,
+        "last_tick": one.last,
+        "ticks": one.ticks,
+        "gaps": 0 if thin else one.gaps,
+        "missing": 0 if thin else one.missing,
+        "longest_gap": 0 if thin else one.longest,
+        "dropped": (ended or {}).get("dropped"),
+        "fingers": {name: finger.told() for name, finger in fingers.items()},
+        "events": dict(events),
+        "marks": marks,
+        "topics": [topic._asdict() for topic in end.topics],
+    } | {key: notes.get(key) for key in _TOLD}

@@ -1,0 +1,22 @@
+"""`softfinger export`: a recording's ticks as CSV, Parquet or npz."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from softfinger.server.recording.export import export
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="an .mcap of run --record, record or ctl")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet or .npz")
+    parser.add_argument("--finger", default="", metavar="NAME", help="which of several fingers")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write it; returns 0."""
+    count = export(args.recording, args.out, args.finger)
+    print(f"{args.out}: {count} ticks")
+    return 0

@@ -1,0 +1,206 @@
+"""`softfinger replay`: recorded poses through today's code, beside the forces, modes and contact points of then."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.arrays.npz import Npz
+from softfinger.config.errors import ConfigError, Different, RecordingError
+from softfinger.config.files import open_input, read_input
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
+from softfinger.drivers.wrench_log import FORCE_COLUMNS
+from softfinger.proxy.record import NAMED
+from softfinger.server.offline.figures import figure, plot_file, save
+from softfinger.server.offline.results import read_results
+from softfinger.server.recording.compare import COMPARED, FIELDS, Outcome, Replayed, compare, replay
+from softfinger.server.recording.run import Run, load_run
+
+Array = NDArray[np.float64]
+Against = dict[str, dict[str, Array]]
+
+TOLERANCE: Final = 1e-9
+"""N, N m, m: what another processor's mathematics may differ by after many ticks; on one machine nothing does."""
+FORCES_BYTES_MAX: Final = 1 << 30
+SPANS_SHOWN: Final = 10
+POINTS_MAX: Final = 4000
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument(
+        "recording",
+        metavar="RECORDING",
+        help="an .mcap; or poses (.csv, .npz, a shipped name), with --scene and --against",
+    )
+    parser.add_argument(
+        "--against", type=Path, metavar="FORCES", help="compare with this: results, or the forces that a replay kept"
+    )
+    parser.add_argument(
+        "--tolerance", type=float, default=TOLERANCE, metavar="N", help="largest difference, N, N m, m (%(default)s)"
+    )
+    parser.add_argument("--scene", help="scene in place of the recording's")
+    parser.add_argument("--rig", help="rig whose guard limits the force, in place of the recording's")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="of poses that are no recording (1000)")
+    parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="draw both forces and what lies between")
+    parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare; returns 0. Raises Different, with an exit code of its own, at the first difference."""
+    if not args.tolerance >= 0.0:
+        raise ConfigError(f"--tolerance {args.tolerance} is no tolerance: give 0 or more")
+    path = Path(args.recording)
+    recorded = path.suffix.lower() == ".mcap"
+    rig = load_rig(args.rig or "replay", {} if args.rate is None else {"servo.rate_hz": args.rate})
+    if recorded:
+        if args.rate is not None:
+            raise ConfigError("--rate is for poses: a recording has its own")
+        past = load_run(path, FIELDS)
+        if past.notes.get("every", 1) != 1:
+            raise RecordingError(f"{path}: has one tick in {past.notes['every']}: a replay needs all, so set every = 1")
+        scene = _scene(args.scene, past, path)
+        if args.rig is None and "rig" in past.notes:
+            rig = build(schema.Rig, past.notes["rig"], f"{path}: rig")
+    else:
+        if args.scene is None or args.against is None:
+            raise ConfigError(f"{path}: poses alone say neither scene nor forces: give --scene and --against")
+        past, scene = _of_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
+    now = replay(past, scene, rig)
+    against = _recorded(past) if args.against is None else _from_file(args.against, past)
+    outcome = compare(past, now, against, args.tolerance)
+    if args.plot is not None:
+        draw(past, now, against, args.plot)
+    print(json.dumps(_plain(outcome)) if args.json else "\n".join(_lines(outcome, past)))
+    if outcome.first is not None:
+        first = outcome.first
+        raise Different(
+            f"tick {first.tick} ({first.seconds:.3f} s), {f'{first.finger} ' if first.finger else ''}{first.key}: "
+            f"{first.recorded!r} then, {first.now!r} now; {outcome.different} of {outcome.compared} ticks differ"
+        )
+    if not outcome.compared:
+        raise RecordingError(f"{path}: no tick of it can be compared: it begins in contact, or is too short")
+    return 0
+
+
+def _scene(named: str | None, past: Run, path: Path) -> schema.Scene:
+    if named is not None:
+        return load_scene(named)
+    if "scene" not in past.notes:
+        raise ConfigError(f"{path}: does not say its scene: give --scene")
+    return build(schema.Scene, past.notes["scene"], f"{path}: scene")
+
+
+def _of_poses(name: str, rate_hz: float) -> Run:
+    """Poses as a run from its first tick on."""
+    poses = resample(load_poses(name), rate_hz)
+    count = len(poses)
+    fields = {key: np.zeros((count, NAMED[key].size)).squeeze(axis=1) if NAMED[key].size == 1
+              else np.zeros((count, NAMED[key].size)) for key in FIELDS}  # fmt: skip
+    fields |= {"tick": np.arange(count, dtype=np.float64), "dt": np.full(count, round(1e9 / rate_hz) / 1e9)}
+    fields |= {"probe.position": poses[:, :3], "probe.orientation": poses[:, 3:]}
+    return Run({"": fields}, {"rate_hz": rate_hz}, [], "")
+
+
+def _recorded(past: Run) -> Against:
+    return {finger: {key: fields[key] for key in COMPARED} for finger, fields in past.fingers.items()}
+
+
+def _from_file(path: Path, past: Run) -> Against:
+    """What another file has of the run's ticks, NaN where it has none; the ticks are numbered from 0 there and here."""
+    against: Against = {}
+    for finger, fields in past.fingers.items():
+        forces = _forces(path) if len(past.fingers) == 1 else None
+        if forces is not None:
+            numbers, found = forces
+        else:
+            rows = read_results(path, finger)
+            numbers = rows[:, NAMED["tick"].at]
+            found = {key: rows[:, NAMED[key].at : NAMED[key].at + NAMED[key].size] for key in COMPARED}
+        missing = ~np.isin(fields["tick"], numbers)
+        if missing.any():
+            raise RecordingError(
+                f"{path}: has no tick {fields['tick'][missing][0]:.0f}, nor {missing.sum() - 1} others of the recording"
+            )
+        order = np.argsort(numbers, kind="stable")
+        places = order[np.searchsorted(numbers[order], fields["tick"])]
+        against[finger] = {key: values[places] for key, values in found.items()}
+    return against
+
+
+def _forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
+    """Of the file of forces that a replay keeps: the read that each answers, and its wrench; None for another file."""
+    try:
+        if path.suffix.lower() == ".npz":
+            with open_input(path) as file:
+                archive = Npz(file)
+                if "read" not in archive.names():
+                    return None
+                size = FORCES_BYTES_MAX
+                reads = archive.array("read", size).astype(np.float64)
+                wrenches = np.column_stack([archive.array("force", size), archive.array("torque", size)])
+        elif path.suffix.lower() == ".csv":
+            with open_input(path) as file:
+                if file.readline(len(",".join(FORCE_COLUMNS)) + 2).decode("ascii", "replace").strip() != ",".join(
+                    FORCE_COLUMNS
+                ):
+                    return None
+            lines = csv.reader(io.StringIO(read_input(path, FORCES_BYTES_MAX).decode("ascii")))
+            table = np.array([[float(cell) for cell in line] for line in list(lines)[1:]])
+            reads, wrenches = table[:, 0], table[:, 1:7]
+        else:
+            return None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # damaged bytes fail in many ways
+        raise RecordingError(f"{path}: not a file of forces: {error}") from error
+    return reads, {"force": wrenches[:, :3], "torque": wrenches[:, 3:6]}
+
+
+def _plain(outcome: Outcome) -> dict[str, Any]:
+    plain = outcome._asdict() | {"equal": outcome.first is None and outcome.compared > 0}
+    plain["first"] = None if outcome.first is None else outcome.first._asdict()
+    plain["left_out"] = [span._asdict() for span in outcome.left_out]
+    return plain
+
+
+def _lines(outcome: Outcome, past: Run) -> list[str]:
+    lines = [f"{outcome.compared} of {outcome.ticks} ticks compared, {outcome.different} differ"]
+    if past.cut:
+        lines.append(f"  the recording is cut short: {past.cut}")
+    lines += [f"  {key}: largest difference {value:.3g}" for key, value in outcome.largest.items()]
+    lines += [f"  ticks {s.first} to {s.last} are not compared: {s.why}" for s in outcome.left_out[:SPANS_SHOWN]]
+    if len(outcome.left_out) > SPANS_SHOWN:
+        lines.append(f"  and {len(outcome.left_out) - SPANS_SHOWN} stretches more")
+    return lines
+
+
+def draw(past: Run, now: Replayed, against: Against, path: Path) -> None:
+    """Draw the size of both forces of each finger over time, and of their difference where they are compared."""
+    drawing = figure(8.0, 2.0 + 2.0 * len(past.fingers))
+    axes = drawing.subplots(2 * len(past.fingers), 1, sharex=True, squeeze=False)[:, 0]
+    seconds = np.cumsum(past.first["dt"])
+    few = np.unique(np.linspace(0, len(seconds) - 1, min(len(seconds), POINTS_MAX)).astype(int))
+    for place, finger in enumerate(past.fingers):
+        then, today = against[finger]["force"], now.field("force", place)
+        apart = np.linalg.norm(today - then, axis=1)
+        apart[~now.right] = np.nan
+        above, below = axes[2 * place], axes[2 * place + 1]
+        above.plot(seconds[few], np.linalg.norm(then, axis=1)[few], linewidth=1.6, label="then")
+        above.plot(seconds[few], np.linalg.norm(today, axis=1)[few], linewidth=0.8, label="now")
+        above.set_ylabel(f"{finger} force [N]".strip())
+        above.legend(frameon=False, fontsize="small")
+        below.plot(seconds[few], apart[few], linewidth=1.0)
+        below.set_ylabel("difference [N]")
+    axes[-1].set_xlabel("time [s]")
+    save(drawing, path)

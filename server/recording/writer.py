@@ -1,0 +1,164 @@
+"""A recording as it is written: ticks, events, what viewers draw, and what it was made with.
+
+Topics: `contact`, or `finger/NAME` of several fingers, with every tick; `event`, and `mark` for those of that kind;
+`pose`, `tf` and `scene` as Foxglove has them, at the pace of a display. `docs/operate/recordings.md` has the list.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import IO, Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.proxy.record import AT
+from softfinger.server.recording import picture
+from softfinger.server.recording.layout import tick_layout
+from softfinger.server.recording.mcapfile import McapFile
+from softfinger.server.recording.schemas import EVENT, FRAME, POSE, SCENE, TICK, descriptor_set, event_message
+from softfinger.server.wire.protocol import contact_topic
+
+Array = NDArray[np.float64]
+
+EVENT_TOPIC: Final = "event"
+MARK_TOPIC: Final = "mark"
+POSE_TOPIC: Final = "pose"
+FRAME_TOPIC: Final = "tf"
+SCENE_TOPIC: Final = "scene"
+DISPLAY_HZ: Final = 60.0
+"""Pictures a second: what a display shows."""
+SCENE_PERIOD_S: Final = 1.0
+"""A player that is moved to another moment has the scene within so long."""
+JSON: Final = "json"
+"""Key of the text in each table of metadata."""
+
+_NS: Final = 1e9
+_TIME_MAX_S: Final = 9e9  # MCAP has no time before 1970, and none after 2554
+
+
+class RecordingFile:
+    """Writes to an unbuffered file, which it closes in the end; what that raises is raised here.
+
+    fingers  names of several fingers, one empty name for a single one
+    about    what it is made with, by name: a table of metadata of each; `scene` is drawn
+    drawn    whether there are topics for viewers
+    """
+
+    def __init__(
+        self,
+        file: IO[bytes],
+        fingers: Sequence[str] = ("",),
+        about: Mapping[str, Any] | None = None,
+        drawn: bool = True,
+    ) -> None:
+        self._file = file
+        self._layout = tick_layout()
+        ticks = descriptor_set(TICK)
+        try:
+            self.mcap: Final = McapFile(file)
+            for name, value in (about or {}).items():
+                self.note(name, value)
+            self._ticks = {finger: self.mcap.channel(contact_topic(finger), TICK, ticks) for finger in fingers}
+        except BaseException:
+            file.close()
+            raise
+        self._topics: dict[str, int] = {}
+        self._drawn = drawn
+        self._pictures: dict[str, float] = {}
+        self._scene = _scene_of(about or {}) if drawn else None
+        self._scene_due_s = 0.0
+
+    def note(self, name: str, value: Any) -> None:
+        """A table of metadata, with a value that JSON has."""
+        self.mcap.metadata(name, {JSON: json.dumps(value)})
+
+    def ticks(self, records: Array, finger: str = "") -> None:
+        """Add records (n, RECORD_SIZE) of a finger. ValueError where an integer's is no whole number."""
+        messages = np.empty((len(records), self._layout.size), np.uint8)
+        self._layout.encode(records, messages)
+        times = times_ns(records)
+        sequences = records[:, AT.tick].astype(np.int64) & 0xFFFFFFFF
+        self.mcap.block(self._ticks[finger], times, messages, sequences)
+        if self._drawn:
+            self._draw(records, times, finger)
+
+    def event(self, event: Mapping[str, Any]) -> None:
+        """Add an event, a map as the wire has it."""
+        topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
+        time_ns = round(min(max(float(event["timestamp"]), 0.0), _TIME_MAX_S) * _NS)
+        self._add(topic, EVENT, time_ns, event_message(event))
+        if (event["kind"], event["name"]) == ("command", "drive") and self._scene is not None:
+            self._scene = _driven(self._scene, event.get("what"))
+            self._scene_due_s = 0.0
+
+    def show(self, scene: schema.Scene) -> None:
+        """Draw another scene from here on."""
+        self._scene, self._scene_due_s = scene, 0.0
+
+    def count(self, finger: str = "") -> int:
+        """Ticks of a finger that the system has."""
+        return self.mcap.counts.get(self._ticks[finger], 0)
+
+    def flush(self) -> None:
+        """Give the system all that was added."""
+        self.mcap.flush()
+
+    def close(self) -> None:
+        """Write the rest and the index. Any number of times; the file is closed whatever happens."""
+        if not self._file.closed:
+            with self._file:
+                self.mcap.finish()
+
+    def _draw(self, records: Array, times: NDArray[np.int64], finger: str) -> None:
+        frames = np.floor(records[:, AT.timestamp] * DISPLAY_HZ)
+        before = self._pictures.get(finger, np.nan)
+        for row in np.flatnonzero(frames != np.concatenate(([before], frames[:-1]))):
+            time_ns = int(times[row])
+            at = f"{POSE_TOPIC}/{finger}" if finger else POSE_TOPIC
+            self._add(at, POSE, time_ns, picture.pose_message(records[row], time_ns))
+            for message in picture.frame_messages(records[row], time_ns, finger):
+                self._add(FRAME_TOPIC, FRAME, time_ns, message)
+            now = float(records[row, AT.timestamp])
+            if self._scene is not None and now >= self._scene_due_s:
+                self._scene_due_s = now + SCENE_PERIOD_S
+                self._add(SCENE_TOPIC, SCENE, time_ns, picture.scene_message(self._scene, time_ns))
+        if len(frames):
+            self._pictures[finger] = float(frames[-1])
+
+    def _add(self, topic: str, kind: str, time_ns: int, message: bytes) -> None:
+        if topic not in self._topics:
+            self._topics[topic] = self.mcap.channel(topic, kind, descriptor_set(kind))
+        self.mcap.message(self._topics[topic], time_ns, message)
+
+
+def times_ns(records: Array) -> NDArray[np.int64]:
+    """Times of records (n, RECORD_SIZE) in nanoseconds since the epoch, as a file can have them."""
+    seconds = np.nan_to_num(records[:, AT.timestamp], nan=0.0, posinf=0.0, neginf=0.0)
+    return np.rint(np.clip(seconds, 0.0, _TIME_MAX_S) * _NS).astype(np.int64)
+
+
+def _scene_of(about: Mapping[str, Any]) -> schema.Scene | None:
+    try:
+        return build(schema.Scene, about["scene"], "scene")
+    except (KeyError, ConfigError):  # unknown, or of a daemon with shapes that are not installed here
+        return None
+
+
+def _driven(scene: schema.Scene, what: Any) -> schema.Scene:
+    """The scene with the pose that an event of `drive` tells."""
+    if not isinstance(what, dict):
+        return scene
+    pose = {key: tuple(what[key]) for key in ("position_m", "orientation_wxyz") if key in what}
+    return msgspec.structs.replace(
+        scene,
+        object=tuple(
+            msgspec.structs.replace(thing, **pose) if thing.name == what.get("object") else thing
+            for thing in scene.object
+        ),
+    )

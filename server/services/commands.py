@@ -1,0 +1,296 @@
+"""Commands as a service: what each method does to the daemon. A thread at normal priority answers; it never waits long.
+
+`set_scene` is answered from another thread, when it is done; everything else is answered at once, meanwhile too.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError, HapticError, SafetyStop
+from softfinger.config.load import build, describe, load_scene, numbered, overridden, shipped, value_at
+from softfinger.config.words import near, shown
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server.loop import wayout
+from softfinger.server.services.base import Worker
+from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
+from softfinger.server.services.description import described
+from softfinger.server.services.recordings import Recordings
+from softfinger.server.services.records import Sink
+from softfinger.server.services.rendering import Rendering, Replacing
+from softfinger.server.wire import commands as wire
+from softfinger.server.wire.commands import Declined, Request
+from softfinger.server.wire.endpoint import Bound
+from softfinger.server.wire.protocol import encode, wire_schema
+from softfinger.server.wire.router import Router
+
+log: Final = logging.getLogger(__name__)
+
+KEY: Final = "[commands] endpoint"
+
+EVENT_BYTES_MAX: Final = 1024
+"""Most that a request puts into an event: the publisher keeps 40 000 messages, none of them longer than its own."""
+
+LOG_PERIOD_S: Final = 10.0
+
+_COMMANDED: Final = "command"
+_SILENT: Final = "heartbeat"
+"""Why there is no force."""
+
+
+class Doing(NamedTuple):
+    """What the commands do with the daemon besides its rendering.
+
+    replace     puts a scene in under a name, and returns the first tick with it
+    ring        where local readers find every tick, as `describe` has it
+    event       publishes an event
+    stop        ends the run in order
+    fail        ends the run with an error
+    recordings  records what is rendered
+    """
+
+    replace: Callable[[schema.Scene, str], int]
+    ring: Callable[[], dict[str, Any]]
+    event: Callable[..., None]
+    stop: Callable[[], None]
+    fail: Callable[[HapticError], None]
+    recordings: Recordings
+
+
+class Commands(Worker):
+    """Answers on an endpoint that is bound already, and frees it in the end.
+
+    scene_name  what the scene of the beginning is called
+    """
+
+    def __init__(self, bound: Bound, rendering: Rendering, doing: Doing, scene_name: str) -> None:
+        super().__init__("commands")
+        self.endpoint: Final = bound.endpoint
+        self._files, self._rendering, self._doing, self._scene_name = bound.files, rendering, doing, scene_name
+        self._heartbeat_s = rendering.rig.commands.heartbeat_s
+        self._heard_s = 0.0
+        self._logged_s = -LOG_PERIOD_S
+        self._newest: NDArray[np.float64] | None = None
+        self._router = Router(bound.listener, self._answer, self._each_period)
+        self._scenes = SceneChanges(doing.replace)
+        self.sink: Final = Sink("commands", self._keep)
+
+    def start(self) -> None:
+        self._scenes.start()
+        super().start()
+
+    def work(self) -> None:
+        self._heard_s = time.monotonic()
+        try:
+            self._router.run(self.closing)
+        finally:
+            self._router.close()
+
+    def failed(self, error: Exception) -> None:
+        """Nobody can command. That ends the run where a heartbeat is needed, for nobody would miss it any more."""
+        self._doing.event("fault", "commands", message=str(error))
+        if self._heartbeat_s is not None:
+            self._doing.fail(SafetyStop(f"commands cannot be taken: {error}; nobody would see the heartbeat end"))
+
+    def stop(self) -> None:
+        never_started = [self._router.close] if self._thread.ident is None and not self.closing.is_set() else []
+        failed = wayout.every(self._scenes.stop, super().stop, *never_started, self._files.close)
+        if failed is not None:
+            raise failed
+
+    def _keep(self, records: NDArray[np.float64], drops: int) -> None:
+        self._newest = records[-1].copy()
+
+    # --- what comes in --------------------------------------------------------------------------------
+
+    def _answer(self, peer: int, body: bytes | None, too_much: bool) -> bytes | None:
+        command_id = ""
+        try:
+            request = wire.parse(body)
+            command_id = request.command_id
+            if too_much:
+                raise Declined("busy", "too many requests from this client: ask more slowly")
+            self._heard_s = time.monotonic()
+            if request.method == "set_scene":
+                self._set_scene(peer, request)
+                return None
+            return wire.answered(command_id, getattr(self, f"_{request.method}")(request))
+        except Exception as error:
+            return wire.declined(self._declined(error), command_id)
+
+    def _declined(self, error: Exception) -> Declined:
+        """What became of a request, as its answer has it."""
+        match error:
+            case Declined():
+                return error
+            case Superseded():
+                return Declined("superseded", str(error))
+            case NotCompiled():
+                return Declined("failed", str(error))
+            case ConfigError():
+                return Declined("bad_params", str(error))
+            case Replacing():
+                return Declined("busy", str(error))
+            case HapticError():
+                return Declined("refused", str(error))
+        if time.monotonic() - self._logged_s > LOG_PERIOD_S:  # seldom: a peer must not fill the log
+            self._logged_s = time.monotonic()
+            log.error("a command failed", exc_info=error)
+        return Declined("failed", f"{type(error).__name__}: {error}"[:500])
+
+    def _each_period(self) -> None:
+        self._rendering.advance()
+        silent_s = time.monotonic() - self._heard_s
+        if self._heartbeat_s is not None and silent_s > self._heartbeat_s and not self._rendering.disarmed_for(_SILENT):
+            self._rendering.disarm(_SILENT)
+            log.warning("commands: none for %.2f s: the force is taken off until the next heartbeat", silent_s)
+            self._tell("heartbeat_missed", "", {"after_s": self._heartbeat_s})
+
+    def _tell(self, name: str, command_id: str, what: Mapping[str, Any]) -> None:
+        """Publish what changed, if it is not too long to be kept for everybody."""
+        told = dict(what)
+        if len(encode(told)) > EVENT_BYTES_MAX:
+            told = {"keys": len(what)}
+        self._doing.event("command", name, command_id=command_id, what=told)
+
+    # --- methods --------------------------------------------------------------------------------------
+
+    def _get_state(self, request: Request) -> wire.State:
+        if self._newest is None:
+            raise Declined("refused", "there has been no tick yet: ask again later")
+        return wire.state_of(self._newest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
+
+    def _heartbeat(self, request: Request) -> wire.Alive:
+        if self._rendering.disarmed_for(_SILENT):
+            self._rendering.arm(_SILENT)
+            self._tell("heartbeat", request.command_id, {"armed": self._rendering.armed})
+        return wire.Alive(round(1000 * (self._heartbeat_s or 0.0)))
+
+    def _set_params(self, request: Request) -> wire.Changed:
+        before, after, tick = self._rendering.set_parameters(request.params, "set_params")
+        old, new = describe(before), describe(after)
+        ways = {key: numbered(old, key) for key in request.params}  # a name may be what has changed
+        each = {key: wire.Change(value_at(old, way), value_at(new, way)) for key, way in ways.items()}
+        changed = {key: change for key, change in each.items() if change.before != change.after}
+        if changed:
+            self._tell("set_params", request.command_id, changed)
+        return wire.Changed(changed, tick)
+
+    def _set_scene(self, peer: int, request: Request) -> None:
+        asked: wire.SetScene = request.params
+        if isinstance(asked.scene, str):
+            if asked.scene not in shipped(schema.Scene):
+                raise Declined(
+                    "bad_params",
+                    f"no scene is called {shown(asked.scene)}{near(asked.scene, shipped(schema.Scene))}; shipped are "
+                    f"{', '.join(shipped(schema.Scene))}; one of your own is given whole",
+                )
+            scene = load_scene(asked.scene)
+        else:
+            scene = build(schema.Scene, asked.scene, "set_scene")
+        if asked.overrides:
+            scene = overridden(scene, asked.overrides, "set_scene")
+        self._rendering.check(scene, self._rendering.rig)  # before it is compiled
+        name = asked.name or (asked.scene if isinstance(asked.scene, str) else "unnamed")
+
+        def done(outcome: int | Exception) -> None:
+            if isinstance(outcome, Exception):
+                self._router.reply(peer, wire.declined(self._declined(outcome), request.command_id))
+                return
+            self._scene_name = name
+            self._tell("set_scene", request.command_id, {"scene": name, "tick": outcome})
+            self._router.reply(peer, wire.answered(request.command_id, wire.SceneSet(name, outcome)))
+
+        self._scenes.ask(Change(scene, name, done))
+
+    def _drive(self, request: Request) -> wire.Applied:
+        asked: wire.Drive = request.params
+        objects = self._rendering.scene.object
+        names = [thing.name for thing in objects]
+        number = asked.object if isinstance(asked.object, int) else next(
+            (i for i, name in enumerate(names) if name == asked.object), len(names)
+        )  # fmt: skip
+        if number >= len(names):
+            raise Declined("bad_params", f"no object is {shown(asked.object)}: there are {', '.join(names)}")
+        if not isinstance(objects[number].motion, schema.Driven):
+            raise Declined(
+                "refused", f'object {names[number]} is not driven: its scene says motion = {{ kind = "driven" }}'
+            )
+        pose: dict[str, Any] = {"position_m": list(asked.position_m)}
+        if asked.orientation_wxyz is not msgspec.UNSET:
+            pose["orientation_wxyz"] = list(asked.orientation_wxyz)
+        _, _, tick = self._rendering.set_parameters({f"object.{number}.{k}": v for k, v in pose.items()}, "drive")
+        self._tell("drive", request.command_id, {"object": names[number]} | pose)
+        return wire.Applied(tick)
+
+    def _arm(self, request: Request) -> wire.Armed:
+        before = self._rendering.armed
+        self._rendering.arm(_COMMANDED, _SILENT)
+        return self._switched(request, before)
+
+    def _disarm(self, request: Request) -> wire.Armed:
+        before = self._rendering.armed
+        self._rendering.disarm(_COMMANDED)
+        return self._switched(request, before)
+
+    def _switched(self, request: Request, before: bool) -> wire.Armed:
+        if self._rendering.armed != before:
+            self._tell(request.method, request.command_id, {"armed": self._rendering.armed})
+        return wire.Armed(self._rendering.armed)
+
+    def _zero(self, request: Request) -> wire.Zeroed:
+        asked: wire.Zero = request.params
+        names = [finger.name for finger in self._rendering.scene.fingers]
+        if asked.finger is msgspec.UNSET and len(names) > 1:
+            raise Declined("bad_params", f"there are several fingers: say finger, one of {', '.join(names)}")
+        given = 0 if asked.finger is msgspec.UNSET else asked.finger
+        place = given if isinstance(given, int) else names.index(given) if given in names else len(names)
+        if place >= len(names):
+            raise Declined("bad_params", f"no finger is {shown(given)}: there are {', '.join(names)}")
+        if self._rendering.armed:
+            raise Declined(
+                "refused", "there may be force, and the probe would jump under it: disarm first, and arm after"
+            )
+        if self._newest is None:
+            raise Declined("refused", "there has been no tick yet: ask again later")
+        seen = self._newest.reshape(-1, RECORD_SIZE)[place]
+        tick = self._rendering.move(place, None if asked.reset else asked.position_m, seen)
+        offset = self._rendering.offsets[place]
+        self._tell("zero", request.command_id, {"finger": names[place], "offset_m": offset})
+        return wire.Zeroed(offset, tick)
+
+    def _mark(self, request: Request) -> wire.Applied:
+        asked: wire.Mark = request.params
+        if len(encode(asked.data)) > EVENT_BYTES_MAX:
+            raise Declined("bad_params", f"data has more than {EVENT_BYTES_MAX} bytes: mark what is kept elsewhere")
+        tick = self._rendering.servo.ticks
+        self._doing.event("mark", "mark", command_id=request.command_id, label=asked.label, data=asked.data)
+        return wire.Applied(tick)
+
+    def _describe(self, request: Request) -> dict[str, Any]:
+        about = described(self._rendering, self._scene_name)
+        return {"wire": wire_schema(), "ring": self._doing.ring(), "commands": wire.schema()} | about
+
+    def _record_start(self, request: Request) -> wire.RecordStarted:
+        asked: wire.RecordStart = request.params
+        file = str(self._doing.recordings.begin(asked.file, self._scene_name))
+        self._tell("record_start", request.command_id, {"file": file})
+        return wire.RecordStarted(file, self._rendering.servo.ticks)
+
+    def _record_stop(self, request: Request) -> wire.RecordStopped:
+        file, recorded = self._doing.recordings.end()
+        self._tell("record_stop", request.command_id, {"file": str(file), "ticks": recorded.ticks})
+        return wire.RecordStopped(str(file), *recorded)
+
+    def _stop(self, request: Request) -> wire.Stopping:
+        self._tell("stop", request.command_id, {})
+        self._doing.stop()
+        return wire.Stopping(True)

@@ -1,0 +1,171 @@
+"""Another scene, put in while the daemon runs: compiled in a process that can be ended, then exchanged.
+
+A compiler of half a minute can be neither interrupted nor hurried within a process. So another one compiles, into the
+cache, and the daemon loads what it made.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from softfinger.config import schema
+from softfinger.config.errors import HapticError
+from softfinger.config.load import build, describe, load_rig
+from softfinger.config.schema.pairing import single_device
+from softfinger.drivers.registry import open_device
+from softfinger.proxy.kernels.native.jit import KEPT
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tick import Tuning
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.services.base import Worker
+
+log: Final = logging.getLogger(__name__)
+
+NICE: Final = 10
+"""The compiler gives way to the daemon."""
+
+
+class Superseded(HapticError):
+    """A scene that was asked for before the last one."""
+
+
+class NotCompiled(HapticError):
+    """A compiler that ended with an error."""
+
+
+class Change(NamedTuple):
+    """A scene to be put in, and what it is called; `done` is called with its first tick or with what went wrong."""
+
+    scene: schema.Scene
+    name: str
+    done: Callable[[int | Exception], None]
+
+
+class SceneChanges(Worker):
+    """Puts in the newest scene that is asked for; an older one is given up while it is being compiled.
+
+    replace  puts a scene in under a name, and returns the first tick with it
+    """
+
+    def __init__(self, replace: Callable[[schema.Scene, str], int]) -> None:
+        super().__init__("scenes")
+        self._replace = replace
+        self._changed = threading.Condition()
+        self._next: Change | None = None
+        self._compiler: subprocess.Popen[str] | None = None
+
+    def ask(self, change: Change) -> None:
+        """Put a scene in when it is compiled; returns at once."""
+        with self._changed:
+            before, self._next = self._next, change
+            self._end_compiler()
+            self._changed.notify()
+        if before is not None:
+            before.done(_superseded())
+
+    def stop(self) -> None:
+        with self._changed:
+            self.closing.set()
+            self._end_compiler()
+            self._changed.notify()
+        super().stop()
+
+    def work(self) -> None:
+        while (change := self._taken()) is not None:
+            try:
+                self._compile(change.scene)
+                outcome: int | Exception = self._replace(change.scene, change.name)
+            except Exception as error:
+                outcome = error
+            change.done(outcome)
+
+    def failed(self, error: Exception) -> None:
+        """Only `done` can have: the peer that asked hears nothing, and what is rendered is not concerned."""
+
+    def _taken(self) -> Change | None:
+        with self._changed:
+            while self._next is None and not self.closing.is_set():
+                self._changed.wait()
+            change, self._next = self._next, None
+            return None if self.closing.is_set() else change
+
+    def _compile(self, scene: schema.Scene) -> None:
+        """Have the loop of a scene in the cache; Superseded where a later one is asked for meanwhile."""
+        if Servo.compiled_for(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
+            return  # in the second case a process of its own would be of no use
+        with self._changed:
+            if self._next is not None or self.closing.is_set():
+                raise _superseded()
+            compiler = self._compiler = subprocess.Popen(
+                [sys.executable, "-P", "-m", __name__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+                start_new_session=True,  # Ctrl-C is the daemon's affair
+            )
+        try:
+            assert compiler.stdin is not None and compiler.stderr is not None
+            with compiler.stderr as told:
+                with contextlib.suppress(BrokenPipeError):
+                    # Left open: its end tells the compiler that the daemon has gone.
+                    compiler.stdin.write(json.dumps(describe(scene)) + "\n")
+                    compiler.stdin.flush()
+                said = told.read()
+            compiler.wait()
+        finally:
+            with self._changed:
+                self._compiler = None
+                ended = self._next is not None or self.closing.is_set()
+            with contextlib.suppress(BrokenPipeError):
+                compiler.stdin.close()  # type: ignore[union-attr]
+        if ended:
+            raise _superseded()
+        if compiler.returncode:
+            log.error("the compiler of a scene ended with %d: %s", compiler.returncode, said.strip())
+            raise NotCompiled("the scene could not be compiled: the daemon's log says why")
+
+    def _end_compiler(self) -> None:
+        if self._compiler is not None:
+            self._compiler.kill()
+
+
+def _superseded() -> Superseded:
+    return Superseded("another scene was asked for, or the daemon ends, before this one was compiled")
+
+
+def compile_loop(scene: schema.Scene) -> Tuning:
+    """Compile the servo's loop for a scene, with any device at hand: it is the same for all. Returns the tuning."""
+    rig = load_rig("replay")
+    with open_device(single_device(rig), rig.servo.rate_hz) as device:
+        tuning = make_tuning(scene, rig.guard)
+        servo = Servo([device] * len(scene.fingers), tuning, rig.servo.rate_hz)
+        servo.compile()
+        servo.close()
+    return tuning
+
+
+def main() -> None:
+    """Compile the loop of the scene on standard input, a line of JSON; end as soon as that input does."""
+    os.nice(NICE)
+    scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
+    threading.Thread(target=_leave_with_the_daemon, daemon=True).start()
+    compile_loop(scene)
+
+
+def _leave_with_the_daemon() -> None:
+    while os.read(sys.stdin.fileno(), 1):
+        pass
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""What a daemon is made of, for whoever asks and for its recordings."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+from typing import Any, Final
+
+import llvmlite.binding as llvm
+import msgspec
+
+from softfinger.config.load import describe
+from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT, SOURCE_HASH
+from softfinger.proxy.scene import explain
+from softfinger.server.loop.clock import NS_PER_S
+from softfinger.server.services.rendering import Rendering
+
+PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq")
+
+
+def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
+    """The answer to `describe`, but for the wire itself; plain values."""
+    servo, scene = rendering.servo, rendering.scene
+    devices = [msgspec.to_builtins(device.info) for device in servo.devices]
+    return {
+        "rig": describe(rendering.rig),
+        "scene": describe(scene),
+        "scene_name": scene_name,
+        "fingers": [
+            {"name": finger.name, "device": device, "offset_m": offset}
+            for finger, device, offset in zip(scene.fingers, devices, rendering.offsets, strict=True)
+        ],
+        "device": devices[0],
+        "rate_hz": NS_PER_S / servo.period_ns,
+        "armed": rendering.armed,
+        "ticks": servo.ticks,
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+        "machine": {"system": platform.platform(), "cpu": llvm.get_host_cpu_name()},
+        "compiled": {
+            "model": explain(scene),
+            "source": SOURCE_HASH,
+            "cache": str(CACHE_DIR),
+            "not_kept": KEPT.problem() or "",
+        },
+    }

@@ -1,0 +1,120 @@
+"""Recordings as a service: one at a time, from the beginning or by command, written beside the loop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import RecordingError
+from softfinger.config.files import open_recording
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.recording.recorder import Recorded, Recorder
+from softfinger.server.services.description import described
+from softfinger.server.services.records import Sink
+from softfinger.server.services.rendering import Rendering
+from softfinger.server.wire.protocol import SCHEMA
+
+ENDING: Final = ".mcap"
+STOP_S: Final = 0.5
+"""How long the answer to `record_stop` waits for the disk."""
+CLOSE_S: Final = 2.0
+"""How long the end of the run does."""
+
+
+class Recordings:
+    """What of a daemon is recorded, and whether it is.
+
+    fingers  names of several fingers, one empty name for a single one
+    event    publishes an event
+    """
+
+    def __init__(self, rendering: Rendering, fingers: Sequence[str], event: Callable[..., Any]) -> None:
+        self._rendering, self._fingers, self._event = rendering, list(fingers), event
+        self._changing = threading.Lock()
+        self._recorder: Recorder | None = None
+        self._path = Path()
+        self._settings: Any = None
+        self.sink: Final = Sink("recordings", self._take)
+
+    def start(self) -> None:
+        """Nothing: a recording begins when it is asked for."""
+
+    def stop(self) -> None:
+        with self._changing:
+            if self._recorder is not None:
+                self._recorder.stop(CLOSE_S)
+
+    def record(self, path: str | Path, scene_name: str) -> None:
+        """Record into a new file of whoever started the daemon; RecordingError where it cannot be made."""
+        self._begin(Path(path), None, scene_name)
+
+    def begin(self, name: str, scene_name: str) -> Path:
+        """Record into a new file below the rig's folder of recordings, as a client asked; returns its path.
+
+        RecordingError where there is a recording already, or the name leads elsewhere or to a file that is there.
+        """
+        return self._begin(Path(name), Path(self._rendering.rig.recording.directory), scene_name)
+
+    def end(self) -> tuple[Path, Recorded]:
+        """End the recording; its file, and what became of it. RecordingError where there is none."""
+        with self._changing:
+            if self._recorder is None:
+                raise RecordingError("nothing is being recorded")
+            recorder, self._recorder = self._recorder, None
+            return self._path, recorder.stop(STOP_S)
+
+    def tell(self, kind: str, name: str, fields: dict[str, Any]) -> None:
+        """Record an event that is published; from any thread."""
+        recorder = self._recorder
+        if recorder is not None:
+            tick = self._rendering.servo.ticks - 1
+            head = {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
+            recorder.event(fields | head)
+
+    def note_settings(self, settings: Any) -> None:
+        """What the machine granted of the real-time settings, plain values; known with the servo's start."""
+        self._settings = settings
+        recorder = self._recorder
+        if recorder is not None:
+            recorder.note("settings", settings)
+
+    def _begin(self, path: Path, folder: Path | None, scene_name: str) -> Path:
+        if path.suffix.lower() != ENDING:
+            raise RecordingError(f"{path}: a recording is a file of MCAP: give its name the ending {ENDING}")
+        with self._changing:
+            if self._recorder is not None and not self._recorder.recorded.error:
+                raise RecordingError(f"{self._path} is being recorded: end that first")
+            file = _opened(path, folder)
+            about = described(self._rendering, scene_name)
+            if self._settings is not None:
+                about["settings"] = self._settings
+            self._path = (folder / path if folder is not None else path).absolute()
+            self._recorder = Recorder(file, self._fingers, about, self._trouble, GUARD_NAMES)
+            return self._path
+
+    def _take(self, records: NDArray[np.float64], drops: int) -> None:
+        recorder = self._recorder
+        if recorder is not None:
+            fingers = records.reshape(len(records), -1, RECORD_SIZE)
+            for place in range(fingers.shape[1]):
+                recorder.take(fingers[:, place], place)
+
+    def _trouble(self, message: str) -> None:
+        self._event("fault", "recording", message=f"{self._path}: {message}")
+
+
+def _opened(path: Path, folder: Path | None) -> IO[bytes]:
+    try:
+        return open_recording(path, folder)
+    except FileExistsError as error:
+        raise RecordingError(f"{path}: is there already: a recording takes the place of no file") from error
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise RecordingError(f"{path}: cannot be written: {reason}") from error

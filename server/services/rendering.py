@@ -1,0 +1,378 @@
+"""Rendering as a service: the servo with its devices, from the first tick to the last zero."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError, HapticError, SafetyStop
+from softfinger.config.load import overridden
+from softfinger.config.schema.pairing import pair
+from softfinger.drivers import registry
+from softfinger.drivers.base import Device
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.record import AT
+from softfinger.proxy.scene import other_model
+from softfinger.server.loop import wayout
+from softfinger.server.loop.clock import NS_PER_S
+from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.servo import Loop, Servo
+from softfinger.server.loop.tick import UNMOVED, Tuning
+from softfinger.server.loop.tuning import make_tuning, with_scene
+from softfinger.server.services.base import JOIN_S
+
+PAUSE_TICKS: Final = 3
+"""The first begun before may still carry a force, the second is zero, and the third says that it was written."""
+PAUSE_SETTLE_S: Final = 0.02
+"""Zeros go on for so long before the process stops: a thread or a transfer between us and the device hands them on."""
+PAUSE_WAIT_S: Final = 0.5
+POLL_S: Final = 0.001
+CHANGE_WAIT_S: Final = 0.5
+"""A change of parameters waits for another one, or for a replacement, so long: both take milliseconds."""
+ARM_TICKS: Final = 2
+"""The first begun before may have met the force; the second has the guard forget it, so that the next fades in."""
+
+
+class Replacing(HapticError):
+    """What cannot be changed at the moment, since another change is on its way."""
+
+
+def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
+    """The device of each finger; where one cannot be opened, those before it are closed."""
+    devices: tuple[Device, ...] = ()
+    try:
+        for each in pair(scene, rig):
+            devices += (registry.open_device(each.device, rig.servo.rate_hz, each.table),)
+    except BaseException as error:
+        wayout.every(lambda: wayout.close_all(devices), first=error)
+        raise
+    return devices
+
+
+def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
+    """What the device of each finger holds."""
+    return [each.device.tool for each in pair(scene, rig)]
+
+
+class Rendering:
+    """A servo and its devices, opened when made: stopped, the servo has ended, and the devices are closed regardless.
+
+    All that changes what the servo renders while it runs is here: it knows the scene and whether there is force.
+
+    rig, scene      validated configuration
+    ticks, prepare  as of `Servo`
+
+    Its failures are how the servo ends: `Servo.join` has them. Raises what opening a device raises, and ConfigError for
+    a rig that has no device for a finger; nothing stays open then.
+    """
+
+    def __init__(
+        self, rig: schema.Rig, scene: schema.Scene, ticks: int | None, prepare: Callable[[], Callable[[], None]]
+    ) -> None:
+        self._rig, self._scene = rig, scene
+        self._started = self._stopped = False
+        self._pauses = 0
+        """A handler that pauses may be interrupted by another; with the last of them force comes back."""
+        self._replacing = threading.Lock()
+        self._handing_over = threading.Lock()
+        """Held by whoever changes the tuning of the loop, or the loop."""
+        self._disarmed: set[str] = set()
+        """Why there is to be no force."""
+        self._force: float | None = 1.0
+        """What the guards' `armed` is, None while the force is on its way to zero."""
+        self._due = 0
+        """Ticks after which `advance` may change it."""
+        self._moved = 0
+        """How many ticks had begun when an offset was set last."""
+        devices = open_devices(scene, rig)
+        try:
+            self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
+            self.servo: Final = Servo(devices, self._tuning, rig.servo.rate_hz, ticks, prepare)
+        except BaseException as error:
+            wayout.every(lambda: wayout.close_all(devices), first=error)
+            raise
+
+    def start(self) -> None:
+        self._started = True
+        self.servo.start()
+
+    def stop(self) -> None:
+        self._stopped = True
+        failed = wayout.every(self.servo.stop, self._join, self._close)
+        if failed is not None:
+            raise failed
+
+    def replace(self, scene: schema.Scene | None = None, rig: schema.Rig | None = None) -> int:
+        """Go on with another scene or rig, from zero force; returns the number of the first tick with it.
+
+        All that can be refused or takes long comes first, while the old one runs on: where it fails, nothing has
+        changed. Then the guard takes the force off along its slew limit, the loop ends with zero, and the next begins
+        with the guard's ramp. Devices whose tables and rate are the same stay open and armed. Others are opened once
+        those of before are closed, since both may be one piece of hardware: where that fails, the run ends with the
+        error. From any thread but the servo's; one at a time.
+
+        Raises ConfigError, SafetyStop where nothing runs, or what opening a device raises.
+        """
+        with self._replacing:
+            servo = self.servo
+            servo.check_running()
+            rig, asked = rig or self._rig, scene or self._scene
+            self.check(asked, rig)
+            moved, before = pair(asked, rig), pair(self._scene, self._rig)
+            keeps = [each.device for each in moved] == [each.device for each in before]
+            keeps = keeps and rig.servo.rate_hz == self._rig.servo.rate_hz
+            # With the devices of now: what is compiled does not depend on which they are.
+            servo.compile(self._loop(asked, rig))
+            with self._handing_over:
+                scene = scene or self._scene  # whose parameters may have changed meanwhile
+                self._fade_out()
+                first = servo.replace(
+                    (lambda: self._loop(scene, rig)) if keeps else (lambda: self._opened(scene, rig)), keeps
+                )
+                self._rig, self._scene, self._force, self._due = rig, scene, servo.tuning.guards[0].armed, 0
+                self._tuning = _armed(servo.tuning, 1.0)
+            self.advance()
+            if self._stopped:  # and did not wait until the devices were open
+                wayout.close_all(servo.devices)
+            return first
+
+    @property
+    def scene(self) -> schema.Scene:
+        """What is rendered."""
+        return self._scene
+
+    @property
+    def rig(self) -> schema.Rig:
+        """What it is rendered with."""
+        return self._rig
+
+    @property
+    def armed(self) -> bool:
+        """Whether there is force, or is to be."""
+        return not self._disarmed
+
+    def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
+        """Put values in place of the scene's, keys as of `load_scene`: from one tick on all of them, or none.
+
+        Returns the scene before and after, and how many ticks had begun without them at the least. `where` is named
+        in messages. Raises ConfigError where a value is out of its range, or would need another loop; Replacing.
+        """
+        with self._change():
+            before, after = self._scene, overridden(self._scene, changes, where)
+            if pair(after, self._rig) != pair(before, self._rig):
+                raise ConfigError(f"{where}: a finger's name and device are no parameters: set the whole scene")
+            tuning = with_scene(self._tuning, after)
+            if not self.servo.fits(tuning):
+                raise ConfigError(f"{where}: {other_model(before, changes)}: set the whole scene")
+            self._tuning, self._scene = tuning, after
+            return before, after, self._tune()
+
+    @property
+    def forceless(self) -> bool:
+        """Whether the force has been taken off, and all hands feel none."""
+        return self._force == 0.0 and self.servo.ticks >= self._due
+
+    @property
+    def offsets(self) -> tuple[Vec3, ...]:
+        """What is added to the position that the device of each finger says, m."""
+        return tuple((x + 0.0, y + 0.0, z + 0.0) for x, y, z in self._tuning.offsets)
+
+    def move(self, finger: int, position: Vec3 | None, seen: NDArray[np.float64]) -> int:
+        """Have a finger's probe be at `position` (m, world) where its newest record, `seen`, has it; None: where its
+        device says. Until the run ends, or its device is another one. Its contact begins anew.
+
+        Returns how many ticks had begun without it at the least. Raises Replacing, also where there is force.
+        """
+        with self._change():
+            if not self.forceless:
+                raise Replacing("the force is on its way off: nothing was changed; try again")
+            if position is not None and seen[AT.tick] < self._moved + 2:
+                raise Replacing("where the probe is now is not known yet: nothing was changed; try again")
+            offsets = list(self._tuning.offsets)
+            offsets[finger] = UNMOVED
+            if position is not None:
+                at, before = seen[AT.probe_position : AT.probe_position + 3].tolist(), self.offsets[finger]
+                offsets[finger] = tuple(p - (x - b) for p, x, b in zip(position, at, before, strict=True))
+            self._tuning = self._tuning._replace(offsets=tuple(offsets))
+            self._moved = self._tune()
+            return self._moved
+
+    def disarmed_for(self, why: str) -> bool:
+        """Whether the force is kept off for this reason."""
+        return why in self._disarmed
+
+    def disarm(self, why: str) -> None:
+        """Take the force off along the slew limit, and keep it off; never waits."""
+        self._disarmed.add(why)
+        self.advance()
+
+    def arm(self, *why: str) -> None:
+        """Take back reasons of `disarm`: with the last of them the force fades in, along the guard's ramp."""
+        self._disarmed.difference_update(why)
+        self.advance()
+
+    def advance(self) -> None:
+        """What is next in taking the force off or giving it back; to be called at times, never waits."""
+        if not self._handing_over.acquire(blocking=False):
+            return
+        try:
+            if self.servo.ticks < self._due:
+                return
+            if self._force is None:
+                self._force, self._due = 0.0, self.servo.ticks + ARM_TICKS
+            elif self._force and self._disarmed:
+                self._force, self._due = None, self.servo.ticks + self._ticks_to_zero()
+            elif not self._force and not self._disarmed:
+                self._force = 1.0
+            else:
+                return
+            self._tune()
+        finally:
+            self._handing_over.release()
+
+    @contextmanager
+    def _change(self) -> Iterator[None]:
+        if not self._handing_over.acquire(timeout=CHANGE_WAIT_S):
+            raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
+        try:
+            yield
+        finally:
+            self._handing_over.release()
+
+    def _tune(self) -> int:
+        """Hand the tuning over as it is to be now; returns how many ticks had begun without it at the least."""
+        tuning = _forceless(self._tuning) if self._force is None else _armed(self._tuning, self._force)
+        ticks = self.servo.ticks
+        self.servo.tune(tuning)
+        return ticks
+
+    def check(self, scene: schema.Scene, rig: schema.Rig) -> None:
+        """Raise ConfigError where these cannot take the place of what runs, as far as it shows before a compile."""
+        for each in pair(scene, rig):
+            registry.options(each.device, each.table)
+        now, running = ([finger.name for finger in given.fingers] for given in (scene, self._scene))
+        if now != running and max(len(now), len(running)) > 1:
+            raise ConfigError(
+                f"the fingers of the new scene ({', '.join(now)}) are not those of the running one "
+                f"({', '.join(running)}), whose names telemetry has as long as the process: start another"
+            )
+        for name, new, old in (
+            ("[telemetry]", rig.telemetry, self._rig.telemetry),
+            ("[commands]", rig.commands, self._rig.commands),
+            ("[recording]", rig.recording, self._rig.recording),
+            ("[security]", rig.security, self._rig.security),
+            ("[metrics]", rig.metrics, self._rig.metrics),
+            ("servo.realtime", rig.servo.realtime, self._rig.servo.realtime),
+            ("servo.priority", rig.servo.priority, self._rig.servo.priority),
+            ("servo.cpu", rig.servo.cpu, self._rig.servo.cpu),
+        ):
+            if new != old:
+                raise ConfigError(
+                    f"{name} = {new} of the new rig is not the {old} of the running one: it holds as long as the "
+                    "process: leave it as it is, or start another"
+                )
+
+    def _loop(self, scene: schema.Scene, rig: schema.Rig, given: Sequence[Device] = ()) -> Loop:
+        """A loop on the devices given, or on the present ones."""
+        devices = given or self.servo.devices
+        infos = [device.info for device in devices]
+        tuning = _armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.armed))
+        if not given:  # an offset is of a device, and stays with it
+            tuning = tuning._replace(offsets=self._tuning.offsets)
+        return self.servo.loop(devices, tuning, rig.servo.rate_hz)
+
+    def _opened(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
+        """A loop on devices that are opened in place of the present ones."""
+        wayout.close_all(self.servo.devices)
+        devices = open_devices(scene, rig)
+        try:
+            return self._loop(scene, rig, devices)
+        except BaseException as error:
+            wayout.every(lambda: wayout.close_all(devices), first=error)
+            raise
+
+    def _fade_out(self) -> None:
+        """Take the force off as fast as the guard lets it change."""
+        if self._force == 0.0:
+            return
+        before, self._force = self._force, None
+        count = self._ticks_to_zero()
+        self._tune()
+        if not self._ticked(count, 2.0 * count * self.servo.period_ns / NS_PER_S + PAUSE_WAIT_S):
+            self._force = before
+            self._tune()
+            raise SafetyStop(f"nothing was replaced: the servo did not tick {count} times to take the force off")
+
+    def _ticks_to_zero(self) -> int:
+        """How many ticks the guards' slew limits take to bring the largest force to zero."""
+        guards: tuple[Guard, ...] = self._tuning.guards
+        seconds = max(max(guard.force_max / guard.force_slew, guard.torque_max / guard.torque_slew) for guard in guards)
+        return math.ceil(seconds * NS_PER_S / self.servo.period_ns) + PAUSE_TICKS
+
+    def pause(self) -> Callable[[], None]:
+        """Take the force off, before the process is stopped; call the result to have it fade in anew.
+
+        From the main thread or its signal handlers. Without ticks to take it off in, or while a loop is replaced, the
+        servo is asked to end.
+        """
+        if not self._pauses and not self._handing_over.acquire(timeout=PAUSE_WAIT_S):
+            self._end()
+            return lambda: None
+        self._pauses += 1
+        self.servo.tune(_armed(self._tuning, 0.0))
+        # Where no tick has come yet, the first will find the guard without force.
+        if not self._ticked(PAUSE_TICKS, PAUSE_WAIT_S) and self.servo.ticks:
+            self._end()
+        time.sleep(PAUSE_SETTLE_S)
+        return self._go_on
+
+    def _go_on(self) -> None:
+        self._pauses -= 1
+        if not self._pauses:
+            self._tune()
+            self._handing_over.release()
+
+    def _end(self) -> None:
+        self.servo.stop()
+        wayout.stop_all(self.servo.devices)
+
+    def _ticked(self, count: int, timeout_s: float) -> bool:
+        """Wait for so many more ticks; False where they do not come in time. With the loop's end there is no force."""
+        ticks, until = self.servo.ticks, time.monotonic() + timeout_s
+        while self.servo.looping and self.servo.ticks < ticks + count:
+            if time.monotonic() > until:
+                return False
+            time.sleep(POLL_S)
+        return True
+
+    def _join(self) -> None:
+        # A servo that does not answer within this is stuck in a device; the devices are closed regardless.
+        if self._started:
+            self._started = False
+            self.servo.join(JOIN_S)
+
+    def _close(self) -> None:
+        # Not while another device is being opened in its place, unless that takes too long.
+        changed = self._handing_over.acquire(timeout=JOIN_S)
+        try:
+            wayout.close_all(self.servo.devices)
+        finally:
+            if changed:
+                self._handing_over.release()
+
+
+def _armed(tuning: Tuning, armed: float) -> Tuning:
+    return tuning._replace(guards=tuple(guard._replace(armed=armed) for guard in tuning.guards))
+
+
+def _forceless(tuning: Tuning) -> Tuning:
+    """The tuning with which each guard brings its force to zero along its slew limit."""
+    return tuning._replace(guards=tuple(guard._replace(force_max=0.0, torque_max=0.0) for guard in tuning.guards))

@@ -1,0 +1,50 @@
+"""The supervisor: zero force when ticks stop coming though nobody asked them to. Runs above the servo's priority."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from softfinger.config.errors import HapticError, SafetyStop
+from softfinger.server.loop import health, wayout
+from softfinger.server.loop.servo import Servo
+from softfinger.server.services.base import Worker
+
+
+class Supervisor(Worker):
+    """Looks at a servo from its start to its last tick.
+
+    fail   ends the run with an error
+    event  publishes an event
+    """
+
+    def __init__(self, servo: Servo, fail: Callable[[HapticError], None], event: Callable[..., Any]) -> None:
+        super().__init__("supervisor")
+        self._servo, self._fail, self._event = servo, fail, event
+
+    def work(self) -> None:
+        watchdog = health.Watchdog()
+        while self._servo.looping:
+            time.sleep(health.STALL_POLL_S)
+            ticks = self._servo.ticks
+            idle_s = watchdog.stalled_s(ticks, self._servo.armed)
+            if idle_s and self._servo.looping:
+                self._stop_stalled(idle_s, ticks)
+                return
+
+    def failed(self, error: Exception) -> None:
+        """A servo that nobody looks at may hold a force."""
+        self._fail(SafetyStop(f"the supervisor failed: {error}; nobody would see the servo stall"))
+
+    def _stop_stalled(self, idle_s: float, ticks: int) -> None:
+        stalled = SafetyStop(
+            f"no tick for {idle_s:.2f} s after tick {ticks}: zero force was commanded; "
+            "a device's exchange hangs, or this machine starves the servo thread"
+        )
+        wayout.every(
+            lambda: self._fail(stalled),  # first: it takes no time, and stopping a device may
+            lambda: wayout.stop_all(self._servo.devices),
+            lambda: self._event("fault", "stalled", message=str(stalled)),
+            first=stalled,
+        )

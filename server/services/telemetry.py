@@ -1,0 +1,37 @@
+"""Telemetry as a service: tells of the run's start and end, and closes the publisher after the last record."""
+
+from __future__ import annotations
+
+from softfinger.config.errors import HapticError, SafetyStop
+from softfinger.drivers.base import names
+from softfinger.server.loop import wayout
+from softfinger.server.loop.servo import Servo
+from softfinger.server.services.records import Sink
+from softfinger.server.wire.publisher import Publisher
+
+
+class Telemetry:
+    """An open publisher beside a servo. Its `sink` is vital: nobody can see what is rendered without it."""
+
+    def __init__(self, publisher: Publisher, servo: Servo) -> None:
+        self._publisher, self._servo = publisher, servo
+        self._told = False
+        self.sink = Sink("publisher", publisher.observe, _lost)
+
+    def start(self) -> None:
+        self._publisher.attach(self._servo)
+        self._publisher.event("lifecycle", "started", device=names(self._servo.devices))
+        self._told = True
+
+    def stop(self) -> None:
+        failed = wayout.every(self._tell_stopped, self._publisher.close)
+        if failed is not None:
+            raise failed
+
+    def _tell_stopped(self) -> None:
+        if self._told:
+            self._publisher.event("lifecycle", "stopped", ticks=self._servo.ticks)
+
+
+def _lost(error: Exception) -> HapticError:
+    return SafetyStop(f"telemetry cannot be published: {error}; nobody can see what is rendered")

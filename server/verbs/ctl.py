@@ -1,0 +1,82 @@
+"""`ctl`: one command to a running daemon, and its answer."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import read_toml
+from softfinger.config.words import near, shown
+from softfinger.server import keys
+from softfinger.server.arguments import duration
+from softfinger.server.wire.commands import METHODS, table
+from softfinger.server.wire.control import DEFAULT_COMMANDS, Control
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    width = max(map(len, METHODS))
+    methods = "\n".join(
+        f"  {name:{width}}  {meaning}{f' ({params})' if params else ''}"
+        for name, (params, _, meaning) in table().items()
+    )
+    parser.epilog = (
+        f"methods:\n{methods}\n\n"
+        "examples:\n"
+        "  softfinger ctl get_state\n"
+        "  softfinger ctl set_params object.table.material.stiffness_n_per_m=800\n"
+        "  softfinger ctl set_scene scene=sphere          # or a file: scene=mine.toml\n"
+        "  softfinger ctl drive object=lid 'position_m=[0, 0, 0.01]'"
+    )
+    parser.add_argument("method", metavar="METHOD", help="what to do, one of the methods below")
+    parser.add_argument(
+        "params", nargs="*", metavar="key=value", help="its parameters: values of TOML or JSON, else texts"
+    )
+    parser.add_argument("--endpoint", default=DEFAULT_COMMANDS, help="of the daemon (default: %(default)s)")
+    keys.add_options(parser)
+    parser.add_argument("--timeout", type=duration, metavar="S", help="wait so long (default: what the method needs)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Send the command and print its result; returns 0."""
+    if args.method not in METHODS:
+        raise ConfigError(f"no method {shown(args.method)}{near(args.method, METHODS)}: there are {', '.join(METHODS)}")
+    params = dict(map(_parameter, args.params))
+    scene = params.get("scene")
+    if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
+        # Read here, as this user: the daemon opens no file that a client names.
+        params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
+    with Control(args.endpoint, args.timeout, keys.of_options(args)) as daemon:
+        result = msgspec.to_builtins(daemon.ask(args.method, params))
+    if args.json:
+        print(json.dumps(result))
+    else:
+        for key, value in result.items():
+            print(f"{key}: {json.dumps(value)}")
+    return 0
+
+
+def _parameter(word: str) -> tuple[str, Any]:
+    key, equals, text = word.partition("=")
+    if not equals or not key:
+        raise ConfigError(f"{shown(word)} is no parameter: write key=value")
+    return key, _value(text)
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        pass
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError):
+        return text

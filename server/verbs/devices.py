@@ -1,0 +1,109 @@
+"""`devices`: what is attached, which driver claims it, why it cannot be opened, and the command that mends it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.errors import DeviceBusy, HapticError
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import DeviceConfig
+from softfinger.config.schema.pairing import single_device
+from softfinger.drivers import registry
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.claims import Claim, claim_on
+from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, needs, options_for
+from softfinger.drivers.system.discovery import Attached
+
+MAY_BE_ASKED: Final = ("usable", "firmware")
+"""States in which a device can be opened; whether firmware runs in a Falcon, only it knows."""
+
+
+Found = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
+"""A device, who claims it, what is in the way, and what it said itself."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "List what is attached, which driver claims it, why it cannot be opened, and the command that mends it. "
+        "Nothing is opened, so a device in use is not disturbed, unless --ask is given."
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--ask", action="store_true", help="open each device that is free, and ask what only it knows")
+    parser.add_argument("--rig", help="rig whose library or firmware file counts for the devices of its driver")
+
+
+def run(args: argparse.Namespace) -> int:
+    rig = None if args.rig is None else single_device(load_rig(args.rig))
+    found: list[Found] = []
+    for device in discovery.attached():
+        claim = claim_on(device)
+        diagnosis, said = diagnose(device, claim, rig), None
+        if args.ask and claim is not None and diagnosis.state in MAY_BE_ASKED:
+            diagnosis, said = ask(device, claim, rig)
+        found.append((device, claim, diagnosis, said))
+    if args.json:
+        print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in found]}, indent=2))
+    else:
+        print("\n".join(lines(found)))
+    return 0
+
+
+def ask(device: Attached, claim: Claim, rig: DeviceConfig | None = None) -> tuple[Diagnosis, dict[str, Any] | None]:
+    """Open a device that is free and ask it; what is in the way then, and its answers by name.
+
+    The answers are None where its driver has nothing to ask, or the device could not be opened.
+    """
+    driver, options = registry.load(claim.driver), options_for(claim, rig)
+    identify = getattr(driver, "identify", None)
+    if identify is None:
+        return needs(claim, options), None
+    try:
+        said = identify(device, build(driver.Options, dict(options), "[device]"))
+    except HapticError as error:
+        return Diagnosis("busy" if isinstance(error, DeviceBusy) else "error", str(error)), None
+    return needs(claim, options, said), said
+
+
+def as_map(
+    device: Attached, claim: Claim | None, diagnosis: Diagnosis, said: Mapping[str, Any] | None = None
+) -> dict[str, object]:
+    """One device for `--json`."""
+    return {
+        "name": device.name,
+        "bus": device.bus,
+        "vendor_id": f"{device.vendor:04x}",
+        "product_id": f"{device.product:04x}",
+        "serial": device.serial,
+        "node": device.node,
+        "driver": claim.driver if claim else None,
+        "rigs": list(claim.rigs) if claim else [],
+        **diagnosis._asdict(),
+        "said": said,
+    }
+
+
+def lines(found: list[Found]) -> list[str]:
+    """The same for people: what a driver claims first, then the rest."""
+    text = []
+    for device, claim, diagnosis, said in sorted(found, key=lambda one: one[1] is None):
+        text.append(f"{device.node or 'no node'}  {device.ids}  {device.name}")
+        if claim is None:
+            hint = f": {diagnosis.remedy}" if diagnosis.remedy else ""
+            text.append(f"    {diagnosis.reason}{hint}")
+            continue
+        command = " or ".join(f"--rig {name}" for name in claim.rigs) or f"--device {claim.driver}"
+        text.append(f"    driver {claim.driver}: softfinger run {command}")
+        text.append(f"    {diagnosis.state}{': ' if diagnosis.reason else ''}{diagnosis.reason}")
+        if said is not None:
+            text.append(f"    it says: {', '.join(f'{name} {value}' for name, value in said.items())}")
+        if diagnosis.remedy:
+            text.append(f"    mend it: {diagnosis.remedy}")
+    if not any(claim for _, claim, *_ in found):
+        where = "no device that a driver knows is attached" if found else "no USB or HID device is attached"
+        bus = "" if discovery.has_usb() else f"; this system has no USB bus ({Path('/') / discovery.USB} is not there)"
+        text.append(f"{where}{bus}. Without hardware: softfinger run, or softfinger run --rig simulated")
+    return text

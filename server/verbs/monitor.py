@@ -1,0 +1,303 @@
+"""`softfinger monitor`: what the server is doing, live in a terminal.
+
+A client of the wire and nothing more. On a terminal it draws a dashboard; into a pipe or a file it
+writes one line a second; `--json` writes one JSON object a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import textwrap
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.record import MODE_NAMES
+from softfinger.server import keys
+from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, silence, subscribe
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, finger_of
+
+if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
+    from rich.console import RenderableType
+
+_EVENTS_KEPT: Final = 8
+_DASHBOARD_PERIOD_S: Final = 0.1
+_LINE_PERIOD_S: Final = 1.0
+_STALLED_S: Final = 1.5  # health comes once a second, so this long without anything means that ticks stopped
+_ONCE_WAIT_S: Final = 2.5  # two seconds bring a whole health message
+_NOTHING: Final = 1e-9
+"""A rounding error of a sum, in any unit of the wire: nothing that a device senses or displays is so small."""
+_BAR_CELLS: Final = 32
+_EVENT_INDENT: Final = 12
+_MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.description = "Show what a running server renders: contact mode, forces, lateness, events."
+    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
+    keys.add_options(parser)
+    parser.add_argument("--once", action="store_true", help="show one summary and leave")
+    parser.add_argument("--json", action="store_true", help="write JSON objects, one a line")
+    parser.add_argument("--duration", type=float, metavar="S", help="leave after S seconds (default: stay)")
+    parser.add_argument(
+        "--timeout", type=float, metavar="S", default=3.0, help="fail if nothing arrives for S seconds at the start"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the verb. Raises NoTelemetry if nothing arrives, ProtocolError for a stream that is not ours."""
+    for name in ("duration", "timeout"):
+        value = getattr(args, name)
+        if value is not None and not (0.0 < value < math.inf):
+            raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
+    try:
+        if args.json:
+            _watch(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
+        elif args.once or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
+            _watch(args, lambda board: print(line(board), flush=True), _LINE_PERIOD_S)
+        else:
+            _dashboard(args)
+    except KeyboardInterrupt:
+        return 0
+    except BrokenPipeError:  # the reader (head, grep -m1) has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+class Board:
+    """What has arrived so far."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.endpoint = endpoint
+        self.fingers: dict[str, Sample] = {}
+        """The newest tick of each finger by its name; a single one has the name ""."""
+        self.health: Sample | None = None
+        self.events: deque[Sample] = deque(maxlen=_EVENTS_KEPT)
+        self.event_count = 0
+        self.messages = 0
+        self.lost = 0
+        self.force_peak_n = 1.0
+        self.stopped = False
+        """The server has said that it stopped, and not started again since."""
+        self._arrived_s = time.monotonic()
+
+    def take(self, sample: Sample) -> None:
+        self.messages += 1
+        self._arrived_s = time.monotonic()
+        finger = finger_of(sample.topic)
+        if finger is not None:
+            self.fingers[finger], self.stopped = sample, False
+            self.lost += sample.lost
+            contact = sample.data.contact
+            self.force_peak_n = max(self.force_peak_n, contact.normal_force, contact.tangential_force)
+        elif sample.topic == EVENT:
+            self.events.append(sample)
+            self.event_count += 1
+            if sample.kind == "lifecycle":
+                self.stopped = sample.name == "stopped"
+        else:
+            self.health = sample
+
+    @property
+    def contact(self) -> Sample | None:
+        """The newest tick of a single finger."""
+        return self.fingers.get("")
+
+    @property
+    def silent_s(self) -> float:
+        """Time since the last message."""
+        return time.monotonic() - self._arrived_s
+
+    @property
+    def gone(self) -> str:
+        """Why nothing is rendered now, in words; empty while messages come."""
+        if self.stopped:
+            return "the server has stopped"
+        return f"no data for {self.silent_s:.1f} s" if self.messages and self.silent_s > _STALLED_S else ""
+
+    def summary(self) -> dict[str, Any]:
+        """The board as plain data; `contact` and `health` are None until their first message. Of several fingers there
+        is no `contact`, and each is in `fingers`."""
+        named = {name: sample for name, sample in self.fingers.items() if name}
+        told = {
+            "fingers": {
+                name: {"mode": _mode_name(sample["contact.mode"]), "contact": sample.as_map()}
+                for name, sample in named.items()
+            }
+        }
+        return (told if named else {}) | {
+            "endpoint": self.endpoint,
+            "silent_s": round(self.silent_s, 3),
+            "mode": _mode_name(self.contact["contact.mode"]) if self.contact else None,
+            "contact": self.contact.as_map() if self.contact else None,
+            "health": self.health.as_map() if self.health else None,
+            "lost": self.lost,
+            "event_count": self.event_count,
+            "events": [event.as_map() for event in self.events],
+        }
+
+
+def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
+    """Receive, and show the board every `period_s`, until `--once` or `--duration` is fulfilled."""
+    started = time.monotonic()
+    end = started + (args.duration or math.inf)
+    next_show = started + period_s
+    topics = CONTACT, EVENT, HEALTH, FINGERS
+    with subscribe(args.endpoint, topics, keys=keys.of_options(args)) as subscription:
+        board = Board(args.endpoint)
+        while True:
+            sample = subscription.receive(max(0.0, min(_DASHBOARD_PERIOD_S, end - time.monotonic())))
+            if sample is not None:
+                board.take(sample)
+            now = time.monotonic()
+            if not board.messages and now >= min(end, started + args.timeout):
+                raise NoTelemetry(silence(args.endpoint, min(args.timeout, args.duration or math.inf)))
+            if args.once:
+                if board.messages and (now >= min(end, started + _ONCE_WAIT_S) or (board.fingers and board.health)):
+                    show(board)
+                    return
+            elif now >= next_show or now >= end:
+                if board.messages or period_s < _LINE_PERIOD_S:
+                    show(board)
+                next_show = now + period_s
+            if now >= end:
+                return
+
+
+def _json(board: Board) -> str:
+    # msgspec writes null for nan, which json.dumps would not.
+    return msgspec.json.encode(board.summary(), enc_hook=str).decode()
+
+
+def line(board: Board) -> str:
+    """One line of plain text."""
+    parts = [time.strftime("%H:%M:%S")]
+    if board.gone:
+        parts.append(f"{board.gone};")
+    for name, sample in sorted(board.fingers.items()):
+        data = sample.data
+        parts.append(
+            (f"{name}: " if name else "")
+            + f"tick {data.tick} {_mode_name(data.contact.mode)} object {data.contact.object} "
+            f"normal {_fixed(data.contact.normal_force, 0, 3)} N "
+            f"tangential {_fixed(data.contact.tangential_force, 0, 3)} N "
+            f"depth {_fixed(data.contact.penetration * 1e3, 0, 3)} mm"
+        )
+    if board.health:
+        health = board.health.data
+        parts.append(
+            f"rate {health.rate:.1f}/s late p99 {health.late.p99 * 1e6:.1f} us "
+            f"exec p99 {health.exec.p99 * 1e6:.1f} us missed {health.missed} drops {health.drops}"
+        )
+    parts.append(f"lost {board.lost} events {board.event_count}")
+    if board.events:
+        parts.append(f"(last: {_event_words(board.events[-1])})")
+    return " ".join(parts)
+
+
+def _mode_name(mode: int) -> str:
+    return MODE_NAMES[mode] if 0 <= mode < len(MODE_NAMES) else f"mode {mode}"
+
+
+def _event_words(event: Sample) -> str:
+    common = ("schema", "timestamp", "tick", "kind", "name")
+    more = " ".join(f"{key}={_short(value)}" for key, value in event.data.items() if key not in common)
+    words = f"{event.kind} {event.name} {more}".rstrip()
+    return words if words.isprintable() else repr(words)  # nothing from the wire may steer the terminal
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return "0" if abs(value) < _NOTHING else f"{value:.3g}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_short(item) for item in value)}]"
+    return str(value)
+
+
+def _fixed(value: float, width: int, digits: int) -> str:
+    """A number with so many digits behind the point, and no minus before a zero."""
+    return f"{round(value, digits) + 0.0:{width}.{digits}f}"
+
+
+def _dashboard(args: argparse.Namespace) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console()
+    with Live(console=console, auto_refresh=False) as live:
+        _watch(args, lambda board: live.update(render(board, *console.size), refresh=True), _DASHBOARD_PERIOD_S)
+
+
+def render(board: Board, width: int, height: int) -> RenderableType:
+    """The dashboard, for a terminal of so many columns and rows: as many of the newest events as fit, each whole."""
+    from rich.console import Group
+    from rich.panel import Panel
+    from rich.table import Table
+    from rich.text import Text
+
+    rows = Table.grid(padding=(0, 2))
+    rows.add_column(style="dim", min_width=12)
+    rows.add_column(no_wrap=True)
+    if not board.fingers:
+        rows.add_row("contact", Text("waiting for telemetry", style="yellow"))
+    for name, sample in sorted(board.fingers.items()):
+        if name:
+            rows.add_row("finger", Text(name, style="bold"))
+        _contact_rows(rows, sample.data, board)
+    if board.health is not None:
+        health = board.health.data
+        for name, values in (("late", health.late), ("exec", health.exec)):
+            figures = "   ".join(f"{key} {_fixed(getattr(values, key) * 1e6, 8, 2)}" for key in ("p50", "p99", "max"))
+            rows.add_row(name, f"{figures}  us")
+        rows.add_row("ticks", f"{_fixed(health.rate, 0, 1)} /s   missed {health.missed}   drops {health.drops}")
+        rows.add_row("energy", f"{_fixed(health.energy_total * 1e3, 0, 3)} mJ")
+    rows.add_row("lost here", Text(str(board.lost), style="red" if board.lost else ""))
+    title = Text(f"softfinger  {board.endpoint}")  # not markup: an IPv6 address has brackets
+    if board.gone:
+        title.append(f"  {board.gone}", style="bold red")
+    # Frames take two rows each, and the terminal keeps one for the cursor.
+    events = _event_lines(board, width - 4, height - rows.row_count - 5)
+    return Group(Panel(rows, title=title, title_align="left"), Panel(events, title="events", title_align="left"))
+
+
+def _event_lines(board: Board, width: int, height: int) -> str:
+    """The newest events that fit whole, the newest last."""
+    lines: list[str] = []
+    for event in reversed(board.events):
+        told = textwrap.wrap(
+            f"{event.tick:>10}  {_event_words(event)}", max(width, 20), subsequent_indent=" " * _EVENT_INDENT
+        )
+        if len(told) + len(lines) > max(height, 1) and lines:
+            break
+        lines = told + lines
+    return "\n".join(lines) or "none yet"
+
+
+def _contact_rows(rows: Any, data: Any, board: Board) -> None:
+    from rich.text import Text
+
+    contact = data.contact
+    style = "dim" if board.gone else ""  # what was last, and is no more
+    rows.add_row("mode", Text(_mode_name(contact.mode), style=style or _MODE_STYLES.get(contact.mode, "")))
+    rows.add_row("object", f"number {contact.object} of the scene" if contact.object >= 0 else "none")
+    rows.add_row("tick", str(data.tick))
+    for name, value in (("normal", contact.normal_force), ("tangential", contact.tangential_force)):
+        bar = _bar(0.0 if board.gone else value, board.force_peak_n)
+        rows.add_row(name, Text(f"{bar} {_fixed(value, 7, 3)} N", style=style))
+    rows.add_row("force", Text("  ".join(_fixed(value, 8, 3) for value in data.force) + "  N", style=style))
+    rows.add_row("torque", Text("  ".join(_fixed(v * 1e3, 8, 3) for v in data.torque) + "  N mm", style=style))
+    rows.add_row("penetration", f"{_fixed(contact.penetration * 1e3, 8, 3)}  mm")
+    rows.add_row("spin", f"{_fixed(math.degrees(contact.spin), 8, 2)}  deg")
+
+
+def _bar(value: float, full: float) -> str:
+    cells = round(_BAR_CELLS * min(max(value / full, 0.0), 1.0)) if math.isfinite(value) else 0
+    return "█" * cells + "·" * (_BAR_CELLS - cells)

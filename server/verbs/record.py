@@ -1,0 +1,374 @@
+"""`record`: a running daemon as a recording, or its poses alone as a table that the replay device plays.
+
+A client of the wire and nothing more. Rows go to the file as they come, so what was recorded before a kill is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.files import open_output
+from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, POSE_COLUMNS, rate_of
+from softfinger.server import keys, signals
+from softfinger.server.arguments import by_finger
+from softfinger.server.offline.results import McapResults
+from softfinger.server.progress import counter
+from softfinger.server.recording.verbs.live import Live, record_live
+from softfinger.server.wire.client import (
+    DEFAULT_ENDPOINT,
+    NoTelemetry,
+    Sample,
+    Subscription,
+    record_of,
+    silence,
+    subscribe,
+)
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, finger_of
+
+log: Final = logging.getLogger(__name__)
+
+ENDINGS: Final = (".csv", ".mcap")
+HELD: Final = 200
+"""Poses held back at the start, to find the period of the loop in; a tick that was late has more than one in its dt."""
+POLL_S: Final = 0.1
+SHOW_EVERY_S: Final = 0.5
+_LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits bring every float64 back
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.description = (
+        "Record a running server: everything as .mcap, or the poses alone as .csv, by the file's ending."
+    )
+    parser.add_argument("file", nargs="?", metavar="FILE", help="a new .mcap with ticks, events and scene; .csv: poses")
+    parser.add_argument(
+        "--poses",
+        action="append",
+        metavar="FILE",
+        help=".csv: poses alone; .mcap: every value of every tick; NAME=FILE for each of several fingers",
+    )
+    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
+    parser.add_argument("--commands", metavar="URL", help="where the server describes itself (default: beside that)")
+    keys.add_options(parser)
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="stop after S seconds (default: at the server's end)"
+    )
+    parser.add_argument(
+        "--timeout", type=float, metavar="S", default=3.0, help="end when nothing arrives for S seconds (default: 3)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the verb. Raises NoTelemetry if nothing arrives, RecordingError for a file that cannot be written."""
+    for name in ("duration", "timeout"):
+        value = getattr(args, name)
+        if value is not None and not 0.0 < value < math.inf:
+            raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
+    if (args.file is None) == (args.poses is None):
+        raise ConfigError("record takes a FILE, or --poses FILE: give one of them")
+    stop = Stop()
+    if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
+        live = Live(
+            args.endpoint, args.commands, keys.of_options(args), args.duration, args.timeout, lambda: stop.asked
+        )
+        with signals.asked(stop.ask):
+            log.info("%s", record_live(live, Path(args.file)))
+        return signals.code_of_stop()
+    files = {name: Path(file) for name, file in by_finger(args.poses or [args.file], "--poses").items()}
+    topics = CONTACT, FINGERS, EVENT
+    with subscribe(args.endpoint, topics, keys=keys.of_options(args)) as samples, signals.asked(stop.ask):
+        recorded = record(samples, files, args.duration, args.timeout, stop)
+    for name, kept in recorded.items():
+        log.info("%s: %s", files[name], kept)
+        if kept.lost:
+            log.warning("%s", kept.gaps())
+    return signals.code_of_stop()
+
+
+class Stop:
+    """Whether a signal has asked for the end."""
+
+    asked = False
+
+    def ask(self) -> None:
+        self.asked = True
+
+
+@dataclass
+class Kept:
+    """What a recording holds.
+
+    first_tick, last_tick  of the server, -1 before there is one
+    poses                  rows written
+    lost, gap_count        published ticks between them that did not arrive, in so many gaps
+    worst                  (tick before it, ticks lost) of the longest gap
+    unusable               poses left out because they are none: not finite
+    every                  one tick in so many is published
+    seconds                time from first to last row
+    ended                  why the recording ended
+    """
+
+    first_tick: int = -1
+    last_tick: int = -1
+    poses: int = 0
+    lost: int = 0
+    gap_count: int = 0
+    worst: tuple[int, int] = (-1, 0)
+    unusable: int = 0
+    every: int = 1
+    seconds: float = 0.0
+    ended: str = ""
+
+    def __str__(self) -> str:
+        thin = f", one in {self.every}" if self.every > 1 else ""
+        whole = "" if self.lost else ", no tick lost"
+        bad = f", {self.unusable} left out that are no pose" if self.unusable else ""
+        ticks = f"ticks {self.first_tick} to {self.last_tick}{thin}"
+        return f"{self.poses} poses of {ticks}, {self.seconds:.3f} s{whole}{bad}; {self.ended}"
+
+    def gaps(self) -> str:
+        """What to tell a user whose recording has holes."""
+        return (
+            f"{self.lost} ticks in {self.gap_count} gaps did not arrive, the longest {self.worst[1]} after tick "
+            f"{self.worst[0]}: a replay goes smoothly over each; record on a machine with less to do, or with "
+            "[telemetry] every above 1"
+        )
+
+
+class PosesFile(ABC):
+    """A file that rows of t (s), position (m), orientation go to, with the message they are from."""
+
+    @abstractmethod
+    def add(self, t: float, sample: Sample) -> None:
+        """Add one pose."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Finish the file."""
+
+
+class CsvPoses(PosesFile):
+    """`t,x,y,z,qw,qx,qy,qz`; every number comes back to the bit."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._file = open_output(path)
+            self._file.write((",".join(POSE_COLUMNS) + "\n").encode())
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def add(self, t: float, sample: Sample) -> None:
+        try:
+            self._file.write((_LINE % (t, *sample.probe.position, *sample.probe.orientation)).encode())
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def close(self) -> None:
+        try:
+            self._file.close()
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: OSError) -> RecordingError:
+        return RecordingError(f"{self._path}: cannot be written: {error.strerror or error}")
+
+
+class McapPoses(PosesFile):
+    """Whole records on topic `contact`, in blocks; their time is the wall clock's."""
+
+    BLOCK: Final = 256
+
+    def __init__(self, path: Path) -> None:
+        self._results = McapResults(path)
+        self._rows: list[list[float]] = []
+
+    def add(self, t: float, sample: Sample) -> None:
+        self._rows.append(record_of(sample))
+        if len(self._rows) == self.BLOCK:
+            self._flush()
+
+    def close(self) -> None:
+        self._flush()
+        self._results.close()
+
+    def _flush(self) -> None:
+        if self._rows:
+            self._results.append(np.array(self._rows))
+            self._rows.clear()
+
+
+def poses_file(path: Path) -> PosesFile:
+    """Open the file for the kind its ending names; ConfigError for another ending."""
+    kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
+    if path.suffix.lower() not in kinds:
+        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(ENDINGS)}, by the file's ending")
+    made: PosesFile = kinds[path.suffix.lower()](path)
+    return made
+
+
+def record(
+    samples: Subscription,
+    files: Mapping[str, Path],
+    duration_s: float | None = None,
+    timeout_s: float = 3.0,
+    stop: Stop | None = None,
+) -> dict[str, Kept]:
+    """Write what arrives of each finger, by its name, until `duration_s` of ticks, the server's end, or a stop.
+
+    A single finger has the name "". Raises NoTelemetry when nothing arrives within `timeout_s` at the start,
+    ConfigError when it is of other fingers; silence later ends the recording.
+    """
+    first = _first(samples, files, timeout_s, stop)
+    # Of several fingers the first message is one of a tick of which others may have gone by: all begin with the next.
+    start = first.tick + (len(files) > 1)
+    sample: Sample | None = first
+    with ExitStack() as opened:
+        clocks = {name: opened.enter_context(Clock(poses_file(path), duration_s)) for name, path in files.items()}
+        keeping = [clock.kept for clock in clocks.values()]
+        heard = time.monotonic()
+        shown = heard - SHOW_EVERY_S
+        show = opened.enter_context(counter())
+        while not all(kept.ended for kept in keeping):
+            now = time.monotonic()
+            if sample is None:
+                if now - heard > timeout_s:
+                    end_all(keeping, f"nothing arrived for {timeout_s:g} s")
+            else:
+                heard = now
+                _hand_on(sample, clocks, start)
+            if stop is not None and stop.asked:
+                end_all(keeping, "stopped")
+            if show is not None and now - shown > SHOW_EVERY_S:
+                shown = now
+                show(f"{keeping[0].poses} poses, {sum(kept.lost for kept in keeping)} lost; Ctrl-C stops")
+            if not all(kept.ended for kept in keeping):
+                sample = samples.receive(POLL_S)
+    for name, clock in clocks.items():
+        if clock.kept.poses < 2:
+            raise RecordingError(
+                f"{files[name]}: {clock.kept.poses} pose(s) arrived ({clock.kept.ended}), a recording has at least 2"
+            )
+    return {name: clock.kept for name, clock in clocks.items()}
+
+
+def _hand_on(sample: Sample, clocks: Mapping[str, Clock], start: int) -> None:
+    finger = finger_of(sample.topic)
+    for name, clock in clocks.items():
+        early = finger is not None and clock.kept.first_tick < 0 and sample.tick < start
+        if finger in (name, None) and not early and not clock.kept.ended:
+            clock.take(sample)
+
+
+def end_all(keeping: Sequence[Kept], why: str) -> None:
+    """End what has not ended."""
+    for kept in keeping:
+        kept.ended = kept.ended or why
+
+
+def _first(samples: Subscription, files: Mapping[str, Path], timeout_s: float, stop: Stop | None) -> Sample:
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until and not (stop is not None and stop.asked):
+        sample = samples.receive(POLL_S)
+        finger = None if sample is None else finger_of(sample.topic)
+        if sample is None or finger is None:
+            continue
+        if (finger == "") != ("" in files):
+            wanted = f"several fingers, such as {finger}: --poses {finger}=FILE" if finger else "one: --poses FILE"
+            raise ConfigError(f"--poses of {', '.join(files) or 'one finger'}: the server has {wanted}")
+        if finger in files:
+            return sample
+    raise NoTelemetry(silence(samples.endpoint, timeout_s))
+
+
+class Clock:
+    """Gives each pose its time and hands it to the file.
+
+    The time of a row is a whole number of the loop's periods: those in each tick's `dt`, and one for each tick that
+    did not arrive. So a replay at the same rate plays each pose in a tick of its own, which times of the wall clock,
+    rounded as they are, would not do. Leaving the context finishes the file.
+    """
+
+    def __init__(self, file: PosesFile, duration_s: float | None) -> None:
+        self.kept = Kept()
+        self._file = file
+        self._duration_s = duration_s
+        self._period = 0.0
+        self._periods = 0
+        self._held: list[tuple[int, Sample]] = []  # with the ticks lost before each
+
+    def take(self, sample: Sample) -> None:
+        """A message of the wire, in its order; sets `kept.ended` at the end."""
+        kept = self.kept
+        if sample.topic == EVENT:
+            if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
+                kept.ended = "the server stopped"
+            return
+        if finger_of(sample.topic) is None:
+            return
+        if sample.tick <= kept.last_tick:
+            kept.ended = "the server started again"
+            return
+        step = 0 if kept.last_tick < 0 else sample.tick - kept.last_tick
+        if not DT_MIN_S <= sample.dt <= DT_MAX_S:
+            raise ProtocolError(
+                f"tick {sample.tick} says that it took dt = {sample.dt:g} s: no loop has such a period "
+                f"({DT_MIN_S:g} to {DT_MAX_S:g}): is it this program's stream?"
+            )
+        if sample.lost:
+            kept.lost += sample.lost
+            kept.gap_count += 1
+            kept.worst = max(kept.worst, (kept.last_tick, sample.lost), key=lambda gap: gap[1])
+        if kept.first_tick < 0:
+            kept.first_tick = sample.tick
+        kept.last_tick, kept.every = sample.tick, sample.every
+        self._held.append((step, sample))
+        if self._period or len(self._held) >= HELD:
+            self.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.flush()
+        finally:
+            self._file.close()
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        if not self._period and self._held:
+            self._period = min(sample.dt for _, sample in self._held)
+        for step, sample in self._held:
+            self._write(step, sample)
+        self._held.clear()
+
+    def _write(self, step: int, sample: Sample) -> None:
+        kept = self.kept
+        if step:
+            self._periods += step - 1 + max(1, round(sample.dt / self._period))
+        t = self._periods / rate_of(self._period)
+        if self._duration_s is not None and t > self._duration_s - self._period / 2:
+            kept.ended = f"{self._duration_s:g} s are over"
+            return
+        if not all(map(math.isfinite, (*sample.probe.position, *sample.probe.orientation))):
+            kept.unusable += 1
+            return
+        kept.seconds = t
+        kept.poses += 1
+        self._file.add(t, sample)

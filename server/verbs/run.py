@@ -1,0 +1,139 @@
+"""`run`: the daemon in the foreground, until its duration, the end of a recording, or a signal."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import shlex
+import shutil
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers import base
+from softfinger.proxy.scene import explain
+from softfinger.server import signals
+from softfinger.server.app import Daemon
+from softfinger.server.arguments import duration
+from softfinger.server.loop.realtime import Setting
+from softfinger.server.progress import counter, progress
+from softfinger.server.watcher import Watcher
+from softfinger.server.wire.client import DEFAULT_ENDPOINT
+
+log: Final = logging.getLogger(__name__)
+
+TERMINAL_PERIOD_S: Final = 0.25
+PLAIN_PERIOD_S: Final = 10.0
+
+# Options that stand for a key of the rig: flag, key, type, metavar, help.
+OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
+    ("--device", "device.driver", str, "D", "driver, in place of the rig's"),
+    ("--recording", "device.recording", str, "P", "poses to replay: file or name of a shipped recording"),
+    ("--forces", "device.forces", str, "FILE", "where a replay keeps the force written: .csv or .npz"),
+    ("--rate", "servo.rate_hz", float, "HZ", "ticks per second, 100 to 8000"),
+    ("--realtime", "servo.realtime", str, "MODE", "auto, require or off"),
+    ("--endpoint", "telemetry.endpoint", str, "URL", "where telemetry is published"),
+    ("--commands", "commands.endpoint", str, "URL", "where commands are taken; off: none are"),
+    ("--metrics", "metrics.endpoint", "127.0.0.1:{}".format, "PORT", "figures for Prometheus; 0: a free port"),
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")
+    parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
+    for flag, _, kind, metavar, text in OVERRIDES:
+        parser.add_argument(flag, type=kind, metavar=metavar, help=text)
+    parser.add_argument("--once", action="store_true", help="play a recording once instead of looping it")
+    parser.add_argument(
+        "--watcher", action="store_true", help="a small process that takes the force off if this one is killed"
+    )
+    parser.add_argument("--record", metavar="FILE", help="record every tick and event into a new .mcap file")
+    parser.add_argument("--duration", type=duration, metavar="S", help="stop after so many seconds of ticks")
+
+
+def run(args: argparse.Namespace) -> int:
+    changes, sources = {}, {}
+    for flag, key, *_ in OVERRIDES:
+        value = getattr(args, flag.removeprefix("--"))
+        if value is not None:
+            changes[key], sources[key] = value, f"command line {flag}"
+    if args.once:
+        changes["device.loop"], sources["device.loop"] = False, "command line --once"
+    rig = load_rig(args.rig, changes, sources)
+    scene = load_scene(args.scene)
+    rate = rig.servo.rate_hz
+    ticks = None if args.duration is None else max(1, round(args.duration * rate))
+
+    if args.forces is not None and len(rig.tables) > 1:
+        raise ConfigError("--forces: one file cannot keep the force of several fingers: give each its own in the rig")
+
+    daemon, watchers = Daemon(rig, scene, ticks, report_settings, scene_name=args.scene), list[Watcher]()
+    try:
+        if args.record is not None:
+            daemon.recordings.record(args.record, args.scene)
+        if args.watcher:
+            watchers = watch_over(daemon)
+        log.info("scene %s: %s", args.scene, explain(scene))
+        log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rate, daemon.publisher.endpoint)
+        log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
+        for name, endpoint in daemon.public.items():
+            log.info("%s for other machines on %s, by key", name, endpoint)
+        if daemon.metrics_endpoint is not None:
+            log.info("metrics on %s/metrics", daemon.metrics_endpoint)
+        log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(daemon.publisher.endpoint))
+        with progress("compiling the kernels (once for each version and scene)"):
+            daemon.servo.compile()
+        with signals.asked(daemon.stop, daemon.pause):
+            daemon.start()
+            watch(daemon)
+            log.info("stopped after %d ticks; force is zero", daemon.servo.ticks)
+    finally:
+        with signals.held():
+            daemon.close()
+            for watcher in watchers:
+                watcher.dismiss()
+    return signals.code_of_stop()
+
+
+def shown_by(endpoint: str) -> str:
+    """The command that shows what is published on an endpoint, as a shell would find this program."""
+    called = Path(sys.argv[0])
+    program = str(called) if called.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
+    return f"{program} monitor" + ("" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}")
+
+
+def report_settings(settings: list[Setting]) -> None:
+    """Log what the machine granted of the real-time settings, and what to do about the rest."""
+    for setting in settings:
+        if setting.ok:
+            log.info("real time: %s %s", setting.name, setting.detail)
+        else:
+            log.warning("real time: %s refused: %s; %s", setting.name, setting.detail, setting.advice)
+
+
+def watch_over(daemon: Daemon) -> list[Watcher]:
+    """Start a watcher of each of a daemon's devices; ConfigError where no other process can take the force off one."""
+    words = []
+    for device in daemon.devices:
+        word = device.last_word()
+        if word is None:
+            raise ConfigError(
+                f"--watcher: no other process can take a force off {device.info.name} "
+                "(docs/devices/overview.md says what is left there): leave it out"
+            )
+        words.append(word)
+    return [Watcher(*word) for word in words]
+
+
+def watch(daemon: Daemon) -> None:
+    """Show that the servo runs, until it ends: a line kept up to date on a terminal, else a log line at times."""
+    with counter() as show:
+        while not daemon.wait(PLAIN_PERIOD_S if show is None else TERMINAL_PERIOD_S):
+            servo = daemon.servo
+            line = f"{servo.ticks} ticks, {servo.missed} missed, {servo.drops} records dropped"
+            if show is None:
+                log.info("%s", line)
+            else:
+                show(f"{line}; Ctrl-C stops")

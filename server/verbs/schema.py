@@ -1,0 +1,191 @@
+"""`softfinger schema`: what scenes, rigs, telemetry records and commands consist of, for programs and for editors."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import re
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import msgspec
+from msgspec import inspect
+
+from softfinger.config.materials import library
+from softfinger.config.schema import DeviceConfig, Rig, Scene, unit
+from softfinger.config.typeinfo import described, options, unwrapped
+from softfinger.config.words import expected, toml
+from softfinger.proxy.record import FIELDS
+from softfinger.server.wire import commands
+
+KINDS: Final = ("scene", "rig", "telemetry", "commands")
+_STRUCTS: Final[dict[str, type[msgspec.Struct]]] = {"scene": Scene, "rig": Rig}
+_EITHER: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
+"""Keys of which a file has exactly one."""
+_DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+
+
+class Row(NamedTuple):
+    """One key of a TOML table, as the reference page lists it."""
+
+    key: str
+    unit: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+class TableRows(NamedTuple):
+    """One TOML table: its dotted name, what it is, its keys."""
+
+    name: str
+    meaning: str
+    rows: list[Row]
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.description = (
+        "Print the JSON Schema of scene and rig files and of the commands, and the fields of a telemetry record."
+    )
+    parser.add_argument("kind", nargs="?", choices=KINDS, help="which schema (default: all, in one object)")
+    parser.add_argument("--markdown", action="store_true", help="print tables of the keys instead, for people")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the schema; returns 0."""
+    if args.markdown:
+        print("\n\n".join(markdown(kind) for kind in ([args.kind] if args.kind else KINDS)))
+        return 0
+    schema = json_schema(args.kind) if args.kind else {kind: json_schema(kind) for kind in KINDS}
+    print(json.dumps(schema, indent=2))
+    return 0
+
+
+def json_schema(kind: str) -> dict[str, Any]:
+    """JSON Schema of a scene, a rig or every command, or the fields of a telemetry record in their order."""
+    if kind == "commands":
+        return commands.schema()
+    if kind == "telemetry":
+        return {"title": "Telemetry", "record": [dataclasses.asdict(field) for field in FIELDS]}
+    schema = msgspec.json.schema(_STRUCTS[kind])
+    device = schema["$defs"].get("DeviceConfig")
+    if device is not None:
+        # In the file a driver's options stand beside `driver`; only the driver knows them.
+        del device["properties"][DeviceConfig.gathers]
+        device["additionalProperties"] = True
+    for title, keys in _EITHER.items():
+        if title in schema["$defs"]:
+            schema["$defs"][title]["oneOf"] = [{"required": [key]} for key in keys]
+    for table in schema["$defs"].values():
+        for key, value in table["properties"].items():
+            _as_toml(key, value)
+            if value == {"$ref": "#/$defs/Material"}:
+                table["properties"][key] = {"anyOf": [value, {"enum": sorted(library())}]}
+    material = schema["$defs"].get("Material")
+    if material is not None:
+        # A named material brings what is not said.
+        material["anyOf"] = [{"required": ["name"]}, {"required": material.pop("required")}]
+    return {"$schema": _DIALECT, **schema}
+
+
+def _as_toml(key: str, value: dict[str, Any]) -> None:
+    """Say the unit, and drop null: TOML has none, a key is left out."""
+    options = [option for option in value.get("anyOf", []) if option != {"type": "null"}]
+    if len(options) == 1:
+        del value["anyOf"]
+        value.update(options[0])
+    if value.get("default", "") is None:
+        del value["default"]
+    elif isinstance(value.get("default"), dict):
+        value["default"] = {name: item for name, item in value["default"].items() if item is not None}
+    if unit(key):
+        value["unit"] = unit(key)
+
+
+def markdown(kind: str) -> str:
+    """As Markdown tables; those of scene and rig are in docs/operate/scenes.md, of commands in docs/protocol.md."""
+    if kind == "commands":
+        rows = [[f"`{name}`", *words] for name, words in commands.table().items()]
+        return _grid(["method", "params", "result", "meaning"], rows)
+    if kind == "telemetry":
+        names = [field.name for field in dataclasses.fields(FIELDS[0])]
+        return _grid(names, [[str(getattr(field, name)) for name in names] for field in FIELDS])
+    parts = []
+    for table in tables(_STRUCTS[kind]):
+        cells = [[f"`{row.key}`", row.unit, row.allowed, row.default, row.meaning] for row in table.rows]
+        grid = _grid(["key", "unit", "allowed", "default", "meaning"], cells)
+        parts.append(f"### `{table.name}`\n\n{table.meaning}\n\n{grid}")
+    return "\n\n".join(parts)
+
+
+def _grid(head: list[str], lines: list[list[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *lines])
+
+
+def tables(struct_type: type[msgspec.Struct]) -> list[TableRows]:
+    """Every TOML table of a scene or rig with its keys, in order."""
+    found: dict[tuple[str, str], TableRows] = {}
+    for table in _tables(described(struct_type), ""):
+        # A material is the same in every shape: listed where it first stands.
+        if table.rows:
+            found.setdefault((table.name, table.meaning), table)
+    return list(found.values())
+
+
+def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
+    rows = []
+    if info.tag_field is not None:
+        rows.append(Row(info.tag_field, "", f'`"{info.tag}"`', "required", "selects what the other keys may be"))
+    inner = []
+    for field in info.fields:
+        structs = list(_structs(field.type))
+        path, many = _path(name, field)
+        inner += [(struct, f"[[{path}]]" if many else f"[{path}]") for struct in structs]
+        if not structs and field.encode_name != getattr(info.cls, "gathers", None):
+            rows.append(_row(field))
+    yield TableRows(name, " ".join((info.cls.__doc__ or "").split()), rows)
+    for struct, path in inner:
+        yield from _tables(struct, path)
+
+
+def _path(name: str, field: inspect.Field) -> tuple[str, bool]:
+    bare = name.strip("[]")
+    kind, _ = _bare(field.type)
+    path = f"{bare}.{field.encode_name}" if bare else field.encode_name
+    if isinstance(kind, inspect.DictType):
+        path += ".NAME"
+    return path, isinstance(kind, inspect.VarTupleType | inspect.ListType)
+
+
+def _row(field: inspect.Field) -> Row:
+    kind, extra = _bare(field.type)
+    allowed = re.sub(r"'([^']*)'", r'`"\1"`', expected(kind, "").removeprefix("one of "))
+    if field.required or field.default is None:
+        default = "required" if field.required else "left out"
+    else:
+        default = f"`{toml(field.default)}`"
+    return Row(field.encode_name, unit(field.encode_name), allowed, default, extra.get("description", ""))
+
+
+def _bare(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
+    """The type without its Meta and without `| None`, and what the Meta said."""
+    (only,) = options(info)
+    return unwrapped(only)
+
+
+def _structs(info: inspect.Type) -> Iterator[inspect.StructType]:
+    """The tables a field may hold: itself, one of several, or the items of a list."""
+    match info:
+        case inspect.StructType():
+            yield info
+        case inspect.Metadata():
+            yield from _structs(info.type)
+        case inspect.UnionType():
+            for option in info.types:
+                yield from _structs(option)
+        case inspect.VarTupleType() | inspect.ListType():
+            yield from _structs(info.item_type)
+        case inspect.DictType():
+            yield from _structs(info.value_type)

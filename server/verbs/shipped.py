@@ -1,0 +1,78 @@
+"""`scenes`, `rigs`, `recordings`: what is shipped, a line each."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from itertools import takewhile
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.load import FOLDERS
+from softfinger.config.schema import Rig, Scene
+from softfinger.drivers.poses import SHIPPED
+
+FOLDER_OF: Final = {"scenes": FOLDERS[Scene], "rigs": FOLDERS[Rig], "recordings": SHIPPED}
+
+OPTIONS: Final = {"--scene": "scenes", "--rig": "rigs", "--recording": "recordings", "--poses": "recordings"}
+"""Options that take a name of those that a verb lists, or a file."""
+
+_SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print name, file and description as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    listed = shipped_in(args.verb)
+    if args.json:
+        print(json.dumps(listed, indent=1))
+        return 0
+    width = max(len(each["name"]) for each in listed)
+    for each in listed:
+        print(f"{each['name']:{width}}  {each['description']}")
+    return 0
+
+
+def shipped_in(verb: str) -> list[dict[str, Any]]:
+    """Name, file and description of each, in the order of names."""
+    folder = FOLDER_OF[verb]
+    if verb == "recordings":
+        told = _table(folder / "README.md")
+        files = sorted(folder.glob("*.csv"))
+    else:
+        files = sorted(folder.glob("*.toml"))
+        told = {file.name: first_sentence(file.read_text("utf-8")) for file in files}
+    return [{"name": file.stem, "file": str(file), "description": told[file.name]} for file in files]
+
+
+def first_sentence(text: str) -> str:
+    """The first sentence of the comment that a file begins with."""
+    lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
+    comment = " ".join(line.lstrip("# ") for line in lines)
+    found = _SENTENCE.match(comment)
+    return (found[1] if found else comment).rstrip(".")
+
+
+def _table(page: Path) -> dict[str, str]:
+    """Of the recordings, which are tables of numbers without comments: length and motion as their page has them."""
+    rows = re.findall(r"^\| `([^`]+)` \| ([\d.]+) \| (.+) \|$", page.read_text("utf-8"), re.MULTILINE)
+    return {file: f"{seconds} s: {first_sentence(f'# {motion}.')}" for file, seconds, motion in rows}
+
+
+def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """Have shtab complete the options of every verb that take a shipped name; returns the parser."""
+    for verbs in parser._actions:
+        if isinstance(verbs, argparse._SubParsersAction):
+            for action in (action for verb in verbs.choices.values() for action in verb._actions):
+                for option in OPTIONS.keys() & set(action.option_strings):
+                    action.complete = _completion(OPTIONS[option])
+    return parser
+
+
+def _completion(verb: str) -> dict[str, Any]:
+    names, function = " ".join(each["name"] for each in shipped_in(verb)), f"_softfinger_{verb}"
+    body = f'{function}() {{ compgen -W "{names}" -- $1; compgen -f -- $1; }}'
+    return {"bash": function, "zsh": f"({names})", "tcsh": f"({names})", "preamble": {"bash": body}}

@@ -1,0 +1,56 @@
+"""`warmup`: compile ahead, so that the first tick of a later start comes at once."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import time
+from typing import Final
+
+import numpy as np
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_scene, shipped
+from softfinger.proxy.engine import compiled
+from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
+from softfinger.server.offline.simulate import simulate
+from softfinger.server.progress import progress
+from softfinger.server.services.compilation import compile_loop
+from softfinger.server.wire.native.sender import Sender
+
+RATE_HZ: Final = 1000.0
+"""Nothing is compiled for a rate."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help="scenes to compile for (default: all shipped ones)")
+    parser.add_argument("--prune", action="store_true", help="remove the kernels of other versions first")
+
+
+def run(args: argparse.Namespace) -> int:
+    if args.prune:
+        prune()
+    for name in args.scenes or shipped(schema.Scene):
+        scene = load_scene(name)
+        begun = time.monotonic()
+        with progress(f"compiling for {name}"):
+            tuning = compile_loop(scene)
+            simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
+            compiled(tuning.scene)
+        print(f"{name}: ready after {time.monotonic() - begun:.1f} s")
+    with progress("compiling for telemetry"):
+        Sender([""], 1, topics=1, retained=0, messages=1).close()
+    if (problem := KEPT.problem()) is not None:
+        raise ConfigError(f"compiled kernels are not kept: {problem}")
+    print(f"kernels are in {CACHE_DIR}")
+    return 0
+
+
+def prune() -> None:
+    """Remove the compiled kernels of every other version of this program."""
+    if CACHE_DIR is not None and CACHE_DIR.parent.is_dir():
+        for path in CACHE_DIR.parent.iterdir():
+            if path.is_dir() and path != CACHE_DIR and re.fullmatch("[0-9a-f]{16}", path.name):
+                shutil.rmtree(path, ignore_errors=True)

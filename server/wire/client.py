@@ -1,0 +1,282 @@
+"""Receiving telemetry: an iterator over messages, and a numpy window of the newest ticks.
+
+    with subscribe() as samples:
+        for sample in samples:
+            print(sample.tick, sample.contact.mode, sample["force"], sample.lost)
+
+Any ZeroMQ and msgpack client can read the stream (docs/protocol.md); this one also checks each
+message and counts the ticks that did not arrive.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import repeat
+from operator import attrgetter
+from types import TracebackType
+from typing import Any, Final, Self
+
+import msgspec
+import numpy as np
+import zmq
+from numpy.typing import NDArray
+
+from softfinger.config.errors import ConfigError, HapticError
+from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
+from softfinger.proxy.records import Records
+from softfinger.server.keys import ClientKeys
+from softfinger.server.wire.protocol import CONTACT, FINGERS, TOPICS, ProtocolError, contact_topic, decode, finger_of
+
+DEFAULT_ENDPOINT: Final = "tcp://127.0.0.1:5555"
+
+_RECEIVE_BACKLOG: Final = 40960  # as the publisher's: a client that pauses for a while loses nothing
+_LARGEST_FRAME: Final = 1 << 20  # ZeroMQ hangs up on a peer that sends more, before it allocates
+
+_IN_LISTS: Final = [i for i, field in enumerate(FIELDS) if field.name.startswith("contacts")]
+_VALUES_BEFORE: Final = attrgetter(*(field.name for field in FIELDS[: _IN_LISTS[0]]))
+_VALUES_BEHIND: Final = attrgetter(*(field.name for field in FIELDS[_IN_LISTS[-1] + 1 :]))
+_PATCH_FIELDS: Final = [field for field in FIELDS if field.name.startswith("contacts0.")]
+_PATCH_VALUES: Final = attrgetter(*(field.name.partition(".")[2] for field in _PATCH_FIELDS))
+_NO_PATCH: Final = [-1.0, *repeat(0.0, sum(field.size for field in _PATCH_FIELDS) - 1)]
+"""What a record has of a patch that a message leaves out."""
+
+
+class NoTelemetry(HapticError):
+    """Nothing arrived from an endpoint."""
+
+    exit_code = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One message. Keys are attributes (`sample.contact.mode`) and items (`sample["contact.mode"]`).
+
+    `lost` is the number of published ticks that are missing before this one; 0 for other topics.
+    """
+
+    topic: str
+    data: Any
+    lost: int = 0
+
+    def __getitem__(self, key: str) -> Any:
+        value = self.data
+        for part in key.split("."):
+            try:
+                value = value[part] if isinstance(value, dict) else getattr(value, part)
+            except AttributeError:
+                raise KeyError(key) from None
+        return value
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "data" or name.startswith("_"):  # not a key; and `data` itself is missing while a copy is made
+            raise AttributeError(name)
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(f"a {self.topic} message has no key {name!r}") from None
+
+    def as_map(self) -> dict[str, Any]:
+        """The message as plain dicts; the vectors of a contact message are tuples."""
+        plain: dict[str, Any] = msgspec.to_builtins(self.data)
+        return plain
+
+
+class Subscription:
+    """SUB socket on one endpoint; an iterator and a context manager, made by `subscribe`."""
+
+    def __init__(
+        self, endpoint: str, topics: Sequence[str], timeout_s: float | None = None, keys: ClientKeys | None = None
+    ) -> None:
+        unknown = [topic for topic in topics if topic not in TOPICS and not topic.startswith(FINGERS)]
+        if unknown or not topics:
+            raise ConfigError(
+                f"topics = {list(topics)}: choose from {', '.join(TOPICS)}, {FINGERS}NAME for one of several fingers, "
+                f"or {FINGERS} for all of them"
+            )
+        self.endpoint = endpoint
+        self.timeout_s = timeout_s
+        self._ticks: dict[str, int] = {}
+        context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
+        self._socket = context.socket(zmq.SUB)
+        self._socket.linger = 0
+        self._socket.rcvhwm = _RECEIVE_BACKLOG
+        self._socket.maxmsgsize = _LARGEST_FRAME
+        self._socket.ipv6 = "[" in endpoint
+        if keys is not None:
+            keys.put_on(self._socket)
+        for topic in topics:
+            self._socket.subscribe(topic)
+        try:
+            self._socket.connect(endpoint)
+        except zmq.ZMQError as error:
+            self.close()
+            raise ConfigError(
+                f"cannot connect to endpoint {endpoint!r}: {error}; it looks like {DEFAULT_ENDPOINT} or ipc:///path"
+            ) from error
+
+    def receive(self, timeout_s: float | None = None) -> Sample | None:
+        """Next message, or None if none comes within `timeout_s` (None: wait for ever).
+
+        Raises ProtocolError for a message that is not ours; the next call reads on behind it.
+        """
+        if self._socket.poll(None if timeout_s is None else max(0, round(timeout_s * 1000))) == 0:
+            return None
+        frames = self._socket.recv_multipart()
+        if len(frames) != 2:
+            raise ProtocolError(
+                f"message of {len(frames)} frames from {self.endpoint}, expected 2 (topic and map): "
+                "is another program publishing here?"
+            )
+        topic, body = frames
+        message = decode(topic, body)
+        name = topic.decode()
+        if finger_of(name) is None:
+            return Sample(name, message)
+        return Sample(name, message, self._lost_before(name, message.tick, message.every))
+
+    def _lost_before(self, topic: str, tick: int, every: int) -> int:
+        before, self._ticks[topic] = self._ticks.get(topic), tick
+        if before is None or tick <= before:  # the first, or the server started again
+            return 0
+        return (tick - before - 1) // max(every, 1)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return self
+
+    def __next__(self) -> Sample:
+        if self._socket.closed:
+            raise StopIteration
+        sample = self.receive(self.timeout_s)
+        if sample is None:
+            raise NoTelemetry(silence(self.endpoint, self.timeout_s or 0.0))
+        return sample
+
+    def close(self) -> None:
+        """Disconnect. Any number of times."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        # A loop that is left by break has no other place to close.
+        if hasattr(self, "_socket"):
+            self.close()
+
+
+def subscribe(
+    endpoint: str = DEFAULT_ENDPOINT,
+    topics: Sequence[str] = (CONTACT,),
+    timeout_s: float | None = None,
+    keys: ClientKeys | None = None,
+) -> Subscription:
+    """Iterate over the messages of `topics` as they arrive; `keys` are for a server that wants some.
+
+    Iteration raises NoTelemetry if `timeout_s` passes without a message (None: it waits for ever),
+    and ProtocolError for a message that does not follow the protocol.
+    """
+    return Subscription(endpoint, topics, timeout_s, keys)
+
+
+def silence(endpoint: str, waited_s: float) -> str:
+    """What to tell a user to whom nothing was sent."""
+    return (
+        f"no telemetry from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
+        "and is this its [telemetry] endpoint?"
+    )
+
+
+def record_of(sample: Sample) -> list[float]:
+    """A contact message as the record (RECORD_SIZE,) that was published."""
+    message = sample.data
+    row = _flat(_VALUES_BEFORE(message))
+    for patch in message.contacts:
+        row += _flat(_PATCH_VALUES(patch))
+    row += _NO_PATCH * (PATCHES - len(message.contacts))
+    return row + _flat(_VALUES_BEHIND(message))
+
+
+def _flat(values: tuple[Any, ...]) -> list[float]:
+    row: list[float] = []
+    for value in values:
+        if isinstance(value, tuple):
+            row.extend(value)
+        else:
+            row.append(value)
+    return row
+
+
+class Window:
+    """The newest `samples` ticks as numpy arrays, in tick order; of several fingers, those of `finger`.
+
+    window["force"] has shape (m, 3), window["tick"] (m,), m <= samples; float fields are views that
+    the next `update` may overwrite, integer fields are int64 copies.
+    """
+
+    def __init__(
+        self,
+        endpoint: str = DEFAULT_ENDPOINT,
+        samples: int = 1000,
+        finger: str = "",
+        keys: ClientKeys | None = None,
+    ) -> None:
+        if samples < 1:
+            raise ConfigError(f"a window of {samples} samples is too short: 1 or more")
+        self._size = samples
+        # Twice as long as needed: rows go in one after the other and are moved back when the end is
+        # reached, so the newest ones are always one contiguous view.
+        self._rows = np.empty((2 * samples, RECORD_SIZE))
+        self._end = 0
+        self._tick = -1
+        self.lost = 0
+        """Published ticks that did not arrive since the window was opened."""
+        self._subscription = Subscription(endpoint, (contact_topic(finger),), keys=keys)
+
+    def update(self, timeout_s: float = 0.0) -> int:
+        """Take what has arrived, waiting up to `timeout_s` for the first; returns how many ticks came."""
+        came = 0
+        until_s = time.monotonic() + timeout_s
+        while came < _RECEIVE_BACKLOG:  # a publisher faster than this loop must not keep it for ever
+            sample = self._subscription.receive(0.0 if came else max(0.0, until_s - time.monotonic()))
+            if sample is None:
+                break
+            self._append(sample)
+            came += 1
+        return came
+
+    def _append(self, sample: Sample) -> None:
+        if sample.data.tick <= self._tick:  # the server started again: the old ticks belong to another run
+            self._end = 0
+        self._tick = sample.data.tick
+        if self._end == len(self._rows):
+            self._rows[: self._size] = self._rows[self._size :]
+            self._end = self._size
+        self._rows[self._end] = record_of(sample)
+        self._end += 1
+        self.lost += sample.lost
+
+    def __len__(self) -> int:
+        return min(self._end, self._size)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        found: NDArray[Any] = Records(self._rows[self._end - len(self) : self._end])[name]
+        return found
+
+    def close(self) -> None:
+        """Disconnect; the ticks received stay readable. Any number of times."""
+        self._subscription.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

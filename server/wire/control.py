@@ -1,0 +1,304 @@
+"""Commanding a running daemon: a client that waits, and one for asyncio.
+
+    with Control() as daemon:
+        daemon.set_params({"object.table.material.stiffness_n_per_m": 800.0})
+        print(daemon.get_state().force)
+
+Each method of docs/protocol.md is a method here, and returns what the table there says. Both raise CommandRefused
+for what the daemon does not do, NoAnswer where nothing comes in time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+import uuid
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Final, Self, TypeVar
+
+import msgpack
+import msgspec
+import zmq
+import zmq.asyncio
+
+from softfinger.config.errors import CommandRefused, ConfigError, HapticError
+from softfinger.server.keys import ClientKeys
+from softfinger.server.wire.commands import (
+    METHODS,
+    Alive,
+    Applied,
+    Armed,
+    Changed,
+    Drive,
+    Empty,
+    Mark,
+    Quaternion,
+    RecordStart,
+    RecordStarted,
+    RecordStopped,
+    SceneSet,
+    SetScene,
+    State,
+    Stopping,
+    Vector,
+    Zero,
+    Zeroed,
+)
+
+R = TypeVar("R")
+
+DEFAULT_COMMANDS: Final = "tcp://127.0.0.1:5556"
+TIMEOUT_S: Final = 5.0
+SCENE_TIMEOUT_S: Final = 300.0
+"""A scene is compiled first, which takes half a minute, and longer on a busy machine."""
+
+_ANSWER_MAX: Final = 1 << 22  # ZeroMQ hangs up on a peer that sends more, before it allocates
+
+
+class NoAnswer(HapticError):
+    """No answer came from an endpoint."""
+
+    exit_code = 9
+
+
+def _connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
+    socket.linger = 0
+    socket.maxmsgsize = _ANSWER_MAX
+    socket.ipv6 = "[" in endpoint
+    if keys is not None:
+        keys.put_on(socket)
+    try:
+        socket.connect(endpoint)
+    except zmq.ZMQError as error:
+        socket.close()
+        raise ConfigError(
+            f"cannot connect to endpoint {endpoint!r}: {error}; it looks like {DEFAULT_COMMANDS} or ipc:///path"
+        ) from error
+
+
+def _asking(method: str, params: Any) -> tuple[str, list[bytes]]:
+    """A request's id and frames."""
+    command_id = uuid.uuid4().hex
+    request = {"command_id": command_id, "method": method, "params": params}
+    return command_id, [b"", msgspec.msgpack.encode(request)]
+
+
+def _answer(frames: list[bytes]) -> dict[str, Any]:
+    """The map of an answer; an empty one for what is none."""
+    try:
+        answer = msgpack.unpackb(frames[1]) if len(frames) == 2 else {}
+    except Exception:  # of a dozen classes
+        return {}
+    return answer if isinstance(answer, dict) else {}
+
+
+def _result(answer: dict[str, Any], kind: type[R]) -> R:
+    if answer.get("success") is not True:
+        raise CommandRefused(str(answer.get("error")))
+    return msgspec.convert(answer.get("result"), kind)
+
+
+def _no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
+    return NoAnswer(
+        f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
+        "and is this its [commands] endpoint?"
+    )
+
+
+def _timeout(method: str, timeout_s: float | None) -> float:
+    return timeout_s if timeout_s is not None else SCENE_TIMEOUT_S if method == "set_scene" else TIMEOUT_S
+
+
+class Control:
+    """A client that waits for each answer, for at most `timeout_s` (None: what the method needs). One thread only.
+
+    `keys` are for a server that wants some.
+    """
+
+    def __init__(
+        self, endpoint: str = DEFAULT_COMMANDS, timeout_s: float | None = None, keys: ClientKeys | None = None
+    ) -> None:
+        self.endpoint, self.timeout_s = endpoint, timeout_s
+        self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
+        _connected(self._socket, endpoint, keys)
+
+    def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
+        """Any method by name; returns the result as it came."""
+        return self._ask(method, params, METHODS[method].result if method in METHODS else dict)
+
+    def _ask(self, method: str, params: Any, kind: type[R]) -> R:
+        command_id, frames = _asking(method, params)
+        wait_s = _timeout(method, self.timeout_s)
+        until = time.monotonic() + wait_s
+        self._socket.send_multipart(frames)
+        while self._socket.poll(max(0, round(1000 * (until - time.monotonic())))):
+            answer = _answer(self._socket.recv_multipart())
+            if answer.get("command_id") == command_id:  # and none that came too late for an earlier request
+                return _result(answer, kind)
+        raise _no_answer(method, self.endpoint, wait_s)
+
+    def get_state(self) -> State:
+        return self._ask("get_state", Empty(), State)
+
+    def heartbeat(self) -> Alive:
+        return self._ask("heartbeat", Empty(), Alive)
+
+    def set_params(self, values: Mapping[str, Any]) -> Changed:
+        return self._ask("set_params", values, Changed)
+
+    def set_scene(
+        self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
+    ) -> SceneSet:
+        return self._ask("set_scene", _scene(scene, overrides, name), SceneSet)
+
+    def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
+        return self._ask("drive", _pose(what, position_m, orientation_wxyz), Applied)
+
+    def arm(self) -> Armed:
+        return self._ask("arm", Empty(), Armed)
+
+    def disarm(self) -> Armed:
+        return self._ask("disarm", Empty(), Armed)
+
+    def zero(
+        self, position_m: Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
+    ) -> Zeroed:
+        return self._ask("zero", _zero(position_m, finger, reset), Zeroed)
+
+    def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
+        return self._ask("mark", Mark(label, dict(data or {})), Applied)
+
+    def record_start(self, file: str) -> RecordStarted:
+        return self._ask("record_start", RecordStart(file), RecordStarted)
+
+    def record_stop(self) -> RecordStopped:
+        return self._ask("record_stop", Empty(), RecordStopped)
+
+    def describe(self) -> dict[str, Any]:
+        return self._ask("describe", Empty(), dict)
+
+    def stop(self) -> Stopping:
+        return self._ask("stop", Empty(), Stopping)
+
+    def close(self) -> None:
+        """Disconnect. Any number of times."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class AsyncControl:
+    """A client for asyncio: any number of requests may wait for their answers. Use it with `async with`."""
+
+    def __init__(
+        self, endpoint: str = DEFAULT_COMMANDS, timeout_s: float | None = None, keys: ClientKeys | None = None
+    ) -> None:
+        self.endpoint, self.timeout_s = endpoint, timeout_s
+        self._socket: zmq.asyncio.Socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
+        _connected(self._socket, endpoint, keys)
+        self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
+        self._reader: asyncio.Task[None] | None = None
+
+    async def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
+        """Any method by name; returns the result as it came."""
+        return await self._ask(method, params, METHODS[method].result if method in METHODS else dict)
+
+    async def _ask(self, method: str, params: Any, kind: type[R]) -> R:
+        command_id, frames = _asking(method, params)
+        wait_s = _timeout(method, self.timeout_s)
+        answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
+        try:
+            await self._socket.send_multipart(frames)
+            return _result(await asyncio.wait_for(answer, wait_s), kind)
+        except TimeoutError:
+            raise _no_answer(method, self.endpoint, wait_s) from None
+        finally:
+            del self._waiting[command_id]
+
+    async def _read(self) -> None:
+        while True:
+            answer = _answer(await self._socket.recv_multipart())
+            waiting = self._waiting.get(str(answer.get("command_id")))
+            if waiting is not None and not waiting.done():
+                waiting.set_result(answer)
+
+    async def get_state(self) -> State:
+        return await self._ask("get_state", Empty(), State)
+
+    async def heartbeat(self) -> Alive:
+        return await self._ask("heartbeat", Empty(), Alive)
+
+    async def set_params(self, values: Mapping[str, Any]) -> Changed:
+        return await self._ask("set_params", values, Changed)
+
+    async def set_scene(
+        self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
+    ) -> SceneSet:
+        return await self._ask("set_scene", _scene(scene, overrides, name), SceneSet)
+
+    async def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
+        return await self._ask("drive", _pose(what, position_m, orientation_wxyz), Applied)
+
+    async def arm(self) -> Armed:
+        return await self._ask("arm", Empty(), Armed)
+
+    async def disarm(self) -> Armed:
+        return await self._ask("disarm", Empty(), Armed)
+
+    async def zero(
+        self, position_m: Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
+    ) -> Zeroed:
+        return await self._ask("zero", _zero(position_m, finger, reset), Zeroed)
+
+    async def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
+        return await self._ask("mark", Mark(label, dict(data or {})), Applied)
+
+    async def record_start(self, file: str) -> RecordStarted:
+        return await self._ask("record_start", RecordStart(file), RecordStarted)
+
+    async def record_stop(self) -> RecordStopped:
+        return await self._ask("record_stop", Empty(), RecordStopped)
+
+    async def describe(self) -> dict[str, Any]:
+        return await self._ask("describe", Empty(), dict)
+
+    async def stop(self) -> Stopping:
+        return await self._ask("stop", Empty(), Stopping)
+
+    async def close(self) -> None:
+        """Disconnect. Any number of times."""
+        if self._reader is not None:
+            self._reader.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._reader
+            self._reader = None
+        self._socket.close()
+
+    async def __aenter__(self) -> Self:
+        self._reader = asyncio.create_task(self._read())
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+
+def _scene(scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None, name: str) -> SetScene:
+    return SetScene(scene if isinstance(scene, str) else dict(scene), dict(overrides or {}), name)
+
+
+def _pose(what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None) -> Drive:
+    return Drive(what, position_m, msgspec.UNSET if orientation_wxyz is None else orientation_wxyz)
+
+
+def _zero(position_m: Vector, finger: str | int | None, reset: bool) -> Zero:
+    return Zero(position_m, msgspec.UNSET if finger is None else finger, reset)

@@ -1,0 +1,146 @@
+"""Endpoints that this program binds: checked, bound, guarded against a second server, and freed."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import ipaddress
+import os
+import socket
+import stat
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from softfinger.config.errors import AddressInUse, ConfigError
+
+LISTEN_BACKLOG: Final = 128
+"""Connections that the system keeps until they are accepted."""
+
+
+class Bound(NamedTuple):
+    """A socket that listens, what closes it and frees the endpoint, and the endpoint with the port chosen for a `*`."""
+
+    listener: socket.socket
+    files: ExitStack
+    endpoint: str
+
+
+def check_endpoint(endpoint: str, key: str, public: bool = False) -> None:
+    """Raise ConfigError unless `endpoint`, the value of `key`, may be bound: an ipc path, or tcp, loopback unless
+    `public`."""
+    scheme, _, address = endpoint.partition("://")
+    if scheme == "ipc" and address and address[0] not in "@*":
+        return
+    if scheme == "ipc" and address:
+        raise ConfigError(
+            f"{key} = {endpoint!r} has no file, whose mode would say who may connect: use ipc:///path/to/socket"
+        )
+    host, _, port = address.rpartition(":")
+    if scheme != "tcp" or not host or not (port == "*" or (port.isdecimal() and int(port) < 65536)):
+        raise ConfigError(
+            f"{key} = {endpoint!r} is not an endpoint: "
+            "use tcp://127.0.0.1:PORT (0 to 65535, or * for a free one) or ipc:///path/to/socket"
+        )
+    if not public and not _is_loopback(host):
+        raise ConfigError(
+            f"{key} = {endpoint!r} can be reached from other machines, which needs CURVE keys, and none "
+            f"are configured: use tcp://127.0.0.1:{port} or an ipc:// path; docs/operate/network.md says how others "
+            "get keys, or reach it through an SSH tunnel"
+        )
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def listen(endpoint: str, key: str, public: bool = False) -> Bound:
+    """Bind an endpoint.
+
+    key     the key of the rig that the endpoint is the value of, for messages
+    public  it may be one that other machines reach: who listens there checks keys
+
+    Raises AddressInUse if another process holds the endpoint, ConfigError if it cannot or may not be bound.
+    """
+    check_endpoint(endpoint, key, public)
+    scheme, _, address = endpoint.partition("://")
+    with ExitStack() as files:
+        try:
+            if scheme == "ipc":
+                listener = files.enter_context(_listen_ipc(Path(address), endpoint, key, files))
+            else:
+                listener = files.enter_context(_listen_tcp(address))
+                address = address.rpartition(":")[0] + f":{listener.getsockname()[1]}"
+            listener.listen(LISTEN_BACKLOG)
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                raise _in_use(endpoint, key) from error
+            raise ConfigError(
+                f"{key} = {endpoint!r} cannot be bound: {error.strerror or error}; choose another"
+            ) from error
+        return Bound(listener, files.pop_all(), f"{scheme}://{address}")
+
+
+def _listen_tcp(address: str) -> socket.socket:
+    host, _, port = address.rpartition(":")
+    listener = socket.socket(socket.AF_INET6 if "[" in host else socket.AF_INET)
+    try:
+        # A port whose last connections are still waiting for their end is free; one that is listened on is not.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        host = {"localhost": "127.0.0.1", "*": "0.0.0.0"}.get(host, host.strip("[]"))
+        listener.bind((host, 0 if port == "*" else int(port)))
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack) -> socket.socket:
+    files.callback(os.close, _claim(path, endpoint, key))
+    path.unlink(missing_ok=True)  # of a server that has gone: the lock is ours
+    listener = socket.socket(socket.AF_UNIX)
+    # Group may connect, others not. The mask belongs to the process, so it is put back at once.
+    mask = os.umask(0o117)
+    try:
+        listener.bind(str(path))
+    except BaseException:
+        listener.close()
+        raise
+    finally:
+        os.umask(mask)
+    files.callback(path.unlink, missing_ok=True)
+    return listener
+
+
+def _claim(path: Path, endpoint: str, key: str) -> int:
+    """Lock `path`.lock, for a socket file does not tell whether a server still listens on it.
+
+    The lock file stays behind: removing it would let two processes lock two files of one name.
+    """
+    try:
+        if os.path.lexists(path) and not stat.S_ISSOCK(path.lstat().st_mode):
+            raise ConfigError(f"{key} = {endpoint!r}: {path} exists and is no socket; choose another")
+        # A link in its place may have been planted, to have another file made.
+        lock_file = os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW, 0o660)
+    except OSError as error:
+        raise ConfigError(
+            f"{key} = {endpoint!r} cannot be bound: {error}; choose a folder that you may write to"
+        ) from error
+    try:
+        fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock_file)
+        raise _in_use(endpoint, key) from error
+    return lock_file
+
+
+def _in_use(endpoint: str, key: str) -> AddressInUse:
+    free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* takes a free one)"
+    return AddressInUse(
+        f"{key} {endpoint} is in use: stop the softfinger or other program that holds it, or set {key} to {free}"
+    )

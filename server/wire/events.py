@@ -1,0 +1,134 @@
+"""Events that consecutive records tell: contact transitions, guard interventions, missed deadlines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.record import AT, CAUSE_NAMES, FREE, ROLLING, SLIDING
+from softfinger.server.wire.protocol import SCHEMA
+
+Map = dict[str, Any]
+
+MIN_INTERVAL_S: Final = 0.1
+"""Shortest time between two guard events of one name, or two missed-deadline events.
+
+A force that hovers at its limit sets the guard in and out every few ticks; what is held back is
+counted into the next event.
+"""
+
+# Event name and the mode before, by cause; a release can come from rolling or sliding.
+_TRANSITIONS: Final[dict[str, tuple[str, int | None]]] = {
+    "touch": ("touch", FREE),
+    "drag": ("slip", ROLLING),
+    "theta_max": ("slip", ROLLING),
+    "stop": ("stick", SLIDING),
+    "reverse": ("stick", SLIDING),
+    "release": ("release", None),
+}
+
+_WATCHED: Final = [AT.contact_mode, AT.contact_cause, AT.servo_guard, AT.servo_missed]
+
+
+class RecordEvents:
+    """Derives event maps from the stream of records; feed it every record, in order.
+
+    guard_names  of the bits of `servo.guard`, bit 0 first
+    finger       whose records these are, of several
+    of_servo     whether what the servo misses is told from these: all fingers' records say the same
+    """
+
+    def __init__(self, guard_names: Sequence[str] = (), finger: str = "", of_servo: bool = True) -> None:
+        self._guard_names = tuple(guard_names)
+        self._finger, self._of_servo = finger, of_servo
+        self._watched: list[float] | None = None
+        self._object = -1
+        self._held: dict[tuple[str, str], int] = {}
+        self._sent_s: dict[tuple[str, str], float] = {}
+
+    def observe(self, records: NDArray[np.float64]) -> list[Map]:
+        """Events of a batch of records, shape (n, RECORD_SIZE), in tick order."""
+        events: list[Map] = []
+        for index, watched in enumerate(records[:, _WATCHED].tolist()):
+            cause = watched[1]
+            if watched == self._watched and not cause and not self._held:
+                continue  # nearly every tick ends here
+            self._changed(records[index], watched, events)
+        if len(records):
+            # The object of a release is the one touched before; touch events keep it current in between.
+            touched = int(records[-1, AT.contact_object])
+            self._object = touched if touched >= 0 else self._object
+        return events
+
+    def _changed(self, record: NDArray[np.float64], watched: list[float], events: list[Map]) -> None:
+        mode, cause, guard, missed = (int(value) for value in watched)
+        before = [int(value) for value in self._watched] if self._watched else [mode, 0, 0, missed]
+        self._watched = watched
+        if cause:
+            events.append(self._contact(record, CAUSE_NAMES[cause], before[0], mode))
+        rising = guard & ~before[2]
+        for bit in range(rising.bit_length()):
+            if rising >> bit & 1:
+                self._hold("guard", self._guard_names[bit] if bit < len(self._guard_names) else f"bit {bit}", 1)
+        # A counter that went back is a servo that started again.
+        if self._of_servo:
+            self._hold("servo", "missed", missed - before[3] if missed >= before[3] else missed)
+        events.extend(self._due(record, missed))
+
+    def _contact(self, record: NDArray[np.float64], cause: str, mode_before: int, mode: int) -> Map:
+        name, usual = _TRANSITIONS[cause]
+        touched = int(record[AT.contact_object])
+        if touched >= 0:
+            self._object = touched
+        return {
+            **_head(record, "contact", name),
+            "cause": cause,
+            # By cause where it tells: the record before may have been dropped.
+            "from": mode_before if usual is None else usual,
+            "to": mode,
+            "object": self._object,
+            "force": _vector(record, AT.force),
+            "normal_force": float(record[AT.contact_normal_force]),
+            "tangential_force": float(record[AT.contact_tangential_force]),
+            "point": _vector(record, AT.contact_point),
+            "finger": self._finger,
+        }
+
+    def _hold(self, kind: str, name: str, count: int) -> None:
+        if count > 0:
+            self._held[kind, name] = self._held.get((kind, name), 0) + count
+
+    def _due(self, record: NDArray[np.float64], missed: int) -> list[Map]:
+        """Held-back events whose interval has passed."""
+        events: list[Map] = []
+        now = float(record[AT.timestamp])
+        for key in list(self._held):
+            # abs: the epoch clock may be set back. A microsecond: it resolves no more, this far from the epoch.
+            if abs(now - self._sent_s.get(key, -np.inf)) < MIN_INTERVAL_S - 1e-6:
+                continue
+            event = {**_head(record, *key), "count": self._held.pop(key)}
+            if key[0] == "servo":
+                event["total"] = missed
+            else:
+                event["finger"] = self._finger
+            self._sent_s[key] = now
+            events.append(event)
+        return events
+
+
+def _head(record: NDArray[np.float64], kind: str, name: str) -> Map:
+    return {
+        "schema": SCHEMA,
+        "timestamp": float(record[AT.timestamp]),
+        "tick": int(record[AT.tick]),
+        "kind": kind,
+        "name": name,
+    }
+
+
+def _vector(record: NDArray[np.float64], at: int) -> list[float]:
+    values: list[float] = record[at : at + 3].tolist()
+    return values

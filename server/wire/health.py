@@ -1,0 +1,118 @@
+"""The once-a-second message: figures of the records of a second."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
+from softfinger.server.wire.protocol import SCHEMA, nest
+
+Records = NDArray[np.float64]
+
+HEALTH_PERIOD_S: Final = 1.0
+_HEALTH_ROWS: Final = 16384  # a second at the highest rate, twice over
+_QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
+
+
+class Health:
+    """Gathers records and sums up each second of them."""
+
+    def __init__(self) -> None:
+        self._rows = np.empty((_HEALTH_ROWS, RECORD_SIZE))
+        self._count = 0  # row 0 is the last one of the second before, for the work done between the two
+        self._energy_total = 0.0
+
+    def add(self, records: Records, drops: int) -> list[dict[str, Any]]:
+        """Take a batch, shape (n, RECORD_SIZE); returns the maps of the seconds that are complete with it."""
+        messages: list[dict[str, Any]] = []
+        while len(records):
+            if self._count == 0:
+                self._rows[0] = records[0]
+                self._count = 1
+                records = records[1:]
+                continue
+            elapsed = records[:, AT.timestamp] - self._rows[0, AT.timestamp]
+            # A microsecond early: the epoch time of a tick is rounded. A clock set back ends the second too.
+            complete = (elapsed >= HEALTH_PERIOD_S - 1e-6) | (elapsed < 0.0)
+            room = len(self._rows) - self._count
+            ends = int(complete.argmax()) + 1 if complete.any() else len(records)
+            taken = min(ends, room)
+            self._rows[self._count : self._count + taken] = records[:taken]
+            self._count += taken
+            if complete[taken - 1] or taken == room:
+                messages.append(self._message(drops))
+                self._rows[0] = self._rows[self._count - 1]
+                self._count = 1
+            records = records[taken:]
+        return messages
+
+    def _message(self, drops: int) -> dict[str, Any]:
+        rows = self._rows[: self._count]
+        counted, last = rows[1:], rows[-1]
+        elapsed = float(last[AT.timestamp] - rows[0, AT.timestamp])
+        energy = work_of_hand(rows)
+        self._energy_total += energy
+        modes = np.bincount(counted[:, AT.contact_mode].astype(np.int64), minlength=len(MODE_NAMES)).tolist()
+        flat = {
+            "schema": SCHEMA,
+            "timestamp": float(last[AT.timestamp]),
+            "tick": int(last[AT.tick]),
+            "rate": len(counted) / elapsed if elapsed > 0.0 else 0.0,
+            "missed": int(last[AT.servo_missed]),
+            "drops": int(drops),
+            "guarded": int(np.count_nonzero(counted[:, AT.servo_guard])),
+            "energy": energy,
+            "energy_total": self._energy_total,
+            "passivity.owed": max(0.0, -float(counted[:, AT.passivity_energy].min(initial=0.0))),
+            "passivity.damped": int(np.count_nonzero(counted[:, AT.passivity_damping])),
+        }
+        for name, at in (("late", AT.servo_late), ("exec", AT.servo_exec)):
+            quantiles = np.percentile(counted[:, at], list(_QUANTILES.values())).tolist()
+            flat |= {f"{name}.{key}": value for key, value in zip(_QUANTILES, quantiles, strict=True)}
+        flat |= {f"modes.{name}": count for name, count in zip(MODE_NAMES, modes, strict=True)}
+        return nest(flat)
+
+
+def together(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """One message of those of several fingers in the same second: ticks and work added up, the most that is owed."""
+    first, *others = messages
+    for other in others:
+        for key in ("guarded", "energy", "energy_total"):
+            first[key] += other[key]
+        first["passivity"]["owed"] = max(first["passivity"]["owed"], other["passivity"]["owed"])
+        first["passivity"]["damped"] += other["passivity"]["damped"]
+        for mode in first["modes"]:
+            first["modes"][mode] += other["modes"][mode]
+    return first
+
+
+def work_of_hand(records: Records) -> float:
+    """Work (J) the hand did against the commanded wrench over consecutive records, shape (n, RECORD_SIZE).
+
+    Each wrench acts until the next tick, so it multiplies the motion that follows it. Negative means
+    that the rendering moved the hand. Records that are not finite count nothing.
+    """
+    force = records[:-1, AT.force : AT.force + 3]
+    torque = records[:-1, AT.torque : AT.torque + 3]
+    position = records[:, AT.probe_position : AT.probe_position + 3]
+    quaternion = records[:, AT.probe_orientation : AT.probe_orientation + 4]
+    turn = _rotation_between(quaternion[:-1], quaternion[1:])
+    work = -(force * np.diff(position, axis=0)).sum(axis=1) - (torque * turn).sum(axis=1)
+    return float(work[np.isfinite(work)].sum())
+
+
+def _rotation_between(before: Records, after: Records) -> Records:
+    """Rotation vectors (n, 3), in world, rad, of the shorter turn from quaternions `before` to `after`, (n, 4)."""
+    w0, v0 = before[:, :1], before[:, 1:]
+    w1, v1 = after[:, :1], after[:, 1:]
+    real = w1 * w0 + (v1 * v0).sum(axis=1, keepdims=True)
+    vector = w0 * v1 - w1 * v0 - np.cross(v1, v0)  # vector part of after * conjugate(before)
+    vector = np.where(real < 0.0, -vector, vector)
+    sine = np.linalg.norm(vector, axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, np.abs(real))
+    per_sine: Records = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
+    return per_sine * vector

@@ -1,0 +1,246 @@
+"""The broadcast of every tick as memory that other programs of the same user may read.
+
+A file in /dev/shm of mode 600: a page of words, then the rows. Readers map it without the right to write, so none can
+do anything to it, or to whoever writes; they sleep on a counter as a futex, which the sender raises and wakes after it
+has written. `softfinger_ring.h` says the same in C.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import fcntl
+import logging
+import mmap
+import os
+import platform
+import secrets
+import time
+import weakref
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.kernels.native.atomics import load_acquire, load_relaxed, store_release
+from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.proxy.kernels.native.memory import address_of
+from softfinger.server.loop.shared.broadcast import Broadcast, make_broadcast, make_place, read_rows
+
+log: Final = logging.getLogger(__name__)
+
+_libc: Final = ctypes.CDLL(None, use_errno=True)
+_libc.mmap.restype = ctypes.c_void_p
+_libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_long)
+_libc.munmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
+
+ALIVE_S: Final = 0.5
+"""How often a reader that waits looks whether the daemon is still there."""
+
+FOLDER: Final = Path("/dev/shm")
+PREFIX: Final = "softfinger-"
+MAGIC: Final = int.from_bytes(b"softfing", "little")
+LAYOUT: Final = 1
+"""Raised when a word or the rows change their place or meaning."""
+
+# Words of the first page; the broadcast's head is the eight from HEAD on.
+_MAGIC, _LAYOUT, _CAPACITY, _WIDTH, _ENDED = range(5)
+HEAD: Final = 8
+PAGE_BYTES: Final = 4096
+
+_BELL: Final = 1
+"""Word of the head that counts how often readers were woken; its lower half is the futex."""
+_FUTEX: Final = {"x86_64": 202, "aarch64": 98}.get(platform.machine(), -1)
+_WAIT: Final = 0
+_WAKE: Final = 1
+_ALL: Final = 0x7FFFFFFF
+_syscall: Any = types.ExternalFunction(
+    "syscall",
+    types.int64(types.int64, types.int64, types.int64, types.int64, types.int64, types.int64, types.int64),
+)
+
+
+class Memory(NamedTuple):
+    """A broadcast that other programs may read.
+
+    broadcast  what is written
+    words      (n,) int64 of all of it; empty where this process alone has it
+    name       in /dev/shm, '' for none
+    fd         its file, locked as long as somebody writes; -1 for none
+    """
+
+    broadcast: Broadcast
+    words: NDArray[np.int64]
+    name: str
+    fd: int
+
+
+def make_memory(capacity: int, width: int) -> Memory:
+    """A broadcast for other programs of this user; where the system has no such memory, one for this process."""
+    try:
+        if _FUTEX < 0:
+            raise OSError(errno.ENOSYS, f"there is no futex known for {platform.machine()}")
+        clear_away()
+        fd, name = _claimed()
+        try:
+            # Now, for what the system has no room for would be missing when it is written to.
+            os.posix_fallocate(fd, 0, PAGE_BYTES + 8 * capacity * width)
+            words = _mapped(fd, PAGE_BYTES + 8 * capacity * width)
+        except BaseException:
+            (FOLDER / name).unlink(missing_ok=True)
+            os.close(fd)
+            raise
+    except OSError as error:
+        log.warning("telemetry: local readers cannot have the ticks as memory: %s: %s", FOLDER, error.strerror)
+        return Memory(make_broadcast(capacity, width), np.zeros(0, np.int64), "", -1)
+    words[_LAYOUT], words[_CAPACITY], words[_WIDTH] = LAYOUT, capacity, width
+    words[_MAGIC] = MAGIC
+    return Memory(_broadcast(words), words, name, fd)
+
+
+def _claimed() -> tuple[int, str]:
+    """A new file, locked, and its name."""
+    while True:
+        name = f"{PREFIX}{secrets.token_hex(8)}"
+        fd = os.open(FOLDER / name, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        fcntl.flock(fd, fcntl.LOCK_EX)
+        if os.fstat(fd).st_nlink:  # else another daemon has cleared it away before it was locked
+            return fd, name
+        os.close(fd)
+
+
+def _mapped(fd: int, size: int) -> NDArray[np.int64]:
+    """A file as words, as long as an array of them is there. Not by `mmap`, which would keep a file of its own open."""
+    address = _libc.mmap(None, size, mmap.PROT_READ | mmap.PROT_WRITE, mmap.MAP_SHARED, fd, 0)
+    if address == ctypes.c_void_p(-1).value:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    block = (ctypes.c_int64 * (size // 8)).from_address(address)
+    weakref.finalize(block, _libc.munmap, address, size)
+    return np.ctypeslib.as_array(block)
+
+
+def _broadcast(words: NDArray[np.int64]) -> Broadcast:
+    capacity, width = int(words[_CAPACITY]), int(words[_WIDTH])
+    slots = words[PAGE_BYTES // 8 :].view(np.float64)[: capacity * width].reshape(capacity, width)
+    return Broadcast(slots, words[HEAD : HEAD + 8])
+
+
+def remove(memory: Memory) -> None:
+    """Tell readers that nothing more comes, and take the name away; who has it mapped keeps what is there."""
+    if memory.fd >= 0:
+        memory.words[_ENDED] = 1
+        ring_readers(memory.broadcast)
+        (FOLDER / memory.name).unlink(missing_ok=True)
+        os.close(memory.fd)
+
+
+def clear_away() -> None:
+    """Remove what daemons of this user left that were killed: nobody holds the lock of it any more."""
+    for path in FOLDER.glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError):
+            fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+            finally:
+                os.close(fd)
+
+
+@jit
+def wake_readers(broadcast: Broadcast) -> None:
+    """Wake all who sleep on a broadcast, after rows were written to it."""
+    store_release(broadcast.head, _BELL, load_relaxed(broadcast.head, _BELL) + 1)
+    _syscall(_FUTEX, address_of(broadcast.head, _BELL), _WAKE, _ALL, 0, 0, 0)
+
+
+@entry
+def ring_readers(broadcast: Broadcast) -> None:
+    """`wake_readers` from Python."""
+    wake_readers(broadcast)
+
+
+@entry
+def sleep(broadcast: Broadcast, bell: int, timespec: NDArray[np.int64]) -> None:
+    """Sleep until readers are woken for more than the `bell`th time, for (2,) s and ns at most."""
+    _syscall(_FUTEX, address_of(broadcast.head, _BELL), _WAIT, bell & 0xFFFFFFFF, address_of(timespec, 0), 0, 0)
+
+
+class Local:
+    """Every tick of a daemon on this machine, read from its memory: what `describe` names as `ring`.
+
+    Raises ConfigError where there is no such memory, or it is another user's or version's. One thread only.
+    """
+
+    def __init__(self, name: str) -> None:
+        if not name.startswith(PREFIX) or "/" in name:
+            raise ConfigError(f"{name!r} is no name of a daemon's ticks: ask it for one (softfinger ctl describe)")
+        with ExitStack() as opened:
+            try:
+                self._fd = os.open(FOLDER / name, os.O_RDONLY | os.O_CLOEXEC)
+                opened.callback(os.close, self._fd)
+                words = np.frombuffer(mmap.mmap(self._fd, 0, prot=mmap.PROT_READ), np.int64)
+            except (OSError, ValueError) as error:
+                raise ConfigError(f"the ticks {name} cannot be read: {error}: does the daemon still run?") from error
+            if len(words) * 8 <= PAGE_BYTES or (words[_MAGIC], words[_LAYOUT]) != (MAGIC, LAYOUT):
+                raise ConfigError(f"{name} does not have layout {LAYOUT}: use the client of the daemon's version")
+            opened.pop_all()
+        self._words, self._broadcast = words, _broadcast(words)
+        self._place = make_place(self._broadcast)
+        self._rows = np.empty((256, int(words[_WIDTH])))
+
+    def take(self, timeout_s: float) -> NDArray[np.float64]:
+        """The oldest ticks not taken yet, (n, fingers x RECORD_SIZE), as soon as there are some; none after the time,
+        or at the end. Overwritten by the next call."""
+        until_s = time.monotonic() + timeout_s
+        while True:
+            ended, bell = self.ended, int(load_word(self._broadcast.head, _BELL))
+            count = int(read_rows(self._broadcast, self._place, self._rows))
+            left_s = until_s - time.monotonic()
+            if count or ended or left_s <= 0.0:
+                return self._rows[:count]
+            part_s = min(left_s, ALIVE_S)
+            sleep(self._broadcast, bell, np.array([int(part_s), int(part_s % 1.0 * 1e9)]))
+
+    @property
+    def lost(self) -> int:
+        """Ticks that were overwritten before they were taken."""
+        return int(self._place.lost[0])
+
+    @property
+    def ended(self) -> bool:
+        """The daemon has ended, or was killed: what is there can still be taken."""
+        if self._words[_ENDED]:
+            return True
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return False
+        fcntl.flock(self._fd, fcntl.LOCK_UN)
+        return True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Any number of times; arrays that were taken stay readable."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+@entry
+def load_word(words: NDArray[np.int64], index: int) -> int:
+    """A word that another program writes."""
+    value: int = load_acquire(words, index)
+    return value

@@ -1,0 +1,297 @@
+"""The wire: topics, the keys of every message, encoding and strict decoding.
+
+A message is exactly two frames, `[topic, msgpack map]`. The keys of `contact`, and of the topic of each of several
+fingers, come from the record table in proxy/record.py; the keys of `event` and `health` are the tables below.
+docs/protocol.md describes the same keys for readers, and a test compares the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import GenericAlias
+from typing import Any, Final, NamedTuple
+
+import msgpack
+import msgspec
+
+from softfinger.config.errors import HapticError
+from softfinger.drivers import poses
+from softfinger.proxy.record import FIELDS, PATCHES, Field
+
+SCHEMA: Final = 1
+"""Raised when a key is removed or changes its meaning; a new key leaves it as it is."""
+
+CONTACT: Final = poses.TOPIC
+EVENT: Final = "event"
+HEALTH: Final = "health"
+STATE: Final = "state"
+SCHEMA_TOPIC: Final = "schema"
+TOPICS: Final = (CONTACT, EVENT, HEALTH, STATE, SCHEMA_TOPIC)
+"""Of a server with a single finger."""
+RETAINED: Final = (CONTACT, HEALTH, STATE)
+"""Topics whose newest message a new subscriber is sent at once; those of several fingers too."""
+FINGERS: Final = poses.FINGERS
+"""Of several fingers each has a topic of its own in place of `contact`: this and its name."""
+
+STATE_HZ: Final = 200.0
+"""How often `state` is sent: one tick in so many that it comes nearest to this."""
+
+MAX_BYTES: Final = 65536
+"""Longest message body a client decodes; the longest one of a tick is below 1.5 KiB."""
+
+
+class ProtocolError(HapticError):
+    """A message that does not follow docs/protocol.md."""
+
+    exit_code = 8
+
+
+class Key(NamedTuple):
+    """One key of a message: dotted name, type (`int`, `float`, `float[3]`, `str`, `map`), unit, frame, meaning."""
+
+    name: str
+    type: str
+    unit: str
+    frame: str
+    meaning: str
+
+
+_SCHEMA_KEY: Final = Key("schema", "int", "1", "", "version of this protocol")
+_TICK_KEY: Final = Key("tick", "int", "1", "", "tick the message belongs to, -1 before the first")
+
+_LISTS: Final = [f"contacts{i}" for i in range(PATCHES)]
+"""Fields of a record that a message has as maps in the list `contacts`, those of a patch that there is."""
+
+
+def _key_of(field: Field) -> Key:
+    parent, dot, child = field.name.partition(".")
+    name = f"contacts[].{child}" if parent in _LISTS else f"{parent}{dot}{child}"
+    kind = f"{field.kind}[{field.size}]" if field.size > 1 else field.kind
+    return Key(name, kind, field.unit, field.frame, field.meaning)
+
+
+CONTACT_KEYS: Final = (
+    _SCHEMA_KEY,
+    Key("every", "int", "1", "", "one tick in this many is published"),
+    *dict.fromkeys(_key_of(field) for field in FIELDS),
+)
+
+EVENT_KEYS: Final = (
+    _SCHEMA_KEY,
+    Key("timestamp", "float", "s", "", "time of the event since the epoch"),
+    _TICK_KEY,
+    Key("kind", "str", "", "", "contact, guard, servo, device, command, mark, fault or lifecycle"),
+    Key("name", "str", "", "", "what happened"),
+)
+"""Keys every event has."""
+
+_FINGER_KEY: Final = Key("finger", "str", "", "", "name of the finger, empty where there is but one")
+
+EVENT_EXTRA_KEYS: Final = {
+    "contact": (
+        Key("cause", "str", "", "", "why the mode changed: touch, drag, theta_max, stop, reverse or release"),
+        Key("from", "int", "1", "", "contact mode before"),
+        Key("to", "int", "1", "", "contact mode after"),
+        Key("object", "int", "1", "", "index of the object touched or released"),
+        Key("force", "float[3]", "N", "world", "force on the hand in this tick, after the guard"),
+        Key("normal_force", "float", "N", "", "normal force before the guard"),
+        Key("tangential_force", "float", "N", "", "magnitude of the tangential force before the guard"),
+        Key("point", "float[3]", "m", "world", "contact point on the object"),
+        _FINGER_KEY,
+    ),
+    "guard": (Key("count", "int", "1", "", "times it set in since the last event of this name"), _FINGER_KEY),
+    "servo": (
+        Key("count", "int", "1", "", "deadlines missed since the last event of this name"),
+        Key("total", "int", "1", "", "deadlines missed since the servo started"),
+    ),
+    "device": (
+        Key("device", "str", "", "", "its name, as the system has it"),
+        Key("bus", "str", "", "", "hid for a hidraw node, serial for a serial port, usb for a device on the bus"),
+        Key("ids", "str", "", "", "vendor and product in hexadecimal digits, such as 046d:c626"),
+        Key("serial", "str", "", "", "serial number, empty if it has none"),
+        Key("node", "str", "", "", "node that a driver opens, empty if there is none"),
+        Key("driver", "str", "", "", "driver that claims it, empty if none does"),
+    ),
+    "command": (
+        Key("command_id", "str", "", "", "of the request, empty if there was none"),
+        Key("what", "map", "", "", "what changed; of set_params from and to for each key"),
+    ),
+    "mark": (
+        Key("command_id", "str", "", "", "of the request"),
+        Key("label", "str", "", "", "as it was given"),
+        Key("data", "map", "", "", "as it was given"),
+    ),
+}
+"""Keys that events of a kind add; kinds not listed here add what the event needs."""
+
+_QUANTILES: Final = (("p50", "median"), ("p99", "99th percentile"), ("p999", "99.9th percentile"), ("max", "largest"))
+
+HEALTH_KEYS: Final = (
+    _SCHEMA_KEY,
+    Key("timestamp", "float", "s", "", "time of the last tick counted, since the epoch"),
+    _TICK_KEY,
+    Key("rate", "float", "1/s", "", "ticks a second"),
+    *(Key(f"late.{q}", "float", "s", "", f"{words} of servo.late") for q, words in _QUANTILES),
+    *(Key(f"exec.{q}", "float", "s", "", f"{words} of servo.exec") for q, words in _QUANTILES),
+    Key("missed", "int", "1", "", "deadlines missed since the servo started"),
+    Key("drops", "int", "1", "", "ticks the publisher was too slow to take, since the servo started"),
+    Key("guarded", "int", "1", "", "ticks in which the guard changed the output"),
+    Key("energy", "float", "J", "", "work the hand did on the virtual object"),
+    Key("energy_total", "float", "J", "", "the same, since the servo started"),
+    Key("passivity.owed", "float", "J", "", "most energy the rendering gave beyond what it took in a contact"),
+    Key("passivity.damped", "int", "1", "", "ticks in which damping was added because of that"),
+    Key("modes.free", "int", "1", "", "ticks in mode free"),
+    Key("modes.rolling", "int", "1", "", "ticks in mode rolling"),
+    Key("modes.sliding", "int", "1", "", "ticks in mode sliding"),
+    Key("subscribers", "int", "1", "", "connections that subscribe to something"),
+    Key(
+        "lost",
+        "int",
+        "1",
+        "",
+        "messages that subscribers were too slow to take, all together, since the server started",
+    ),
+    Key("refused", "int", "1", "", "connections refused or cut off for what they did, since the server started"),
+)
+
+STATE_KEYS: Final = (
+    Key("timestamp", "float", "s", "", "time of the tick on CLOCK_MONOTONIC"),
+    Key("sequence", "int", "1", "", "its tick"),
+    Key("position", "float[3]", "m", "world", "measured fingertip centre"),
+    Key("velocity", "float[3]", "m/s", "world", "filtered probe velocity"),
+    Key("force", "float[3]", "N", "world", "force on the hand as commanded, after the guard"),
+    Key("active_field", "str", "", "", "name of the scene"),
+    Key("field_state.mode", "int", "1", "", "contact mode"),
+    Key("field_state.object", "int", "1", "", "index of the touched object in the scene, -1 none"),
+    Key("field_state.penetration", "float", "m", "", "depth of the probe behind the proxy along the normal"),
+)
+"""Those of hapticore's state message, and no other: its client takes it into a record of exactly these."""
+
+SCHEMA_KEYS: Final = (
+    _SCHEMA_KEY,
+    Key("timestamp", "float", "s", "", "when the server was started, since the epoch"),
+    Key("topics", "str[]", "", "", "every topic there is"),
+    Key("messages", "map", "", "", "of each kind of message its keys: name, type, unit, frame and meaning"),
+)
+
+_TYPES: Final[dict[str, Any]] = {"int": int, "float": float, "str": str}
+
+
+def _type(written: str) -> Any:
+    """The Python type of a key's; a `[3]` behind it makes a tuple of so many."""
+    kind, _, size = written.partition("[")
+    return GenericAlias(tuple, (_TYPES[kind],) * int(size[:-1])) if size else _TYPES[kind]
+
+
+def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
+    """Struct type that a message with these keys decodes to; dotted names become structs, `[]` tuples of them."""
+    nested: dict[str, list[Key]] = {}
+    fields: dict[str, Any] = {}
+    for key in keys:
+        parent, _, child = key.name.partition(".")
+        if child:
+            nested.setdefault(parent, []).append(key._replace(name=child))
+        else:
+            fields[parent] = _type(key.type)
+    for parent, children in nested.items():
+        one = _struct(f"{name}_{parent.removesuffix('[]')}", children)
+        fields[parent.removesuffix("[]")] = GenericAlias(tuple, (one, ...)) if parent.endswith("[]") else one
+    return msgspec.defstruct(name, list(fields.items()), frozen=True, gc=False, module=__name__)
+
+
+ContactMessage: Final = _struct("ContactMessage", CONTACT_KEYS)
+HealthMessage: Final = _struct("HealthMessage", HEALTH_KEYS)
+StateMessage: Final = _struct("StateMessage", STATE_KEYS)
+_EventHead: Final = _struct("EventHead", EVENT_KEYS)
+_SchemaHead: Final = _struct("SchemaHead", SCHEMA_KEYS[:2])
+
+_ENCODER: Final = msgspec.msgpack.Encoder()
+_DECODERS: Final[dict[str, msgspec.msgpack.Decoder[Any]]] = {
+    CONTACT: msgspec.msgpack.Decoder(ContactMessage),
+    HEALTH: msgspec.msgpack.Decoder(HealthMessage),
+    EVENT: msgspec.msgpack.Decoder(_EventHead),
+    STATE: msgspec.msgpack.Decoder(StateMessage),
+    SCHEMA_TOPIC: msgspec.msgpack.Decoder(_SchemaHead),
+}
+_OPEN: Final = (EVENT, SCHEMA_TOPIC)
+"""Topics whose messages have other keys than those in the table."""
+
+
+def nest(flat: dict[str, Any]) -> dict[str, Any]:
+    """Turn dotted names into nested maps."""
+    top: dict[str, Any] = {}
+    for name, value in flat.items():
+        parent, _, child = name.rpartition(".")
+        (top.setdefault(parent, {}) if parent else top)[child] = value
+    return top
+
+
+def contact_topic(finger: str) -> str:
+    """Topic of a finger's ticks; a single one, without a name, has `contact`."""
+    return FINGERS + finger if finger else CONTACT
+
+
+def finger_of(topic: str) -> str | None:
+    """Name of the finger whose ticks a topic brings, empty for the single one; None for another topic."""
+    if topic == CONTACT:
+        return ""
+    return topic.removeprefix(FINGERS) if topic.startswith(FINGERS) else None
+
+
+def encode(message: dict[str, Any]) -> bytes:
+    """msgpack bytes of a message map."""
+    return _ENCODER.encode(message)
+
+
+def decode(topic: bytes, body: bytes) -> Any:
+    """Decode one message strictly.
+
+    Returns a struct for `contact`, `finger/...`, `health` and `state`, a dict for `event`, whose keys depend on its
+    kind, and `schema`.
+    Unknown keys are ignored. Raises ProtocolError for whatever is not in docs/protocol.md.
+    """
+    name = topic.decode("ascii", "replace")
+    decoder = _DECODERS.get(CONTACT if name.startswith(FINGERS) else name)
+    if decoder is None:
+        raise ProtocolError(
+            f"unknown topic {name[:40]!r}: expected one of {', '.join(TOPICS)} or {FINGERS}NAME; is another program "
+            "publishing here?"
+        )
+    if len(body) > MAX_BYTES:
+        raise ProtocolError(f"{name} message of {len(body)} bytes is longer than the limit {MAX_BYTES}")
+    try:
+        message: Any = decoder.decode(body)
+        if name == STATE or message.schema == SCHEMA:  # a peer's message has no schema
+            # msgpack, not msgspec, for the open map: it checks a claimed length before it allocates.
+            return msgpack.unpackb(body) if name in _OPEN else message
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        if name == STATE or _schema_of(body) in (SCHEMA, None):
+            raise ProtocolError(f"{name} message does not follow the protocol: {error}") from error
+    raise ProtocolError(
+        f"{name} message has schema {_schema_of(body)}, this client understands {SCHEMA}: "
+        "use the client of the server's version"
+    )
+
+
+class _SchemaOnly(msgspec.Struct):
+    schema: int
+
+
+def _schema_of(body: bytes) -> int | None:
+    """Schema a message claims, None if it claims none; to explain why the rest did not fit."""
+    try:
+        return msgspec.msgpack.decode(body, type=_SchemaOnly).schema
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+
+
+def wire_schema() -> dict[str, Any]:
+    """All messages and their keys as plain data, for `softfinger schema`."""
+    tables: dict[str, Sequence[Key]] = {CONTACT: CONTACT_KEYS, EVENT: EVENT_KEYS, HEALTH: HEALTH_KEYS}
+    tables |= {STATE: STATE_KEYS, SCHEMA_TOPIC: SCHEMA_KEYS}
+    tables |= {f"{EVENT} of kind {kind}": keys for kind, keys in EVENT_EXTRA_KEYS.items()}
+    return {
+        "schema": SCHEMA,
+        "frames": ["topic", "msgpack map"],
+        "messages": {name: [key._asdict() for key in keys] for name, keys in tables.items()},
+    }

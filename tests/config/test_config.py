@@ -1,0 +1,777 @@
+"""Scene and rig files: what is accepted, and what every fault says."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from softfinger.config import limits, schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene, read_toml, shipped
+from softfinger.config.schema import Rig, Scene
+from softfinger.config.schema.pairing import pair, single_device
+from softfinger.proxy.record import FIELDS
+from softfinger.proxy.scene import build_scene
+from softfinger.server.verbs import check
+from softfinger.server.verbs import schema as schema_verb
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+ANY_SHAPE = "one of 'plane', 'sphere', 'cylinder', 'capsule', 'box', 'ellipsoid', 'torus'"
+
+
+def scene() -> dict[str, Any]:
+    """A small valid scene with every table, as a file would give it."""
+    return {
+        "fingertip": {"radius_m": 0.01},
+        "rolling": {"method": "euler_zxz"},
+        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
+        "probe": {"velocity_time_constant_s": 0.002, "position_resolution_m": 0.0},
+        "object": [
+            {
+                "name": "table",
+                "shape": "plane",
+                "position_m": [0, 0, 0],
+                "orientation_wxyz": [1, 0, 0, 0],
+                "material": {
+                    "stiffness_n_per_m": 1000,
+                    "friction": {"static": 0.6, "kinetic": 0.5},
+                    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+                },
+            }
+        ],
+    }
+
+
+def rig() -> dict[str, Any]:
+    """A small valid rig with every table."""
+    return {
+        "device": {"driver": "replay", "recording": "x"},
+        "servo": {"rate_hz": 1000},
+        "guard": {"force_max_n": 12},
+        "telemetry": {"every": 1},
+        "commands": {},
+    }
+
+
+def put(mapping: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """The mapping with the value at a dotted key; `...` removes the key."""
+    *path, last = [int(part) if part.isdigit() else part for part in re.split(r"[.\[\]]+", key) if part]
+    at: Any = mapping
+    for part in path:
+        at = at[part]
+    if value is ...:
+        del at[last]
+    else:
+        at[last] = value
+    return mapping
+
+
+def faults_of(struct_type: type[msgspec.Struct], mapping: object) -> list[str]:
+    """Every fault of a mapping that must have some."""
+    with pytest.raises(FaultyConfig) as caught:
+        build(struct_type, mapping, "f.toml")
+    return [str(fault) for fault in caught.value.faults]
+
+
+def refusal(call: Callable[..., object], *args: Any) -> str | None:
+    """What a call was refused with, None if it was not; any error but ConfigError goes through."""
+    try:
+        call(*args)
+    except ConfigError as error:
+        return str(error)
+    return None
+
+
+# --- what is accepted ----------------------------------------------------------------------------
+
+
+def test_paper_scene_has_the_values_of_the_paper() -> None:
+    """The shipped `paper-plane` is the scene the acceptance figures are computed for."""
+    paper = load_scene("paper-plane")
+    (table,) = paper.object
+    assert paper.fingertip.radius_m == 0.01
+    assert paper.rolling == schema.Rolling(method="euler_zxz")
+    assert paper.coupling == schema.Coupling(stiffness_n_per_m=1000.0, damping_ns_per_m=1.0)
+    assert (table.shape, table.position_m, table.orientation_wxyz) == ("plane", (0, 0, 0), (1, 0, 0, 0))
+    assert (table.material.stiffness_n_per_m, table.material.damping_ns_per_m) == (1000.0, 0.0)
+    assert table.material.friction == schema.Friction(static=0.6, kinetic=0.5)
+    assert table.material.torsion == schema.Torsion(stiffness_nm_per_rad=0.05, friction_length_m=0.004)
+
+
+def test_raised_plane_differs_from_the_paper_by_its_place_only() -> None:
+    """`plane-at-60mm` has the paper's fingertip, rolling and material, at z = 0.06 m."""
+    paper, raised = load_scene("paper-plane"), load_scene("plane-at-60mm")
+    assert raised.object[0].position_m == (0.0, 0.0, 0.06)
+    moved = msgspec.structs.replace(raised.object[0], name="table", position_m=(0.0, 0.0, 0.0))
+    assert msgspec.structs.replace(raised, object=(moved,)) == paper
+
+
+def test_absent_tables_are_none() -> None:
+    """A frictionless scene has no rolling, friction or torsion to compile."""
+    ice = load_scene("frictionless-plane")
+    assert ice.rolling is None
+    assert ice.object[0].material.friction is None
+    assert ice.object[0].material.torsion is None
+
+
+def test_default_rig_replays_the_shipped_recording_and_has_the_default_limits() -> None:
+    """The rig `replay` loops its recording, and each of its values is the schema's default."""
+    replay = load_rig("replay")
+    assert replay.device.driver == "replay"
+    assert replay.device.options == {"recording": "press-roll-spin-drag", "loop": True}
+    assert (replay.servo, replay.guard, replay.telemetry) == (schema.Servo(), schema.Guard(), schema.Telemetry())
+
+
+@pytest.mark.parametrize("kind", [Scene, Rig])
+def test_every_shipped_file_loads_and_survives_a_round_trip(kind: type[Scene | Rig]) -> None:
+    """Describing a shipped file and building it again gives an equal struct."""
+    names = shipped(kind)
+    assert names
+    for name in names:
+        config: msgspec.Struct = load_scene(name) if kind is Scene else load_rig(name)
+        assert build(kind, describe(config), name) == config
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*/*.toml")), ids=lambda path: path.stem)
+def test_shipped_values_say_their_reason(path: Path) -> None:
+    """Every number of a shipped file has a comment, which starts with the unit its key has."""
+    for line in path.read_text("utf-8").splitlines():
+        match = re.match(r"(\w+) = ([^#]*?)\s*(#.*)?$", line)
+        if match is None or match[2].startswith('"'):
+            continue
+        assert match[3], f"{path.name}: no reason beside: {line}"
+        expected = schema.unit(match[1])
+        assert match[3].startswith(f"# {expected}: " if expected else "# "), f"{path.name}: {line}"
+
+
+def test_orientation_is_normalised_once() -> None:
+    """A quaternion is brought to unit norm on load, and a unit one is left alone to the last bit."""
+    built = build(Scene, put(scene(), "object[0].orientation_wxyz", [3, 0, 0, 4]), "f.toml")
+    turned = built.object[0].orientation_wxyz
+    assert turned == pytest.approx((0.6, 0, 0, 0.8), abs=1e-15)  # one division and one rounding
+    assert build(Scene, describe(built), "f.toml").object[0].orientation_wxyz == turned
+
+
+@given(st.lists(st.floats(-1000, 1000), min_size=4, max_size=4).filter(any))
+@settings(max_examples=200, deadline=None)
+def test_any_quaternion_but_zero_becomes_a_unit_one(quaternion: list[float]) -> None:
+    """Tiny and large quaternions alike are normalised, subnormal components included."""
+    built = build(Scene, put(scene(), "object[0].orientation_wxyz", quaternion), "f.toml")
+    norm = math.hypot(*built.object[0].orientation_wxyz)
+    tiny = max(abs(part) for part in quaternion) < 1e-300  # subnormals have few bits to divide
+    assert norm == pytest.approx(1.0, abs=0.5 if tiny else 4e-16)
+
+
+# --- what every fault says -----------------------------------------------------------------------
+
+SCENE_FAULTS = [
+    ("fingertip.radius_m", 0, ["fingertip.radius_m = 0:", "from 1e-05 to 1000 m", "tested between these"]),
+    ("fingertip.radius_m", "10 mm", ["fingertip.radius_m = '10 mm':", "a number from 1e-05 to 1000 m"]),
+    ("fingertip.radius_m", True, ["fingertip.radius_m = true:", "a number"]),
+    ("fingertip.radius_m", math.nan, ["fingertip.radius_m = nan:", "a number"]),
+    ("fingertip.radius_m", math.inf, ["fingertip.radius_m = inf:", "a number"]),
+    ("fingertip.radius_m", -math.inf, ["fingertip.radius_m = -inf:", "a number"]),
+    ("fingertip.radius_m", 10**400, ["fingertip.radius_m = a whole number of 1329 bits:"]),
+    ("fingertip.radius_m", ..., ["fingertip.radius_m: is missing", "to 1000 m", "such as radius_m = 0.01"]),
+    ("fingertip", ..., ["fingertip: is missing: add the table [fingertip], or a table [[finger]]"]),
+    ("fingertip", 0.01, ["fingertip = 0.01: must be a table"]),
+    ("fingertip.radius_mm", 10, ["fingertip.radius_mm is not a key here (did you mean 'radius_m'?)"]),
+    ("fingertop", {}, ["fingertop is not a key here (did you mean 'fingertip'?)", "keys are fingertip, finger, "]),
+    (
+        "rolling.method",
+        "euler_zx",
+        ["rolling.method = 'euler_zx': must be one of 'euler_zxz'", "(did you mean 'euler_z"],
+    ),
+    ("rolling.method", 5, ["rolling.method = 5: must be one of 'euler_zxz', 'euler_zyx'"]),
+    ("rolling.method", ..., ["rolling.method is missing: give one of 'euler_zxz'", 'such as method = "euler_zxz"']),
+    (
+        "rolling.torque_stiffness_n_per_m",
+        2000.0,
+        ["rolling.torque_stiffness_n_per_m = 2000.0: must be at most coupling.stiffness_n_per_m = 1000 N/m"],
+    ),
+    ("rolling.torque_stiffness_n_per_m", 0, ["rolling.torque_stiffness_n_per_m = 0:", "from 0.001 to 1e+06 N/m"]),
+    ("object[0].material.friction", ..., ["rolling: needs friction to roll on", "leave [rolling] out"]),
+    ("object[0].material.friction.kinetic", 0.7, ["friction.kinetic = 0.7: must be at most static = 0.6"]),
+    ("object[0].material.friction.static", -1, ["object[0].material.friction.static = -1:", "from 0 to 1000"]),
+    ("object[0].material.frictoin", {}, ["object[0].material.frictoin", "(did you mean 'friction'?)"]),
+    ("object[0].material", ..., ["object[0].material is missing: add the table [object.material]"]),
+    ("object[0].shape", "plain", [f"object[0].shape = 'plain': must be {ANY_SHAPE} (did you mean 'plane'?)"]),
+    ("object[0].shape", "cube", [f"object[0].shape = 'cube': must be {ANY_SHAPE}"]),
+    ("object[0].shape", ["plane"], [f"object[0].shape = ['plane']: must be {ANY_SHAPE}"]),
+    ("object[0].shape", ..., [f"object[0].shape is missing: give {ANY_SHAPE}, such as shape = 'plane'"]),
+    ("object[0].radius_m", 1.0, ["object[0].radius_m is not a key here", "keys are shape, name, position_m"]),
+    ("object[0].name", "", ["object[0].name = '': must be text of 1 to 64 characters"]),
+    ("object[0].name", "a\nb", [r"object[0].name = 'a\nb': must have printable characters"]),
+    ("object[0].name", 7, ["object[0].name = 7: must be text"]),
+    ("object[0].position_m", [1, 2], ["object[0].position_m = [1, 2]: must be a list of 3 numbers", "this has 2"]),
+    ("object[0].position_m", 1, ["object[0].position_m = 1: must be a list of 3 numbers from -1000 to 1000 m"]),
+    ("object[0].position_m", [0, math.nan, 0], ["object[0].position_m[1] = nan:", "from -1000 to 1000 m"]),
+    ("object[0].orientation_wxyz", [0, 0, 0, 0], ["object[0].orientation_wxyz = [0.0, 0.0, 0.0, 0.0]: all zero"]),
+    ("object[0]", 5, ["object[0] = 5: must be a table"]),
+    ("object", [], ["object = []: must be a list of 1 to 256 tables, this has 0"]),
+    ("object", {}, ["object = a table: must be a list of 1 to 256 tables: write [[object]]"]),
+    ("object", ..., ["object is missing: add at least one table [[object]]"]),
+]
+
+RIG_FAULTS = [
+    ("device", ..., ["device: is missing: add the table [device], or a table [devices.NAME]"]),
+    ("device.driver", ..., ["device.driver is missing", 'such as driver = "replay"']),
+    ("servo.rate_hz", 99, ["servo.rate_hz = 99: must be a number from 100 to 8000 Hz", "walls chatter"]),
+    ("servo.rate_hz", 8000.5, ["servo.rate_hz = 8000.5: must be a number from 100 to 8000 Hz"]),
+    ("servo.rate", 1000, ["servo.rate is not a key here (did you mean 'rate_hz'?)"]),
+    ("servo.realtime", "on", ["servo.realtime = 'on': must be one of 'auto', 'off', 'require'"]),
+    ("servo.priority", 100, ["servo.priority = 100: must be a whole number from 1 to 99"]),
+    ("servo.cpu", 1.0, ["servo.cpu = 1.0: must be a whole number from 0 to 1023"]),
+    ("servo.cpu", True, ["servo.cpu = true: must be a whole number"]),
+    ("guard.force_max_n", 41, ["guard.force_max_n = 41: must be a number from 0 to 40 N"]),
+    ("guard.torque_max_nm", 2.1, ["guard.torque_max_nm = 2.1: must be a number from 0 to 2 N m"]),
+    ("guard.force_slew_n_per_s", 1e5, ["guard.force_slew_n_per_s = 100000.0:", "to 20000 N/s"]),
+    ("guard.torque_slew_nm_per_s", 1e5, ["guard.torque_slew_nm_per_s = 100000.0:", "to 1000 N m/s"]),
+    ("guard.ramp_s", 0, ["guard.ramp_s = 0: must be a number from 0.01 to 10 s"]),
+    ("telemetry.every", 0, ["telemetry.every = 0: must be a whole number from 1 to 10000"]),
+    ("telemetry.endpoint", "tcp://*:5555", ["telemetry.endpoint = 'tcp://*:5555': is open to the network"]),
+    ("telemetry.endpoint", "tcp://127.evil.org:5555", ["is open to the network"]),
+    ("telemetry.endpoint", "tcp://127.0.0.1", ["telemetry.endpoint = 'tcp://127.0.0.1': must be tcp://HOST:PORT"]),
+    ("telemetry.endpoint", "tcp://127.0.0.1:65536", ["port 0 to 65535"]),
+    ("telemetry.endpoint", "udp://127.0.0.1:5555", ["must be tcp://HOST:PORT"]),
+    ("telemetry.endpoint", "ipc://", ["must have a path of 1 to 107 bytes"]),
+    ("telemetry.endpoint", "ipc:///" + 99 * "x", ["commands.endpoint: ipc:///xxx", "is none: give one"]),
+    ("commands.endpoint", "tcp://0.0.0.0:5556", ["commands.endpoint = 'tcp://0.0.0.0:5556': is open to the network"]),
+    ("commands.endpoint", "tcp://127.0.0.1:5555", ["is the telemetry's: give another"]),
+    ("commands.endpoint", "none", ["must be tcp://HOST:PORT", "or off"]),
+    ("commands.heartbeat_s", 0.0, ["must be a number from 0.05 to 60 s"]),
+    ("commands", {"endpoint": "off", "heartbeat_s": 1.0}, ["nobody can send a heartbeat where commands are off"]),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "fragments"), SCENE_FAULTS, ids=itertools.count())
+def test_scene_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
+    """One wrong thing in a scene gives one fault, with all there is to know about it."""
+    (fault,) = faults_of(Scene, put(scene(), key, value))
+    assert fault.startswith("f.toml: ")
+    assert [part for part in fragments if part not in fault] == [], fault
+
+
+@pytest.mark.parametrize(("key", "value", "fragments"), RIG_FAULTS, ids=itertools.count())
+def test_rig_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
+    """One wrong thing in a rig gives one fault, with all there is to know about it."""
+    (fault,) = faults_of(Rig, put(rig(), key, value))
+    assert fault.startswith("f.toml: ")
+    assert [part for part in fragments if part not in fault] == [], fault
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp://127.0.0.1:5555", "tcp://localhost:*", "tcp://[::1]:0", "tcp://127.1.2.3:65535", "ipc:///run/softfinger"],
+)
+def test_local_endpoints_are_accepted(endpoint: str) -> None:
+    """Loopback addresses, with a port or without a choice of one, and Unix sockets may be bound."""
+    assert build(Rig, put(rig(), "telemetry.endpoint", endpoint), "f.toml").telemetry.endpoint == endpoint
+
+
+@pytest.mark.parametrize(
+    ("telemetry", "given", "expected"),
+    [
+        ("tcp://127.0.0.1:5555", None, "tcp://127.0.0.1:5556"),
+        ("tcp://127.0.0.1:65535", None, "tcp://127.0.0.1:65534"),
+        ("tcp://[::1]:*", None, "tcp://[::1]:*"),
+        ("tcp://localhost:0", None, "tcp://localhost:0"),
+        ("ipc:///run/t", None, "ipc:///run/t.commands"),
+        ("ipc:///run/t", "tcp://127.0.0.1:9", "tcp://127.0.0.1:9"),
+        ("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", "tcp://127.0.0.1:*"),
+        ("ipc:///run/t", "off", None),
+    ],
+)
+def test_commands_are_taken_beside_the_telemetry(telemetry: str, given: str | None, expected: str | None) -> None:
+    """The endpoint of commands follows from the telemetry's, unless it is given, or off."""
+    mapping = put(rig(), "telemetry.endpoint", telemetry) | ({"commands": {"endpoint": given}} if given else {})
+    assert build(Rig, mapping, "f.toml").commands_endpoint == expected
+
+
+def test_a_number_too_long_to_print_is_a_fault_like_any_other() -> None:
+    """A hexadecimal number of 6000 digits, which Python itself refuses to print, is reported by its size."""
+    (fault,) = faults_of(Scene, put(scene(), "fingertip.radius_m", 10**6000))
+    assert "fingertip.radius_m = a whole number of 19932 bits: must be a number from 1e-05 to 1000 m" in fault
+    (fault,) = faults_of(Rig, put(rig(), "servo.priority", -(10**6000)))
+    assert "servo.priority = a whole number of 19932 bits: must be a whole number from 1 to 99" in fault
+
+
+def test_object_names_must_differ() -> None:
+    """The second object of a name is at fault, and the message says which had it first."""
+    twins = scene()
+    twins["object"] *= 2
+    assert faults_of(Scene, twins) == [
+        "f.toml: object[1].name = 'table': is the name of object[0] already: choose another"
+    ]
+
+
+FINGERS: list[dict[str, Any]] = [{"name": "thumb", "radius_m": 0.01}, {"name": "index", "radius_m": 0.008}]
+"""Two fingers, as a file has them."""
+
+
+def pinched(**changes: Any) -> dict[str, Any]:
+    """A scene with two fingers, the second with changes."""
+    return {**{k: v for k, v in scene().items() if k != "fingertip"}, "finger": [FINGERS[0], FINGERS[1] | changes]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"name": "thumb"}, "finger[1].name = 'thumb': and the name of finger[0], 'thumb', begin alike"),
+        ({"name": "thumb-2"}, "finger[1].name = 'thumb-2': and the name of finger[0], 'thumb', begin alike"),
+        ({"name": "th"}, "finger[1].name = 'th': and the name of finger[0], 'thumb', begin alike"),
+        ({"name": "a/b"}, "finger[1].name = 'a/b': must be text of 1 to 32 characters like ^[A-Za-z0-9_-]+$"),
+        ({"name": "index\n"}, r"finger[1].name = 'index\n': must be text"),
+        ({"device": "thumb"}, "finger[1].device = 'thumb': moves finger[0] already"),
+        ({"radius_m": -1.0}, "finger[1].radius_m = -1.0: must be a number from 1e-05 to 1000 m"),
+        ({"coupling": {"damping": 1.0}}, "finger[1].coupling.damping is not a key here"),
+    ],
+)
+def test_fault_of_a_finger_names_it(changes: dict[str, Any], fault: str) -> None:
+    """Names that telemetry cannot tell apart, a device for two, a value out of range: one fault each."""
+    (said,) = faults_of(Scene, pinched(**changes))
+    assert said.startswith(f"f.toml: {fault}")
+
+
+def test_a_scene_has_fingertip_or_fingers() -> None:
+    """Not both, not neither; and a coupling softer than k_tau is a fault whichever finger has it."""
+    both = pinched() | {"fingertip": {"radius_m": 0.01}}
+    assert ["stands beside [[finger]]" in said for said in faults_of(Scene, both)] == [True]
+    soft = pinched(coupling={"stiffness_n_per_m": 100.0})
+    build(Scene, soft, "f.toml")
+    put(soft, "rolling.torque_stiffness_n_per_m", 500.0)
+    (said,) = faults_of(Scene, soft)
+    assert "must be at most finger[1].coupling.stiffness_n_per_m = 100 N/m" in said
+
+
+def test_fingers_have_the_scenes_coupling_and_probe_unless_their_own() -> None:
+    """Each part from its own table, and k_tau from the coupling that the finger has."""
+    built = build(Scene, pinched(coupling={"stiffness_n_per_m": 700.0}, device="left"), "f.toml")
+    thumb, index = built.fingers
+    assert (thumb.coupling, thumb.probe, thumb.device) == (built.coupling, built.probe, "thumb")
+    assert (index.coupling.stiffness_n_per_m, index.probe, index.device) == (700.0, built.probe, "left")
+    assert [finger.torque_stiffness for finger in build_scene(built).fingers] == [1000.0, 700.0]
+    assert build(Scene, describe(built), "f.toml") == built
+
+
+def paired(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> list[tuple[str, str]]:
+    """Finger and table of a scene and a rig; None for their short forms."""
+    given = scene() if fingers is None else {**pinched(), "finger": fingers}
+    drivers = {name: {"driver": "replay", "recording": "tap"} for name in devices or []}
+    tables = rig() if devices is None else {key: value for key, value in rig().items() if key != "device"}
+    moved = pair(
+        build(Scene, given, "s.toml"), build(Rig, tables | ({"devices": drivers} if drivers else {}), "r.toml")
+    )
+    return [(each.finger, each.table) for each in moved]
+
+
+def test_each_finger_is_moved_by_its_device() -> None:
+    """By name, whatever the order and whatever else there is; a single finger by [device] too."""
+    both = [("thumb", "[devices.thumb]"), ("index", "[devices.index]")]
+    assert paired(FINGERS, ["index", "other", "thumb"]) == both
+    assert paired([FINGERS[0] | {"device": "left"}], ["left", "right"]) == [("thumb", "[devices.left]")]
+    assert paired(FINGERS[:1], None) == [("thumb", "[device]")]
+    assert paired(None, None) == [("", "[device]")]
+
+
+@pytest.mark.parametrize(
+    ("fingers", "devices", "said"),
+    [
+        (FINGERS, None, ["[[finger]] 'thumb', 'index'", "the rig [device]", "add [devices.thumb] and [devices.index]"]),
+        (FINGERS, ["thumb"], ["the rig [devices.thumb]", "add [devices.index]", "a scene with [fingertip]"]),
+        (None, ["thumb"], ["the scene has [fingertip]", "the rig [devices.thumb]", "take a rig with [device]"]),
+    ],
+)
+def test_a_finger_without_a_device_is_one_error_for_both_files(fingers: Any, devices: Any, said: list[str]) -> None:
+    """The keys of scene and rig, and what to change in either."""
+    with pytest.raises(ConfigError) as caught:
+        paired(fingers, devices)
+    assert [part for part in said if part not in str(caught.value)] == [] and "\n" not in str(caught.value)
+
+
+def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
+    """Not both; names as of fingers; a fault names its section; what flags say of `device` holds for each."""
+    one, many = rig()["device"], {"thumb": {"driver": "replay", "recording": "tap"}}
+    assert ["stands beside [devices]" in said for said in faults_of(Rig, rig() | {"devices": {"thumb": one}})] == [True]
+    rest = {key: value for key, value in rig().items() if key != "device"}
+    (said,) = faults_of(Rig, rest | {"devices": {"a.b": one}})
+    assert "must be text of 1 to 32 characters" in said
+    (said,) = faults_of(Rig, rest | {"devices": {"thumb": {}}})
+    assert said.startswith("f.toml: devices.thumb.driver is missing")
+    built = build(Rig, rest | {"devices": many}, "f.toml")
+    assert build(Rig, describe(built), "f.toml") == built
+    with pytest.raises(ConfigError, match=r"\[devices.thumb\], and this is done with one device"):
+        single_device(built)
+    loops = [device.options["loop"] for device in load_rig("simulated-pinch", {"device.loop": False}).devices.values()]
+    assert loops == [False, False]
+    replaced = load_rig("simulated-pinch", {"device.driver": "replay", "device.recording": "tap"})
+    assert {device.driver: device.options for device in replaced.devices.values()} == {"replay": {"recording": "tap"}}
+    bad = tmp_path / "bad.toml"
+    bad.write_text('[devices.thumb]\ndriver = "replay"\nrecording = "no-such"\n')
+    assert "devices.thumb.recording" in check.examine_file(str(bad)).errors[0]
+
+
+def test_all_faults_are_reported_at_once() -> None:
+    """Faults of syntax, of range and across tables come in one error, none hiding another."""
+    bad = scene()
+    put(bad, "fingertip.radius_m", -1)
+    put(bad, "rolling.torque_stiffness_n_per_m", 5000)
+    put(bad, "coupling.damping", 1)
+    put(bad, "object[0].material.friction.kinetic", 0.9)
+    put(bad, "object[0].material.torsion.friction_length_m", math.nan)
+    bad["object"].append({"name": "table", "shape": "plane", "position_m": 3, "material": {}})
+    with pytest.raises(ConfigError) as caught:
+        build(Scene, bad, "bad.toml")
+    lines = str(caught.value).splitlines()
+    assert lines[0] == "8 faults:"
+    assert [re.split(r" (?:=|is) ", line.removeprefix("  bad.toml: "))[0] for line in lines[1:]] == [
+        "fingertip.radius_m",
+        "coupling.damping",
+        "object[0].material.friction.kinetic",
+        "object[0].material.torsion.friction_length_m",
+        "object[1].position_m",
+        "object[1].material.stiffness_n_per_m",
+        "rolling.torque_stiffness_n_per_m",
+        "object[1].name",
+    ]
+    assert caught.value.exit_code == 2
+
+
+def test_ceilings_cannot_be_raised_by_a_file() -> None:
+    """Just above each ceiling of the guard is refused, the ceiling itself is taken."""
+    ceilings = {
+        "force_max_n": limits.FORCE_MAX_N,
+        "torque_max_nm": limits.TORQUE_MAX_NM,
+        "force_slew_n_per_s": limits.FORCE_SLEW_N_PER_S,
+        "torque_slew_nm_per_s": limits.TORQUE_SLEW_NM_PER_S,
+        "ramp_s": limits.RAMP_S,
+    }
+    assert set(ceilings) == set(schema.Guard.__struct_fields__)
+    for key, span in ceilings.items():
+        built = build(Rig, put(rig(), f"guard.{key}", span.high), "f.toml")
+        assert getattr(built.guard, key) == span.high
+        above = put(rig(), f"guard.{key}", math.nextafter(span.high, math.inf))
+        assert span.reason in faults_of(Rig, above)[0]
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "fragments"),
+    [
+        (b"[fingertip\nradius_m = 1", ["not TOML", "line 1, column 11"]),
+        (b"a = 1\na = 2\n", ["not TOML", "line 2"]),
+        (b"a = 1\n# caf\xe9\n", ["not UTF-8", "0xe9", "line 2"]),
+        (b"a = " + b"9" * 5000, ["not usable", "4300"]),
+        (b"a = " + b"[" * 5000, ["bad.toml"]),
+        (b"#" * (1 << 20) + b"#", ["larger than 1048576 bytes"]),
+        (b"", ["fingertip: is missing", "object is missing"]),
+    ],
+    ids=["syntax", "twice", "latin-1", "huge", "deep", "large", "empty"],
+)
+def test_unreadable_files_say_where(tmp_path: Path, content: bytes, fragments: list[str]) -> None:
+    """Syntax, encoding and size faults name the file, and the line where there is one."""
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError) as caught:
+        load_scene(path)
+    assert str(path) in str(caught.value)
+    assert [part for part in fragments if part not in str(caught.value)] == [], str(caught.value)
+
+
+def test_missing_file_suggests_a_similar_one(tmp_path: Path) -> None:
+    """A misspelt path names its neighbour; a folder is refused."""
+    (tmp_path / "bench.toml").write_text("")
+    with pytest.raises(ConfigError, match=r"bnech\.toml: no such file \(did you mean 'bench\.toml'\?\)"):
+        load_rig(str(tmp_path / "bnech.toml"))
+    with pytest.raises(ConfigError, match="is a folder"):
+        load_rig(tmp_path)
+    with pytest.raises(ConfigError, match="cannot be read: embedded null byte"):
+        load_rig("a\0b.toml")
+
+
+def test_misspelt_shipped_name_lists_the_shipped_ones() -> None:
+    """A name that is neither shipped nor a file gets the list and the nearest."""
+    with pytest.raises(
+        ConfigError, match=r"no scene is called 'paper-plan' \(did you mean 'paper-plane'\?\)"
+    ) as caught:
+        load_scene("paper-plan")
+    assert all(name in str(caught.value) for name in shipped(Scene))
+
+
+def test_byte_order_mark_and_nan_in_a_file(tmp_path: Path) -> None:
+    """A file saved with a byte order mark is read, and TOML's own nan and inf are refused."""
+    path = tmp_path / "marked.toml"
+    path.write_bytes(b"\xef\xbb\xbf[fingertip]\nradius_m = nan\n[coupling]\nstiffness_n_per_m = +inf\n")
+    with pytest.raises(FaultyConfig) as caught:
+        load_scene(path)
+    text = str(caught.value)
+    assert "fingertip.radius_m = nan" in text
+    assert "coupling.stiffness_n_per_m = inf" in text
+    assert "marked.toml: object is missing" in text
+
+
+# --- overrides -----------------------------------------------------------------------------------
+
+
+def test_overrides_replace_values_and_name_their_flag() -> None:
+    """A flag's value is checked like the file's, and a fault names the flag."""
+    assert load_rig("replay", {"servo.rate_hz": 4000, "servo.realtime": "off"}).servo.rate_hz == 4000.0
+    with pytest.raises(FaultyConfig) as caught:
+        load_rig("replay", {"servo.rate_hz": 9e9, "servo.realtime": "on"}, {"servo.rate_hz": "command line --rate"})
+    first, second = (str(fault) for fault in caught.value.faults)
+    assert first.startswith("command line --rate: servo.rate_hz = 9000000000.0: must be a number from 100 to 8000 Hz")
+    assert second.startswith("override: servo.realtime = 'on'")
+
+
+def test_another_driver_drops_the_options_of_the_first() -> None:
+    """`--device` with the file's driver keeps its options; with another it starts from none."""
+    assert load_rig("replay", {"device.driver": "replay"}).device.options["loop"] is True
+    other = load_rig("replay", {"device.gain": 2, "device.driver": "simulated"}).device
+    assert other == schema.DeviceConfig(driver="simulated", options={"gain": 2})
+
+
+def test_override_of_a_missing_or_broken_table(tmp_path: Path) -> None:
+    """An override makes the table it needs; where the file has something else, that is the fault."""
+    path = tmp_path / "rig.toml"
+    path.write_text("servo = 5\n")
+    with pytest.raises(FaultyConfig) as caught:
+        load_rig(path, {"servo.rate_hz": 500.0, "device.driver": "replay"})
+    (fault,) = caught.value.faults
+    assert str(fault) == f"{path}: servo = 5: must be a table"
+
+
+# --- a driver's options --------------------------------------------------------------------------
+
+
+class Options(msgspec.Struct, frozen=True):
+    """Options as a driver outside this package might have them."""
+
+    port: str
+    gains: list[Annotated[float, msgspec.Meta(gt=0)]] = []
+    side: int | bool | str = 0
+
+    def __post_init__(self) -> None:
+        if self.port == "none":
+            raise ValueError("a port is needed")
+
+
+def test_build_serves_the_options_of_outside_drivers() -> None:
+    """Lists, open ranges, unions and a struct's own check all end in faults with a key."""
+    assert build(Options, {"port": "a", "gains": [1, 2.5], "side": True}, "x") == Options("a", [1.0, 2.5], True)
+    faults = faults_of(Options, {"port": 1, "gains": [0, -1], "side": 1.5, "gain": 3})
+    assert faults == [
+        "f.toml: gain is not a key here (did you mean 'gains'?); keys are port, gains, side",
+        "f.toml: port = 1: must be text",
+        "f.toml: gains[0] = 0: must be a number above 0",
+        "f.toml: gains[1] = -1: must be a number above 0",
+        "f.toml: side = 1.5: must be a whole number or true or false or text",
+    ]
+    assert faults_of(Options, {"port": "none"}) == ["f.toml: the whole: a port is needed"]
+
+
+class Ball(msgspec.Struct, frozen=True, tag_field="shape", tag="ball"):
+    """A second shape, to join the first in a union."""
+
+    radius_m: Annotated[float, msgspec.Meta(gt=0)]
+
+
+class Wall(msgspec.Struct, frozen=True, tag_field="shape", tag="wall"):
+    """A shape without dimensions."""
+
+
+class World(msgspec.Struct, frozen=True):
+    """A scene of the future, with several shapes."""
+
+    item: list[Ball | Wall]
+
+
+def test_more_shapes_slot_in_as_a_union() -> None:
+    """Each shape of a union has its own keys, and an unknown shape names all there are."""
+    built = build(World, {"item": [{"shape": "ball", "radius_m": 1}, {"shape": "wall"}]}, "x")
+    assert built.item == [Ball(1.0), Wall()]
+    faults = faults_of(World, {"item": [{"shape": "wall", "radius_m": 1}, {"shape": "bal"}, {"shape": "ball"}, {}, 1]})
+    assert faults == [
+        "f.toml: item[0].radius_m is not a key here; keys are shape",
+        "f.toml: item[1].shape = 'bal': must be one of 'ball', 'wall' (did you mean 'ball'?)",
+        "f.toml: item[2].radius_m is missing: give a number above 0 m",
+        "f.toml: item[3].shape is missing: give one of 'ball', 'wall', such as shape = 'ball'",
+        "f.toml: item[4] = 1: must be a table",
+    ]
+
+
+# --- anything at all -----------------------------------------------------------------------------
+
+KEYS = st.sampled_from(
+    [
+        *("fingertip", "radius_m", "rolling", "method", "coupling", "stiffness_n_per_m", "object", "name", "shape"),
+        *("position_m", "orientation_wxyz", "material", "friction", "static", "kinetic", "torsion", "device", "driver"),
+        *("servo", "rate_hz", "cpu", "guard", "force_max_n", "telemetry", "endpoint", "options"),
+    ]
+) | st.text(max_size=5)
+LEAVES = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from(["plane", "euler_zxz", "tcp://127.0.0.1:1", 10**4000, -(2**2000)])
+    | st.dates()
+    | st.binary(max_size=4)
+)
+ANYTHING = st.recursive(
+    LEAVES,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS | st.integers(), inner, max_size=6),
+    max_leaves=25,
+)
+
+
+@given(ANYTHING)
+@settings(max_examples=300, deadline=None)
+def test_no_mapping_raises_anything_but_config_error(mapping: object) -> None:
+    """Whatever a file or a remote command holds, it is a scene, a rig or a ConfigError."""
+    for kind in (Scene, Rig):
+        message = refusal(build, kind, mapping, "anything")
+        assert message is None or "anything: " in message
+
+
+PLACES = [(Scene, scene, fault) for fault in SCENE_FAULTS] + [(Rig, rig, fault) for fault in RIG_FAULTS]
+
+
+@given(st.sampled_from(PLACES), ANYTHING)
+@settings(max_examples=400, deadline=None)
+def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: object) -> None:
+    """Anything at all in one place of a valid scene or rig is taken or refused by ConfigError."""
+    kind, make, (key, _, _) = place
+    message = refusal(build, kind, put(make(), key, value), "nearly")
+    assert message is None or "nearly: " in message
+
+
+@given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
+@settings(max_examples=200, deadline=None)
+def test_no_file_content_raises_anything_but_config_error(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    """Random bytes and random text end in tables or in a ConfigError that names the file."""
+    path = tmp_path_factory.getbasetemp() / "random.toml"
+    path.write_bytes(content)
+    message = refusal(read_toml, path)
+    assert message is None or "random.toml: " in message
+
+
+# --- verbs and reference page --------------------------------------------------------------------
+
+
+def verb(module: Any, *words: str) -> int:
+    """Run a verb as the command line does; returns its exit code."""
+    parser = argparse.ArgumentParser()
+    module.configure(parser)
+    code = module.run(parser.parse_args(words))
+    assert isinstance(code, int)
+    return code
+
+
+def test_check_tells_what_is_modelled_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    """`check` of shipped files says kind and content and returns 0."""
+    assert verb(check, "paper-plane", "frictionless-plane", "replay") == 0
+    out = capsys.readouterr().out
+    assert "paper-plane: scene, usable" in out
+    assert re.search(r"rolling +euler_zxz, torque stiffness 1000 N/m", out)
+    assert re.search(r"friction +static 0.6, kinetic 0.5", out)
+    assert re.search(r"rolling +left out", out)
+    assert re.search(r"friction +left out: frictionless", out)
+    assert "replay: rig, usable" in out
+    assert re.search(r"servo +1000 Hz, real time auto", out)
+
+
+def test_check_reports_every_faulty_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One faulty file does not hide another, options of the driver are checked, and the exit code is 2."""
+    files = {
+        "scene": "[fingertip]\nradius_m = 0\n",
+        "rig": '[device]\ndriver = "replay"\nrecording = "x"\nlop = true\n',
+        "driver": '[device]\ndriver = "replya"\n',
+        "both": "[fingertip]\n[device]\n",
+        "neither": "[hello]\n",
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+    paths = [str(tmp_path / f"{name}.toml") for name in files]
+    assert verb(check, *paths, "replay", "repaly") == 2
+    out, err = capsys.readouterr()
+    assert "replay: rig, usable" in out
+    for part in [
+        "fingertip.radius_m = 0",
+        "object is missing",
+        "rig.toml [device]: lop is not a key here (did you mean 'loop'?)",
+        "driver.toml: device.driver = 'replya'",
+        "both.toml: both scene (fingertip) and rig (device)",
+        "neither.toml: neither scene nor rig",
+        "no scene or rig is called 'repaly' (did you mean 'replay'?)",
+    ]:
+        assert part in err
+
+
+def test_check_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    """`check --json` gives kind, errors and the whole content with its defaults."""
+    assert verb(check, "--json", "plane-at-60mm", "nothing-like-it") == 2
+    good, bad = json.loads(capsys.readouterr().out)
+    assert good["kind"] == "scene"
+    assert good["errors"] == []
+    assert good["content"]["object"][0]["position_m"] == [0.0, 0.0, 0.06]
+    assert bad["errors"][0].startswith("no scene or rig is called 'nothing-like-it'")
+
+
+def test_schema_verb_prints_json_schema_with_units_and_ranges(capsys: pytest.CaptureFixture[str]) -> None:
+    """`schema` gives scene, rig and telemetry as JSON that an editor can use."""
+    assert verb(schema_verb) == 0
+    printed = json.loads(capsys.readouterr().out)
+    radius = printed["scene"]["$defs"]["Fingertip"]["properties"]["radius_m"]
+    assert (radius["minimum"], radius["maximum"], radius["unit"]) == (1e-5, 1e3, "m")
+    assert printed["scene"]["$defs"]["Plane"]["properties"]["shape"] == {"enum": ["plane"]}
+    device = printed["rig"]["$defs"]["DeviceConfig"]
+    assert (list(device["properties"]), device["additionalProperties"]) == (["driver", "tool"], True)
+    assert "null" not in json.dumps(printed)
+    assert [field["name"] for field in printed["telemetry"]["record"]] == [field.name for field in FIELDS]
+
+
+def test_every_key_has_a_meaning_and_every_default_its_range() -> None:
+    """The reference tables have no empty meaning, and every default passes the check of its own key."""
+    for kind in (Scene, Rig):
+        for table in schema_verb.tables(kind):
+            assert table.meaning
+            for row in table.rows:
+                assert row.allowed, row
+                assert row.default, row
+                assert row.meaning, row
+    build(Rig, describe(Rig(device=schema.DeviceConfig(driver="x"))), "defaults")
+
+
+@pytest.mark.parametrize("kind", ["scene", "rig"])
+def test_reference_page_lists_every_key(kind: str) -> None:
+    """docs/operate/scenes.md holds the table of every key with unit, range, default and meaning, word for word."""
+    page = (ROOT / "docs" / "operate" / "scenes.md").read_text("utf-8")
+    assert schema_verb.markdown(kind) in page, f"run `softfinger schema {kind} --markdown` and put it into the page"
+
+
+def test_reference_page_names_the_shipped_files_and_shows_a_true_error() -> None:
+    """The page lists exactly the shipped names, and its example of an error is what the program says."""
+    page = (ROOT / "docs" / "operate" / "scenes.md").read_text("utf-8")
+    assert set(re.findall(r"^\| `([\w-]+)` \| (?:scene|rig):", page, re.M)) == {*shipped(Scene), *shipped(Rig)}
+    bad = {"device": {"driver": "replay"}, "servo": {"rate_hertz": 500}, "guard": {"torque_max_nm": 3.0}}
+    with pytest.raises(ConfigError) as caught:
+        build(Rig, bad, "bench.toml")
+    assert "\n".join("    " + line for line in str(caught.value).splitlines()) in page

@@ -1,0 +1,195 @@
+"""What a configuration cannot do: take minutes, fill memory, or have an override that nobody obeys."""
+
+from __future__ import annotations
+
+import signal
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene, read_toml
+from softfinger.config.toml import DEPTH_MAX, PARTS_MAX, parse_toml
+from softfinger.server.verbs.check import examine_file
+
+SIZE = 1_000_000
+"""Just below the largest file that is read."""
+LATE_S = 120
+"""Each of these takes a few seconds at most; what is not bounded takes an hour."""
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting() -> Iterator[None]:
+    def late(*_: object) -> None:
+        raise TimeoutError("it takes for ever")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(LATE_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def repeated(part: str) -> str:
+    return part * (SIZE // len(part))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        repeated("a.") + "a = 1",
+        repeated('"a" . ') + "a = 1",
+        repeated("'a'.") + "a = 1",
+        "[" + repeated("a.") + "a]",
+        "[[" + repeated("a\t.") + "a]]",
+        "b = { " + repeated("a.") + "a = 1 }",
+        "b = [{ c = '''\n''', " + repeated("a.") + "a = 1 }]",
+    ],
+    ids=["bare", "quoted", "literal", "table", "array of tables", "inline", "after a string"],
+)
+def test_keys_without_end_are_refused(tmp_path: Path, text: str) -> None:
+    """tomllib takes time and memory with the square of a key's parts: such a key is refused before it sees it."""
+    path = tmp_path / "long.toml"
+    path.write_text("# first\n" + text)
+    with pytest.raises(ConfigError, match=rf"long\.toml, line [23]: a key of more than {PARTS_MAX} parts"):
+        read_toml(path)
+
+
+def test_the_longest_key_is_read() -> None:
+    """The limit is on parts of one key: as many are read, one more is refused; tomllib agrees on what is a key."""
+    longest = ".".join(["a"] * PARTS_MAX)
+    assert parse_toml(f"{longest} = 1", "t") == tomllib.loads(f"{longest} = 1")
+    with pytest.raises(ConfigError, match="parts"):
+        parse_toml(f"{longest}.a = 1", "t")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# " + "a." * 100,
+        "k = 1 # it's " + "a." * 100,
+        "k = '" + "a." * 100 + "'",
+        'k = "\\" ' + "a." * 100 + '"',
+        'k = """\n' + "a." * 100 + '\n"x" \\""" \n"""',
+        "k = '''\n\"\"\" # " + "a." * 100 + "\n'''",
+        "k = [" + "1.5, " * 100 + "]",
+    ],
+)
+def test_dots_that_are_in_no_key_are_read(text: str) -> None:
+    """Comments, strings and numbers may have any number of dots."""
+    assert parse_toml(text, "t") == tomllib.loads(text)
+
+
+@pytest.mark.parametrize(
+    "text", [repeated('"""\\'), repeated("'\"#"), repeated("a-") + ".", repeated('\\"'), repeated("' .")]
+)
+def test_text_of_broken_strings_takes_no_time(text: str) -> None:
+    """Looking for keys goes through any text once."""
+    with pytest.raises(ConfigError):
+        parse_toml(text, "t")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 300 + "]" * 300,
+        "a = " + "{ a.a.a.a.a.a.a.a = " * 200 + "1" + "}" * 200,
+        "a = " + repeated("["),
+        "a = " + repeated("{a="),
+        "a = " + "1" * SIZE,
+    ],
+    ids=["lists", "tables", "brackets", "braces", "digits"],
+)
+def test_nesting_without_end_is_refused(tmp_path: Path, text: str) -> None:
+    """Deeper than Python can follow is an error and no traceback, in a scene and in a driver's options."""
+    path = tmp_path / "deep.toml"
+    for before, load in (("", load_scene), ('[device]\ndriver = "replay"\n', load_rig)):
+        path.write_text(before + text)
+        with pytest.raises(ConfigError, match=r"deep\.toml: (tables or lists more than|not usable|not TOML)"):
+            load(path)
+
+
+def test_the_deepest_table_is_read() -> None:
+    """One level less than refused."""
+    text = "a = " + "[" * (DEPTH_MAX - 1) + "]" * (DEPTH_MAX - 1)
+    assert parse_toml(text, "t") == tomllib.loads(text)
+    with pytest.raises(ConfigError, match="deep"):
+        parse_toml("a = " + "[" * DEPTH_MAX + "]" * DEPTH_MAX, "t")
+
+
+def test_keys_without_number_are_counted(tmp_path: Path) -> None:
+    """A hundred thousand unknown keys are named as far as anybody reads, and counted."""
+    path = tmp_path / "wide.toml"
+    path.write_text("".join(f"k{number} = 1\n" for number in range(80_000)))
+    with pytest.raises(FaultyConfig, match=r"79950 more keys") as caught:
+        load_scene(path)
+    assert len(str(caught.value)) < 20_000
+
+
+# --- overrides -------------------------------------------------------------------------------------
+
+
+def at(config: Any, *way: str | int) -> Any:
+    value = describe(config)
+    for part in way:
+        value = value[part]
+    return value
+
+
+@pytest.mark.parametrize("key", ["object.0.material.stiffness_n_per_m", "object[0].material.stiffness_n_per_m"])
+def test_an_override_reaches_into_lists(key: str) -> None:
+    """An entry of a list is named by its number, as in Python or as messages have it."""
+    scene = load_scene("corner", {key: 500})
+    assert at(scene, "object", 0, "material", "stiffness_n_per_m") == 500
+    assert at(scene, "object", 1) == at(load_scene("corner"), "object", 1)
+    turned = load_scene("corner", {"object.1.orientation_wxyz.2": -0.7071067811865476})
+    assert at(turned, "object", 1, "orientation_wxyz", 2) < 0.0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"object.3.name": "x"}, r"override: object\.3\.name: object\[3\] is none of the 3 entries, from 0 to 2"),
+        ({"object.first.name": "x"}, r"object\.first is none of the 3"),
+        ({"object.-1.name": "x"}, r"object\.-1 is none of the 3"),
+        ({"object.name": "x"}, r"object\.name is none of the 3"),
+        ({"object.1.orientation_wxyz.4": 0.0}, r"object\[1\]\.orientation_wxyz\[4\] is none of the 4"),
+        ({"object.0.position_m.2": 0.0}, r"override: object\[0\]\.position_m = a table: must be a list of 3"),
+        ({"object.0.shape.kind": "x"}, r"object\.0\.shape\.kind: what object\[0\]\.shape\.kind would be in is 'plane'"),
+        ({"fingertip.radius_m.x": 1.0}, r"fingertip\.radius_m\.x: what .* would be in is 0.01 and no table"),
+        ({"fingertop.radius_m": 1.0}, r"override: fingertop is not a key here.*fingertip"),
+        ({"object.0.matrial.stiffness_n_per_m": 1.0}, r"override: object\[0\]\.matrial is not a key"),
+        (
+            {"object[0].material.stiffness_n_per_m": -1.0},
+            r"override: object\[0\]\.material\.stiffness_n_per_m = -1",
+        ),
+        ({"object.0.material.stiffness_n_per_m": -1.0}, r"override: object\[0\]\.material\.stiffness_n_per_m = -1"),
+    ],
+)
+def test_an_override_that_has_no_place_is_refused(overrides: dict[str, Any], message: str) -> None:
+    """Never ignored: the error names the override and where it came from."""
+    with pytest.raises(ConfigError, match=message):
+        load_scene("corner", overrides)
+
+
+def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None:
+    """The same of rigs."""
+    path = tmp_path / "rig.toml"
+    path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
+    with pytest.raises(ConfigError, match=r"flag: device\.recording\.name: .* is 'tap' and no table"):
+        load_rig(path, {"device.recording.name": "x"}, {"device.recording.name": "flag"})
+
+
+def test_check_of_a_rig_reads_its_recording(tmp_path: Path) -> None:
+    """A rig whose recording is missing, or no recording, is not usable."""
+    path = tmp_path / "rig.toml"
+    (tmp_path / "bad.csv").write_text("t,x\n")
+    for recording, message in (("missing.csv", "neither a file"), (str(tmp_path / "bad.csv"), "line 1")):
+        path.write_text(f'[device]\ndriver = "replay"\nrecording = "{recording}"\n')
+        (error,) = examine_file(str(path)).errors
+        assert "rig.toml: device.recording" in error and message in error
+    path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
+    assert not examine_file(str(path)).errors

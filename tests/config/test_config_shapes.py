@@ -1,0 +1,236 @@
+"""Shapes in a scene file: what each accepts, what is refused, and what bodies it becomes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.config import limits, schema
+from softfinger.config.load import FaultyConfig, build, describe
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.scene import shape_bodies
+from softfinger.server.verbs import schema as schema_verb
+
+SHAPES: dict[str, dict[str, Any]] = {
+    "plane": {},
+    "sphere": {"radius_m": 0.05},
+    "cylinder": {"radius_m": 0.05, "length_m": 0.2},
+    "capsule": {"radius_m": 0.05, "length_m": 0.2},
+    "box": {"size_m": [0.1, 0.2, 0.3]},
+    "ellipsoid": {"semi_axes_m": [0.06, 0.05, 0.04]},
+    "torus": {"major_radius_m": 0.06, "minor_radius_m": 0.02},
+}
+
+
+def mapping(shape: str, fingertip: float = 0.01, **keys: Any) -> dict[str, Any]:
+    """A scene of one object of that shape, as a file would give it; None leaves a key out."""
+    thing = {"name": "thing", "shape": shape, "material": {"stiffness_n_per_m": 1000.0}, **SHAPES[shape], **keys}
+    thing = {key: value for key, value in thing.items() if value is not None}
+    return {"fingertip": {"radius_m": fingertip}, "object": [thing]}
+
+
+def thing_of(shape: str, fingertip: float = 0.01, **keys: Any) -> Any:
+    """The object of that shape after loading."""
+    (thing,) = build(schema.Scene, mapping(shape, fingertip, **keys), "f.toml").object
+    return thing
+
+
+def refused(raw: dict[str, Any]) -> list[str]:
+    """Every fault of a scene that must have some."""
+    with pytest.raises(FaultyConfig) as caught:
+        build(schema.Scene, raw, "f.toml")
+    return [str(fault) for fault in caught.value.faults]
+
+
+def faults_of(shape: str, fingertip: float = 0.01, **keys: Any) -> list[str]:
+    """Every fault of an object that must have some."""
+    return refused(mapping(shape, fingertip, **keys))
+
+
+def signed_distance(thing: Any, x: tuple[float, float, float]) -> float:
+    """Gap to the nearest of an object's bodies, m."""
+    return min(float(closest(shape, x)[0]) for shape, _, _ in shape_bodies(thing))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_shape_loads_and_is_told_apart_by_its_name(shape: str) -> None:
+    """The key `shape` selects the struct, and a scene survives being written out and read again."""
+    scene = build(schema.Scene, mapping(shape), "f.toml")
+    assert scene.object[0].shape == shape == type(scene.object[0]).__name__.lower()
+    assert build(schema.Scene, describe(scene), "again") == scene
+
+
+def test_all_shapes_are_tested_here() -> None:
+    """A shape added to the schema has to be added to this file's table."""
+    assert {kind.shape for kind in schema.Object.__args__} == set(SHAPES)
+
+
+def test_an_unknown_shape_lists_the_known_ones() -> None:
+    """A misspelt shape is answered with all names and the nearest one."""
+    (fault,) = refused({**mapping("sphere"), "object": [{"name": "x", "shape": "elipsoid"}]})
+    assert all(repr(name) in fault for name in SHAPES)
+    assert "did you mean 'ellipsoid'" in fault
+
+
+def sized(shape: str, size: float) -> dict[str, Any]:
+    """Every dimension of a shape at that size; the ring of a torus wide enough for a hole, within the range."""
+    if shape == "torus":
+        return {"major_radius_m": min(3.0 * size, limits.LENGTH_M.high), "minor_radius_m": min(size, 300.0)}
+    return {key: [size] * 3 if isinstance(value, list) else size for key, value in SHAPES[shape].items()}
+
+
+@pytest.mark.parametrize("shape", [name for name in SHAPES if name != "plane"])
+def test_dimensions_have_the_range_the_geometry_is_tested_in(shape: str) -> None:
+    """Lengths of 1e-5 m and of 1e3 m are accepted, those just outside refused with the range."""
+    low, high, _ = limits.LENGTH_M
+    for size in (low, high):
+        assert thing_of(shape, low, **sized(shape, size)).shape == shape
+    for key, value in SHAPES[shape].items():
+        for beyond in (low * 0.99, high * 1.01):
+            faults = faults_of(shape, **{key: [beyond] * 3 if isinstance(value, list) else beyond})
+            assert any(f"object[0].{key}" in fault and "from 1e-05 to 1000 m" in fault for fault in faults)
+
+
+@pytest.mark.parametrize(
+    ("shape", "key"), [(s, k) for s, keys in SHAPES.items() for k in keys if (s, k) != ("cylinder", "length_m")]
+)
+def test_dimensions_are_required(shape: str, key: str) -> None:
+    """A shape without one of its dimensions is refused, and the message gives an example of it."""
+    (fault,) = faults_of(shape, **{key: None})
+    assert f"object[0].{key} is missing" in fault
+    assert f"such as {key} = " in fault
+
+
+def test_a_cylinder_without_length_has_no_ends() -> None:
+    """Only the cylinder may leave its length out; the capsule must say it."""
+    assert thing_of("cylinder", length_m=None).length_m is None
+    assert any("object[0].length_m is missing" in fault for fault in faults_of("capsule", length_m=None))
+
+
+TIGHT: list[tuple[str, float, dict[str, Any], str]] = [
+    ("sphere", 0.05, {"inside": True}, "radius_m"),
+    ("cylinder", 0.05, {"inside": True}, "radius_m"),
+    ("cylinder", 0.01, {"inside": True, "length_m": 0.02}, "length_m"),
+    ("capsule", 0.05, {"inside": True}, "radius_m"),
+    ("box", 0.05, {"inside": True}, "size_m"),
+    ("ellipsoid", 0.04 * 0.04 / 0.06, {"inside": True}, "semi_axes_m"),
+    ("torus", 0.02, {"inside": True}, "minor_radius_m"),
+    ("torus", 0.06 - 0.02, {}, "major_radius_m"),
+]
+
+
+@pytest.mark.parametrize(("shape", "radius", "keys", "at"), TIGHT)
+def test_a_fingertip_must_fit(shape: str, radius: float, keys: dict[str, Any], at: str) -> None:
+    """At the size where fingertip and hollow coincide the scene is refused, a thousandth below it is taken."""
+    (fault,) = faults_of(shape, radius * 1.0001, **keys)
+    assert f"object[0].{at} = " in fault
+    assert "fingertip" in fault
+    assert f"{radius * 1.0001:g} m" in fault or f"{2 * radius * 1.0001:g} m" in fault
+    assert thing_of(shape, radius * 0.999, **keys).shape == shape
+
+
+@pytest.mark.parametrize("shape", [name for name in SHAPES if name not in {"plane", "torus"}])
+def test_outside_any_fingertip_fits(shape: str) -> None:
+    """From outside a convex shape is touched by a fingertip of any size."""
+    assert thing_of(shape, limits.LENGTH_M.high).shape == shape
+
+
+def test_a_ring_has_a_hole() -> None:
+    """A tube as thick as its ring is wide is refused, and the message gives the ring's radius."""
+    faults = faults_of("torus", minor_radius_m=0.06)
+    assert len(faults) == 1
+    assert "object[0].minor_radius_m = 0.06: must be below major_radius_m = 0.06 m" in faults[0]
+
+
+def test_faults_of_place_and_shape_come_together() -> None:
+    """A shape's own checks do not hide those every object has."""
+    faults = faults_of("torus", minor_radius_m=0.07, orientation_wxyz=[0, 0, 0, 0])
+    assert {fault.split(" = ")[0] for fault in faults} == {
+        "f.toml: object[0].minor_radius_m",
+        "f.toml: object[0].orientation_wxyz",
+    }
+
+
+@pytest.mark.parametrize(
+    ("keys", "kinds"),
+    [
+        (("plane", {}), [model.Plane]),
+        (("sphere", {"inside": True}), [model.Sphere]),
+        (("cylinder", {"length_m": None}), [model.Cylinder]),
+        (("cylinder", {}), [model.CappedCylinder]),
+        (("cylinder", {"length_m": None, "inside": True}), [model.Cylinder]),
+        (("cylinder", {"inside": True}), [model.Cylinder, model.Plane, model.Plane]),
+        (("capsule", {}), [model.Capsule]),
+        (("box", {}), [model.Box]),
+        (("box", {"inside": True}), [model.Plane] * 6),
+        (("ellipsoid", {}), [model.Ellipsoid]),
+        (("torus", {}), [model.Torus]),
+    ],
+)
+def test_bodies_of_a_shape(keys: tuple[str, dict[str, Any]], kinds: list[type]) -> None:
+    """Hollows with flat walls fall apart into walls, everything else is one body; all leaves are floats."""
+    bodies = shape_bodies(thing_of(keys[0], **keys[1]))
+    assert [type(shape) for shape, _, _ in bodies] == kinds
+    for shape, position, orientation in bodies:
+        assert position == (0.0, 0.0, 0.0)
+        assert orientation == (1.0, 0.0, 0.0, 0.0)
+        leaves = [leaf for item in shape for leaf in (item if isinstance(item, tuple) else (item,))]
+        assert all(type(leaf) is float for leaf in leaves)
+
+
+@pytest.mark.parametrize(
+    ("shape", "keys", "x", "gap"),
+    [
+        ("plane", {}, (0.3, 0.2, 0.1), 0.1),
+        ("sphere", {}, (0.0, 0.06, 0.0), 0.01),
+        ("sphere", {"inside": True}, (0.0, 0.04, 0.0), 0.01),
+        ("cylinder", {}, (0.0, 0.0, 0.13), 0.03),
+        ("cylinder", {}, (0.08, 0.0, 0.14), 0.05),
+        ("cylinder", {"inside": True}, (0.0, 0.01, 0.08), 0.02),
+        ("cylinder", {"inside": True}, (0.0, 0.04, 0.0), 0.01),
+        ("cylinder", {"inside": True}, (0.0, 0.0, -0.13), -0.03),
+        ("capsule", {}, (0.0, 0.0, 0.17), 0.02),
+        ("capsule", {"inside": True}, (0.0, 0.03, 0.0), 0.02),
+        ("box", {}, (0.08, 0.14, 0.0), 0.05),
+        ("box", {"inside": True}, (0.04, 0.0, 0.0), 0.01),
+        ("box", {"inside": True}, (0.0, -0.09, 0.0), 0.01),
+        ("box", {"inside": True}, (0.0, 0.0, 0.16), -0.01),
+        ("ellipsoid", {}, (0.0, 0.0, -0.05), 0.01),
+        ("torus", {}, (0.0, 0.06, 0.03), 0.01),
+        ("torus", {"inside": True}, (0.0, 0.06, 0.005), 0.015),
+    ],
+)
+def test_bodies_stand_where_the_file_says(
+    shape: str, keys: dict[str, Any], x: tuple[float, float, float], gap: float
+) -> None:
+    """Distances read off the dimensions: lengths and sizes in a file are full, and halved once."""
+    # 1e-16: rounding of lengths below a third of a metre.
+    assert signed_distance(thing_of(shape, **keys), x) == pytest.approx(gap, abs=1e-16)
+
+
+@pytest.mark.parametrize("shape", ["box", "cylinder"])
+def test_the_walls_of_a_hollow_enclose_what_the_solid_fills(shape: str) -> None:
+    """A point has room inside a hollow exactly where the solid of the same size would be penetrated."""
+    solid, hollow = thing_of(shape), thing_of(shape, inside=True)
+    points = np.random.default_rng(5).uniform(-0.16, 0.16, (1000, 3))
+    inner = 0
+    for x in map(tuple, points.tolist()):
+        within, room = signed_distance(solid, x), signed_distance(hollow, x)
+        assert (within < 0.0) == (room > 0.0)
+        if within < 0.0:
+            assert room == pytest.approx(-within, abs=1e-16)
+            inner += 1
+    assert 50 < inner < 950
+
+
+def test_the_reference_has_the_dimensions_of_every_shape() -> None:
+    """The generated tables give each dimension with its unit, under the shape's name."""
+    text = schema_verb.markdown("scene")
+    for shape, keys in SHAPES.items():
+        at = text.index(f'| `shape` |  | `"{shape}"` |')
+        table = text[at:].split("\n\n")[0]
+        assert all(f"| `{key}` | m |" in table for key in keys)
+        assert ("`inside`" in table) == (shape != "plane")

@@ -1,0 +1,119 @@
+"""Arrays that a scene names: the same numbers from each format, and one clear error for what is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softfinger.config import limits
+from softfinger.config.arrays.grids import read_grid
+from softfinger.config.errors import ConfigError
+
+GRID = np.array([[0.0, 255.0, 7.0], [128.0, 1.0, 64.0]])
+
+
+def pgm(head: str, *values: int, wide: bool = False) -> bytes:
+    return head.encode() + np.array(values, ">u2" if wide else np.uint8).tobytes()
+
+
+def npz(path: Path, **arrays: object) -> bytes:
+    file = path / "made.npz"
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    return file.read_bytes()
+
+
+def npy(path: Path, array: object) -> bytes:
+    file = path / "made.npy"
+    np.save(file, array)  # type: ignore[arg-type]
+    return file.read_bytes()
+
+
+def read(path: Path, name: str, data: bytes) -> np.ndarray:
+    file = path / name
+    file.write_bytes(data)
+    return read_grid(file)
+
+
+def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
+    """Row by row, as written; a single row where the array is a line."""
+    flat = [int(value) for value in GRID.ravel()]
+    files = {
+        "a.npy": npy(tmp_path, GRID),
+        "b.npy": npy(tmp_path, np.asfortranarray(GRID.astype(np.uint8))),
+        "c.npz": npz(tmp_path, heights=GRID.astype(np.int16)),
+        "d.csv": b"# by hand\n0, 255, 7\n\n128, 1.0, 6.4e1\n",
+        "e.CSV": "\ufeff0,255,7\r\n128,1,64\r\n".encode(),
+        "f.pgm": pgm("P5 3 2 255\n", *flat),
+        "g.pgm": pgm("P5\n# drawn by hand # and brush\n#\n3 # columns\n2\n255\n", *flat),
+        "h.pgm": pgm("P5\n3 2\n65535\n", *flat, wide=True),
+    }
+    for name, data in files.items():
+        np.testing.assert_array_equal(read(tmp_path, name, data), GRID, err_msg=name)
+    np.testing.assert_array_equal(read(tmp_path, "i.npy", npy(tmp_path, GRID[0])), GRID[:1])
+    # A first value that is white space to a parser of text belongs to the picture.
+    np.testing.assert_array_equal(read(tmp_path, "j.pgm", pgm("P5 2 1 255\n", 10, 32)), [[10.0, 32.0]])
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        ("a.png", b"\x89PNG", "is none of .npy, .npz, .csv, .pgm: save a picture as grey .pgm, or any array by"),
+        ("a", b"", "is none of .npy"),
+        ("a.csv", b"# nothing\n", "has no numbers: a row is a line"),
+        ("a.csv", b"1,2\n3\n", "line 2 has 1 numbers, the first row 2"),
+        ("a.csv", b"1,2\n3,x\n", "line 2: could not convert string to float: 'x'"),
+        ("a.csv", b"1,nan\n", "row 0, column 1: nan: numbers are finite"),
+        ("a.csv", b"1,2\n1e200,4\n", "row 1, column 0: 1e+200: numbers are finite, at most 1e100"),
+        ("a.csv", b"5,5\n5,5\n", "every value is 5: a texture has at least two"),
+        ("a.csv", b"\xff\xfe", "codec can't decode byte"),
+        ("a.pgm", b"P2 2 1 255\n1 2", "is no binary grey picture (P5): export it as raw PGM"),
+        ("a.pgm", b"P5" + b" #" * 4000, "is no binary grey picture"),
+        ("a.pgm", b"P5 2 2 255\nabc", "has 3 bytes of picture: 2 x 2 need 4"),
+        ("a.pgm", b"P5 9999999 9999999 255\nabc", "has 3 bytes of picture: 9999999 x 9999999 need"),
+        ("a.pgm", b"P5 1 1 0\na", "says that white is 0: must be 1 to 65535"),
+        ("a.npy", b"no array", "magic string is not correct"),
+        ("a.npz", b"no archive", "File is not a zip file"),
+    ],
+)
+def test_what_is_no_array_is_said(tmp_path: Path, name: str, data: bytes, said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path, name, data)
+    assert str(caught.value).startswith(f"{tmp_path / name}: ") and said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (np.zeros((2, 2, 3)), "an array of shape (2, 2, 3): must have rows and columns; of a colour picture take one"),
+        (np.zeros((0, 3)), "an array of shape (0, 3)"),
+        (np.array(1.0), "an array of shape ()"),
+        (np.array([["1", "2"]]), "holds <U1, must hold numbers"),
+        (np.array([[1.0, 2.0j]]), "holds complex128, must hold numbers"),
+        (np.array([[None, 1]]), "it holds objects, must hold numbers"),
+        (np.zeros((1025, 1024), bool), "has 1,049,600 values, 1,048,576 are the most: 1024 by 1024, of 8 MB"),
+    ],
+)
+def test_arrays_that_are_no_texture_are_said(tmp_path: Path, array: np.ndarray, said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path, "a.npy", npy(tmp_path, array))
+    assert said in str(caught.value)
+
+
+def test_archive_of_several_arrays_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="has the arrays a, b: must have one; save it alone"):
+        read(tmp_path, "a.npz", npz(tmp_path, a=GRID, b=GRID))
+
+
+def test_claims_of_a_header_make_no_room(tmp_path: Path) -> None:
+    """Arrays that say they are terabytes, in a few bytes of file, and an archive that unpacks to more than any grid."""
+    header = {"descr": "<f8", "fortran_order": False, "shape": (1 << 40, 1)}
+    with (tmp_path / "vast.npy").open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+    with pytest.raises(ConfigError, match="cannot reshape array of size 0"):
+        read_grid(tmp_path / "vast.npy")
+    bomb = npz(tmp_path, a=np.zeros((40 * int(limits.GRID_VALUES.high)), np.uint8))
+    assert len(bomb) < 1 << 20
+    with pytest.raises(ConfigError, match="are the most that are read"):
+        read(tmp_path, "bomb.npz", bomb)

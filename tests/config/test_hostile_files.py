@@ -1,0 +1,361 @@
+"""Files that somebody made to do harm: pipes, devices, bombs, planted links. One error, at once, in little memory."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import socket
+import stat
+import struct
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+
+from softfinger.config import files
+from softfinger.config.arrays import grids
+from softfinger.config.arrays.grids import read_grid
+from softfinger.config.errors import ConfigError, DeviceError, HapticError, RecordingError
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers import poses
+from softfinger.drivers.falcon import firmware
+from softfinger.drivers.poses import load_poses
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server.offline import results
+from softfinger.server.offline.results import McapResults, read_results, write_results
+from softfinger.server.recording.compare import FIELDS
+from softfinger.server.recording.run import load_run
+from softfinger.server.recording.summary import summary
+from softfinger.server.wire.endpoint import check_endpoint
+from softfinger.server.wire.publisher import Publisher
+from softfinger.tools.doctor import report
+from softfinger.tools.sweep_results import open_rows
+
+STRANGER = 54321
+HANGS_S = 60
+"""Longer than any of these takes on a busy machine; what waits for a pipe waits for ever."""
+GROWTH_MAX_MB = 400
+"""The largest limit in drivers/containers.py and drivers/poses.py is 160 MB, an array may be there twice, and
+zstd keeps a window of up to 128 MB. Each bomb is above."""
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting() -> Iterator[None]:
+    """What hangs fails."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError("it hangs")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(HANGS_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def open_sweep(path: Path) -> None:
+    with open_rows(path):
+        pass
+
+
+INPUTS: dict[str, tuple[Callable[[Path], object], str, type[HapticError]]] = {
+    "scene": (load_scene, ".toml", ConfigError),
+    "rig": (load_rig, ".toml", ConfigError),
+    **{f"poses{end}": (load_poses, end, RecordingError) for end in poses.ENDINGS},
+    **{f"results{end}": (read_results, end, RecordingError) for end in results.ENDINGS},
+    "recording": (summary, ".mcap", RecordingError),
+    "run": (lambda path: load_run(path, FIELDS), ".mcap", RecordingError),
+    **{f"grid{end}": (read_grid, end, ConfigError) for end in grids.READERS},
+    "sweep": (open_sweep, ".mcap", RecordingError),
+    "firmware": (lambda path: firmware._file(str(path)), ".bin", DeviceError),
+}
+"""Everything that reads a file that a user names: how, its ending, its error."""
+
+
+def make_pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def make_endless(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def make_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(path))
+
+
+@pytest.mark.parametrize("make", [make_pipe, make_endless, make_socket, Path.mkdir])
+@pytest.mark.parametrize("kind", INPUTS)
+def test_only_regular_files_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, make: Callable[[Path], object]
+) -> None:
+    """A pipe, a device without end, a socket and a folder are each one error that names the file."""
+    monkeypatch.chdir(tmp_path)  # a socket's path has to be short
+    read, ending, error = INPUTS[kind]
+    path = Path(f"odd{ending}")
+    make(path)
+    with pytest.raises(error, match=f"odd{ending}"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    "words", [["check", "odd.toml"], ["run", "--scene", "odd.toml"], ["run", "--recording", "odd.csv"]]
+)
+def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -> None:
+    """From the command line: one line on stderr, and not a traceback."""
+    os.mkfifo(tmp_path / words[-1])
+    rig = tmp_path / "rig.toml"
+    rig.write_text(f'[device]\ndriver = "replay"\nrecording = "tap"\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n')
+    extra = ["--rig", str(rig), "--realtime", "off"] if words[0] == "run" else []
+    done = subprocess.run(
+        [sys.executable, "-m", "softfinger.server.cli", *words, *extra],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode in (2, 3), done.stderr
+    assert "only a regular file can be read" in done.stderr and "Traceback" not in done.stderr
+
+
+# --- bombs -----------------------------------------------------------------------------------------
+
+LARGE = 1 << 30
+
+
+def mcap_of(compression: str, data: bytes, size: int) -> bytes:
+    """An MCAP file of one chunk that says to have `size` bytes unpacked."""
+
+    def text(value: str) -> bytes:
+        return struct.pack("<I", len(value)) + value.encode()
+
+    header = text("") + text("")
+    chunk = struct.pack("<QQQI", 0, 0, size, 0) + text(compression) + struct.pack("<Q", len(data)) + data
+    return b"\x89MCAP0\r\n" + b"".join(
+        struct.pack("<BQ", kind, len(body)) + body for kind, body in ((1, header), (6, chunk))
+    )
+
+
+def zstd_zeros(known: bool) -> bytes:
+    made = zstandard.ZstdCompressor().compressobj(size=LARGE if known else -1)
+    return b"".join(made.compress(bytes(1 << 20)) for _ in range(LARGE >> 20)) + made.flush()
+
+
+def lz4_zeros(known: bool) -> bytes:
+    made = lz4.frame.LZ4FrameCompressor()
+    begun = made.begin(source_size=LARGE if known else 0)
+    return begun + b"".join(made.compress(bytes(1 << 20)) for _ in range(LARGE >> 20)) + made.flush()
+
+
+def npz_of_zeros(path: Path) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("timestamp", "probe.position", "probe.orientation", "records"):
+            with archive.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array_header_1_0(
+                    member, {"descr": "<f8", "fortran_order": False, "shape": (LARGE // 8,)}
+                )
+                if name == "timestamp":
+                    for _ in range(LARGE >> 20):
+                        member.write(bytes(1 << 20))
+
+
+def npz_of_claims(path: Path) -> None:
+    """A small file whose header says to be followed by more than there is memory."""
+    with zipfile.ZipFile(path, "w") as archive, archive.open("timestamp.npy", "w") as member:
+        np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (1 << 45,)})
+
+
+def npz_of_names(path: Path) -> None:
+    """A list of arrays that is larger than any array, to be read before the first one."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for number in range(40_000):
+            archive.writestr(f"{number}.npy", b"")
+
+
+def csv_without_lines(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(4 * LARGE)
+
+
+BOMBS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "zstd": (".mcap", lambda path: path.write_bytes(mcap_of("zstd", zstd_zeros(True), LARGE))),
+    "zstd that lies": (".mcap", lambda path: path.write_bytes(mcap_of("zstd", zstd_zeros(True), 1000))),
+    "zstd of unknown size": (".mcap", lambda path: path.write_bytes(mcap_of("zstd", zstd_zeros(False), LARGE))),
+    "lz4": (".mcap", lambda path: path.write_bytes(mcap_of("lz4", lz4_zeros(True), LARGE))),
+    "lz4 that lies": (".mcap", lambda path: path.write_bytes(mcap_of("lz4", lz4_zeros(False), 1000))),
+    "npz": (".npz", npz_of_zeros),
+    "npz header": (".npz", npz_of_claims),
+    "npz directory": (".npz", npz_of_names),
+    "csv line": (".csv", csv_without_lines),
+}
+
+GROWTH = """
+import resource, sys
+from pathlib import Path
+from softfinger.config.errors import HapticError
+from softfinger.drivers.poses import load_poses
+from softfinger.server.offline.results import read_results
+def peak():
+    return int(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]) // 1024
+before = peak()
+for read in (load_poses, read_results):
+    try:
+        read(Path(sys.argv[1]))
+        sys.exit("it was read")
+    except HapticError as error:
+        print(peak() - before, error)
+"""
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_bomb_is_refused_in_little_memory(tmp_path: Path, name: str) -> None:
+    """A gigabyte in a small file is refused, as poses and as results, before it is unpacked."""
+    ending, make = BOMBS[name]
+    path = tmp_path / f"bomb{ending}"
+    make(path)
+    done = subprocess.run(
+        [sys.executable, "-c", GROWTH, str(path)], capture_output=True, text=True, timeout=HANGS_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == 2
+    for line in lines:
+        grown, _, error = line.partition(" ")
+        assert int(grown) < GROWTH_MAX_MB, line
+        assert f"bomb{ending}" in error
+
+
+def some_records(count: int) -> np.ndarray:
+    records = np.zeros((count, RECORD_SIZE))
+    records[:, 0] = np.arange(count)
+    return records
+
+
+@pytest.mark.parametrize("ending", poses.ENDINGS)
+def test_more_rows_than_the_limit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
+    """Each format has the same limit, to the row, and says it."""
+    path = tmp_path / f"long{ending}"
+    write_results(path, some_records(5))
+    monkeypatch.setattr(poses, "POSES_MAX", 4)
+    monkeypatch.setattr(results, "RESULTS_MAX", 4)
+    for read in (load_poses, read_results):
+        with pytest.raises(RecordingError, match=f"long{ending}: more than 4 "):
+            read(path)
+    monkeypatch.setattr(results, "RESULTS_MAX", 5)
+    assert len(read_results(path)) == 5
+
+
+def test_an_archive_of_any_other_compression_is_refused(tmp_path: Path) -> None:
+    """Some of them take as much memory as the file says, which numpy never writes."""
+    path = tmp_path / "o.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("timestamp.npy", bytes(100))
+    with pytest.raises(RecordingError, match="numpy does not write"):
+        load_poses(path)
+
+
+# --- planted links ---------------------------------------------------------------------------------
+
+
+def write_sweep(path: Path) -> None:
+    with open_rows(path) as rows:
+        rows.append([("k", 1, 2)])
+
+
+def stream(path: Path) -> None:
+    with McapResults(path) as recording:
+        recording.append(some_records(1))
+
+
+OUTPUTS: dict[str, Callable[[Path], object]] = {
+    "o.csv": lambda path: write_results(path, some_records(2)),
+    "o.npz": lambda path: write_results(path, some_records(2)),
+    "o.mcap": lambda path: write_results(path, some_records(2)),
+    "live.mcap": stream,
+    "sweep.mcap": write_sweep,
+    "report.json": lambda path: report.write(path, {"a": 1}),
+}
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
+def test_no_planted_name_is_written_through(tmp_path: Path, name: str) -> None:
+    """Links under every name that can be foreseen are left alone, and so is what they lead to."""
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    for planted in (f".{name}.part", f"{name}.part", f"{name}.lock", f"{name}.tmp"):
+        (tmp_path / planted).symlink_to(victim)
+    OUTPUTS[name](tmp_path / name)
+    assert (tmp_path / name).stat().st_size > 0
+    assert victim.read_text() == "precious"
+    assert len(list(tmp_path.iterdir())) == 6
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="makes links of another user")
+@pytest.mark.parametrize("name", OUTPUTS)
+def test_a_link_of_another_user_is_not_written_through(tmp_path: Path, name: str) -> None:
+    """In a folder for all, such as /tmp, a link of a stranger under the very name asked for is refused."""
+    shared, victim = tmp_path / "shared", tmp_path / "victim"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    victim.write_text("precious")
+    (shared / name).symlink_to(victim)
+    os.lchown(shared / name, STRANGER, STRANGER)
+    with pytest.raises(HapticError, match=name):
+        OUTPUTS[name](shared / name)
+    assert victim.read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    """Under a pipe's name a whole file takes its place; what is written as one goes is refused. Nothing waits."""
+    os.mkfifo(tmp_path / name)
+    if name in ("live.mcap", "sweep.mcap"):
+        with pytest.raises(RecordingError, match=name):
+            OUTPUTS[name](tmp_path / name)
+    else:
+        OUTPUTS[name](tmp_path / name)
+        assert stat.S_ISREG((tmp_path / name).stat().st_mode)
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+    """A disk that fills up while a file is written costs neither what was there before nor a name beside it."""
+    path = tmp_path / "o.csv"
+    path.write_text("before")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        with pytest.raises(RecordingError, match=r"o\.csv: cannot be written: File too large"):
+            write_results(path, some_records(100))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_lock_file_is_not_made_through_a_link(tmp_path: Path) -> None:
+    """Telemetry on a path locks PATH.lock: a link there is refused and what it leads to is not made."""
+    (tmp_path / "t.lock").symlink_to(tmp_path / "victim")
+    with pytest.raises(ConfigError, match=r"t\.lock"):
+        Publisher(f"ipc://{tmp_path}/t").close()
+    assert not (tmp_path / "victim").exists()
+
+
+def test_an_address_without_a_file_is_refused() -> None:
+    """A socket without a file has no owner and no mode, so anybody on this machine could connect."""
+    with pytest.raises(ConfigError, match="has no file, whose mode would say who may connect"):
+        check_endpoint("ipc://@softfinger", "endpoint")
+
+
+def test_a_file_that_grows_while_it_is_read_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The size is looked at, and counted too: a file under /proc has the size 0, whatever is in it."""
+    path = tmp_path / "file"
+    path.write_bytes(bytes(100))
+    assert files.read_input(path, 100) == bytes(100)
+    with pytest.raises(OSError, match="has 100 bytes, 99 are the most"):
+        files.read_input(path, 99)
+    with pytest.raises(OSError, match="has more than 99 bytes"):
+        files.read_input("/proc/self/environ", 99) if len(Path("/proc/self/environ").read_bytes()) > 99 else None

@@ -1,0 +1,383 @@
+"""`devices` on tables of plain files, and on an emulated device: what is attached, whose it is, what is in the way."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from emulators.boards import BOARDS
+from test_hid_emulated import WHY_NOT, beside
+
+from softfinger.config.errors import DeviceNotFound
+from softfinger.config.schema import DeviceConfig
+from softfinger.drivers import registry
+from softfinger.drivers.forcedimension import library
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.claims import Claim, claim_on
+from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, how_to_permit, needs
+from softfinger.drivers.system.discovery import Attached
+from softfinger.server.verbs import devices
+
+COMMAND = (sys.executable, "-m", "softfinger.server.cli", "devices")
+
+
+@pytest.fixture
+def root() -> Iterator[Path]:
+    """Tables of a system without any device, in a folder that every user may enter."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        Path(folder).chmod(0o755)
+        (Path(folder) / discovery.USB).mkdir(parents=True)
+        (Path(folder) / discovery.HIDRAW).mkdir(parents=True)
+        yield Path(folder)
+
+
+def write(folder: Path, **files: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text + "\n")
+
+
+def plug_usb(root: Path, name: str, vendor: str, number: str, /, **files: str) -> str:
+    """A USB device as the kernel lists it; its name in the table."""
+    write(root / discovery.USB / name, idVendor=vendor, idProduct=number, busnum="1", devnum="7", **files)
+    write(root / discovery.USB / f"{name}:1.0", bInterfaceNumber="00")
+    return str(discovery.USB / name)
+
+
+def plug_hid(root: Path, number: int, ids: str, name: str = "Puck") -> str:
+    """A hidraw node as the kernel lists it; its name in the table."""
+    write(root / discovery.HIDRAW / f"hidraw{number}" / "device", uevent=f"HID_ID={ids}\nHID_NAME={name}\nHID_UNIQ=SN7")
+    return str(discovery.HIDRAW / f"hidraw{number}")
+
+
+def plug_serial(root: Path, name: str, vendor: str, number: str, serial: str = "", product: str = "Teensy") -> str:
+    """A serial port on USB as the kernel lists it; its name in the table. One of a converter (ttyUSB) has a folder of
+    its own in that of its interface."""
+    device = root / "sys/devices/usb1" / f"1-{name}"
+    port = device / "1-1:1.0" / (name if name.startswith("ttyUSB") else "")
+    port.mkdir(parents=True)
+    write(device, idVendor=vendor, idProduct=number, serial=serial, product=product)
+    entry = root / discovery.TTY / name
+    entry.mkdir(parents=True)
+    (entry / "device").symlink_to(port)
+    return str(discovery.TTY / name)
+
+
+def at(node: Path | str, vendor: int = 0x046D, product: int = 0xC626, bus: discovery.Bus = "hid") -> Attached:
+    return Attached(bus, vendor, product, "thing", "", str(node))
+
+
+def test_tables_are_read(root: Path) -> None:
+    """Devices and nodes are listed with ids, name, serial number and node; hubs, interfaces and doubles are not."""
+    plug_usb(root, "usb1", "1d6b", "0002", bDeviceClass="09")
+    plug_usb(root, "1-1", "2109", "2813", bDeviceClass="09")
+    plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00", product="omega.x haptic device", serial="0042")
+    plug_usb(root, "1-2", "046d", "c626", bDeviceClass="00")
+    plug_usb(root, "1-3", "nonsense", "c626")
+    plug_hid(root, 10, "0003:0000046D:0000C626")
+    plug_hid(root, 2, "0003:000016C0:00000486", "Arm = left")
+    plug_hid(root, 3, "damaged")
+    plug_usb(root, "1-4", "16c0", "0483", bDeviceClass="02")
+    plug_serial(root, "ttyACM0", "16c0", "0483", "SN42")
+    plug_serial(root, "ttyUSB0", "0403", "6001")
+    for name in ("ttyS0", "tty", "ptmx", "ttyACM7"):  # of the machine itself; pulled out while the table was read
+        (root / discovery.TTY / name).mkdir()
+    assert discovery.attached(root) == [
+        Attached("hid", 0x16C0, 0x0486, "Arm = left", "SN7", "/dev/hidraw2"),
+        Attached("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw10"),
+        Attached("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0"),
+        Attached("serial", 0x0403, 0x6001, "Teensy", "", "/dev/ttyUSB0"),
+        Attached("usb", 0x1451, 0x0402, "omega.x haptic device", "0042", "/dev/bus/usb/001/007"),
+    ]
+
+
+def test_a_system_without_tables_has_no_devices(tmp_path: Path) -> None:
+    """Neither folder is there: nothing is attached, nothing is raised."""
+    assert discovery.names(tmp_path) == frozenset()
+    assert list(discovery.hidraw_nodes(tmp_path)) == []
+    assert not discovery.has_usb(tmp_path)
+
+
+def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
+    """A user who may not look into the tables, or into the folder of a driver's file, gets answers and no traceback."""
+    plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00")
+    hidden = root / "hidden"
+    hidden.mkdir()
+    (hidden / "libdrd.so").touch()
+    for folder in (root / "sys", hidden):
+        folder.chmod(0)
+    list(discovery.usb_devices(hidden))  # imports pyusb, which the other user might not be able to
+    privileged = os.geteuid() == 0
+    if privileged:
+        os.seteuid(65534)  # nobody: root may read everything
+    try:
+        assert not discovery.has_usb(root)
+        assert discovery.names(root) == frozenset()
+        assert discovery.attached(root) == list(discovery.usb_devices(root))  # what libusb sees, if anything
+        with pytest.raises(DeviceNotFound, match="there is no such file"):
+            library.load(str(hidden / "libdrd.so"))
+        options = {"firmware": str(hidden / "libdrd.so")}
+        assert needs(Claim("falcon", "usb", 0x0403, 0xCB48), options).state == "firmware"
+    finally:
+        if privileged:
+            os.seteuid(0)
+        for folder in (root / "sys", hidden):
+            folder.chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    ("vendor", "product", "driver", "rig"),
+    [
+        (0x1451, 0x0402, "forcedimension", "omega-6"),
+        (0x1451, 0xFFFF, "forcedimension", "omega-6"),
+        (0x16C0, 0x0486, "hid", "woodenhaptics-2019"),
+        (0x1234, 0x0006, "hid", "woodenhaptics-2015"),
+        (0x16C0, 0x0483, "serial", "woodenhaptics-v3"),
+        (0x256F, 0xC63A, "spacemouse", "spacemouse"),
+    ],
+)
+def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str, rig: str) -> None:
+    """Each device of the published tables has its driver, and a shipped rig that runs it."""
+    claim = claim_on(at("", vendor, product))
+    assert claim is not None
+    assert claim.driver == driver
+    assert rig in claim.rigs
+
+
+def test_no_driver_claims_a_keyboard() -> None:
+    """A device of nobody's is said to be that, with a way to describe it."""
+    keyboard = at("/dev/null", 0x1234, 0x5678)
+    assert claim_on(keyboard) is None
+    assert diagnose(keyboard, None).state == "unclaimed"
+    assert "docs/devices/hid.md" in diagnose(keyboard, None).remedy
+
+
+def test_a_node_that_may_be_opened_is_usable(root: Path) -> None:
+    """Nothing in the way of a puck: no reason and no remedy."""
+    node = root / "hidraw0"
+    node.write_bytes(b"")
+    assert diagnose(at(node), claim_on(at(node))) == Diagnosis("usable")
+
+
+def test_a_node_that_is_not_there(root: Path) -> None:
+    """A device whose node is missing, and a puck without any, are told apart and mended."""
+    gone = at(root / "hidraw5")
+    assert diagnose(gone, claim_on(gone)).state == "node"
+    assert "--device" in diagnose(gone, claim_on(gone)).remedy
+    bare = at("/dev/bus/usb/001/002", bus="usb")
+    assert diagnose(bare, claim_on(bare)).state == "node"
+    assert "usbhid" in diagnose(bare, claim_on(bare)).remedy
+    bare = at("/dev/bus/usb/001/002", 0x16C0, 0x0483, bus="usb")
+    assert "no serial port" in diagnose(bare, claim_on(bare)).reason
+    assert "cdc_acm" in diagnose(bare, claim_on(bare)).remedy
+
+
+def test_a_teensy_is_not_known_by_its_ids(root: Path) -> None:
+    """A serial port that any Teensy may have is asked to be named; once a rig names it, it is usable. One of Haply's is
+    nobody's."""
+    node = root / "ttyACM0"
+    node.write_bytes(b"")
+    board = at(node, 0x16C0, 0x0483, bus="serial")
+    found = diagnose(board, claim_on(board))
+    assert found.state == "product"
+    assert "its product is 'thing', and 16c0:0483 is any Teensy" in found.reason
+    assert f'path = "{node}"' in found.remedy
+    rig = DeviceConfig(driver="serial", options={"path": str(node)})
+    assert diagnose(board, claim_on(board), rig).state == "usable"
+    haply = board._replace(name="Haply inverse3")
+    assert claim_on(haply) is None
+    assert diagnose(haply, None).reason == "it is a Haply Inverse3, which no driver knows"
+
+
+def test_boards_with_the_same_ids_are_told_apart_by_their_reports() -> None:
+    """Of the nodes of a Teensy the debug channel is no driver's; an LPC1768 is for the rigs of its firmware, and for
+    all with its ids where the system does not tell its descriptor."""
+    teensy, *_ = BOARDS.values()
+    raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=one.descriptor) for one in teensy.interfaces)
+    claim = claim_on(raw)
+    assert claim is not None and "woodenhaptics-2019" in claim.rigs
+    assert claim_on(debug) is None
+    assert "another channel of a board" in diagnose(debug, None).reason
+    rigs = {}
+    for board in ("lpc1768-8", "lpc1768-14"):
+        (one,) = BOARDS[board].interfaces
+        claim = claim_on(at("", 0x1234, 0x0006)._replace(descriptor=one.descriptor))
+        assert claim is not None
+        rigs[board] = set(claim.rigs)
+    assert "woodenhaptics-2015" in rigs["lpc1768-8"]
+    assert "woodenhaptics-polhem-v1-lpc1768" in rigs["lpc1768-14"]
+    assert not rigs["lpc1768-8"] & rigs["lpc1768-14"]
+    unknown = claim_on(at("", 0x1234, 0x0006))
+    assert unknown is not None
+    assert set(unknown.rigs) == rigs["lpc1768-8"] | rigs["lpc1768-14"]
+
+
+def test_an_arm_without_a_hidraw_node(root: Path) -> None:
+    """Threads carry its reports if its node on the bus may be opened; else it is that node which is to be mended."""
+    node = root / "002"
+    arm = at(node, 0x16C0, 0x0486, bus="usb")
+    assert diagnose(arm, claim_on(arm)).state == "node"
+    assert f"docker run --device {node}" in diagnose(arm, claim_on(arm)).remedy
+    node.write_bytes(b"")
+    found = diagnose(arm, claim_on(arm))
+    assert found.state == "usable"
+    assert "no hidraw node" in found.reason
+    rule = 'SUBSYSTEM=="usb", ATTR{idVendor}=="16c0", ATTR{idProduct}=="0486", TAG+="uaccess"'
+    assert rule in how_to_permit(at("", 0x16C0, 0x0486, bus="usb"), claim_on(arm))
+    with node.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert diagnose(arm, claim_on(arm)).state == "busy"
+
+
+@pytest.mark.parametrize(
+    ("mode", "group", "vendor", "product", "bus", "remedy"),
+    [
+        (0o600, 0, 0x046D, 0xC626, "hid", 'ATTRS{idVendor}=="046d", ATTRS{idProduct}=="c626", TAG+="uaccess"'),
+        (0o600, 20, 0x046D, 0xC626, "hid", "udevadm control --reload"),
+        (0o660, 20, 0x046D, 0xC626, "hid", "usermod -aG dialout"),
+        (0o640, 20, 0x1451, 0xC626, "usb", 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1451"'),
+        (0o660, 20, 0x16C0, 0x0483, "serial", "usermod -aG dialout"),
+        (0o600, 0, 0x16C0, 0x0483, "serial", 'SUBSYSTEM=="tty", ATTRS{idVendor}=="16c0", ATTRS{idProduct}=="0483"'),
+    ],
+)
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user's group, which only root may do")
+def test_permission_is_diagnosed(
+    root: Path, mode: int, group: int, vendor: int, product: int, bus: discovery.Bus, remedy: str
+) -> None:
+    """A node that this user may not write to: the udev rule that lets him, or the group that has the right."""
+    node = root / "node"
+    node.write_bytes(b"")
+    node.chmod(mode)
+    os.chown(node, 0, group)
+    device = at(node, vendor, product, bus)
+    registry.load("forcedimension")  # whose rule is asked for; another user has no cache to compile it into
+    os.seteuid(65534)
+    try:
+        found = diagnose(device, claim_on(device))
+    finally:
+        os.seteuid(0)
+    assert found.state == "permission"
+    assert str(node) in found.reason
+    assert remedy in found.remedy
+
+
+def test_a_holder_is_named(root: Path) -> None:
+    """A node that another process has open, and one that a process has locked, are busy, by whom."""
+    node = root / "hidraw0"
+    node.write_bytes(b"")
+    code = "import sys; kept = open(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(node)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None and other.stdin is not None
+        assert other.stdout.readline() == "open\n"
+        found = diagnose(at(node), claim_on(at(node)))
+        assert found.state == "busy"
+        assert f"process {other.pid} (python" in found.reason
+        assert found.remedy == f"kill {other.pid}"
+        other.stdin.close()
+        other.wait(10)
+    assert discovery.holder(str(node)) is None
+    with node.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        holder = discovery.holder(str(node))
+        assert holder is not None
+        assert holder.pid == os.getpid()
+
+
+def test_a_missing_library_is_told(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Force Dimension device that may be opened still needs the maker's library; where it was looked for is said."""
+    for name in ("FDSDK", "FORCEDIM_SDK"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(root))
+    node = root / "node"
+    node.write_bytes(b"")
+    omega = at(node, 0x1451, 0x0402, bus="usb")
+    found = diagnose(omega, claim_on(omega))
+    assert found.state == "library"
+    assert "libdrd is not on this machine" in found.reason
+    assert "export FDSDK=" in found.remedy
+
+
+def test_a_library_that_the_rig_names_counts(root: Path) -> None:
+    """The rig's own library file is what is looked for; another driver's rig has no say."""
+    node = root / "node"
+    node.write_bytes(b"")
+    omega = at(node, 0x1451, 0x0402, bus="usb")
+    named = DeviceConfig(driver="forcedimension", options={"library_file": str(root / "libdrd.so.9")})
+    assert "libdrd.so.9': there is no such file" in diagnose(omega, claim_on(omega), named).reason
+    other = DeviceConfig(driver="hid", options={"library_file": str(root / "libdrd.so.9")})
+    assert "libdrd.so.9" not in diagnose(omega, claim_on(omega), other).reason
+
+
+def test_a_falcon_needs_its_firmware(root: Path) -> None:
+    """A Falcon is ready once a rig names a firmware file that is there."""
+    claim = Claim("falcon", "usb", 0x0403, 0xCB48)
+    file = root / "firmware.bin"
+    assert "no rig named one" in needs(claim, {}).reason
+    found = needs(claim, {"firmware": str(file)})
+    assert found.state == "firmware"
+    assert "firmware.bin' is no file" in found.reason
+    file.write_bytes(b"\0")
+    assert needs(claim, {"firmware": str(file)}).state == "usable"
+
+
+def test_a_driver_that_is_not_installed_is_told(root: Path) -> None:
+    """A claimed device whose driver this installation does not have is told so first."""
+    found = diagnose(at(root), Claim("no-such-driver", "hid", 0x046D, 0xC626))
+    assert found.state == "driver"
+    assert "'no-such-driver' is not in this installation" in found.reason
+
+
+def test_a_falcon_is_claimed(root: Path) -> None:
+    """A Falcon that may be opened is its driver's, and not ready before its firmware is named."""
+    node = root / "node"
+    node.write_bytes(b"")
+    falcon = at(node, 0x0403, 0xCB48, bus="usb")
+    found = diagnose(falcon, claim_on(falcon))
+    assert found.state == ("firmware" if "falcon" in registry.names() else "driver")
+
+
+def test_a_machine_without_devices_says_so() -> None:
+    """Nothing attached: one line that says so and what runs without hardware; JSON is an empty list."""
+    text = devices.lines([])
+    assert len(text) == 1
+    assert text[0].startswith("no USB or HID device is attached")
+    assert "--rig simulated" in text[0]
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
+def test_an_emulated_device_is_listed() -> None:
+    """The verb itself beside an emulated arm: node, name, serial number, driver and rigs, usable."""
+    done, saw = beside({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
+    assert done.returncode == 0, done.stderr
+    (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+    assert device["node"] == "/dev/hidraw0"
+    assert (device["name"], device["serial"]) == ("Emulated arm", "SN42")
+    assert (device["vendor_id"], device["product_id"]) == ("16c0", "0486")
+    assert (device["driver"], device["state"]) == ("hid", "usable")
+    assert "woodenhaptics-2019" in device["rigs"]
+    assert saw["reports"] == 0, "a look sends nothing to the device"
+    done, _ = beside({"arm": "woody-2019", "generation": 2}, *COMMAND)
+    assert (
+        "/dev/hidraw0  16c0:0486  Emulated arm\n    driver hid: softfinger run --rig woodenhaptics-2019" in done.stdout
+    )
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
+def test_an_emulated_device_without_hidraw_is_listed() -> None:
+    """An arm on the USB bus alone: its node there, usable, and why through threads."""
+    done, saw = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
+    assert done.returncode == 0, done.stderr
+    (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+    assert (device["bus"], device["node"], device["serial"]) == ("usb", "/dev/bus/usb/001/002", "SN42")
+    assert (device["driver"], device["state"]) == ("hid", "usable")
+    assert "threads carry its reports" in device["reason"]
+    assert saw["reports"] == 0, "a look sends nothing to the device"

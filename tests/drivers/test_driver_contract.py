@@ -1,0 +1,152 @@
+"""Every driver that needs no hardware and no stand-in for it, held to the contract; finding drivers by name; and a
+driver of another package, installed and run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+from helpers.driver_contract import FAULTS, RATE_HZ, REFUSALS, Bench, DriverContract
+
+from softfinger.config.errors import DeviceError, DeviceNotFound, HapticError, RecordingError
+from softfinger.drivers import registry
+from softfinger.drivers.base import Device
+
+OUTSIDE = Path(__file__).parents[1] / "outside_driver"
+
+
+class Recorded(Bench):
+    """A driver over a recording: only the recording can be missing."""
+
+    cannot: ClassVar[Mapping[str, str]] = {
+        "busy": "a recording is read, so any number of processes may have it",
+        "permission": "a recording that cannot be read is one that is not there",
+        "lost": "nothing is attached that could go",
+        "timeout": "the samples are in memory",
+    }
+    refusals: ClassVar[Mapping[str, type[HapticError]]] = {**REFUSALS, "not_found": RecordingError}
+
+    def __init__(self, name: str) -> None:
+        self.driver = registry.load(name)
+        self.recording = "tap"
+        self.device: Any = None
+
+    def open(self) -> Device:
+        self.device = self.driver.open_device(self.driver.Options(recording=self.recording), RATE_HZ)
+        return self.device
+
+    def displayed(self) -> tuple[float, ...]:
+        return tuple(self.device.written().wrench[-1].tolist())
+
+    def make(self, case: str) -> None:
+        self.recording = "no-such-recording"
+
+    def mend(self) -> None:
+        self.recording = "tap"
+
+
+class Computed(Bench):
+    """The driver of the example package: there is nothing to fail."""
+
+    cannot: ClassVar[Mapping[str, str]] = dict.fromkeys([*REFUSALS, *FAULTS], "it is computed from its options")
+
+    def __init__(self) -> None:
+        self.driver = registry.load("lissajous")
+        self.device: Any = None
+
+    def open(self) -> Device:
+        self.device = self.driver.open_device(self.driver.Options(), RATE_HZ)
+        return self.device
+
+    def displayed(self) -> tuple[float, ...]:
+        return self.device.felt
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder into which pip has put the example package, built from its sources."""
+    target = tmp_path_factory.mktemp("site")
+    options = "--quiet --no-index --no-deps --no-build-isolation --disable-pip-version-check --target"
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", *options.split(), str(target), str(OUTSIDE)],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    return target
+
+
+@pytest.fixture(params=["replay", "simulated", "outside"])
+def bench(request: pytest.FixtureRequest) -> Bench:
+    if request.param != "outside":
+        return Recorded(request.param)
+    request.getfixturevalue("monkeypatch").syspath_prepend(str(request.getfixturevalue("installed")))
+    return Computed()
+
+
+class TestContract(DriverContract):
+    """The contract over each of them."""
+
+
+def test_built_in_drivers_load() -> None:
+    """Every built-in name leads to a module with Options and open_device."""
+    assert {"replay", "simulated", "forcedimension"} <= set(registry.names())
+    for name in registry.BUILT_IN:
+        driver = registry.load(name)
+        assert hasattr(driver, "Options")
+        assert hasattr(driver, "open_device")
+
+
+def test_unknown_driver_is_named_with_a_suggestion() -> None:
+    """A misspelt driver is refused with the names that exist and the nearest one."""
+    with pytest.raises(DeviceNotFound, match=r"'repley'.*did you mean 'replay'.*replay"):
+        registry.load("repley")
+
+
+def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """An entry point that is no driver, or that cannot be imported, is listed, and refused when it is asked for."""
+    info = tmp_path / "outside-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: outside\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        f"[{registry.ENTRY_POINT_GROUP}]\nplain = json\nbroken = no_such_module_here\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert metadata.distribution("outside").version == "1.0"
+    assert {"replay", "plain", "broken"} <= set(registry.names())
+    with pytest.raises(DeviceError, match=r"'plain' \(json\).*Options, open_device"):
+        registry.load("plain")
+    with pytest.raises(DeviceError, match="no_such_module_here"):
+        registry.load("broken")
+
+
+def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path: Path) -> None:
+    """With the package installed, its rig passes `check` and the daemon runs on it; a wrong option is refused by name;
+    without the package the same rig is not usable."""
+    rig = str(OUTSIDE / "lissajous.toml")
+
+    def softfinger(*words: str, path: str = "") -> subprocess.CompletedProcess[str]:
+        folders = [path, *filter(None, [os.environ.get("PYTHONPATH")])]
+        return subprocess.run(
+            [sys.executable, "-m", "softfinger.server.cli", *words],
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
+            capture_output=True, text=True, timeout=300,
+        )  # fmt: skip
+
+    assert "rig, usable" in softfinger("check", rig, path=str(installed)).stdout
+    run = ["run", "--rig", rig, "--endpoint", f"ipc://{tmp_path}/t", "--duration", "0.2", "--realtime", "off"]
+    done = softfinger(*run, path=str(installed))
+    assert done.returncode == 0, done.stderr
+    assert "device lissajous" in done.stderr and "stopped after 200 ticks" in done.stderr
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text('[device]\ndriver = "lissajous"\nhz = [0.5, 0.75, 1e9]\n')
+    assert (
+        "hz[2] = 1000000000.0: must be a number from 0 to 100"
+        in softfinger("check", str(wrong), path=str(installed)).stderr
+    )
+    absent = softfinger("check", rig)
+    assert absent.returncode != 0 and "no driver is called 'lissajous'" in absent.stderr

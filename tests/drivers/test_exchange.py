@@ -1,0 +1,300 @@
+"""The exchange of `bench device` and of device reports: what reaches the device, what is recorded, how it ends."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from helpers.compiled_code import called_in, functions
+from helpers.faulty_device import Fault, FaultyDevice, Options
+
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
+from softfinger.config.load import load_rig
+from softfinger.drivers.base import SAMPLE_SIZE, SAMPLE_TIME, STALE, WITHHELD
+from softfinger.drivers.replay import device as replay
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.server.cli import main
+from softfinger.server.loop.guard import Guard
+from softfinger.tools.exchange import (
+    BURST_NS,
+    BURST_ROWS,
+    EMPTY_READ,
+    EMPTY_WRITE,
+    FORCE,
+    READ,
+    READ_STATUS,
+    ROW_SIZE,
+    SAMPLE,
+    START,
+    WRITE,
+    WRITE_STATUS,
+    Exchange,
+    Push,
+    compile_exchange,
+    disarmed,
+    exchange_loop,
+)
+from softfinger.tools.exchange_figures import HISTOGRAM_S, burst_figures, figures, histogram
+
+RIG = load_rig("replay", {"servo.realtime": "off"})
+RATE_HZ = RIG.servo.rate_hz
+ARMED = Guard(5.0, 0.3, 2000.0, 50.0, 0.01, 1.0)
+
+
+def recording(**options: object) -> replay.Replay:
+    return replay.open_device(replay.Options(recording="tap", **options), RATE_HZ)  # type: ignore[arg-type]
+
+
+def test_no_force_reaches_a_device_that_is_only_measured() -> None:
+    """With a disarmed guard every wrench written is zero, though a push is asked for; each tick has its row."""
+    with recording() as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
+        rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
+    assert rows.shape == (300, ROW_SIZE)
+    written = device.written().wrench
+    assert len(written) > 300
+    assert not written.any()
+    assert not rows[:, FORCE : FORCE + 3].any()
+
+
+def test_rows_hold_every_sample_in_turn() -> None:
+    """Poses are the recording's, one a row, device time goes on by a period, all times are positive and in order."""
+    with recording() as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
+        rows = exchange.record(0.2)
+        first = round(rows[0, SAMPLE + SAMPLE_TIME] * RATE_HZ)
+        want = device.samples[(first + np.arange(200)) % len(device.samples)]
+    np.testing.assert_array_equal(rows[:, SAMPLE : SAMPLE + 7], want)
+    steps = np.diff(rows[:, SAMPLE + SAMPLE_TIME])
+    np.testing.assert_allclose(steps, 1.0 / RATE_HZ, rtol=1e-9)  # differences of times below 10 s: rounding
+    assert (rows[:, [READ, WRITE, EMPTY_READ, EMPTY_WRITE]] > 0.0).all()
+    # no tick begins before the one before it has ended
+    whole = rows[:, [READ, WRITE, EMPTY_READ, EMPTY_WRITE]].sum(axis=1)
+    assert (np.diff(rows[:, START]) > whole[:-1]).all()
+
+
+def test_a_push_is_a_faded_sine_along_its_axis() -> None:
+    """What is written is the closed form, faded in by the guard too, along one axis alone, and zero after it."""
+    newton, seconds, hertz = 2.0, 0.5, 6.0
+    with recording() as device, Exchange(device, RIG, ARMED) as exchange:
+        rows = exchange.record(seconds, Push((0.0, newton, 0.0), hertz, seconds))
+        after = exchange.record(0.05)
+    t = np.arange(len(rows)) / RATE_HZ
+    ramp = np.minimum((np.arange(len(rows)) + 1.0) / RATE_HZ / ARMED.ramp, 1.0)
+    want = ramp * newton * np.sin(math.pi * t / seconds) ** 2 * np.sin(2.0 * math.pi * hertz * t)
+    np.testing.assert_allclose(rows[:, FORCE + 1], want, atol=1e-12)  # rounding of sums of the ramp
+    assert not rows[:, [FORCE, FORCE + 2]].any()
+    assert np.abs(want).max() > 0.9 * newton
+    assert not after[:, FORCE : FORCE + 3].any()
+    written = device.written().wrench
+    assert np.abs(written[:, 1]).max() == np.abs(rows[:, FORCE + 1]).max()
+    assert not written[-1].any()
+
+
+def test_a_push_stays_below_the_guard() -> None:
+    """A push of ten times the guard's force is clamped to it."""
+    with recording() as device, Exchange(device, RIG, ARMED) as exchange:
+        rows = exchange.record(0.3, Push((50.0, 0.0, 0.0), 10.0, 0.3))
+    assert np.abs(rows[:, FORCE]).max() == pytest.approx(ARMED.force_max, rel=1e-12)  # rounding of a norm
+
+
+def test_an_exception_in_the_middle_leaves_no_force() -> None:
+    """Left by an interrupt during a push, the last wrench is zero and the device disarmed."""
+    device = recording()
+
+    def interrupted() -> None:
+        with device, Exchange(device, RIG, ARMED) as exchange:
+            exchange.record(0.1, Push((1.0, 0.0, 0.0), 1.0, 1.0))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    written = device.written().wrench
+    assert written.any()
+    assert not written[-1].any()
+
+
+def test_a_burst_is_bounded() -> None:
+    """Without pauses it ends by its rows or its time, and goes on where it was."""
+    with recording() as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
+        rows = exchange.burst()
+        more = exchange.record(0.01)
+    assert 100 < len(rows) <= BURST_ROWS
+    assert rows[-1, START] <= BURST_NS / 1e9
+    assert more[0, SAMPLE + SAMPLE_TIME] > rows[-1, SAMPLE + SAMPLE_TIME]
+    assert burst_figures(rows)["exchanges_hz"] > RATE_HZ
+
+
+def test_the_end_of_a_recording_is_no_failure() -> None:
+    """A recording that is not looped gives the rows there are, and none after that."""
+    with recording(loop=False) as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
+        rows = exchange.record(5.0)
+        assert 0 < len(rows) <= len(device.samples)
+        assert len(exchange.record(0.1)) == 0
+        assert exchange.failure() is None
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"), [("lost", DeviceLost), ("write_lost", DeviceLost), ("timeout", DeviceTimeout)]
+)
+def test_a_failing_device_ends_with_its_error(fault: Fault, error: type[DeviceError]) -> None:
+    """The rows up to the failure are kept, the failure has the device's name, and the last wrench is zero."""
+    with FaultyDevice(Options(fault=fault, at=150)) as device:
+        with Exchange(device, RIG, ARMED) as exchange:
+            rows = exchange.record(1.0, Push((1.0, 0.0, 0.0), 3.0, 1.0))
+            assert 0 < len(rows) <= 151
+            failure = exchange.failure()
+            assert len(exchange.record(0.1)) == 0
+        assert type(failure) is error
+        assert "faulty" in str(failure)
+        assert device.wrenches.any()
+        assert not device.wrenches[-1].any()
+
+
+def test_a_hanging_device_is_stopped() -> None:
+    """An exchange that does not come back for a quarter of a second has its force taken off, and is said to hang."""
+    with FaultyDevice(Options(fault="stall", at=100, stall_us=800_000)) as device:
+        with pytest.raises(SafetyStop, match=r"no exchange for 0\.25 s"), Exchange(device, RIG, ARMED) as exchange:
+            exchange.record(1.0, Push((1.0, 0.0, 0.0), 3.0, 1.0))
+        assert not device.wrenches[-1].any()
+
+
+def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
+    """A fresh compile names no allocator and no interpreter; through pointers it calls the device's two functions, the
+    two that do nothing, and the last zero."""
+    compile_exchange()
+    (signature,) = exchange_loop.signatures  # type: ignore[attr-defined]
+    fresh = numba.njit(**OPTIONS)(exchange_loop.py_func)  # type: ignore[attr-defined]
+    fresh.compile(signature)
+    bodies = functions(next(iter(fresh.inspect_llvm().values())))
+    called = {name for body in bodies.values() for name in called_in(body)}
+    outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
+    assert outside <= {"clock_gettime", "clock_nanosleep", "sin"}
+    assert {"clock_gettime", "clock_nanosleep"} <= outside
+    assert sum(len(re.findall(r"call [\w ]*%[\w.]+\(", body)) for body in bodies.values()) == 5
+
+
+def rows_of(count: int) -> np.ndarray:
+    """Rows of a device that reads in 2 us, writes in 1 us, an empty pair in 0.1 us each, every fourth sample stale."""
+    rows = np.zeros((count, ROW_SIZE))
+    rows[:, START] = np.arange(count) * 1e-3
+    rows[:, READ], rows[:, WRITE] = 2e-6, 1e-6
+    rows[:, EMPTY_READ] = rows[:, EMPTY_WRITE] = 1e-7
+    rows[3::4, READ_STATUS] = STALE
+    rows[0, WRITE_STATUS] = STALE
+    fresh = np.arange(count) - (np.arange(count) % 4 == 3)
+    rows[:, SAMPLE + SAMPLE_TIME] = fresh * 1e-3
+    assert ROW_SIZE == SAMPLE + SAMPLE_SIZE
+    return rows
+
+
+def test_figures_of_known_rows() -> None:
+    """Percentiles, ratios, rates and steps of rows with known times."""
+    found = figures(rows_of(2000), 1000.0)
+    assert found["ticks"] == 2000
+    assert found["seconds"] == pytest.approx(2.0, rel=1e-12)
+    assert found["read"]["p50"] == found["read"]["max"] == 2e-6
+    assert found["cycle"]["p99"] == pytest.approx(3e-6, rel=1e-12)
+    assert found["read"]["over_empty"]["p50"] == pytest.approx(20.0, rel=1e-12)
+    assert found["cycle"]["over_empty"]["p50"] == pytest.approx(15.0, rel=1e-12)
+    assert found["stale_share"] == 0.25
+    assert found["limited_share"] == 1 / 2000
+    assert found["new_samples_hz"] == pytest.approx(750.0, rel=1e-12)
+    assert found["sample_step_s"]["min"] == pytest.approx(1e-3, rel=1e-9)  # a difference of times near 2 s
+    assert found["sample_step_s"]["max"] == pytest.approx(2e-3, rel=1e-9)
+
+
+def test_histogram_counts_every_value_once() -> None:
+    """Each value is counted in the bin whose upper edge it does not exceed, the longest of all too."""
+    counted = histogram(np.array([1e-8, 1.5e-8, 3e-6, 4e-6, 0.9]))
+    assert counted == [[1e-8, 1], [2e-8, 1], [5e-6, 2], [0.9, 1]]
+    assert list(HISTOGRAM_S) == sorted(HISTOGRAM_S)
+
+
+def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The verb on a simulated device: figures of every tick, ratios, a plot."""
+    plot = tmp_path / "plot.png"
+    words = ("--rig", "simulated", "--seconds", "0.3", "--json", "--plot", str(plot))
+    assert main(["bench", "device", *words]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["device"] == "simulated omega.6"
+    assert result["ticks"] == 300
+    assert {"read", "write", "cycle", "late", "new_samples_hz", "stale_share", "sample_step_s"} <= result.keys()
+    assert {"p50", "p99", "p999", "max", "blocks", "empty", "over_empty", "histogram"} == result["cycle"].keys()
+    assert sum(count for _, count in result["read"]["histogram"]) == 300
+    assert result["without_pauses"]["exchanges"] > 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "pieces"),
+    [
+        (["--seconds", "1000"], 2, ["--seconds 1000", "0.1 to 60"]),
+        (["--rig", "nothing"], 2, ["nothing", "simulated"]),
+        (["--rig", "omega-3"], 4, ["libdrd"]),
+    ],
+)
+def test_bad_words_give_one_clear_error(
+    words: list[str], code: int, pieces: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A wrong value says what, where and what is allowed."""
+    assert main(["bench", "device", *words]) == code
+    errors = capsys.readouterr().err
+    assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
+
+
+def test_the_device_is_armed_right_before_its_first_exchange() -> None:
+    """Armed once, by the thread that exchanges, with its settings made and the loop compiled before."""
+    compile_exchange()
+    before = len(exchange_loop.signatures)  # type: ignore[attr-defined]
+    with FaultyDevice(Options()) as device, Exchange(device, RIG, ARMED) as exchange:
+        exchange.record(0.1)
+        thread = exchange._thread.native_id
+    assert device.acts[0] == ("arm", thread, 0)
+    assert [act for act, *_ in device.acts[1:]] == ["stop", "close", "stop"]
+    assert len(exchange_loop.signatures) == before  # type: ignore[attr-defined]
+
+
+def test_a_device_that_refuses_to_be_armed_ends_with_its_error() -> None:
+    """The part asked for raises it, and the device is stopped."""
+    with FaultyDevice(Options(refuses_to_arm=True)) as device:
+        with pytest.raises(DeviceError, match="force button"), Exchange(device, RIG, ARMED) as exchange:
+            exchange.record(0.1)
+        assert [act for act, *_ in device.acts] == ["arm", "stop"]
+
+
+def test_a_device_whose_stop_fails_is_told_zero_and_named() -> None:
+    """The thread ends, the last wrench is zero, and the error says that the device may still push."""
+    device = FaultyDevice(Options(stop_fails=True))
+    with (
+        pytest.raises(DeviceError, match=r"could not be stopped.*switch it off"),
+        Exchange(device, RIG, ARMED) as exchange,
+    ):
+        exchange.record(0.1, Push((1.0, 0.0, 0.0), 1.0, 1.0))
+    assert device.wrenches[:-2].any()
+    assert not device.wrenches[-1].any()
+
+
+@pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
+def test_a_push_that_the_driver_withholds_fades_in_anew(way: Fault) -> None:
+    """The rows have zero while it is withheld, and the push comes back by the guard's ramp."""
+    slow = ARMED._replace(ramp=0.5)
+    with FaultyDevice(Options(fault=way, at=800, count=5)) as device, Exchange(device, RIG, slow) as exchange:
+        rows = exchange.record(1.2, Push((1.0, 0.0, 0.0), 0.01, 1.2))
+    status = rows[:, READ_STATUS if way == "withheld_read" else WRITE_STATUS]
+    (withheld,) = np.nonzero(status == WITHHELD)
+    first, last = withheld[0], withheld[-1]
+    size = np.abs(rows[:, FORCE])
+    assert last - first == 4
+    assert size[first - 1] > 10 * size[first + 20] > 0.0
+    share = 0.002 * np.arange(2, 102) * (1 + 1e-12)  # at most: after a read one tick earlier; sums round
+    assert (size[last + 1 : last + 101] <= share * np.abs([pushed_at(n) for n in range(last + 1, last + 101)])).all()
+
+
+def pushed_at(number: int) -> float:
+    """The push of the test above at a row, N, by its closed form."""
+    t = number / RATE_HZ
+    return math.sin(math.pi * t / 1.2) ** 2 * math.sin(2.0 * math.pi * 0.01 * t)

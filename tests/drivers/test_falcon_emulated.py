@@ -1,0 +1,276 @@
+"""The whole program on an emulated Falcon behind the true libusb: contract, firmware, homing, servo loop, faults.
+
+Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi: `apt install umockdev gir1.2-umockdev-1.0 python3-gi`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.closed_loop import assert_engine_agrees
+from test_hid_emulated import CLOSED_LOOP, STROKE, SYSTEM_PYTHON, WHY_NOT
+
+from softfinger.config.load import find, load_scene
+from softfinger.config.schema import Rig
+from softfinger.drivers.falcon import firmware
+from softfinger.proxy.record import AT
+
+TESTBED = Path(__file__).parents[1] / "emulators" / "falcon_testbed.py"
+CONTRACT = Path(__file__).parents[1] / "helpers" / "falcon_contract.py"
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
+
+
+def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    """A command beside an emulated device; what it printed, and what the device saw."""
+    done = subprocess.run(
+        ["umockdev-wrapper", SYSTEM_PYTHON, str(TESTBED), json.dumps(case), *command],
+        capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+    )  # fmt: skip
+    lines = done.stdout.splitlines()
+    assert lines, done.stderr
+    return done, json.loads(lines[-1])
+
+
+def rig_with(tmp_path: Path, **keys: object) -> str:
+    """The shipped rig with other keys in [device], as a file."""
+    text = find("falcon", Rig).read_text()
+    # A tick of the emulation waits for two other programs: silences are longer than on a bus.
+    given = {"kick_s": 0.15, "timeout_s": 1.0, **keys}
+    for key in given:
+        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
+    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in given.items())
+    path = tmp_path / "rig.toml"
+    path.write_text(text.replace('driver = "falcon"\n', f'driver = "falcon"\n{lines}'))
+    return str(path)
+
+
+def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    """The daemon on an emulated device."""
+    fixed = ("--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
+    return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *fixed, *words)
+
+
+def test_the_driver_contract() -> None:
+    """Every test of the contract passes over the device behind libusb; none is left out."""
+    command = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(CONTRACT))
+    done, saw = beside({"place": [0.0, 0.0, 0.02]}, *command)
+    assert done.returncode == 0, done.stdout
+    assert re.search(r"^\d+ passed in", done.stdout, re.MULTILINE), done.stdout
+    assert saw["motors"] == [0, 0, 0]
+
+
+def test_closed_loop_through_libusb(tmp_path: Path) -> None:
+    """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
+    kept = tmp_path / "records.npy"
+    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "1800", str(kept))
+    done, saw = beside(STROKE, *program)
+    assert done.returncode == 0, done.stderr
+    records = np.load(kept)
+    assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
+    assert max(saw["most"]) > 100  # the forces reached the motors: 1 N is some 240 counts
+    assert saw["motors"] == [0, 0, 0]
+    assert saw["state"] == 8, "the last packet leaves the light red"
+
+    passed = assert_engine_agrees(records, load_scene("paper-plane"), 1000.0)
+    assert passed > 100, "the guard left too few ticks in contact to compare"
+
+
+@pytest.mark.parametrize("reversed_motors", [True, False])
+def test_a_knob_pressed_through_the_plane_is_held(reversed_motors: bool, tmp_path: Path) -> None:
+    """A hand that means to be 6 mm below the plane is held near it by the motors, whichever way they turn."""
+    gain = -6000.0 if reversed_motors else 6000.0
+    rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
+    done, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5")
+    assert done.returncode == 0, done.stderr
+    assert "device Novint Falcon 0403:cb48 at 1000 Hz" in done.stderr
+    assert "force is zero" in done.stderr
+    assert "not calibrated" not in done.stderr
+    # The hand's spring and the wall's share the depth; up is the device's y.
+    stiffness = load_scene("frictionless-plane").object[0].material.stiffness_n_per_m
+    depth = (0.010 - 0.004) * 300.0 / (300.0 + stiffness)
+    assert saw["place"][1] == pytest.approx(0.010 - depth, abs=3e-4)  # counts are 30 um; the last zero lets go a little
+
+
+def test_force_without_a_gain_is_flagged() -> None:
+    """The shipped rig has no gain of its own, and the daemon says that force is not calibrated."""
+    done, saw = run({"place": [0.0, 0.0, 0.02]}, "falcon", "--duration", "0.02")
+    assert done.returncode == 0, done.stderr
+    assert "force is not calibrated: 10000 motor counts per N m are assumed" in done.stderr
+    # Purged, latency 1 ms, 1.5 MBd, purged: the chip as the firmware has it.
+    assert saw["requests"] == [[0, 1], [0, 2], [9, 1], [3, 2], [0, 1], [0, 2]]
+
+
+def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
+    """Each tenth reply is 4 ms late: the run goes to its end."""
+    done, saw = run({"place": [0.0, 0.0, 0.004], "late_every": 10}, rig_with(tmp_path), "--duration", "1")
+    assert done.returncode == 0, done.stderr
+    assert saw["steps"] > 30
+
+
+@pytest.mark.parametrize(
+    ("case", "message"),
+    [
+        ({"lost_after": 100}, r"is gone .status -1 on (read|write)"),
+        ({"broken_after": 100}, r"is gone .status -1 on read.*libusb's error 1"),
+        ({"mute_after": 100}, "no answer to a read in time: check cable and power"),
+        ({"block_after": 100}, "no answer to a (read|write) in time"),
+        ({"garble_after": 100}, "no answer to a read in time"),
+        ({"unhomed_after": 100}, "lost the zeros of its encoders"),
+    ],
+    ids=["unplugged", "broken", "mute", "blocked", "noise", "unhomed"],
+)
+def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path) -> None:
+    """What goes wrong on the cable or in the device ends the daemon with its own message, and no force is left."""
+    done, saw = run({"place": [0.0, 0.0, 0.005], **case}, rig_with(tmp_path), "--duration", "10")
+    assert done.returncode != 0, done.stderr
+    assert re.search(message, done.stderr), done.stderr
+    assert max(saw["most"]) > 0, "there was no force to take away"
+    if not {"block_after", "broken_after"} & set(
+        case
+    ):  # nothing goes through any more, no zero either: the firmware's own affair
+        assert saw["motors"] == [0, 0, 0]
+
+
+def test_homing(tmp_path: Path) -> None:
+    """A device that does not know its zeros is not used until the knob was out; then its places are true."""
+    rig = rig_with(tmp_path, counts_per_nm=10000.0)
+    done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
+    assert done.returncode == 0, done.stderr
+    assert "pull the knob out all the way, then push it in, until the light is green" in done.stderr
+    assert saw["found"] == [True, True, True]
+    assert saw["place"][1] > 0.005, "the wall did not hold the hand, so its place was wrong"
+
+
+def test_homing_is_not_waited_for_for_ever(tmp_path: Path) -> None:
+    """A knob that nobody moves is given up, with what to do; no motor has been driven."""
+    rig = rig_with(tmp_path, homing_s=0.1)
+    done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1")
+    assert done.returncode == 4, done.stderr
+    assert "was not homed in 0.1 s: pull the knob out" in done.stderr
+    assert saw["most"] == [0, 0, 0]
+
+
+FIRMWARE_BYTES = 7324
+
+
+def test_firmware_is_sent_until_its_echo_is_right(tmp_path: Path) -> None:
+    """A device without firmware gets the user's file; a wrong echo begins the next try; then it runs."""
+    path = tmp_path / "firmware.bin"
+    path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
+    rig = rig_with(tmp_path, firmware=str(path))
+    done, saw = run({"firmware": FIRMWARE_BYTES, "spoil": 2}, rig, "--duration", "0.02")
+    assert done.returncode == 0, done.stderr
+    assert saw["runs"] and saw["loads"] == 3
+    assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 came back as", done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("size", "spoil", "message"),
+    [
+        (None, 0, "no firmware runs in the Falcon: give the path of its firmware file as `firmware`"),
+        (20, 0, "has 20 bytes, a Falcon's firmware 7324 to 8492"),
+        (3100, 99, "did not take the firmware .* in 10 tries: byte 30\\d\\d of 3100 came back as"),
+    ],
+    ids=["no-file", "not-a-firmware", "never-right"],
+)
+def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str, tmp_path: Path) -> None:
+    """Without a file, with another file, or with a line that spoils each try, the error says what to do."""
+    keys = {}
+    if size is not None:
+        path = tmp_path / "firmware.bin"
+        path.write_bytes(random.Random(size).randbytes(size))
+        keys["firmware"] = str(path)
+    done, saw = run({"firmware": size or FIRMWARE_BYTES, "spoil": spoil}, rig_with(tmp_path, **keys), "--duration", "1")
+    assert done.returncode == 4, done.stderr
+    assert re.search(message, done.stderr), done.stderr
+    assert saw["loads"] == (firmware.TRIES if spoil else 0)
+
+
+def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
+    """The emulated device has serial SN42: that one is opened, another one is asked for in vain."""
+    for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
+        done, _ = run({}, rig_with(tmp_path, serial=serial), "--duration", "0.005")
+        assert said in done.stderr
+
+
+def test_a_falcon_says_that_its_firmware_runs() -> None:
+    """`devices` does not touch it and says that it needs its firmware; with `--ask` it says itself that it has it."""
+    words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
+    for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
+        done, saw = beside({}, *words, *more)
+        assert done.returncode == 0, done.stderr
+        (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+        assert (device["driver"], device["state"], device["said"]) == ("falcon", state, said)
+        assert (saw["steps"] > 0) == (said is not None)
+        assert saw["most"] == [0, 0, 0]
+
+
+TWO = """
+import sys
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.falcon.device import Options, open_device
+from helpers.driver_contract import RATE_HZ, Servo
+given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
+first, second = (open_device(build(Options, {**given, "serial": name}, "rig"), RATE_HZ) for name in ("SN1", "SN2"))
+ends = [Servo(first), Servo(second)]
+first.arm()
+second.arm()
+for turn in range(30):
+    samples = [end.read() for end in ends]
+    for end in ends:
+        end.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+first.close()
+for turn in range(30):
+    status, sample = ends[1].read()
+    assert status in (0, 1, 3), status
+    ends[1].write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+print([sample[2] for _, sample in samples], sample[2], ends[0].read()[0], flush=True)
+second.close()
+"""
+
+
+def test_two_falcons_through_libusb() -> None:
+    """Both are open by their serial numbers, each exchange is with its own knob, and closing one leaves the other."""
+    case = {"place": [0.0, 0.0, 0.03], "serial": "SN1", "second": {"place": [0.0, 0.0, 0.045], "serial": "SN2"}}
+    code = f"import sys; sys.path.insert(0, {str(TESTBED.parents[1])!r})\n{TWO}"
+    done, saw = beside(case, sys.executable, "-c", code)
+    assert done.returncode == 0, done.stderr
+    first, second, later, closed = (float(part) for part in re.findall(r"-?[\d.]+", done.stdout.splitlines()[-2]))
+    # 0.1 N against the hand's 300 N/m, and half a count at each leg
+    assert first == pytest.approx(0.03, abs=4e-4)
+    assert second == pytest.approx(0.045, abs=4e-4)
+    assert later == pytest.approx(0.045, abs=4e-4)
+    assert closed == -1
+    for one, least in ((saw, 30), (saw["second"], 60)):
+        assert one["steps"] >= least and max(one["most"]) > 0 and one["motors"] == [0, 0, 0]
+
+
+def test_a_weight_gives_the_gain() -> None:
+    """`calibrate` finds the emulated motors' gain with a weight, from a rig whose gain is another."""
+    case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}
+    words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "40", "--json")
+    done, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.rsplit("{", 1)[0])
+    # the hold may still change by 0.05 N from window to window when it is taken to rest, of 0.39 N
+    assert found["counts_per_nm"] == pytest.approx(4000.0, rel=0.13)
+    assert found["counts_per_nm_used"] == 10000.0
+
+
+def test_a_force_of_the_wrong_sign_is_noticed() -> None:
+    """A knob that runs away ends `calibrate` with what to change, and without force."""
+    case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": 4000.0, "weight_kg": 0.1, "weight_after": 100}
+    words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "20")
+    done, saw = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
+    assert done.returncode == 4, done.stderr
+    assert "change motors_reversed in the rig" in done.stderr
+    assert saw["motors"] == [0, 0, 0]

@@ -1,0 +1,160 @@
+"""The Falcon's mechanism: published places and torques, inversion over the workspace, the Jacobian, its guards."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from emulators import falcon as other
+
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.falcon import delta
+from softfinger.drivers.falcon.device import Options
+from softfinger.drivers.falcon.options import COUNTS_PER_NM
+from softfinger.drivers.falcon.reply import motor_counts
+
+RADIUS_M = 0.04
+SEED = 7
+
+
+def angles(*counts: float) -> tuple[float, float, float]:
+    a, b, c = (delta.THETA_ZERO + delta.RAD_PER_COUNT * n for n in counts)
+    return a, b, c
+
+
+def places(number: int) -> np.ndarray:
+    """Places (number, 3) m spread evenly over the workspace, device's frame."""
+    rng = np.random.default_rng(SEED)
+    direction = rng.normal(size=(number, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    return direction * RADIUS_M * np.cbrt(rng.random((number, 1))) + delta.HOME
+
+
+@pytest.mark.parametrize(
+    ("counts", "place_mm"),
+    [
+        ((0, 0, 0), (0, 0, 134.602)),
+        ((500, 500, 500), (0, 0, 156.860)),
+        ((-500, -500, -500), (0, 0, 110.754)),
+        ((300, -200, 100), (14.528, -11.579, 136.148)),
+        ((-60, 400, -700), (-35.650, -11.603, 121.938)),
+    ],
+)
+def test_published_places(counts: tuple[int, int, int], place_mm: tuple[float, float, float]) -> None:
+    """Encoder counts lead to the published places, to their printed digits; searched from one start for all."""
+    place, found = delta.forward(angles(*counts), delta.HOME)
+    assert found
+    np.testing.assert_allclose(1e3 * np.array(place), place_mm, rtol=0, atol=5.001e-4)  # half of the last digit
+
+
+def test_published_torques() -> None:
+    """Forces of 1 N at the workspace centre take the published torques, to their printed digits."""
+    for force, torque_mnm, digit in (
+        ((1.0, 0.0, 0.0), (15.488, -52.725, 37.237), 1e-3),
+        ((0.0, 0.0, 1.0), (24.18, 24.18, 24.18), 1e-2),
+    ):
+        torque, able = delta.torques_for(delta.HOME, force)
+        assert able
+        np.testing.assert_allclose(1e3 * np.array(torque), torque_mnm, rtol=0, atol=0.5001 * digit)
+
+
+def test_forward_inverts_inverse_over_the_workspace() -> None:
+    """At 10^5 places, the angles of a place lead back to it, from the centre and from a millimetre away."""
+    near = np.random.default_rng(SEED + 1).uniform(-1e-3, 1e-3, (100_000, 3))
+    worst = 0.0
+    for place, off in zip(places(100_000).tolist(), near.tolist(), strict=True):
+        theta, _ = delta.inverse(tuple(place))
+        start = delta.HOME if off[0] > 0.0 else (place[0] + off[0], place[1] + off[1], place[2] + off[2])
+        again, found = delta.forward(theta, start)
+        assert found, place
+        worst = max(worst, math.dist(place, again))
+    assert worst < 1e-9
+
+
+def test_rows_of_k_are_the_derivative() -> None:
+    """K is d theta1 / d p, from central differences."""
+    h = 1e-6  # m: its square times the third derivative, and rounding over it, stay below 1e-6 rad/m
+    for place in places(300):
+        _, k = delta.inverse(tuple(place))
+        for axis in range(3):
+            step = h * np.eye(3)[axis]
+            ahead, _ = delta.inverse(tuple(place + step))
+            behind, _ = delta.inverse(tuple(place - step))
+            slope = (np.array(ahead) - np.array(behind)) / (2 * h)
+            np.testing.assert_allclose(np.array(k)[:, axis], slope, rtol=1e-6, atol=1e-5)
+
+
+def test_torques_do_the_work_of_the_force() -> None:
+    """F . dp = tau . d theta for every small motion: power is neither made nor lost in the legs."""
+    rng = np.random.default_rng(SEED)
+    h = 1e-6
+    for place in places(300):
+        force, motion = rng.normal(size=3), rng.normal(size=3)
+        torque, able = delta.torques_for(tuple(place), tuple(force))
+        assert able
+        ahead, _ = delta.inverse(tuple(place + h * motion))
+        behind, _ = delta.inverse(tuple(place - h * motion))
+        turned = (np.array(ahead) - np.array(behind)) / (2 * h)
+        assert np.dot(torque, turned) == pytest.approx(force @ motion, abs=1e-6)  # as the differences above
+
+
+def test_two_derivations_of_the_legs_agree() -> None:
+    """The equations solved by the half-angle and, in the emulator, by the triangle of the links give one angle."""
+    for place in places(300):
+        theta, _ = delta.inverse(tuple(place))
+        theirs = [other.leg_angle(leg, tuple(place)) for leg in other.LEGS]
+        np.testing.assert_allclose(theta, theirs, rtol=0, atol=1e-12)  # acos near 1 loses four digits
+
+
+@pytest.mark.parametrize("counts", [(32767, -32768, 0), (-3000, -3000, -3000), (2500, 2500, 2500), (math.nan, 0, 0)])
+def test_counts_of_no_place_are_told(counts: tuple[float, float, float]) -> None:
+    """Angles that no place has are not found, rather than answered with somewhere."""
+    assert not delta.forward(angles(*counts), delta.HOME)[1]
+
+
+def test_no_force_where_the_legs_cannot_give_it() -> None:
+    """Out of reach the torques are 0 and said to be cut."""
+    for place in ((0.2, 0.0, 0.11), (0.0, 0.0, 0.4), (math.nan, 0.0, 0.11), (0.0, 0.0, -0.1)):
+        torque, able = delta.torques_for(place, (0.0, 0.0, 1.0))
+        assert not able
+        assert torque == (0.0, 0.0, 0.0)
+        assert motor_counts(10000.0, place, (0.0, 0.0, 1.0)) == ((0, 0, 0), True)
+
+
+RECORDED = {
+    (0.0, 0.0, -100.0): (4095, 3906, 4034),
+    (0.0, 0.0, -50.0): (2752, 2780, 2888),
+    (0.0, 0.0, -25.0): (1311, 1453, 1526),
+    (0.0, 0.0, -12.5): (661, 731, 766),
+    (0.0, -12.5, 0.0): (-2900, 27, 929),
+    (-12.5, 0.0, 0.0): (399, -3087, 1135),
+    (1.0, 0.0, 0.0): (-65, 136, -159),
+    (10.0, 0.0, 0.0): (-679, 2529, -1862),
+    (0.0, 10.0, 0.0): (2481, -669, -1691),
+}
+"""Motor counts that the maker's driver sent for a force (N): packets traced by libnifalcon's author."""
+
+
+def test_motors_turn_as_in_recorded_packets() -> None:
+    """With the shipped rig's sign every count for a recorded force has the recorded sign. Where the knob was is not
+    recorded; within 2 cm of the centre the signs do not depend on it."""
+    options = build(Options, load_rig("falcon").device.options, "falcon [device]")
+    gain = -COUNTS_PER_NM if options.motors_reversed else COUNTS_PER_NM
+    for force, recorded in RECORDED.items():
+        counts, _ = motor_counts(gain, delta.HOME, force)
+        assert np.sign(counts).tolist() == np.sign(recorded).tolist(), force
+
+
+def test_counts_are_scaled_together() -> None:
+    """A force past the motors keeps its direction: the counts come down in proportion, to 4095."""
+    force = (3.0, -2.0, 60.0)
+    wanted = 10000.0 * np.array(delta.torques_for(delta.HOME, force)[0])
+    counts, cut = motor_counts(10000.0, delta.HOME, force)
+    assert cut
+    assert max(map(abs, counts)) == 4095
+    np.testing.assert_allclose(counts, wanted * 4095 / np.abs(wanted).max(), atol=0.5)  # whole counts
+    few, cut = motor_counts(10000.0, delta.HOME, (0.0, 0.0, 1.0))
+    assert not cut
+    assert few == (242, 242, 242)
+    assert motor_counts(-10000.0, delta.HOME, (0.0, 0.0, 1.0))[0] == (-242, -242, -242)

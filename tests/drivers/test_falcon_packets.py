@@ -1,0 +1,181 @@
+"""The Falcon's packets: published ones, every count, and a stream of noise."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.base import FORCE_OFF, OK
+from softfinger.drivers.block import Block
+from softfinger.drivers.falcon import delta, exchange, packets, reply
+from softfinger.drivers.falcon.block import AT
+from softfinger.drivers.falcon.device import Options
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.memory import uint8_at
+
+
+def packet(motors: tuple[int, int, int], state: int) -> bytes:
+    out = np.zeros(packets.SIZE, np.uint8)
+    packets.encode(motors, state, out)
+    return out.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("motors", "state", "wire"),
+    [
+        ((4095, 3906, 4034), packets.BLUE, "3c 50 50 50 41 43 45 50 41 43 4d 50 41 45 41 3e"),
+        ((-65, 136, -159), packets.BLUE, "3c 50 4c 50 50 49 49 41 41 42 47 50 50 45 41 3e"),
+    ],
+)
+def test_published_packets(motors: tuple[int, int, int], state: int, wire: str) -> None:
+    """Motor counts and lights give the published bytes, and the bytes give them back."""
+    assert packet(motors, state).hex(" ") == wire
+    assert packets.decode(np.frombuffer(bytes.fromhex(wire), np.uint8)) == (motors, state)
+
+
+def test_every_count_survives() -> None:
+    """Each int16 comes back from its four bytes, in each place."""
+    for value in range(-32768, 32768, 17):
+        counts = (value, -1 - value, value ^ 0x5A)
+        assert packets.decode(np.frombuffer(packet(counts, 0x75), np.uint8)) == (counts, 0x75)
+
+
+def blank() -> np.ndarray:
+    word = Block(AT).word
+    real = word.view(np.float64)
+    real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = delta.HOME
+    return word
+
+
+@numba.njit(**OPTIONS)
+def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
+    """Feed bytes; the counts of every reply that came, and how many."""
+    came = 0
+    for byte in data:
+        if reply.feed(handle, byte):
+            counts, _ = packets.decode(uint8_at(handle + 8 * AT.newest))
+            for k in range(3):
+                out[came, k] = counts[k]
+            came += 1
+    return came
+
+
+def test_a_million_packets_with_noise_between() -> None:
+    """Whole packets are all received, in order and unchanged, whatever noise and cut packets stand between them."""
+    rng = np.random.default_rng(3)
+    number = 1_000_000
+    counts = rng.integers(-32768, 32768, (number, 3))
+    wire = np.full((number, 24), 0x41, np.uint8)  # up to eight bytes of noise before each
+    wire[:, :8] = rng.integers(0x3D, 0x100, (number, 8))  # anything above '<', which would begin a packet
+    wire[::3, 3] = ord("<")  # a packet that is cut short
+    wire[:, 8] = ord("<")
+    for axis in range(3):
+        for nibble in range(4):
+            wire[:, 9 + 4 * axis + nibble] += ((counts[:, axis] >> (4 * nibble)) & 15).astype(np.uint8)
+    wire[:, 21] += rng.integers(0, 128, number).astype(np.uint8)
+    wire[:, 23] = ord(">")
+    out, word = np.zeros((number + 10, 3), np.int64), blank()
+    assert _stream(word.ctypes.data, wire.reshape(-1), out) == number
+    np.testing.assert_array_equal(out[:number], counts)
+    assert word[AT.garbled] >= number
+
+
+def test_noise_is_no_packet() -> None:
+    """Of ten million random bytes none are taken for a reply: 12 nibbles, half a byte of bits and 2 fixed bytes
+    come by chance once in 256^2 16^12 2."""
+    data = np.random.default_rng(4).integers(0, 256, 10_000_000).astype(np.uint8)
+    word = blank()
+    assert _stream(word.ctypes.data, data, np.zeros((10, 3), np.int64)) == 0
+
+
+@pytest.mark.parametrize("broken", [n for n in range(16) if n != packets.FILLER])
+def test_a_packet_with_one_wrong_byte_is_dropped(broken: int) -> None:
+    """No byte of a reply that carries something is taken unseen."""
+    wire = bytearray(packet((1, 2, 3), 0))
+    wire[broken] = 0x20
+    word = blank()
+    assert _stream(word.ctypes.data, np.frombuffer(bytes(wire), np.uint8), np.zeros((2, 3), np.int64)) == 0
+
+
+@pytest.mark.parametrize("filler", [0x00, 0x20, 0x3E, 0x42, 0xFF])
+def test_the_byte_that_carries_nothing_may_be_any(filler: int) -> None:
+    """Byte 14 is 'A' in what was traced, and other drivers do not look at it: another is taken, and counted."""
+    wire = bytearray(packet((1, 2, 3), 0) * 3)
+    wire[packets.FILLER] = filler
+    word, out = blank(), np.zeros((3, 3), np.int64)
+    assert _stream(word.ctypes.data, np.frombuffer(bytes(wire), np.uint8), out) == 3
+    assert out.tolist() == [[1, 2, 3]] * 3
+    assert (word[AT.fillers], word[AT.garbled]) == (1, 0)
+
+
+@numba.njit(**OPTIONS)
+def _pose(handle: int) -> int:
+    return int(reply.pose(handle))
+
+
+def answer(word: np.ndarray, counts: tuple[int, int, int], state: int) -> int:
+    word.view(np.uint8)[8 * AT.newest : 8 * AT.newest + 16] = np.frombuffer(packet(counts, state), np.uint8)
+    return _pose(word.ctypes.data)
+
+
+def test_any_counts_give_a_place_of_theirs_or_none() -> None:
+    """Whatever the encoders show, the sample is a place with these angles, or no number, which the guard refuses."""
+    rng = np.random.default_rng(5)
+    word = blank()
+    sample = word.view(np.float64)[AT.sample : AT.sample + 9]
+    for row in rng.integers(-32768, 32768, (2000, 3)).tolist() + rng.integers(-1500, 1500, (2000, 3)).tolist():
+        assert answer(word, (row[0], row[1], row[2]), packets.HOMED) == OK
+        if np.isfinite(sample[:3]).all():
+            theta, _ = delta.inverse((sample[0], sample[2], 0.11 - sample[1]))
+            wanted = delta.THETA_ZERO + delta.RAD_PER_COUNT * np.array(row)
+            np.testing.assert_allclose(theta, wanted, atol=1e-11)  # the place is rounded to 1e-17 m of 0.1 m
+        else:
+            assert np.isnan(sample[:3]).all()
+    assert 0 < word[AT.unreached] < 4000
+
+
+def test_buttons_and_lost_homing() -> None:
+    """Four buttons arrive as bits; homing that was there without being asked for, and goes, is a fault."""
+    word = blank()
+    word[AT.armed] = 1
+    assert answer(word, (0, 0, 0), 0x05) == OK  # whether the bits stay is the firmware's affair
+    assert word.view(np.float64)[AT.sample + 8] == 5.0
+    assert answer(word, (0, 0, 0), 0x70) == OK
+    assert answer(word, (0, 0, 0), 0x30) == FORCE_OFF
+
+
+def test_exchange_allocates_nothing() -> None:
+    """The compiled read and write, compiled afresh, name no allocator; the control that allocates does."""
+    compile_fresh = numba.cfunc(exchange.IO_SIGNATURE, error_model="numpy")
+
+    def allocates(handle: int, values: Any) -> int:
+        return len(np.zeros(handle))
+
+    allocators = ("NRT_Allocate", "NRT_MemInfo_alloc", "malloc")
+    assert any(name in compile_fresh(allocates).inspect_llvm() for name in allocators)
+    for function in (exchange.read, exchange.write):
+        code = compile_fresh(function._pyfunc).inspect_llvm()
+        assert "inttoptr" in code  # it is the code that calls libusb
+        assert not any(name in code for name in allocators)
+
+
+def test_options_are_checked() -> None:
+    """A gain past every motor and a kick later than the time-out are refused by name."""
+    given = load_rig("falcon").device.options
+    for change, said in (({"counts_per_nm": 1e9}, "counts_per_nm"), ({"kick_s": 0.2}, "timeout_s")):
+        with pytest.raises(ConfigError, match=said):
+            build(Options, {**given, **change}, "falcon [device]")
+
+
+def test_page_lists_every_option() -> None:
+    """docs/devices/falcon.md has a row for each key of the rig, and no other."""
+    page = (Path(__file__).parents[2] / "docs" / "devices" / "falcon.md").read_text("utf-8")
+    part = page.split("## What a rig may say\n", 1)[1].split("\n## ", 1)[0]
+    assert re.findall(r"^\| `(\w+)` \|", part, re.M) == list(Options.__struct_fields__)

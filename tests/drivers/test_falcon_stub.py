@@ -1,0 +1,488 @@
+"""The Falcon's driver on a stand-in for libusb that answers at once or exactly as late as it is told to.
+
+What only the true libusb shows is in test_falcon_emulated.py.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.drd_stub import COMPILER
+from helpers.driver_contract import RATE_HZ, DriverContract, Servo
+from helpers.usb_stub import (
+    NO_COMPILER,
+    FalconBench,
+    UsbStub,
+    child_environment,
+    left_behind,
+    options,
+    stub,
+    usb_library,
+    word,
+)
+
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.base import LOST, OK, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.falcon.block import AT as WORDS
+from softfinger.drivers.falcon.device import Falcon, open_device
+from softfinger.drivers.system.claims import claim_on
+from softfinger.drivers.system.diagnosis import Diagnosis
+from softfinger.drivers.system.discovery import Attached
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.loop import servo as s
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.verbs import devices
+
+__all__ = ["stub", "usb_library"]  # fixtures
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
+
+STROKE = {"z": 0.012, "press": 0.006, "drag": 0.02}
+"""In 1.2 s a hand goes from 2 mm above the plane to 4 mm below, 20 mm to the side and back, and up."""
+
+COUNT_M = 3 * 0.5 * 6.4e-4 / 15
+"""Half a count is 0.3 mrad at a leg, at most 1/15 m to a radian there; three legs."""
+
+
+@pytest.fixture
+def bench(stub: UsbStub) -> FalconBench:
+    return FalconBench(stub)
+
+
+class TestContract(DriverContract):
+    """The contract, with a device that answers within the tick."""
+
+
+def run(device: Falcon, ticks: int) -> tuple[s.Ended, np.ndarray]:
+    """So many ticks of the servo; how it ended, and its records."""
+    guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
+    servo = s.Servo([device], make_tuning(load_scene("paper-plane"), guard, [device.info]), RATE_HZ, ticks)
+    servo.compile()
+    servo.start()
+    ended = servo.join(60.0)
+    assert ended is not None
+    records = np.empty((8192, RECORD_SIZE))
+    records = records[: servo.take(records)]
+    servo.close()
+    return ended, records
+
+
+def columns(records: np.ndarray, at: int, number: int = 3) -> np.ndarray:
+    return records[:, at : at + number]
+
+
+def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: FalconBench) -> None:
+    """Press, slide and release: each tick has the reply to the packet of the tick before, the forces on the hand and
+    the modes are the contact step's on the sensed places, and those are where the knob is."""
+    stub.update(**STROKE)
+    with bench.open() as device:
+        stub["logged"] = 0
+        ended, records = run(device, 1500)
+        seen = stub.log()
+    assert ended == s.Ended(s.FINISHED, OK)
+    assert not records[:, AT.servo_device].any(), "a tick without a fresh reply, or with a force that was cut"
+    # the first read asks with a zero of its own, and one after a pause of the machine's; each packet of a tick finds
+    # the knob where the tick has sensed it
+    seen = seen[seen[:, 6] == 0][: len(records)]
+    np.testing.assert_allclose(columns(records, AT.probe_position), seen[:, 3:6], rtol=0, atol=COUNT_M)
+
+    engine = Engine(load_scene("paper-plane"), RATE_HZ)
+    modes, forces = [], []
+    for row in records:
+        position, turned = AT.probe_position, AT.probe_orientation
+        step = engine.step(row[position : position + 3], row[turned : turned + 4], float(row[AT.dt]))
+        modes.append(float(step.mode))
+        forces.append(step.force)
+    assert records[:, AT.contact_mode].tolist() == modes
+    assert set(modes) == {0.0, 1.0, 2.0}
+    free = records[:, AT.servo_guard] == 0
+    assert np.count_nonzero(free & (np.array(modes) != 0)) > 300
+    # the same arithmetic, compiled into the loop and into the engine
+    np.testing.assert_allclose(columns(records, AT.force)[free], np.array(forces)[free], rtol=0, atol=1e-12)
+    # At the motors: half a count each is 4 mN at the knob, and K is taken where the encoders say it is, 64 um off of
+    # some 50 mm over which it changes.
+    given = columns(records, AT.force)
+    error = np.linalg.norm(seen[:, :3] - given, axis=1)
+    assert (error < 0.007 + COUNT_M / 0.02 * np.linalg.norm(given, axis=1)).all()
+    assert given[:, 2].max() > 0.5
+    assert (stub["threads"], stub["misuse"], stub["flying"], stub["allocated"]) == (0, 0, 0, 0)
+    assert stub["opens"] == stub["closes"] and not any(stub.motors())
+
+
+def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: FalconBench) -> None:
+    """Every tenth reply is one tick late: that tick repeats the sample, the next has the newest."""
+    with bench.open() as device:
+        stub.update(late=1, late_every=10, lates=0, logged=0)
+        ended, records = run(device, 1000)
+        asked_anew = np.count_nonzero(stub.log()[:, 6])
+    assert ended == s.Ended(s.FINISHED, OK)
+    stale = records[:, AT.servo_device] == STALE
+    # The last packets are answered to nobody; after a pause of the machine's the read waits, whatever is late.
+    assert stub["lates"] - 2 - asked_anew <= np.count_nonzero(stale) <= stub["lates"] <= 102 + asked_anew
+    late = np.flatnonzero(stale)
+    assert len(late) > 50 and (np.diff(late) > 1).all()
+    position = columns(records, AT.probe_position)
+    np.testing.assert_array_equal(position[late], position[late - 1])
+
+
+@pytest.mark.parametrize(("late", "fresh"), [(1, 0.95), (2, 0.3)])
+def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, bench: FalconBench) -> None:
+    """With each reply one tick late every tick but the first still has one; with two ticks, packets are held back
+    rather than piled up, so that some ticks have none; the loop keeps its rate."""
+    with bench.open() as device:
+        stub.update(late=late)
+        ended, records = run(device, 400)
+        assert word(device, WORDS.awaited) <= 2
+    assert ended == s.Ended(s.FINISHED, OK)
+    assert np.mean(records[:, AT.servo_device] == OK) > fresh
+
+
+def test_lost_replies_are_not_waited_for_for_ever(stub: UsbStub, bench: FalconBench) -> None:
+    """Each 50th reply never comes. The first of two costs a tick; the second leaves two packets without an answer, and
+    they are given up after 5 ms."""
+    with bench.open() as device:
+        stub.update(lose_every=50)
+        ended, records = run(device, 1000)
+    assert ended == s.Ended(s.FINISHED, OK)
+    stale = np.count_nonzero(records[:, AT.servo_device] == STALE)
+    assert 18 <= stale <= 10 * 1 + 10 * 8  # 5 ms of a clock against ticks of 1 ms: 8 at the most
+
+
+@pytest.mark.parametrize("piece", [1, 2, 5, 16])
+def test_replies_in_pieces(piece: int, stub: UsbStub, bench: FalconBench) -> None:
+    """Replies that come in short transfers are put together; one of more transfers than a tick takes waits for the
+    next tick."""
+    with bench.open() as device:
+        stub.update(piece=piece)
+        servo = Servo(device)
+        statuses = []
+        for _ in range(40):
+            statuses.append(servo.read()[0])
+            servo.write(0.0, 0.0, 0.2, 0.0, 0.0, 0.0)
+    assert statuses.count(OK) >= (40 if piece > 1 else 20) - 1
+    assert set(statuses) <= {OK, STALE}
+
+
+def test_a_signal_in_the_loop_is_no_fault(stub: UsbStub, bench: FalconBench) -> None:
+    """Handling of events that a signal cuts short costs a tick at most."""
+    with bench.open() as device:
+        stub.update(interrupt_every=7)
+        ended, records = run(device, 300)
+    assert ended == s.Ended(s.FINISHED, OK)
+    assert np.mean(records[:, AT.servo_device] == OK) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("fault", "status"),
+    [
+        ({"unplug_at": 300}, LOST),
+        ({"break_at": 300}, LOST),
+        ({"block_at": 300}, TIMEOUT),
+        ({"hush_at": 300}, TIMEOUT),
+        ({"mute_at": 300}, TIMEOUT),
+    ],
+    ids=["unplugged", "broken", "out-blocked", "in-blocked", "mute"],
+)
+def test_faults_leave_nothing_under_way(
+    fault: dict[str, float], status: int, stub: UsbStub, bench: FalconBench
+) -> None:
+    """Under the servo each fault ends the loop with its status; every transfer comes back and is freed, no force is
+    left as far as the bus takes one, and what is put right later finds no packet waiting."""
+    stub.update(z=0.004)
+    with bench.open() as device:
+        stub.update(**{name: stub["steps"] + steps for name, steps in fault.items()})
+        ended, _ = run(device, 2000)
+        assert (ended.ending, ended.status) in {(s.READ_FAILED, status), (s.WRITE_FAILED, status)}
+    assert (stub["threads"], stub["misuse"], stub["flying"], stub["dropped"], stub["allocated"]) == (0, 0, 0, 0, 0)
+    assert stub["opens"] == stub["closes"]
+    assert stub["most"] > 50, "there was no force to take away"
+    if "block_at" in fault or "break_at" in fault:  # no zero goes through: the firmware's own affair
+        steps = stub["steps"]
+        for name in fault:
+            stub[name] = -1
+        assert stub["steps"] == steps
+    else:
+        assert not any(stub.motors())
+
+
+def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: FalconBench) -> None:
+    """After a pause longer than the time-out a device that is late to answer is not given up: the sample of before
+    is repeated, no force goes with it, which the loop is told, and a reply of now ends that."""
+    with bench.open(timeout_s=1.0, kick_s=0.02) as device:
+        servo = Servo(device)
+        servo.read()
+        stub["mute_at"] = 0.0
+        time.sleep(1.2)
+        assert servo.read()[0] == WITHHELD
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert not any(stub.motors())
+        stub["mute_at"] = -1.0
+        while (status := servo.read()[0]) in (STALE, WITHHELD):
+            time.sleep(0.001)
+        assert status == OK
+
+
+def test_a_pause_of_the_loop_that_ends_in_a_zero_is_told(stub: UsbStub, bench: FalconBench) -> None:
+    """After a pause a reply of now is asked for with a zero. The read that does so says that the force was taken off,
+    though a reply is there at once: otherwise the force would come back in full."""
+    with bench.open() as device:
+        servo = Servo(device)
+        servo.read()
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+        stub.update(logged=0)
+        time.sleep(0.06)
+        assert servo.read()[0] == WITHHELD
+        assert not stub.log()[0, :3].any()
+        # A machine that held this thread up may have made another pause of it.
+        assert any(servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK and servo.read()[0] == OK for _ in range(10))
+
+
+def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
+    """Opened it is sent zeros, with the light of homing, until `arm`; after a stop it is not armed again. Nothing in it
+    counts time, so however long that takes."""
+    with open_device(options(), RATE_HZ) as device:
+        servo = Servo(device, arm=False)
+        servo.read()
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert not any(stub.motors())
+        time.sleep(0.3)
+        device.arm()
+        assert any(servo.read()[0] >= 0 and servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK for _ in range(10))
+        assert any(stub.motors())
+        device.stop()
+        device.arm()
+        servo.read()
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert not any(stub.motors())
+
+
+def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(stub: UsbStub, bench: FalconBench) -> None:
+    """A packet with a force does not go through; when the device takes packets again, `stop` has withdrawn it, and what
+    arrives is the zero."""
+    with bench.open(timeout_s=0.05, kick_s=0.02) as device:
+        servo = Servo(device)
+        servo.read()
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        assert any(stub.motors())
+        servo.read()
+        stub["block"] = 1
+        servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0)
+        forces = stub["forces"]
+        threading.Timer(0.15, lambda: stub.__setitem__("block", 0.0)).start()
+        device.stop()
+        assert stub["forces"] == forces
+        assert not any(stub.motors())
+        assert stub["cancels"] >= 1
+        assert servo.read()[0] in (OK, STALE, WITHHELD)  # a pause, on a machine that is busy
+
+
+def test_a_device_that_takes_nothing_is_given_up(
+    stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A stop that no zero follows says so; closing takes the packet back, so it never arrives."""
+    device = bench.open(timeout_s=0.05, kick_s=0.02)
+    servo = Servo(device)
+    servo.read()
+    stub["block"] = 1
+    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    device.close()
+    assert "takes no packet" in caplog.text
+    steps = stub["steps"]
+    stub["block"] = 0
+    assert (stub["flying"], stub["dropped"], stub["steps"]) == (0, 0, steps)
+
+
+def test_transfers_that_libusb_does_not_end_are_left_to_it(
+    stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A cancelled transfer that does not come back: its memory stays, the device is closed all the same, and opens
+    again."""
+    device = bench.open()
+    Servo(device).read()
+    stub.update(stubborn=1, hush_at=0)
+    device.close()
+    assert "does not end its transfers" in caplog.text
+    assert stub["dropped"] == 1 and stub["allocated"] == 2 and stub["misuse"] == 0
+    assert stub["opens"] == stub["closes"]
+    device.close()
+    stub.update(stubborn=0, hush_at=-1)
+    with bench.open() as again:
+        assert Servo(again).read()[0] == OK
+
+
+def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBench) -> None:
+    """While one thread handles events for 0.1 s another stops: no two are in libusb at once, and the zero goes out."""
+    with bench.open() as device:
+        servo = Servo(device)
+        servo.read()
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        stub["slow_s"] = 0.1
+        loop = threading.Thread(target=servo.read)
+        loop.start()
+        while not stub.busy():
+            time.sleep(0.001)
+        device.stop()
+        assert not any(stub.motors())
+        loop.join()
+    assert stub["threads"] == 0
+
+
+def test_closing_under_a_loop_that_hangs_in_libusb(
+    stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """libusb does not return to the loop: closing takes nothing from under it and says so; once it has returned, the
+    device closes."""
+    device = bench.open()
+    servo = Servo(device)
+    servo.read()
+    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    stub["slow_s"] = 2.3  # two waits of a second
+    statuses: list[int] = []
+    loop = threading.Thread(target=lambda: statuses.append(servo.read()[0]))
+    loop.start()
+    while not stub.busy():
+        time.sleep(0.001)
+    device.close()
+    assert "the device stays open" in caplog.text
+    assert stub["closes"] == stub["opens"] - 1
+    loop.join()
+    assert statuses[0] >= 0
+    device.close()
+    assert stub["opens"] == stub["closes"]
+    assert not any(stub.motors())
+    assert (stub["threads"], stub["misuse"], stub["allocated"]) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(("knobs", "error"), [({"refuse": -1}, DeviceLost), ({"transfers": 1}, DeviceError)])
+def test_opening_that_fails_half_way_gives_everything_back(
+    knobs: dict[str, float], error: type[Exception], stub: UsbStub, bench: FalconBench
+) -> None:
+    """A transfer that is refused, and no memory for the second one: an error, and nothing is kept."""
+    stub.update(**knobs)
+    with pytest.raises(error):
+        bench.open()
+    assert (stub["allocated"], stub["misuse"], stub["flying"]) == (0, 0, 0)
+    assert stub["opens"] == stub["closes"]
+
+
+def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) -> None:
+    """Switched on: the file is sent again after a wrong echo, the hand pulls the knob out and in, and then its
+    place is the knob's."""
+    path = tmp_path / "firmware.bin"
+    path.write_bytes(bytes(range(250)) * 6)
+    stub.update(firmware=1500, spoil=1, homed=0)
+    with bench.open(firmware=str(path)) as device:
+        assert stub["loads"] == 2
+        status, sample = Servo(device).read()
+        assert status == OK
+        np.testing.assert_allclose(sample[:3], stub.state()[3:], rtol=0, atol=COUNT_M)
+    assert stub["most"] == 0, "a motor was driven before its place was known"
+    assert stub["misuse"] == 0
+
+
+def test_a_million_spoilt_replies(stub: UsbStub, bench: FalconBench) -> None:
+    """Noise, packets cut short, with a wrong byte, or of counts from nowhere, between true ones: each place belongs to
+    the counts of a whole packet by the stand-in's own kinematics, or is no number and no force follows it."""
+    with bench.open() as device:
+        stub.update(still=1, fuzz=1)
+        fresh, repeated, failed, places, nowhere, pushed, wrong, partly, withheld = stub.fuzz(device, 1_000_000)
+        assert (pushed, wrong, partly) == (0, 0, 0)
+        # Each pause of the machine, of 30 ms or more, withholds the force of one tick.
+        assert (fresh + withheld, repeated, failed) == (1_000_000, 0, 0) and withheld < 100
+        assert places + nowhere == 1_000_000 and nowhere > 100_000
+        assert word(device, WORDS.garbled) > 1_000_000
+    assert not any(stub.motors())
+    assert stub["misuse"] == 0
+
+
+def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None:
+    """Both are open at once, each exchange is with its own knob, in two loops of one process; closing one leaves the
+    other; without a serial number neither is taken."""
+    stub.update(z=0.03)
+    stub[1, "attached"] = 1
+    stub[1, "z"], stub[1, "x"] = 0.045, 0.02
+    stub.place(1)
+    with pytest.raises(DeviceNotFound, match="2 Falcons are attached: name one with serial: 'SN1', 'SN2'"):
+        bench.open()
+    assert stub["opens"] == stub["closes"] and stub[1, "opens"] == stub[1, "closes"]
+    with bench.open(serial="SN2") as second:
+        first = bench.open(serial="SN1")
+        servo = Servo(second)
+        servo.read()
+        servo.write(0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
+        assert any(stub.motors(1)) and not any(stub.motors(0))
+        servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        found: dict[str, Any] = {}
+        loops = [
+            threading.Thread(target=lambda name=name, device=device: found.update({name: run(device, 300)}))
+            for name, device in (("first", first), ("second", second))
+        ]
+        for loop in loops:
+            loop.start()
+        for loop in loops:
+            loop.join()
+        for name, height in (("first", 0.03), ("second", 0.045)):
+            ended, records = found[name]
+            assert ended == s.Ended(s.FINISHED, OK)
+            assert np.mean(records[:, AT.servo_device] == OK) > 0.5
+            np.testing.assert_allclose(columns(records, AT.probe_position)[:, 2], height, rtol=0, atol=COUNT_M)
+        first.close()
+        assert stub["claimed"] == 0 and stub[1, "claimed"] == 1
+        statuses = []
+        for _ in range(5):
+            statuses.append(servo.read()[0])
+            servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        assert set(statuses) <= {OK, WITHHELD} and OK in statuses  # withheld after a pause, as since its loop ended
+    assert not any(stub.motors(1))
+    assert (stub["misuse"], stub["allocated"], stub["flying"], stub[1, "flying"]) == (0, 0, 0, 0)
+    assert stub[1, "opens"] == stub[1, "closes"]
+
+
+def test_the_daemon_itself(tmp_path: Path) -> None:
+    """`softfinger run` in a process whose libusb is the stand-in, found by the loader where libusb would be: contact is
+    felt, and nothing is left."""
+    words = ["run", "--rig", "falcon", "--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*"]
+    words += ["--realtime", "off", "--duration", "1.5"]
+    done = subprocess.run(
+        [sys.executable, "-m", "softfinger.server.cli", *words],
+        env=child_environment(tmp_path, z=0.004), capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "device Novint Falcon 0403:cb48 at 1000 Hz" in done.stderr
+    assert re.search(r"stopped after 1500 ticks", done.stderr), done.stderr
+    left = left_behind(tmp_path)
+    assert left["steps"] >= 1500, "a packet in each tick"
+    assert left["most"] > 100
+    assert left["m0"] == left["m1"] == left["m2"] == left["flying"] == left["allocated"] == left["misuse"] == 0
+    assert left["opens"] == left["closes"]
+
+
+FALCON = Attached("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/001/005")
+
+
+def test_a_falcon_is_asked_for_its_firmware(stub: UsbStub) -> None:
+    """Whether firmware runs, the device says itself; one that runs needs no file; the answer is in JSON and text."""
+    claim = claim_on(FALCON)
+    assert claim is not None
+    diagnosis, said = devices.ask(FALCON, claim)
+    assert (diagnosis, said) == (Diagnosis("usable"), {"firmware": True})
+    assert devices.as_map(FALCON, claim, diagnosis, said)["said"] == {"firmware": True}
+    assert "    it says: firmware True" in devices.lines([(FALCON, claim, diagnosis, said)])
+    stub.update(firmware=1000)
+    diagnosis, said = devices.ask(FALCON, claim)
+    assert (diagnosis.state, said) == ("firmware", {"firmware": False})
+    assert stub["opens"] == stub["closes"] and stub["loads"] == 0
+    stub["held"] = 1
+    diagnosis, said = devices.ask(FALCON, claim)
+    assert (diagnosis.state, said) == ("busy", None)

@@ -1,0 +1,95 @@
+"""A Falcon whose replies stop or come late while it pulls: its packets, one after the other, through the real loop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import paper_mapping
+from helpers.drd_stub import COMPILER
+from helpers.driver_contract import RATE_HZ
+from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, stub, usb_library
+
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import Scene
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tuning import make_tuning
+
+__all__ = ["stub", "usb_library"]  # fixtures
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
+
+PULL_N = 4.0
+SLEW_N = 0.2
+"""Largest change in a tick, as the guard here has it: so small that a few ticks together are seen."""
+STEP_N = 2 * 0.01
+"""Half a motor count at each leg is 4 mN at the knob, which moves by a millisecond before it is asked; at both ends."""
+RAMP_S = 0.2
+LOGGED = 8192
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+def pull(stub: UsbStub) -> np.ndarray:
+    """Force (N) up of each packet since `logged` was 0, (n,)."""
+    return stub.log()[:, 2]
+
+
+@contextmanager
+def running(stub: UsbStub, ramp_s: float, **knobs: float) -> Iterator[None]:
+    """The servo's loop under a scene that pulls up. A tick counts as one, however late a busy machine makes it."""
+    mapping = paper_mapping(effect=[{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}])
+    guard = load_rig("falcon", {"guard.ramp_s": ramp_s, "guard.force_slew_n_per_s": SLEW_N * RATE_HZ}).guard
+    with FalconBench(stub).open(timeout_s=2.0, kick_s=0.02) as device:
+        device.info = replace(device.info, own_clock=True)
+        servo = Servo([device], make_tuning(build(Scene, mapping, "test scene"), guard, [device.info]), RATE_HZ)
+        servo.compile()
+        stub.update(still=1, logged=0, **knobs)
+        servo.start()
+        try:
+            yield
+        finally:
+            servo.stop()
+            assert servo.join(60.0) is not None
+            servo.close()
+    assert stub["logged"] < LOGGED, "not every packet was seen"
+
+
+def test_a_force_ended_by_a_silence_fades_in_anew(stub: UsbStub) -> None:
+    """60 ms without a reply while it pulls: zeros go out, and then the force comes up from zero with the ramp; no
+    packet pulls by more than the guard's limit harder than the one before."""
+    with running(stub, RAMP_S):
+        until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)
+        before = len(pull(stub)) - 1
+        stub["mute_at"] = 0.0
+        until(lambda: not pull(stub)[before:].all())
+        time.sleep(0.06)
+        stub["mute_at"] = -1.0
+        until(lambda: pull(stub)[-1] > 0.99 * PULL_N)
+        forces = pull(stub)
+    zeros = np.flatnonzero(forces[before:] == 0.0) + before
+    assert np.diff(forces).max() <= SLEW_N + STEP_N
+    back = forces[zeros[-1] + 1 :]
+    # A tick adds its share to the ramp, and a packet comes at most a few after the one before.
+    assert back[0] <= 4 * PULL_N / (RAMP_S * RATE_HZ) + STEP_N
+    assert len(back) > RAMP_S * RATE_HZ / 4
+
+
+@pytest.mark.parametrize("late", [2, 4])
+def test_a_force_that_waits_is_no_wider_step(late: int, stub: UsbStub) -> None:
+    """With replies that are ticks late, forces wait for them; the next is within the guard's limit of the last that
+    went out, not of those that did not."""
+    with running(stub, 0.01, late=late):
+        until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)
+        forces = pull(stub)
+    assert np.diff(forces).max() <= SLEW_N + STEP_N
+    assert np.count_nonzero((forces > 0.0) & (forces < PULL_N - STEP_N)) >= PULL_N / SLEW_N / 2

@@ -1,0 +1,634 @@
+"""Force Dimension's devices on a stand-in for the maker's library: contract, header, opening, exchange."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import subprocess
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, StubBench, bench, plugged_in, stub, stub_library
+from helpers.driver_contract import RATE_HZ, DriverContract, Servo
+
+from softfinger.config.errors import (
+    ConfigError,
+    DeviceBusy,
+    DeviceError,
+    DeviceNotFound,
+    DevicePermission,
+    DeviceTimeout,
+    HapticError,
+)
+from softfinger.config.load import build
+from softfinger.config.schema import DeviceConfig
+from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.forcedimension import device as forcedimension
+from softfinger.drivers.forcedimension import exchange, library
+from softfinger.drivers.forcedimension.models import MODELS
+from softfinger.drivers.system.claims import Claim
+from softfinger.drivers.system.diagnosis import Diagnosis
+from softfinger.drivers.system.discovery import Attached
+from softfinger.proxy.kernels.native.atomics import call_device
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.server.verbs import devices
+
+__all__ = ["bench", "stub", "stub_library"]  # fixtures
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
+
+TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""From the library's frame (x towards the user, y right, z up) to the world's (x right, y away from the user, z up)."""
+
+OMEGA_6 = {"type": 34, "wrist": 1}
+SIGMA_7 = {"type": 104, "wrist": 1, "active_wrist": 1, "gripper": 1}
+
+
+class TestContract(DriverContract):
+    """The contract over the stand-in."""
+
+
+# --- what the header says ------------------------------------------------------------------------
+
+
+def test_models_are_those_of_the_header() -> None:
+    """System types and recommended maxima, as published."""
+    types = {
+        33: "omega.3", 34: "omega.6", 36: "omega.6", 35: "omega.7", 37: "omega.7", 63: "delta.3", 206: "sigma.3",
+        104: "sigma.7", 105: "sigma.7", 203: "lambda.3", 131: "lambda.6", 132: "lambda.6", 108: "lambda.7",
+        109: "lambda.7",
+    }  # fmt: skip
+    # Those of CHAI3D's driver, which names them by the device whose numbers they share.
+    right = {102, 209, 112, 114, 117, 119, 121, 123, 125, 127, 129, 210, 115}
+    left = {103, 113, 118, 120, 122, 124, 126, 128, 130, 211, 116}
+    types |= {110: "omega.3", 111: "delta.3", 133: "sigma.3", 115: "sigma.6", 116: "sigma.6"}
+    types |= dict.fromkeys((102, 103, 209), "sigma.7")
+    types |= dict.fromkeys((*range(112, 115), *range(117, 131), 210, 211), "lambda.7")
+    assert {number: model.name for number, model in MODELS.items()} == types
+    assert {number for number in types if MODELS[number].full_name.endswith("right")} - {34, 35, 104, 108, 131} == right
+    assert {number for number in types if MODELS[number].full_name.endswith("left")} - {36, 37, 105, 109, 132} == left
+    for number in (34, 35, 104, 108, 131):
+        assert MODELS[number].full_name.endswith("right")
+    for number in (36, 37, 105, 109, 132):
+        assert MODELS[number].full_name.endswith("left")
+    limits = {
+        33: (12, 0, 5000, 30, 0.075), 34: (12, 0, 5000, 30, 0.075), 35: (12, 0, 5000, 30, 0.075),
+        63: (20, 0, 5000, 30, 0.15), 104: (12, 0.2, 4000, 30, 0.075),
+    }  # fmt: skip
+    for number, expected in limits.items():
+        assert tuple(MODELS[number].limits) == expected
+    force, torque, stiffness, _, radius = MODELS[108].limits
+    assert (force, torque, stiffness, radius) == (12, 0.2, 8000, 0.1125)
+
+
+def test_causes_and_status_words_are_those_of_the_header() -> None:
+    """Force, error, cause are words 5, 9, 14; causes 1 to 6 are button, velocity, watchdog, software, USB, dead man."""
+    assert (exchange.STATUS_FORCE, exchange.STATUS_ERROR, exchange.STATUS_CAUSE) == (5, 9, 14)
+    words = ("button", "velocity", "watchdog", "library", "USB", "dead-man")
+    assert len(library.FORCE_OFF_CAUSES) == 6
+    assert all(word in library.FORCE_OFF_CAUSES[n + 1] for n, word in enumerate(words))
+
+
+@pytest.mark.parametrize("kind", sorted(MODELS))
+def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBench) -> None:
+    """Each system type opens under its name; three axes are driven, six where the wrist has motors."""
+    name = MODELS[kind].name
+    wrist, active = not name.endswith("3"), name in ("sigma.6", "sigma.7", "lambda.7")
+    stub.update(type=kind, wrist=wrist, active_wrist=active)
+    with bench.open(model=name) as device:
+        assert device.info.name.startswith(name)
+        assert device.info.sensed_dof == (6 if wrist else 3)
+        assert device.info.actuated_dof == (6 if active else 3)
+        assert device.info.force_max_n == (20.0 if name == "delta.3" else 12.0)
+        assert stub["max_force"] == device.info.force_max_n
+        assert device.info.torque_max_nm == (0.2 if active else 100.0)
+
+
+# --- opening -------------------------------------------------------------------------------------
+
+
+def test_nothing_is_done_that_the_rig_does_not_ask_for(stub: Stub, bench: StubBench) -> None:
+    """Without a word in the rig nothing moves or carries weight, and the threshold stays; expert mode is off again and
+    no expert's call came outside it; the device is left as its maker's library leaves it, without force and braked."""
+    with bench.open():
+        seen = {name: stub[name] for name in ("moved", "gravity", "brakes", "threshold", "watchdog", "force_on")}
+        assert seen == {"moved": 0, "gravity": 0, "brakes": 0, "threshold": 0, "watchdog": 0, "force_on": 1}
+        assert stub["expert"] == stub["expert_misuse"] == 0
+    assert stub["brakes"] == 1 and stub["force_on"] == 0
+    assert stub["disables"] == 2 and stub["stops"] == 1  # once when it was opened
+    assert stub["opens"] == stub["closes"] == 1
+
+
+def test_everything_is_done_that_the_rig_asks_for(stub: Stub, bench: StubBench) -> None:
+    """Calibration, weight and threshold as given."""
+    stub["initialized"] = 0
+    with bench.open(velocity_threshold=300, calibrate=True, gravity_compensation=True):
+        seen = {name: stub[name] for name in ("moved", "gravity", "threshold", "regulated", "force_on")}
+        assert seen == {"moved": 1, "gravity": 1, "threshold": 300, "regulated": 0, "force_on": 1}
+        assert stub["expert"] == stub["expert_misuse"] == 0
+
+
+@pytest.mark.parametrize("brakes", [True, False])
+def test_brakes_are_on_or_off_while_the_force_is_off(brakes: bool, stub: Stub, bench: StubBench) -> None:
+    """Taking the force off puts the device into brake mode, so `brakes = false` has to let the handle go each time."""
+    with bench.open_unarmed(brakes=brakes) as device:
+        assert (stub["force_on"], stub["brakes"]) == (0, brakes)
+        device.arm()
+        assert (stub["force_on"], stub["brakes"]) == (1, 0)
+        device.stop()
+        assert (stub["force_on"], stub["brakes"]) == (0, brakes)
+    assert stub["brakes"] == brakes
+
+
+def test_brakes_that_cannot_be_taken_off_are_said(
+    stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A device that refuses opens all the same, and `brakes = false` is not left to be believed."""
+    stub["refuse_brakes"] = 1
+    bench.open().close()
+    assert "brakes" not in caplog.text
+    bench.open(brakes=False).close()
+    assert "brakes = false is not kept" in caplog.text
+
+
+# --- arming --------------------------------------------------------------------------------------
+
+
+def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBench) -> None:
+    """The watchdog counts real time since the last force, so it and the force come with `arm`, however long that is
+    after opening. An unarmed device takes no force and says so; its readings and its stop are as ever."""
+    with bench.open_unarmed(watchdog_s=0.03) as device:
+        assert (stub["force_on"], stub["watchdog"], stub["cause"]) == (0, 0, 4)
+        servo = Servo(device, arm=False)
+        assert servo.read()[0] == OK
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+        time.sleep(0.1)
+        for _ in range(20):  # this thread may be held up for longer than the watchdog waits, but not each time
+            device.arm()
+            assert stub["watchdog"] == 240
+            if servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK and stub["fz"] == 1.0:
+                break
+        assert stub["cause"] == 0
+        time.sleep(0.1)
+        assert stub["cause"] == 3 and stub.norm() == 0.0, "the stand-in's watchdog does not bite"
+
+
+def test_force_that_a_killed_program_left_on_ends_with_the_opening(stub: Stub, bench: StubBench) -> None:
+    """A program that was killed on a device without a watchdog left its force on; opening the device takes it off."""
+    stub.update(force_on=1, fz=3.0, cause=0)
+    assert stub.norm() == 3.0
+    with bench.open_unarmed():
+        assert stub.norm() == 0.0 and stub["force_on"] == 0
+
+
+def test_stopped_device_is_never_armed(stub: Stub, bench: StubBench) -> None:
+    """`stop` is for good: before `arm`, and after it."""
+    with bench.open_unarmed() as device:
+        device.stop()
+        device.arm()
+        assert stub["force_on"] == 0
+        assert Servo(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+
+
+def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
+    """The library hangs while it switches the force on: `stop` returns all the same, and the force that comes on once
+    the library goes on is taken off by who asked for it."""
+    with bench.open_unarmed() as device:
+        stub["enable_s"] = 1.0
+        arming = threading.Thread(target=device.arm)
+        arming.start()
+        while not stub.busy():
+            time.sleep(0.001)
+        begun = time.monotonic()
+        device.stop()
+        assert time.monotonic() - begun < 0.9, "it waited for the library"
+        assert arming.is_alive()
+        arming.join(10.0)
+        assert stub["force_on"] == 0 and stub.norm() == 0.0
+
+
+@pytest.mark.parametrize("code", [2, 6, 7])
+def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) -> None:
+    """Where the watchdog is refused, a rig that wants none opens; another is told what is missing and what to do, and
+    the device is closed, braked, out of expert mode."""
+    stub["refuse_watchdog"] = code
+    with pytest.raises(DeviceError, match=r"dhdSetWatchdog.*") as caught:
+        bench.open(watchdog_s=0.03)
+    if code == 7:
+        assert type(caught.value) is DeviceTimeout
+    else:
+        assert re.search(r"firmware before 3\.0 has no watchdog.*watchdog_s = 0", str(caught.value))
+    assert stub["expert"] == stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
+    with bench.open(watchdog_s=0.0) as device:
+        assert Servo(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+        assert stub["fz"] == 1.0
+
+
+def test_device_without_a_frame_gives_its_position(stub: Stub, bench: StubBench) -> None:
+    """The frame is documented for devices with a wrist. An omega.3 that has none is read by its position, unturned,
+    with one call a tick; with a wrist a refused frame is a fault."""
+    stub.update(refuse_frame=1, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
+    with bench.open() as device:
+        servo = Servo(device)
+        reads = stub["reads"]
+        for _ in range(5):
+            status, sample = servo.read()
+            assert status == OK
+            np.testing.assert_allclose(sample[:3], TURN @ [0.01, 0.02, 0.03], atol=3e-6)  # 0.25 kg on 1e6 N/m
+            assert sample[3:7] == [1.0, 0.0, 0.0, 0.0]
+        assert stub["reads"] - reads == 5
+        stub["fail_read"] = 0
+        assert servo.read()[0] == LOST
+    stub.reset()
+    with bench.open() as device:
+        stub.update(fail_read=0, error=7)
+        assert Servo(device).read()[0] == TIMEOUT
+
+
+def test_device_of_an_unknown_type_runs_with_the_least_limits(
+    stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A number that nobody lists is opened, with a warning and less than any known device, and sends no torque; a rig
+    that wants a certain model does not take it."""
+    stub.update(type=77, wrist=1, active_wrist=1)
+    with bench.open() as device:
+        assert device.info.name == "device of unknown type 77, serial 1230"
+        assert "limits are not known" in caplog.text
+        for known in MODELS.values():
+            assert device.info.force_max_n < known.limits.force_max_n
+            assert device.info.stiffness_max_n_per_m < known.limits.stiffness_max_n_per_m
+        assert stub["max_force"] == device.info.force_max_n
+        servo = Servo(device)
+        servo.read()
+        servo.write(0.1, 0.0, 0.0, 0.1, 0.1, 0.1)
+        assert stub["torque_sent"] == 0
+    with pytest.raises(DeviceNotFound, match=r"model = omega\.6.*unknown type 77"):
+        bench.open(model="omega.6")
+
+
+def test_device_that_is_not_calibrated_does_not_move_by_itself(stub: Stub, bench: StubBench) -> None:
+    """Without `calibrate` it is refused, closed and unmoved, and the message says what moves."""
+    stub["initialized"] = 0
+    with pytest.raises(DeviceError, match=r"not calibrated.*calibrate = true.*MOVES"):
+        bench.open()
+    assert stub["moved"] == 0 and stub["opens"] == stub["closes"] == 1
+
+
+def test_failure_while_setting_up_closes_and_leaves_expert_mode(stub: Stub, bench: StubBench) -> None:
+    """Where a setting is refused, its function is named, and the device is closed without force."""
+    stub.update(initialized=0, refuse_init=1)
+    with pytest.raises(DeviceTimeout, match=r"drdAutoInit.*timeout"):
+        bench.open(calibrate=True)
+    stub.reset()
+    stub["fail_write"] = 0  # the first force fails, after the force is on
+    with bench.open_unarmed() as device, pytest.raises(DeviceError, match="dhdSetForce"):
+        device.arm()
+    assert stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [(3, DeviceBusy), (20, DeviceBusy), (5, DeviceNotFound), (7, DeviceTimeout), (2, DeviceError), (4, DeviceError)],
+)
+def test_error_of_opening_has_its_kind(code: int, kind: type[HapticError], stub: Stub, bench: StubBench) -> None:
+    """The library's number decides what a failed opening is called."""
+    stub.update(fail_open=1, error=code)
+    with pytest.raises(kind) as caught:
+        bench.open()
+    assert type(caught.value) is kind and "device 0" in str(caught.value)
+
+
+def test_device_is_chosen_by_serial_model_and_number(stub: Stub, bench: StubBench) -> None:
+    """Among three devices the named one is opened, the others are closed again; a wish that none fits lists them."""
+    stub["devices"] = 3  # the stub's serial numbers end in the device's number
+    with bench.open(serial=1232) as device:
+        assert device.info.name == "omega.3, serial 1232"
+    with bench.open(number=1, model="omega.3") as device:
+        assert device.info.name == "omega.3, serial 1231"
+    assert stub["opens"] == stub["closes"] == 4
+    with pytest.raises(DeviceNotFound, match=r"model = omega\.7, serial = 9.*omega\.3, serial 1230; .*1231; .*1232"):
+        bench.open(model="omega.7", serial=9)
+    assert stub["opens"] == stub["closes"]
+
+
+def test_a_device_is_asked_without_force(stub: Stub) -> None:
+    """`devices --ask`: model, serial number, system type and calibration by the library; nothing moves, no force is
+    switched on, and it is closed again; a device that another program holds is busy."""
+    claim = Claim("forcedimension", "usb", 0x1451, None)
+    rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
+    stub.update(type=34, wrist=1, initialized=0)
+    omega = Attached("usb", 0x1451, 0x0402, "omega.x haptic device", "", "/dev/bus/usb/001/005")
+    diagnosis, said = devices.ask(omega, claim, rig)
+    assert diagnosis == Diagnosis("usable")
+    assert said == {"model": "omega.6 right", "serial": 1230, "system_type": 34, "calibrated": False}
+    assert stub["opens"] == stub["closes"] == 1
+    assert stub["moved"] == stub["force_on"] == stub["writes"] == 0
+    stub["held"] = 1
+    diagnosis, said = devices.ask(omega, claim, rig)
+    assert (diagnosis.state, said) == ("busy", None)
+
+
+def test_watchdog_shorter_than_two_ticks_is_refused(bench: StubBench) -> None:
+    """A watchdog that would bite between two ticks is refused before anything is opened, with the least that does."""
+    with pytest.raises(DeviceError, match=r"watchdog_s = 0\.001 .*at 1000 Hz: give at least 0\.002"):
+        bench.open(watchdog_s=0.001)
+    bench.open(watchdog_s=0.002).close()
+    bench.open(watchdog_s=0.0).close()
+    assert bench.stub["watchdog"] == 0
+
+
+def test_options_outside_their_range_are_refused_by_name() -> None:
+    """Each number has a range and a reason, each name a list."""
+    given = {"watchdog_s": 0.5, "serial": -1, "number": 127, "velocity_threshold": -1, "model": "omega.5", "spin": 1}
+    with pytest.raises(ConfigError) as caught:
+        build(forcedimension.Options, given, "rig [device]")
+    for word in ("watchdog_s = 0.5", "serial = -1", "number = 127", "velocity_threshold = -1", "omega.6", "spin"):
+        assert word in str(caught.value)
+
+
+# --- library and USB -----------------------------------------------------------------------------
+
+
+def test_absent_library_says_where_it_was_looked_for(tmp_path: Path) -> None:
+    """The message has each place, the variables that are not set, and where to get it; devices are named anyway."""
+    environ = {"FDSDK": str(tmp_path / "sdk"), "HOME": str(tmp_path)}
+    with pytest.raises(DeviceNotFound) as caught:
+        library.load(None, environ)
+    machine = os.uname().machine
+    for part in (
+        f"{tmp_path}/sdk/lib/release/lin-{machine}-gcc/libdrd.so*", f"{tmp_path}/.local/lib/libdrd.so*",
+        "/usr/local/lib/libdrd.so*", "$FORCEDIM_SDK is not set", "forcedimension.com", "FDSDK",
+    ):  # fmt: skip
+        assert part in str(caught.value), part
+    with (
+        plugged_in(0x0402, 0x040C, 0x7777, nodes=None),
+        pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x haptic device.*lambda.*1451:7777"),
+    ):
+        forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        with (
+            plugged_in(0x0402, nodes=Path(folder), mode=0),
+            pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x.*may not be opened by this user.*udevadm"),
+        ):
+            forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
+
+
+@pytest.mark.parametrize("variable", ["FDSDK", "FORCEDIM_SDK", "HOME"])
+def test_library_is_found_where_the_sdk_puts_it(variable: str, stub_library: Path, tmp_path: Path) -> None:
+    """In the SDK's folder by either variable, and in ~/.local/lib; of two versions the newer."""
+    folder = tmp_path / (".local/lib" if variable == "HOME" else f"lib/release/lin-{os.uname().machine}-gcc")
+    folder.mkdir(parents=True)
+    (folder / "libdrd.so.3.17.5").symlink_to(stub_library)
+    (folder / "libdrd.so.3.9.0").write_text("older")
+    found = library.load(None, {"HOME": "/nowhere", variable: str(tmp_path)})
+    assert found._name == str(folder / "libdrd.so.3.17.5")
+
+
+def test_unusable_library_is_named(tmp_path: Path) -> None:
+    """A file that is no library, and a library that lacks a function, are refused with the file and the function."""
+    file = tmp_path / "libdrd.so"
+    file.write_text("no library")
+    with pytest.raises(DeviceError, match=rf"{file} cannot be loaded"):
+        library.load(str(file))
+    source = tmp_path / "empty.c"
+    source.write_text("int dhdErrorGetLast(void) { return 0; }\n")
+    subprocess.run([COMPILER, "-shared", "-fPIC", "-o", str(file), str(source)], check=True)
+    with pytest.raises(DeviceError, match=rf"{file} has no function dhdErrorGetLastStr"):
+        library.load(str(file))
+
+
+def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
+    """Result and parameters of each are declared: ctypes' own guesses would cut a double and pass no char."""
+    loaded = library.load(str(stub_library))
+    for name, (result, parameters) in library.PROTOTYPES.items():
+        function = getattr(loaded, name)
+        assert function.restype is result and function.argtypes == list(parameters)
+    source = (Path(__file__).parents[1] / "stubs" / "drd.c").read_text()
+    for name, (_, parameters) in library.PROTOTYPES.items():
+        declared = re.search(rf"\b{name}\(([^)]*)\)\n?\s*{{", source)[1]
+        counted = 0 if declared.strip() == "void" else declared.count(",") + 1
+        assert counted == len(parameters), name
+
+
+def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
+    """A node that this user may not write gives the udev rule; one that he may is no question of permission."""
+    stub["devices"] = 0
+    nodes = stub.path.parent
+    with (
+        plugged_in(0x0402, nodes=nodes, mode=0),
+        pytest.raises(DevicePermission, match=r'001/005.*ATTRS\{idVendor\}=="1451".*udevadm'),
+    ):
+        bench.open()
+    with plugged_in(0x0402, nodes=nodes), pytest.raises(DeviceError, match=r"does not see omega\.x") as caught:
+        bench.open()
+    assert type(caught.value) is DeviceError
+    with plugged_in(nodes=nodes), pytest.raises(DeviceNotFound, match="1451"):
+        bench.open()
+
+
+def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
+    """A process that has the device's node open is named with its number; without one it is another process."""
+    stub["held"] = 1
+    with pytest.raises(DeviceBusy, match="held by another process"):
+        bench.open()
+    nodes = stub.path.parent
+    with (
+        plugged_in(0x0402, nodes=nodes, privileged=True),
+        (nodes / "001" / "005").open() as node,
+        subprocess.Popen(["sleep", "60"], stdin=node) as holder,
+    ):
+        with pytest.raises(DeviceBusy, match=rf"held by \w+ \({holder.pid}\)"):
+            bench.open()
+        holder.kill()
+
+
+# --- exchange ------------------------------------------------------------------------------------
+
+
+def matrix_of(q: Any) -> np.ndarray:
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBench) -> None:
+    """Towards the user is -y, right is x, up is z: position, orientation, force and torque, by matrices."""
+    assert np.linalg.det(TURN) == 1.0
+    stub.update(**SIGMA_7, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
+    for axis in range(3):
+        for angle in (0.0, 0.4, -2.0, math.pi):
+            stub.update(axis=axis, turned=angle)
+            with bench.open() as device:
+                status, sample = Servo(device).read()
+                assert status == OK
+                # The weight of 0.25 kg hangs on 1e6 N/m.
+                np.testing.assert_allclose(sample[:3], TURN @ [0.01, 0.02, 0.03], atol=3e-6)
+                about = np.zeros(3)
+                about[axis] = 1.0
+                cross = np.cross(about, np.eye(3)).T
+                theirs = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+                # Rounding of sines of half and of whole angles.
+                np.testing.assert_allclose(matrix_of(sample[3:7]), TURN @ theirs @ TURN.T, atol=1e-14)
+                assert sample[3] >= 0.0
+                assert Servo(device).write(0.1, 0.2, 0.3, 0.01, 0.02, 0.03) == OK
+                assert [stub["fx"], stub["fy"], stub["fz"]] == (TURN.T @ [0.1, 0.2, 0.3]).tolist()
+                assert [stub["tx"], stub["ty"], stub["tz"]] == (TURN.T @ [0.01, 0.02, 0.03]).tolist()
+
+
+@pytest.mark.parametrize("kind", [33, 34, 35, 63, 131])
+def test_torque_is_never_sent_where_no_motor_turns(kind: int, stub: Stub, bench: StubBench) -> None:
+    """An omega.6 among others takes a torque, senses its orientation and gets forces only; no gripper is driven."""
+    stub.update(type=kind, wrist=1, gripper=kind == 35)
+    with bench.open() as device:
+        servo = Servo(device)
+        for _ in range(50):
+            servo.read()
+            assert servo.write(0.1, 0.2, 0.3, 0.1, -0.2, 0.3) == OK
+    assert stub["torque_sent"] == stub["gripper_sent"] == 0 and stub["writes"] >= 50
+
+
+def test_buttons_and_gripper_are_read(stub: Stub, bench: StubBench) -> None:
+    """Every bit of the mask arrives, the highest included; the gripper's angle where there is one, else 0."""
+    stub.update(buttons=2.0**31 + 5, **OMEGA_6)
+    with bench.open() as device:
+        assert Servo(device).read()[1][8:] == [2.0**31 + 5, 0.0]
+    stub.update(type=35, gripper=1, gripper_rad=0.25, buttons=0)
+    with bench.open() as device:
+        assert Servo(device).read()[1][8:] == [0.0, 0.25]
+
+
+def test_one_and_two_are_success_and_are_counted(stub: Stub, bench: StubBench) -> None:
+    """A held-back reading and motors at their limit go on with status STALE, counted; the pose is the last one. A force
+    that was held back is told by HELD, for the device keeps the one before."""
+    with bench.open() as device:
+        servo = Servo(device)
+        stub.update(guard_reads=4, guard_writes=5, reads=0, writes=0)
+        before = None
+        for n in range(20):
+            status, sample = servo.read()
+            assert status == (STALE if n and n % 4 == 0 else OK)
+            if status == STALE:
+                assert sample[:7] == before[:7] and sample[7] >= before[7]
+            before = sample
+            assert servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) == (HELD if n and n % 5 == 0 else OK)
+        stub.update(guard_reads=0, guard_writes=0)
+        assert servo.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == STALE
+        assert tuple(device.counts().values()) == (20, 4, 21, 3, 1)
+        assert stub["fz"] == 12.0  # the device's own limit, set when it was opened
+
+
+@pytest.mark.parametrize(("code", "status"), [(7, TIMEOUT), (2, LOST), (1, LOST)])
+@pytest.mark.parametrize("call", ["fail_read", "fail_write"])
+def test_failing_call_gives_its_status_and_reason(
+    call: str, code: int, status: int, stub: Stub, bench: StubBench
+) -> None:
+    """The library's timeout is a timeout, any other error a loss; the number stands in the reason."""
+    with bench.open() as device:
+        servo = Servo(device)
+        servo.read()
+        servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        stub.update(**{call: 0, "error": code})
+        assert (servo.read()[0] if call == "fail_read" else servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)) == status
+        text = {7: "timeout", 2: "communication error", 1: "error"}[code]
+        assert device.reason() == f"the library's error {code}, {text}"
+        device.stop()
+        assert stub.norm() == 0.0  # even where every force fails: the force is disabled
+        assert stub["force_on"] == 0
+
+
+def test_force_that_is_no_number_becomes_zero(stub: Stub, bench: StubBench) -> None:
+    """NaN or infinity in any place of a wrench never reaches the library: it gets zero."""
+    stub.update(**SIGMA_7)
+    with bench.open() as device:
+        servo = Servo(device)
+        for place in range(6):
+            for bad in (math.nan, math.inf, -math.inf):
+                assert servo.write(0.1, 0.1, 0.1, 0.01, 0.01, 0.01) == OK
+                wrench = [0.1] * 6
+                wrench[place] = bad
+                assert servo.write(*wrench) == WITHHELD
+                assert stub.norm() == stub["tx"] == stub["ty"] == stub["tz"] == 0.0
+
+
+def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBench) -> None:
+    """A mirrored or stretched matrix gives no quaternion, and a position that is no number stays none, both for the
+    guard to refuse; the read succeeds. A matrix off by rounding is taken."""
+    for name, value in (("mirror", 1.0), ("stretch", 0.1), ("stretch", -0.9)):
+        stub[name] = value
+        with bench.open() as device:
+            status, sample = Servo(device).read()
+            assert status == OK and all(map(math.isnan, sample[3:7])), name
+        stub[name] = 0.0
+    with bench.open() as device:
+        stub.update(stretch=1e-6, nan_at=1, reads=0)
+        servo = Servo(device)
+        assert not math.isnan(servo.read()[1][1])
+        status, sample = servo.read()
+        assert status == OK and math.isnan(sample[1])
+        assert not math.isnan(servo.read()[1][1])
+
+
+@entry
+def fuzz(read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, times: int) -> None:
+    """Read and write `times`; counts statuses of reads outside OK and STALE, and orientations neither NaN nor unit."""
+    for _ in range(times):
+        status = call_device(read, handle, sample)
+        if status != 0 and status != 1:
+            out[0] += 1
+        norm = 0.0
+        for k in range(3, 7):
+            norm += sample[k] * sample[k]
+        if norm == norm:
+            out[2] += 1
+            if not abs(norm - 1.0) < 1e-9:
+                out[1] += 1
+        for k in range(6):
+            wrench[k] = sample[k]
+        call_device(write, handle, wrench)
+
+
+def test_a_million_readings_of_garbage(stub: Stub, bench: StubBench) -> None:
+    """Whatever bits the library gives, a read ends with OK or STALE and an orientation is NaN or of unit length; what
+    comes of it and goes back as force is finite, and never more than the device's limit."""
+    with bench.open(status_period_s=1.0) as device:
+        stub.update(garbage=1)
+        io, out = device.io(), np.zeros(3, np.int64)
+        fuzz(io.read, io.write, io.handle, np.zeros(SAMPLE_SIZE), np.zeros(6), out, 1_000_000)
+        assert out[:2].tolist() == [0, 0]
+        assert stub["peak"] <= 12.0 and math.isfinite(stub.norm())
+
+
+def test_exchange_allocates_nothing() -> None:
+    """The compiled read and write, compiled afresh, name no allocator; the control that allocates does."""
+    compile_fresh = numba.cfunc(exchange.IO_SIGNATURE, error_model="numpy")
+
+    def allocates(handle: int, values: Any) -> int:
+        return len(np.zeros(handle))
+
+    allocators = ("NRT_Allocate", "NRT_MemInfo_alloc", "malloc")
+    assert any(name in compile_fresh(allocates).inspect_llvm() for name in allocators)
+    for function in (exchange.read, exchange.write):
+        code = compile_fresh(function._pyfunc).inspect_llvm()
+        assert "inttoptr" in code  # it is the code that calls the library
+        assert not any(name in code for name in allocators)
+
+
+def test_page_lists_every_option() -> None:
+    """docs/devices/forcedimension.md has a row for each key of the rig, and no other."""
+    page = (Path(__file__).parents[2] / "docs" / "devices" / "forcedimension.md").read_text("utf-8")
+    part = page.split("## What a rig may say\n", 1)[1].split("\n## ", 1)[0]
+    assert re.findall(r"^\| `(\w+)` \|", part, re.M) == list(forcedimension.Options.__struct_fields__)

@@ -1,0 +1,271 @@
+"""Force Dimension's devices under the servo and the daemon: closed loop, faults, signals, and no force left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.closed_loop import assert_engine_agrees, records_of_daemon
+from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, StubBench, bench, stub, stub_library
+from helpers.driver_contract import RATE_HZ, Servo
+
+from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
+from softfinger.config.load import build, load_rig, load_scene, shipped
+from softfinger.config.schema import Rig
+from softfinger.drivers.base import FORCE_OFF, OK
+from softfinger.drivers.forcedimension import device as forcedimension
+from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
+from softfinger.server.app import Daemon
+from softfinger.server.loop import servo as s
+from softfinger.server.loop.guard import POSE_REFUSED
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.wire.client import subscribe
+
+__all__ = ["bench", "stub", "stub_library"]  # fixtures
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
+
+PRESSING = {"type": 34, "wrist": 1, "z": 0.0115, "az": 0.0035, "ax": 0.006, "ay": 0.012, "hz": 1.0, "turn": 0.5}
+"""Once a second the hand goes 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and lets go."""
+
+
+def records_of(servo: s.Servo) -> np.ndarray:
+    out = np.empty((8192, RECORD_SIZE))
+    return out[: servo.take(out)]
+
+
+def fd_rig(stub: Stub, **changes: Any) -> Rig:
+    base = {
+        "device.driver": "forcedimension", "device.library_file": str(stub.path), "servo.realtime": "off",
+        "telemetry.endpoint": "tcp://127.0.0.1:*", "guard.ramp_s": 0.01,
+        "device.watchdog_s": 0.0,  # it counts real time, and this machine may hold any thread up for longer
+    }  # fmt: skip
+    return load_rig("replay", base | changes)
+
+
+def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
+    """Press, roll, slide and release by a hand on a simulated handle, through the whole daemon: forces and modes are
+    those of the contact step on the sensed poses, the gripper is told, the wall holds the handle, and no threads meet
+    in the library."""
+    stub.update(**PRESSING, gripper=1, gripper_rad=0.25)
+    scene = load_scene("paper-plane")
+    records = records_of_daemon(fd_rig(stub, **{"device.gravity_compensation": True}), scene, 2500)
+    compared = assert_engine_agrees(records, scene, RATE_HZ)
+    assert compared > 500  # of each 1000 ticks, some 400 are in the plane
+    assert set(records[:, AT.contact_mode].tolist()) == set(range(len(MODE_NAMES)))
+    assert np.mean(records[:, AT.servo_guard] == 0) > 0.9
+    assert set(records[:, AT.gripper].tolist()) == {0.25}
+    assert 0.5 < np.abs(records[:, AT.force + 2]).max() < 12.0
+    depth = 0.01 - records[:, AT.probe_position + 2].min()
+    # Hand and wall, 1000 N/m each, share the 2 mm; at 1 Hz, inertia adds (1/14)^2 and damping shifts as little.
+    assert depth == pytest.approx(0.001, rel=0.05)
+    assert stub["threads"] == 0 and stub["torque_sent"] == 0
+    assert stub.norm() == 0.0 and stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "words"),
+    [
+        ({"button_at": 700}, SafetyStop, "turned its force off.*button"),
+        ({"threshold": 20}, SafetyStop, "turned its force off.*velocity threshold"),
+        ({"delay_at": 700, "delay_s": 0.15}, SafetyStop, "turned its force off.*watchdog"),
+        ({"error_word": 3}, SafetyStop, "error word is 3"),
+        ({"unplug_at": 700}, DeviceLost, "omega.6 right, serial 1230 is gone.*error 2"),
+        ({"fail_read": 700, "error": 7}, DeviceTimeout, "no answer to a read.*error 7"),
+        ({"fail_write": 700, "error": 2}, DeviceLost, "on write.*error 2"),
+        ({"delay_at": 700, "delay_s": 0.9}, SafetyStop, "no tick for"),
+    ],
+)
+def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
+    fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: StubBench
+) -> None:
+    """Force button, threshold, watchdog, error word, unplugging, errors of reads and writes, a blocked transfer: the
+    daemon ends with the fault's own error and cause, the motors have no force, and the device opens again."""
+    stub.update(**PRESSING)
+    limit = {"device.velocity_threshold": fault["threshold"]} if "threshold" in fault else {}
+    if "watchdog" in words:
+        limit["device.watchdog_s"] = 0.03
+    stub.update(**{name: value for name, value in fault.items() if name != "threshold"})
+    with Daemon(fd_rig(stub, **limit), load_scene("paper-plane")) as running:
+        running.start()
+        with pytest.raises(error, match=words):
+            running.wait(60.0)
+        assert stub.norm() == 0.0
+    assert stub.norm() == 0.0
+    stub.reset()
+    bench.open().close()
+
+
+def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -> bool:
+    """Whether 300 ticks with the watchdog of a rig that says nothing, and `late` before them, come to their end."""
+    stub.reset()
+    stub.update(**PRESSING)
+    options = build(forcedimension.Options, {"library_file": str(stub.path)}, "[device]")
+    with forcedimension.open_device(options, RATE_HZ) as device:
+        assert stub["force_on"] == 0
+        tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
+        servo = s.Servo([device], tuning, RATE_HZ, 300, late)
+        servo.compile()
+        servo.start()
+        ended = servo.join(60.0)
+        servo.close()
+        assert ended is not None and stub["watchdog"] == 240
+        assert ended.ending == s.FINISHED or (ended.status == FORCE_OFF and "watchdog" in device.reason())
+        return ended.ending == s.FINISHED
+
+
+def test_documented_watchdog_bears_whatever_is_slow_before_the_first_tick(stub: Stub) -> None:
+    """With the watchdog as it is by default, on real time: half a second between opening and the first tick (compiling,
+    real-time settings) ends no run. A machine that holds the loop up for longer than the watchdog waits may end one, so
+    one in five has to come through."""
+
+    def late() -> Callable[[], None]:
+        time.sleep(0.5)
+        return lambda: None
+
+    assert any(runs_with_its_watchdog(stub, late) for _ in range(5))
+
+
+def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_path: Path) -> None:
+    """`softfinger run` from its start, real-time settings and publisher included; one in five, as above."""
+    rig = tmp_path / "rig.toml"
+    rig.write_text(
+        f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n'
+        f'[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n'
+    )
+    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--duration", "0.3"]
+    for _ in range(5):
+        done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+        if done.returncode == 0:
+            return
+    raise AssertionError(done.stderr)
+
+
+def test_pose_that_is_no_pose_means_zero_force_for_its_tick(stub: Stub, bench: StubBench) -> None:
+    """One NaN from the device zeroes the force in its tick and is told by the guard; the loop goes on."""
+    stub.update(**PRESSING, nan_at=480)  # in contact
+    with bench.open() as device:
+        tuning = make_tuning(load_scene("paper-plane"), load_rig("replay", {"guard.ramp_s": 0.01}).guard, [device.info])
+        servo = s.Servo([device], tuning, RATE_HZ, 700)
+        servo.compile()
+        servo.start()
+        assert servo.join(60.0).ending == s.FINISHED
+        records = records_of(servo)
+        servo.close()
+    force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
+    assert force[479] > 0.3 and force[480] == 0.0 and force[540] > 0.3
+    assert int(records[480, AT.servo_guard]) == POSE_REFUSED
+
+
+def test_status_is_asked_for_as_often_as_the_rig_says(stub: Stub, bench: StubBench) -> None:
+    """A force that the device turned off is noticed after at most the rig's time, and not before the question."""
+    with bench.open(status_period_s=0.02) as device:
+        servo = Servo(device)
+        for _ in range(20):
+            assert servo.read()[0] == OK
+            servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
+        stub.update(force_on=0, cause=6)
+        assert [servo.read()[0] for _ in range(20)] == [OK] * 19 + [FORCE_OFF]
+        assert "dead-man" in device.reason()
+
+
+@pytest.mark.parametrize("exclusive", [0, 1])
+def test_stop_while_a_transfer_hangs(
+    exclusive: int, stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """From another thread, `stop` waits a moment for the exchange under way and then takes the force off over it; where
+    the library lets nothing past the hanging call, it returns all the same, says so, and the force goes once it can."""
+    stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
+    with bench.open() as device:
+        tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
+        servo = s.Servo([device], tuning, RATE_HZ)
+        servo.compile()
+        servo.start()
+        while servo.ticks < 100:
+            servo.wait_record()
+        time.sleep(0.05)
+        device.stop()
+        assert stub.busy() and servo.ticks == 100  # it hangs still
+        assert ("lets nothing past" in caplog.text) == bool(exclusive)
+        assert exclusive or (stub.norm() == 0.0 and stub["force_on"] == 0)
+        servo.stop()
+        assert servo.join(10.0) is not None
+        servo.close()
+        for thread in threading.enumerate():
+            if thread.name == "forcedimension stop":
+                thread.join(10.0)
+        assert stub.norm() == 0.0 and stub["force_on"] == 0
+
+
+def test_stop_waits_for_the_exchange_under_way(stub: Stub, bench: StubBench) -> None:
+    """`stop` from another thread, called while a slow reading is under way, does not meet the loop in the library."""
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    stub["slow_s"] = 0.02  # long enough to call in, shorter than `stop` waits
+    for _ in range(3):  # this thread might be held up for a whole reading, but not again and again
+        with bench.open() as device:
+            servo = s.Servo([device], tuning, RATE_HZ)
+            servo.compile()
+            servo.start()
+            while servo.ticks < 3 or not stub.busy():
+                pass
+            device.stop()
+            servo.stop()
+            assert servo.join(10.0) == s.Ended(s.STOPPED, OK)
+            servo.close()
+    assert stub["threads"] == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
+    """The command line's daemon on the stand-in, pressing: a signal ends it in order, exit code 0, and the device was
+    zeroed, disabled and closed, with expert mode off."""
+    rig, left = tmp_path / "rig.toml", tmp_path / "left.txt"
+    rig.write_text(
+        f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\nwatchdog_s = 0.0\n'
+        f'[guard]\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n[servo]\nrealtime = "off"\n'
+    )
+    settings = ",".join(f"{name}={value}" for name, value in PRESSING.items())
+    process = subprocess.Popen(
+        [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig)],
+        env=os.environ | {"STUB_DRD_SET": settings, "STUB_DRD_LOG": str(left)},
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        for sample in subscribe(f"ipc://{tmp_path}/t"):
+            if sample.force[2] > 0.5:
+                break
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0, said
+    state = {name: float(value) for name, value in (line.split() for line in left.read_text().splitlines())}
+    assert state["peak"] > 0.5
+    assert state["motors"] == state["force_on"] == state["expert"] == state["unplugged"] == 0
+    assert state["opens"] == state["closes"] == 1
+
+
+def test_shipped_rigs_open_their_device(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each shipped rig for a device of Force Dimension opens it, moves nothing, and refuses another model."""
+    names = [name for name in shipped(Rig) if (one := load_rig(name).device) and one.driver == "forcedimension"]
+    assert names == ["omega-3", "omega-6", "omega-7"]
+    for kind, name in zip((33, 34, 35), names, strict=True):
+        rig = load_rig(name)
+        options = build(forcedimension.Options, rig.device.options | {"library_file": str(stub.path)}, name)
+        stub.update(type=kind, wrist=kind > 33, gripper=kind == 35)
+        with forcedimension.open_device(options, rig.servo.rate_hz) as device:
+            assert device.info.name.startswith(name.replace("-", "."))
+            assert rig.guard.force_max_n <= device.info.force_max_n
+        stub["type"] = 63
+        with pytest.raises(DeviceNotFound, match=r"delta\.3"):
+            forcedimension.open_device(options, rig.servo.rate_hz)
+    assert stub["moved"] == 0

@@ -1,0 +1,532 @@
+"""The exchange with a HID device: contract, loop closed on an emulated arm, silence, faults, zero on every way out."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import math
+import os
+import shutil
+import socket
+import struct
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+import pytest
+from emulators.woodenhaptics import Arm, Woody
+from helpers import driver_contract
+from helpers.compiled_code import called_in, functions
+from helpers.driver_contract import RATE_HZ, Servo
+from helpers.hid_devices import RIGS, Answering, RefusedNode, described, ends, rig_options, woody
+
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
+from softfinger.config.load import build
+from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.hid import exchange
+from softfinger.drivers.hid.device import HidDevice, Options, open_device
+from softfinger.drivers.hid.link import find
+from softfinger.drivers.hid.pump import QUEUE_BYTES
+from softfinger.drivers.system.libc import IO_SIGNATURE, write_fd
+from softfinger.proxy.kernels.native.atomics import call_device
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.native.memory import uint8_at
+
+pytestmark = pytest.mark.real_time
+
+COUNT_M = 3e-4
+"""Half an encoder count at a motor is up to 0.13 mm at the end of the longest arm along each joint."""
+
+
+class Bench(driver_contract.Bench):
+    """An emulated arm at the end of a packet socket; refusals of a node on a plain file."""
+
+    # An encoder count and 1 mA of a motor are 8 mN at the end.
+    force_step_n: ClassVar[float] = 0.012
+    patience_s: ClassVar[float] = 10.0
+
+    def __init__(self, rig: str, through: str, node: RefusedNode, undo: contextlib.ExitStack) -> None:
+        self.rig, self.through, self.node, self._undo = rig, through, node, undo
+        self.case = ""
+        self.device: HidDevice | None = None
+
+    def open(self) -> Device:
+        if self.case == "not_found":
+            return open_device(rig_options(self.rig, path="/dev/hidraw-none", through=self.through), RATE_HZ)
+        if self.case:
+            return open_device(rig_options(self.rig, path=str(self.node.path), through=self.through), RATE_HZ)
+        self.device, self.arm, self.answering = self._undo.enter_context(woody(self.rig, through=self.through))
+        return self.device
+
+    def displayed(self) -> tuple[float, ...]:
+        if self.answering.end.fileno() < 0:  # pulled out: its amplifiers have no power
+            return (0.0, 0.0, 0.0)
+        self.answering.settle(self.device)
+        return self.arm.arm.force(self.arm.place, tuple(i / 1e3 for i in self.arm.milliamperes))
+
+    def make(self, case: str) -> None:
+        if case == "lost":
+            self.answering.unplug()
+        elif case == "timeout":
+            self.answering.mute.set()
+        else:
+            self.case = case
+            if case != "not_found":
+                self.node.make(case)
+
+    def mend(self) -> None:
+        self.node.mend()
+        self.case = ""
+
+
+@pytest.fixture(
+    params=[
+        ("woodenhaptics-2015", "node"),
+        ("woodenhaptics-polhem-v1", "node"),
+        ("woodenhaptics-polhem-v1", "thread"),
+        ("woodenhaptics-2019-lpc1768", "node"),
+    ],
+    ids=" ".join,
+)
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    with RefusedNode() as node, contextlib.ExitStack() as undo:
+        yield Bench(*request.param, node, undo)
+
+
+class TestContract(driver_contract.DriverContract):
+    """The contract over each wire format, an emulated arm behind each."""
+
+
+def test_a_board_that_sends_all_the_time() -> None:
+    """woody-experimental's firmware sends a report in each USB frame, asked or not: after a second in which nobody
+    reads the sample is one of now, and forces reach it."""
+    arm = Woody("woody-2015", 1, lambda _: (0.01, 0.0, 0.0))
+    fd, end = ends()
+    end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES)
+    over = threading.Event()
+
+    def hear(report: bytes) -> None:
+        arm.answer(report)
+
+    def speak() -> None:
+        while not over.wait(0.001):
+            with contextlib.suppress(BlockingIOError):  # the system's queue is full: the newest report is lost
+                end.send(arm.report(), socket.MSG_DONTWAIT)
+
+    speaker = threading.Thread(target=speak)
+    speaker.start()
+    with Answering(end, hear) as answering, HidDevice(rig_options("woodenhaptics-2015", timeout_s=0.5), fd) as device:
+        try:
+            time.sleep(1.0)
+            arm.place = (0.0, 0.02, 0.01)
+            device.arm()
+            servo = Servo(device)
+            status, sample = servo.read()
+            assert status >= 0
+            np.testing.assert_allclose(sample[:3], arm.place, atol=2e-3)  # a few steps of the pulled arm, and a count
+            for _ in range(50):
+                time.sleep(0.001)
+                servo.read()
+                servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+            answering.settle(device)
+            felt = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.milliamperes))
+            np.testing.assert_allclose(felt, (0.0, 0.0, 1.0), atol=0.012)
+            assert device.counts()["reports"] > 30
+        finally:
+            over.set()
+            speaker.join()
+
+
+def test_minutes_between_opening_and_the_first_tick() -> None:
+    """Arming asks for a report of now, whatever has been queued since the device was opened; a board that has fallen
+    silent meanwhile is told before the first tick."""
+    with woody() as (device, arm, answering):
+        servo = Servo(device)
+        servo.read()
+        old = arm.report()
+        for _ in range(30):
+            answering.end.send(old)
+        arm.place = (0.03, 0.0, 0.02)
+        device.arm()
+        status, sample = servo.read()
+        assert status >= 0
+        np.testing.assert_allclose(sample[:3], arm.place, atol=2e-3)  # a step of the pulled arm, and a count
+        assert not any(any(words[:3]) for words in arm.sent)
+        answering.mute.set()
+        with pytest.raises(DeviceTimeout, match="sends no report"):
+            device.arm()
+
+
+@pytest.mark.parametrize("rig", ["woodenhaptics-2019", "woodenhaptics-2015", "woodenhaptics-vintage"])
+def test_position_is_where_the_arm_is(rig: str) -> None:
+    """The sample is the emulated end's place to half an encoder count, and the force written comes out at it."""
+    with woody(rig) as (device, arm, answering):
+        servo = Servo(device)
+        for _ in range(50):
+            status, sample = servo.read()
+            assert status in (OK, STALE)
+            servo.write(0.8, -0.4, 1.2, 0.0, 0.0, 0.0)
+            answering.settle(device)
+        status, sample = servo.read()  # the answer to the last write; the arm has not moved since
+        assert status == OK
+        np.testing.assert_allclose(sample[:3], arm.place, atol=COUNT_M)
+        amperes = tuple(i / 1e3 for i in arm.sent[-1][:3])
+        felt = arm.arm.force(arm.place, amperes)
+        # 1 mA of a motor is up to 8 mN at the end, an encoder count turns the force by 1e-3 of itself
+        np.testing.assert_allclose(felt, (0.8, -0.4, 1.2), atol=0.012)
+
+
+def test_wrist_buttons_and_mounting() -> None:
+    """A turned and shifted device senses in the world and pushes in the world; both buttons arrive."""
+    turned = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]}
+    with woody("woodenhaptics-polhem-v1", mounting=turned) as (device, arm, answering):
+        arm.wrist, arm.button, arm.calibration_button = (100, -50, 25), True, True
+        servo = Servo(device)
+        servo.read()
+        servo.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)  # world y is the device's x
+        answering.settle(device)
+        status, sample = servo.read()
+        x, y, z = arm.place
+        assert status == OK
+        np.testing.assert_allclose(sample[:3], (0.1 - y, 0.2 + x, 0.3 + z), atol=COUNT_M)
+        assert sample[8] == 3
+        felt = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.sent[-1][:3]))
+        np.testing.assert_allclose(felt, (1.0, 0.0, 0.0), atol=0.012)
+        assert device.info.sensed_dof == 6
+
+
+def test_a_force_past_the_motors_is_limited() -> None:
+    """No current passes the rig's largest, the direction is kept, and the write says that it was limited."""
+    with woody(current := "woodenhaptics-2015", intention=lambda _: (0.0, 0.0, 0.0)) as (device, arm, answering):
+        assert rig_options(current).kinematics.current_max_a == 2.0
+        servo = Servo(device)
+        servo.read()
+        assert servo.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == STALE
+        answering.settle(device)
+        assert max(map(abs, arm.sent[-1][:3])) == 2000
+        assert device.counts()["cut"] == 1
+        for bad in (math.nan, math.inf):
+            assert servo.write(bad, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+            answering.settle(device)
+            assert arm.sent[-1][:3] == (0, 0, 0)
+
+
+def test_silence_is_kicked_and_then_given_up() -> None:
+    """A device that falls silent gets a zero every 10 ms and no force; after the time-out it is given up."""
+    with woody(timeout_s=0.1) as (device, arm, answering):
+        servo = Servo(device, arm=False)
+        assert servo.read()[0] == OK
+        answering.mute.set()
+        begun = time.monotonic()
+        time.sleep(0.011)
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        answering.settle(device)
+        assert not any(arm.sent[-1])
+        while (status := servo.read()[0]) >= 0:
+            time.sleep(0.001)
+        assert status == TIMEOUT
+        lasted = time.monotonic() - begun
+        assert lasted > 0.1
+        # One was sent to wake the device before; no kick comes within 10 ms of another.
+        assert 2 <= device.counts()["kicks"] - 1 <= lasted / 0.01 + 1
+
+
+def test_a_sleeping_device_is_woken() -> None:
+    """The first read sends a zero and waits for the answer; a pause is followed by a report of now."""
+    with woody() as (device, arm, answering):
+        servo = Servo(device, arm=False)
+        assert servo.read()[0] == OK
+        assert arm.sent == [(0, 0, 0, 0, 0, 0, 0)]
+        stale = arm.report()
+        for _ in range(20):
+            answering.end.send(stale)
+        arm.place = (0.03, 0.0, 0.02)
+        time.sleep(0.05)
+        before = arm.place
+        status, sample = servo.read()
+        assert status == OK
+        np.testing.assert_allclose(sample[:3], before, atol=2e-3)  # a step of the pulled arm, and a count
+        assert device.counts()["drained"] == 19
+
+
+def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
+    """After a pause longer than the time-out a device that is late to answer is not given up: the sample of before
+    is repeated, no force goes with it, and a report of now ends that."""
+    with woody(timeout_s=1.0) as (device, arm, answering):
+        servo = Servo(device, arm=False)
+        assert servo.read()[0] == OK
+        answering.mute.set()
+        time.sleep(1.2)
+        assert servo.read()[0] == STALE
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        answering.settle(device)
+        assert not any(arm.sent[-1])
+        answering.mute.clear()
+        while (status := servo.read()[0]) == STALE:
+            time.sleep(0.001)
+        assert status == OK
+
+
+def test_the_newest_of_many_reports_counts() -> None:
+    """Reports that have piled up within a tick are passed over for the newest."""
+    with woody() as (device, arm, answering):
+        servo = Servo(device)
+        servo.read()
+        for z in (-0.01, 0.0, 0.01, 0.02):
+            arm.place = (0.0, 0.0, z)
+            answering.end.send(arm.report())
+        status, sample = servo.read()
+        assert status == OK
+        np.testing.assert_allclose(sample[:3], (0.0, 0.0, 0.02), atol=COUNT_M)
+        assert device.counts()["drained"] == 3
+
+
+@pytest.mark.parametrize("size", [5, 63, 65])
+def test_a_report_of_another_length_is_a_fault(size: int) -> None:
+    """Short and long reports are not in the protocol."""
+    with woody() as (device, _, answering):
+        servo = Servo(device)
+        servo.read()
+        answering.end.send(b"\0" * size)
+        assert servo.read()[0] == PROTOCOL
+
+
+def test_unplugging_is_a_loss() -> None:
+    """Reads and writes of a device that is gone say so, and stop and close raise nothing."""
+    with woody() as (device, _, answering):
+        servo = Servo(device)
+        servo.read()
+        answering.unplug()
+        assert servo.read()[0] == LOST
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
+        device.stop()
+        device.close()
+        assert servo.read()[0] == LOST
+
+
+def test_every_way_out_ends_with_zero() -> None:
+    """Stop, close, and leaving the context on an error: the last report is zero, and no force comes after it."""
+    for way in ("stop", "close", "error"):
+        with woody() as (device, arm, answering):
+            servo = Servo(device)
+            servo.read()
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+            answering.settle(device)
+            assert any(arm.sent[-1])
+            if way == "error":
+                with pytest.raises(ZeroDivisionError), device:
+                    raise ZeroDivisionError
+            else:
+                getattr(device, way)()
+            assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+            answering.settle(device)
+            assert not any(arm.sent[-1]), way
+
+
+def test_last_word_takes_the_force_off() -> None:
+    """What another process is to write to the node is the report by which the arm has no force; without a node there
+    is none."""
+    with woody() as (device, arm, answering):
+        assert device.last_word() is None
+        device._node = "/dev/hidraw7"
+        servo = Servo(device)
+        servo.read()
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        answering.settle(device)
+        assert any(arm.sent[-1])
+        node, zero = device.last_word()
+        assert node == "/dev/hidraw7"
+        arm.answer(zero)
+        assert not any(arm.sent[-1])
+
+
+def test_stop_while_the_loop_writes() -> None:
+    """Stopped from another thread twenty times over, no force report follows the zero of the stop."""
+    for _ in range(20):
+        with woody() as (device, arm, answering):
+            servo = Servo(device)
+            servo.read()
+            running = threading.Event()
+
+            def loop(servo: Servo = servo, running: threading.Event = running) -> None:
+                for n in range(200):
+                    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+                    if n == 50:
+                        running.set()
+
+            thread = threading.Thread(target=loop)
+            thread.start()
+            running.wait()
+            device.stop()
+            thread.join()
+            answering.settle(device)
+            forces = [any(words[:3]) for words in arm.sent]
+            assert True in forces
+            assert forces.index(False, forces.index(True)) > 0  # the zero of the stop came
+            assert True not in forces[forces.index(False, forces.index(True)) :]
+
+
+@pytest.mark.parametrize("rig", ["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
+def test_calibration_at_opening(rig: str) -> None:
+    """An arm that rests in its calibration pose when it is opened senses that pose, whatever its counters held."""
+    options = rig_options(rig, calibrate=True)
+    itself = Arm(RIGS[rig])
+    resting = itself.position(itself.angles_at(itself.calibration))
+    assert itself.calibration != (0, 0, 0)
+    arm = Woody(RIGS[rig], 1 if options.reports.preset is None else 2, lambda _: resting)
+    arm.zero = (321, -123, 77)
+    fd, end = ends()
+    with Answering(end, arm.answer), HidDevice(options, fd) as device:
+        sample = Servo(device).read()[1]
+        np.testing.assert_allclose(sample[:3], resting, atol=COUNT_M)
+        assert all(not any(words[:3]) for words in arm.sent), "a force during calibration"
+        if options.reports.preset is not None:
+            assert arm.zero == (0, 0, 0)  # the device has taken the counts and keeps them
+
+
+def test_calibration_that_is_not_taken_is_refused() -> None:
+    """A board without the command, or without any answer, is told apart at opening."""
+    options = rig_options("woodenhaptics-2019", calibrate=True)
+    fd, end = ends()
+    said = r"did not take the calibration: .* show \[0.0, 0.0, 0.0\] and not \[.*6000"
+    with Answering(end, lambda _: b"\0" * 64), pytest.raises(DeviceError, match=said):
+        HidDevice(options, fd)
+    fd, end = ends()
+    with Answering(end, lambda _: None), pytest.raises(DeviceTimeout, match="sends no report"):
+        HidDevice(options, fd)
+
+
+def test_a_described_device() -> None:
+    """A lab's own device, numbered reports of floats: pose, buttons, gripper and forces as its rig describes
+    them."""
+    heard: list[bytes] = []
+
+    def answer(data: bytes) -> bytes:
+        heard.append(data)
+        return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 0, 0, 0, 2, 2, 25)
+
+    fd, end = ends()
+    with Answering(end, answer) as answering, HidDevice(build(Options, described(), "rig"), fd) as device:
+        servo = Servo(device, arm=False)
+        end.send(b"\x07not ours")  # another report of the same device
+        status, sample = servo.read()
+        assert status == OK
+        assert sample[:3] == pytest.approx((0.01, -0.02, 0.005), abs=1e-9)  # float32 of millimetres
+        assert sample[3:7] == [0, 0, 0, 1]
+        assert sample[8:] == [2, 0.25]
+        assert servo.write(1.5, 0.0, -0.25, 0.0, 0.0, 0.0) == OK
+        assert servo.write(0.0, 0.0, 40.0, 0.0, 0.0, 0.0) == STALE
+        answering.settle(device)
+        assert heard[-2] == b"\x04" + struct.pack("<3i", 1500, 0, -250)
+        assert heard[-1] == b"\x04" + struct.pack("<3i", 0, 0, 4000)
+        assert device.counts()["foreign"] == 1
+        servo.read()
+        for bad in ((math.nan, 0, 0, 1, 0, 0, 0), (0, 0, 0, 0, 0, 0, 0)):
+            end.send(b"\x03" + struct.pack("<7fBB", *bad, 0, 0))
+            assert servo.read()[0] == PROTOCOL
+
+
+@entry
+def fuzz(fd: int, read: int, handle: int, stream: int, sizes: Any, sample: Any, out: Any) -> None:
+    """Read after each report of `sizes` (n,) bytes, the n-th from byte n of `stream` on; counts statuses and faults.
+
+    out  (4,)  reads OK; STALE; samples that are not finite or whose quaternion is not of unit length; reads below 0
+    """
+    byte = uint8_at(stream)
+    for n in range(len(sizes)):
+        if n % 3 != 0:
+            byte[n] = 3
+        write_fd(fd, stream + n, sizes[n])
+        status = call_device(read, handle, sample)
+        out[status if status >= 0 else 3] += 1
+        if status >= 0:
+            norm = total = 0.0
+            for k in range(3, 7):
+                norm += sample[k] * sample[k]
+            for k in range(len(sample)):
+                total += sample[k]
+            if not isfinite(total) or not abs(norm - 1.0) < 1e-9:  # rounding of a normalisation
+                out[2] += 1
+
+
+def test_a_million_reports_leave_a_finite_pose_or_a_fault() -> None:
+    """Random reports of random lengths and ids through the whole read: finite and unit, or a status below 0."""
+    fd, end = ends()
+    generator = np.random.default_rng(11)
+    number = 1_000_000
+    stream = generator.integers(0, 256, number + 64, dtype=np.uint8)
+    sizes = np.where(np.arange(number) % 4 > 0, 31, generator.integers(1, 64, number))
+    good = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
+    with Answering(end, lambda _: good), HidDevice(build(Options, described(), "rig"), fd) as device:
+        assert Servo(device, arm=False).read()[0] == OK
+        io, sample, out = device.io(), np.zeros(SAMPLE_SIZE), np.zeros(4, np.int64)
+        fuzz(end.fileno(), io.read, io.handle, stream.ctypes.data, sizes, sample, out)
+        read, repeated, wrong, refused = out.tolist()
+        assert wrong == 0
+        assert read + repeated + refused == number
+        assert min(read, repeated, refused) > number // 100
+
+
+def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
+    """Absent, forbidden, held by another, no hidraw node: each is its own error with what to do."""
+    options = {"path": str(tmp_path / "hidraw9")}
+    with pytest.raises(DeviceNotFound, match=r"hidraw9 cannot be opened: No such file.*plug"):
+        open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
+    node = tmp_path / "hidraw9"
+    node.write_bytes(b"")
+    with pytest.raises(DeviceError, match="is no device node: name a /dev/hidrawN"):
+        open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
+    with pytest.raises(DeviceError, match="is no hidraw node: "):
+        open_device(rig_options("woodenhaptics-2019", path="/dev/null"), 1000.0)
+    with node.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(DeviceBusy, match=rf"hidraw9 is held by process {os.getpid()} \("):
+            open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
+
+
+def test_a_node_without_permission() -> None:
+    """A user who may not open the node is told the rule that lets him."""
+    folder = tempfile.mkdtemp(dir="/tmp")
+    node = Path(folder) / "hidraw9"
+    try:
+        node.write_bytes(b"")
+        node.chmod(0)
+        Path(folder).chmod(0o755)
+        rule = r'ATTRS\{idVendor\}=="16c0", ATTRS\{idProduct\}=="0486", TAG\+="uaccess"'
+        options = rig_options("woodenhaptics-2019", path=str(node))
+        user = os.geteuid()
+        if user == 0:  # whom no mode keeps out
+            os.seteuid(65534)
+        try:
+            with pytest.raises(DevicePermission, match=f"may not be opened by this user.*{rule}"):
+                open_device(options, 1000.0)
+        finally:
+            os.seteuid(user)
+    finally:
+        shutil.rmtree(folder)
+
+
+def test_a_device_that_is_not_attached() -> None:
+    """A device that nobody plugged in is named by its ids; here no vendor has the ids asked for."""
+    with pytest.raises(DeviceNotFound, match="no HID device fffe:fffd is attached: plug it in"):
+        find(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
+
+
+def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
+    """Compiled afresh, the C functions name nothing outside themselves but system calls, clock and libm."""
+    allowed = {"read", "write", "poll", "clock_gettime", "__errno_location", "sin", "cos"}
+    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    for function in (exchange.read, exchange.write):
+        ir = numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm()
+        # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
+        bodies = functions(ir)
+        called = {name for body in bodies.values() for name in called_in(body)}
+        outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
+        assert "clock_gettime" in outside
+        assert outside <= allowed

@@ -1,0 +1,306 @@
+"""The whole program on an emulated WoodenHaptics of umockdev: enumeration, descriptor, servo loop, faults.
+
+Each way that reports may take: the loop at a hidraw node, threads at hidapi's hidraw backend, and threads at its libusb
+backend where the device is on the USB bus alone.
+
+Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi: `apt install umockdev gir1.2-umockdev-1.0 python3-gi`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.closed_loop import assert_engine_agrees
+from helpers.hid_devices import RIGS
+
+from softfinger.config.load import find, load_scene
+from softfinger.config.schema import Rig
+from softfinger.proxy.record import AT
+
+EMULATORS = Path(__file__).parents[1] / "emulators"
+TESTBEDS = {"hidraw": "testbed.py", "usb": "hid_usb_testbed.py"}
+"""By what the emulated system has of the device: key `bus` of a case."""
+WAYS = {"node": ("hidraw", "auto"), "thread": ("hidraw", "thread"), "usb": ("usb", "auto")}
+"""What the system has of the device, and `through` of the rig."""
+TICKS = {"node": 1700, "thread": 2500, "usb": 2500}
+"""Ticks in which a stroke of 1.2 s is done: each report moves the emulated arm by 1 ms, and threads pass some over."""
+CLOSED_LOOP = Path(__file__).parents[1] / "helpers" / "closed_loop.py"
+SYSTEM_PYTHON = "/usr/bin/python3"
+
+
+def _umockdev() -> str | None:
+    """Why umockdev cannot be used here; None if it can."""
+    if shutil.which("umockdev-wrapper") is None:
+        return "umockdev is not installed: apt install umockdev gir1.2-umockdev-1.0 python3-gi"
+    code = "import gi; gi.require_version('UMockdev', '1.0'); from gi.repository import UMockdev"
+    try:
+        tried = subprocess.run([SYSTEM_PYTHON, "-c", code], capture_output=True, text=True, check=False)
+    except OSError as error:
+        return f"{SYSTEM_PYTHON}: {error.strerror}"
+    return None if tried.returncode == 0 else f"{SYSTEM_PYTHON} has no gir1.2-umockdev-1.0: apt install it"
+
+
+WHY_NOT = _umockdev()
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
+
+STROKE = {"place": [0.0, 0.0, 0.012], "press": 0.006, "drag": 0.02}
+
+
+def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    """A command beside an emulated device; what it printed, and what the device saw."""
+    testbed = EMULATORS / TESTBEDS[case.get("bus", "hidraw")]
+    done = subprocess.run(
+        ["umockdev-wrapper", SYSTEM_PYTHON, str(testbed), json.dumps(case), *command],
+        capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+    )  # fmt: skip
+    lines = done.stdout.splitlines()
+    assert lines, done.stderr
+    return done, json.loads(lines[-1])
+
+
+def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    """The daemon on an emulated device."""
+    endpoint = ("--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
+    return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words)
+
+
+def rig_with(folder: Path, name: str, **keys: object) -> str:
+    """A shipped rig with more keys in [device], as a file."""
+    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
+    path = folder / f"{name}-{len(list(folder.iterdir()))}.toml"
+    path.write_text(find(name, Rig).read_text().replace('driver = "hid"\n', f'driver = "hid"\n{lines}'))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("way", "rig", "arm", "generation"),
+    [
+        ("node", "woodenhaptics-2019", "woody-2019", 2),
+        ("node", "woodenhaptics-2015", "woody-2015", 1),
+        ("thread", "woodenhaptics-2015", "woody-2015", 1),
+        ("usb", "woodenhaptics-2019", "woody-2019", 2),
+    ],
+)  # fmt: skip
+def test_closed_loop_under_the_daemon(way: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
+    """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
+    kept = tmp_path / "records.npy"
+    bus, through = WAYS[way]
+    name = rig_with(tmp_path, rig, through=through)
+    program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[way]), str(kept))
+    done, saw = beside({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
+    assert done.returncode == 0, done.stderr
+    records = np.load(kept)
+    assert set(np.diff(records[:, AT.tick])) == {1.0}, "the subscriber has lost ticks"
+    modes = records[:, AT.contact_mode]
+    assert {0.0, 1.0, 2.0} == set(modes)
+    # The forces reached the arm, and stopped its hand above where it meant to go.
+    assert max(saw["most"][1:]) > 100
+    assert not any(saw["last"])
+
+    passed = assert_engine_agrees(records, load_scene("paper-plane"), 1000.0)
+    # After each pause of a busy machine the force fades in anew, and those ticks are the guard's.
+    assert passed > 50, "the guard left too few ticks in contact to compare"
+
+
+def test_an_arm_pressed_through_the_plane_is_held() -> None:
+    """The daemon itself: a hand that means to be 6 mm deeper than the plane's surface is held near it by the motors."""
+    case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.004]}
+    done, saw = run(case, "woodenhaptics-2019", "--duration", "2", "--scene", "frictionless-plane")
+    assert done.returncode == 0, done.stderr
+    assert "device hid woodenhaptics-v2 16c0:0486 at 1000 Hz" in done.stderr
+    assert "force is zero" in done.stderr
+    assert saw["reports"] >= 2000
+    # The hand's spring and the wall's share the depth; the last report, the zero, has let it go for a tick or two only.
+    stiffness = load_scene("frictionless-plane").object[0].material.stiffness_n_per_m
+    depth = (0.010 - 0.004) * 300.0 / (300.0 + stiffness)
+    assert saw["place"][2] == pytest.approx(0.010 - depth, abs=3e-4)  # an encoder count is 0.1 mm, bearings hold none
+
+
+OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
+
+
+@pytest.mark.parametrize(
+    ("way", "case", "code", "message"),
+    [
+        *((way, {"lost_after": 300}, 4, "is gone .status -1 on (read|write).*: plug it in again") for way in WAYS),
+        ("node", {"short_after": 300}, 4, "answered what is not in its protocol .status -3 on read."),
+        ("usb", {"short_after": 300}, 4, "answered what is not in its protocol .status -3 on read."),
+        ("node", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
+        ("usb", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
+        ("node", {"mute_after": 0}, 4, "sends no report: check its power, and its firmware"),
+        # a node's write hangs the loop itself, which the supervisor sees
+        ("node", {"block_after": 300}, 6, "no tick for 0.25 s .*a device's exchange hangs"),
+        ("thread", {"block_after": 300}, 4, r"no answer to a read in time \(a write has been under way for 1"),
+        # libusb gives a write up after a second, which is while `stop` waits for the zero
+        ("usb", {"block_after": 300}, 4, r"in time \((a write has been under way|hid writer: a write .* -1 after) "),
+        (
+            "node",
+            {"descriptor": OTHER_DESCRIPTOR},
+            4,
+            "/dev/hidraw0 has other reports than the rig: the device announces input 32 bytes, output 64 bytes; "
+            "the rig describes input 64 bytes, output 64 bytes: correct ",
+        ),
+        ("usb", {"descriptor": OTHER_DESCRIPTOR}, 4, "1-1:1.0 has other reports than the rig: .* announces input 32 b"),
+        (
+            "node", {"descriptor": "06abff0a0002a10175"}, 4,
+            "its report descriptor is damaged: item 0x75 at byte 8 of 9 is cut",
+        ),
+        ("node", {"generation": 1}, 4, "no HID device 16c0:0486 is attached: plug it in .*; attached are 1234:0006"),
+        ("usb", {"generation": 1}, 4, "no HID device 16c0:0486 is attached: plug it in"),
+        ("usb", {"claimed": True}, 4, "1-1:1.0 ./dev/bus/usb/001/002. cannot be claimed through hidapi: another pro"),
+        ("node", {"permission": "0"}, 4, "/dev/hidraw0 may not be opened by this user: .*KERNEL==.hidraw"),
+        ("usb", {"permission": "0"}, 4, "/dev/bus/usb/001/002 may not be opened by this user: .*SUBSYSTEM==.usb"),
+    ],
+)  # fmt: skip
+def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
+    """What goes wrong on the cable, or is another device, ends the daemon with its own message and exit code."""
+    bus, through = WAYS[way]
+    whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
+    rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
+    done, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane")
+    assert done.returncode == code, done.stderr
+    assert re.search(message, done.stderr), done.stderr
+    if "short_after" in case or "mute_after" in case:
+        assert not any(saw["last"]), "the last report was no zero"
+    if "block_after" in case:
+        assert re.search("no zero has reached it: (hid writer: a write|a write|writes) ", done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("way", "board", "rig"),
+    [
+        ("node", "teensy", "woodenhaptics-2019"),
+        ("node", "teensy-swapped", "woodenhaptics-polhem-v1"),
+        ("thread", "teensy-swapped", "woodenhaptics-2019"),
+        ("usb", "teensy", "woodenhaptics-2019"),
+        ("usb", "teensy-swapped", "woodenhaptics-2019"),
+        ("node", "lpc1768-14", "woodenhaptics-polhem-v1-lpc1768"),
+        ("usb", "lpc1768-14", "woodenhaptics-2019-lpc1768"),
+        ("node", "lpc1768-8", "woodenhaptics-2015"),
+    ],
+)
+def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_path: Path) -> None:
+    """A real board's descriptors: of several interfaces with one serial number the arm's is opened, no other is written
+    to, and forces go out."""
+    bus, through = WAYS[way]
+    case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
+    mine = rig_with(tmp_path, rig, through=through, timeout_s=1.0)  # a busy machine answers late
+    done, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", "--scene", "frictionless-plane")
+    assert done.returncode == 0, done.stderr
+    assert saw["astray"] == 0
+    assert max(saw["most"]) > 0
+    assert not any(saw["last"])
+
+
+@pytest.mark.parametrize(
+    ("board", "rig", "said"),
+    [
+        ("lpc1768-14", "woodenhaptics-2015", 'announces input 14 .*: set reports to "woodenhaptics-v2-lpc1768", whose'),
+        ("lpc1768-8", "woodenhaptics-2019-lpc1768", 'announces input 8 .*: set reports to "woodenhaptics-v1", whose'),
+    ],
+)
+def test_a_board_with_another_firmware_is_named(board: str, rig: str, said: str) -> None:
+    """Reports of another format of the library: the error says which."""
+    case = {"board": board, "arm": "woody-2019", "generation": 1 if board == "lpc1768-8" else 2}
+    done, saw = run(case, rig, "--duration", "0.1", "--scene", "frictionless-plane")
+    assert done.returncode == 4
+    assert re.search(said, done.stderr), done.stderr
+    assert saw["reports"] == 0
+
+
+def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
+    """The emulated device has serial SN42: that one is opened, another one is asked for in vain."""
+    for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
+        rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)
+        done, _ = run(
+            {"arm": "woody-2019", "generation": 2}, rig, "--duration", "0.005", "--scene", "frictionless-plane"
+        )
+        assert said in done.stderr
+
+
+TRY = """
+import sys
+from softfinger.config.errors import DeviceError
+from softfinger.config.load import load_rig
+from softfinger.drivers.registry import open_device
+for name in sys.argv[1:]:
+    try:
+        with open_device(load_rig(name).device, 1000.0):
+            print("opened")
+    except DeviceError as error:
+        print(type(error).__name__, error)
+"""
+"""Open the device of each rig; a line for each that says what came of it."""
+
+
+def test_a_listed_node_that_is_not_there(tmp_path: Path) -> None:
+    """In a container that has the bus and not the node, the bus is taken, unless the rig wants the node."""
+    tries: list[tuple[dict[str, object], str]] = [
+        ({}, "opened"),
+        ({"through": "thread", "serial": "SN42"}, "opened"),
+        ({"path": "1-1:1.0"}, "opened"),
+        (
+            {"serial": "SN43"},
+            "DeviceNotFound no HID device 16c0:0486 has the serial number 'SN43': attached are 'SN42'",
+        ),
+        ({"path": "1-2:1.0"}, "DeviceNotFound no USB device is at 1-2:1.0: plug"),
+        ({"path": "/dev/hidraw0"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
+        ({"through": "node"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
+    ]
+    rigs = [rig_with(tmp_path, "woodenhaptics-2019", **keys) for keys, _ in tries]
+    other = rig_with(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
+    case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
+    done, _ = beside(case, sys.executable, "-c", TRY, *rigs, other)
+    assert done.returncode == 0, done.stderr
+    *said, of_the_other = done.stdout.splitlines()[:-1]
+    assert [line.startswith(wanted) for line, (_, wanted) in zip(said, tries, strict=True)] == [True] * 7, said
+    assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, and the rig is for 1234:0006")
+
+
+def test_a_rig_that_wants_a_node_is_told_that_there_is_none(tmp_path: Path) -> None:
+    """A device on the bus alone, for a rig with through = "node": not absent, but without hidraw, and what to do."""
+    rig = rig_with(tmp_path, "woodenhaptics-2019", through="node")
+    done, _ = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
+    said = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
+    assert re.match(said, done.stdout), done.stderr
+
+
+HOLD = """
+import subprocess, sys
+hold = '''
+import sys
+from softfinger.config.load import load_rig
+from softfinger.drivers.registry import open_device
+with open_device(load_rig(sys.argv[1]).device, 1000.0):
+    print("open", flush=True)
+    sys.stdin.read()
+'''
+pipe = subprocess.PIPE
+with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, stdout=pipe, text=True) as holder:
+    assert holder.stdout.readline() == "open\\n"
+    for rig in sys.argv[1:]:
+        words = ["run", "--rig", rig, "--endpoint", "tcp://127.0.0.1:*", "--duration", "0.01"]
+        print(subprocess.run([sys.executable, "-m", "softfinger.server.cli", *words]).returncode, flush=True)
+    holder.stdin.close()
+"""
+"""A process that has the device of the first rig open, while the daemon is tried on each rig."""
+
+
+@pytest.mark.parametrize(("way", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
+def test_a_second_program_finds_the_device_held(way: str, node: str, tmp_path: Path) -> None:
+    """While one process has the device, the daemon is refused and told which process it is."""
+    bus, through = WAYS[way]
+    rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
+    case = {"bus": bus, "arm": "woody-2019", "generation": 2}
+    done, _ = beside(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
+    assert done.stdout.splitlines()[:2] == ["4", "4"], done.stderr
+    assert len(re.findall(rf"{node} is held by process \d+ \(python", done.stderr)) == 2, done.stderr

@@ -1,0 +1,247 @@
+"""Reports as bytes: published layouts, every type, what a rig may describe, report descriptors, any bytes at all."""
+
+from __future__ import annotations
+
+import re
+import struct
+import tomllib
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from emulators.boards import BOARDS
+from helpers.hid_devices import described, rig_options
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.config.schema import Rig
+from softfinger.drivers.hid import reports
+from softfinger.drivers.hid.device import Options
+from softfinger.drivers.hid.options import COMMANDED, SENSED, TYPES, InputField, InputReport, OutputField, OutputReport
+from softfinger.drivers.system.descriptor import announced
+
+CODES = dict(zip(TYPES, "bBhHiIf", strict=True))
+
+
+def decoded(report: InputReport, data: bytes) -> tuple[bool, dict[str, float]]:
+    values = np.zeros(reports.SENSED_SIZE)
+    usable = reports.decode_once(
+        np.frombuffer(data, np.uint8).copy(), reports.input_table(report), np.zeros(1, np.int64), values
+    )
+    return bool(usable), dict(zip(SENSED, values.tolist(), strict=True))
+
+
+def encoded(report: OutputReport, **values: float) -> tuple[bool, bytes]:
+    out = np.zeros(1 + report.bytes, np.uint8)
+    numbers = np.array([values.get(name, 0.0) for name in COMMANDED])
+    numbers[reports.CONSTANT] = 1.0
+    cut = reports.encode_once(numbers, reports.output_table(report), np.zeros(1, np.int64), out)
+    return bool(cut), out.tobytes()
+
+
+def test_woodenhaptics_v1_layout() -> None:
+    """Eight bytes in, encoder a negated; nine out with the id: milliamperes as int16 and a word of zero."""
+    wire = rig_options("woodenhaptics-2015").reports
+    usable, seen = decoded(wire.input, bytes.fromhex("f401 e0fc b004 ffff".replace(" ", "")))
+    assert usable
+    assert [seen[k] for k in "abc"] == [-500, -800, 1200]
+    assert seen["buttons"] == 0
+    _, out = encoded(wire.output, current_a=-0.00063, current_b=0.27578, current_c=0.32046)
+    assert out.hex() == "00" + "ffff" + "1401" + "4001" + "0000"
+
+
+def test_woodenhaptics_v2_layout() -> None:
+    """Fourteen of 64 bytes in, the wrist last first, the button in its first slot; preset is command 1."""
+    wire = rig_options("woodenhaptics-polhem-v1").reports
+    usable, seen = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1).ljust(64, b"\xff"))
+    assert usable
+    assert [seen[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44]
+    assert seen["buttons"] == 1 + 2
+    assert decoded(wire.input, struct.pack("<7h", 0, 0, 0, 5000, 0, 0, 0).ljust(64))[1]["buttons"] == 0
+    _, out = encoded(wire.output, current_a=2.0, current_b=-2.0, current_c=0.0005)
+    assert out == b"\0" + struct.pack("<7h", 2000, -2000, 1, 0, 0, 0, 0).ljust(64, b"\0")
+    assert wire.preset is not None
+    _, out = encoded(wire.preset, preset_a=0, preset_b=0, preset_c=-5000)
+    assert out == b"\0" + struct.pack("<7h", 0, 0, 0, 1, 0, 0, -5000).ljust(64, b"\0")
+
+
+def test_woodenhaptics_v2_layout_of_an_lpc1768() -> None:
+    """The firmware's two packed structs: seven int16 each way, the same numbers as a Teensy's in 14 bytes."""
+    wire = rig_options("woodenhaptics-polhem-v1-lpc1768").reports
+    usable, seen = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1))
+    assert usable
+    assert [seen[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44]
+    assert seen["buttons"] == 1 + 2
+    _, out = encoded(wire.output, current_a=2.0, current_b=-2.0, current_c=0.0005)
+    assert out == b"\0" + struct.pack("<7h", 2000, -2000, 1, 0, 0, 0, 0)
+    assert wire.preset is not None
+    _, out = encoded(wire.preset, preset_a=7, preset_b=0, preset_c=-5000)
+    assert out == b"\0" + struct.pack("<7h", 0, 0, 0, 1, 7, 0, -5000)
+
+
+def test_makers_descriptors() -> None:
+    """A Teensy's two interfaces, the feature report of its debug channel left out, and the LPC1768's."""
+    lengths = {name: [announced(one.descriptor) for one in board.interfaces] for name, board in BOARDS.items()}
+    assert lengths["teensy"] == [({0: 64}, {0: 64}), ({0: 64}, {0: 32})]
+    assert lengths["lpc1768-14"] == [({0: 14}, {0: 14})]
+    assert lengths["lpc1768-8"] == [({0: 8}, {0: 8})]
+
+
+@given(st.sampled_from(TYPES), st.binary(min_size=4, max_size=4), st.integers(0, 5))
+def test_every_type_is_read_as_struct_reads_it(kind: str, data: bytes, offset: int) -> None:
+    """Any bytes as any type at any offset give the number that Python's struct gives."""
+    field = InputField(meaning="x", offset=offset, type=kind, scale=2.0, bias=1.0)
+    report = InputReport(bytes=offset + 4, field=(field,))
+    usable, seen = decoded(report, b"\x5a" * offset + data)
+    (raw,) = struct.unpack_from("<" + CODES[kind], data)
+    assert usable == isfinite(raw)
+    if usable:
+        assert seen["x"] == 2.0 * raw + 1.0
+
+
+@given(st.sampled_from(TYPES), st.floats(-1e10, 1e10), st.integers(0, 5))
+def test_every_type_is_written_as_struct_writes_it(kind: str, value: float, offset: int) -> None:
+    """The nearest number that the type holds, with a word when it was cut; the bytes beside it stay 0."""
+    report = OutputReport(bytes=offset + 4, field=(OutputField(meaning="force_x", offset=offset, type=kind),))
+    cut, out = encoded(report, force_x=value)
+    code = "<" + CODES[kind]
+    size = struct.calcsize(code)
+    (back,) = struct.unpack_from(code, out, 1 + offset)
+    assert out == b"\0" * (1 + offset) + out[1 + offset : 1 + offset + size] + b"\0" * (4 - size)
+    if kind == "float32":
+        assert back == np.float32(value)
+        return
+    info = np.iinfo(kind)
+    assert back == min(max(np.floor(value + 0.5), info.min), info.max)
+    assert cut == (not info.min - 0.5 <= value < info.max + 0.5)
+
+
+def test_a_million_reports_of_any_bytes() -> None:
+    """Random bytes decode to finite numbers, or are refused; those of integer fields never are."""
+    generator = np.random.default_rng(9)
+    options = build(Options, described(), "described")
+    for wire, floats in ((rig_options("woodenhaptics-polhem-v1").reports.input, False), (options.reports.input, True)):
+        table, scratch, values = reports.input_table(wire), np.zeros(1, np.int64), np.zeros(reports.SENSED_SIZE)
+        stream = generator.integers(0, 256, 500_000 + wire.bytes, dtype=np.uint8)
+        refused = wrong = 0
+        for at in range(500_000):  # each byte of the stream begins a report
+            if not reports.decode_once(stream[at : at + wire.bytes], table, scratch, values):
+                refused += 1
+            elif not np.isfinite(values.sum()):
+                wrong += 1
+        assert wrong == 0
+        assert bool(refused) == floats
+
+
+def test_descriptors_give_report_lengths() -> None:
+    """Lengths of numbered and bare reports from descriptors made by hand; a cut one is refused."""
+    raw = bytes.fromhex("06abff0a0002a1017508150026ff00954009018102954009029102c0")
+    assert announced(raw) == ({0: 64}, {0: 64})
+    # Two input reports (ids 1 and 2; 6 bytes, and 12 bits padded to 2 bytes) and no output report; a pushed size.
+    numbered = bytes.fromhex("05010908a101 8501 7510 9503 8102 8502 a4 7504 9503 8102 b4 c0".replace(" ", ""))
+    assert announced(numbered) == ({1: 6, 2: 2}, {})
+    assert str(announced(numbered)) == "input 6 bytes with id 1 and 2 bytes with id 2, output none"
+    with pytest.raises(ValueError, match="cut off"):
+        announced(raw[:5])
+
+
+@given(st.binary(max_size=200))
+def test_any_descriptor_is_read_or_refused(data: bytes) -> None:
+    """No bytes make the parser fail otherwise than with its own error."""
+    try:
+        found = announced(data)
+    except ValueError:
+        return
+    assert all(length >= 0 for lengths in found for length in lengths.values())
+
+
+def test_decoding_a_not_finite_number_is_refused() -> None:
+    """NaN from the device never becomes a pose."""
+    wire = build(Options, described(), "described").reports.input
+    good = struct.pack("<7fBx", 1, 2, 3, 1, 0, 0, 0, 5)
+    usable, seen = decoded(wire, good)
+    assert usable
+    assert (seen["x"], seen["buttons"]) == (1e-3, 5)
+    assert not decoded(wire, struct.pack("<7fBx", 1, nan, 3, 1, 0, 0, 0, 0))[0]
+
+
+def _with(path: str, value: Any) -> dict[str, Any]:
+    mapping = described()
+    *tables, last = path.split(".")
+    at: Any = mapping
+    for name in tables:
+        at = at[int(name)] if name.isdigit() else at[name]
+    if isinstance(at, list):
+        at[int(last)] = value
+    elif value is None:
+        del at[last]
+    else:
+        at[last] = value
+    return mapping
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("reports.input.bytes", 20, r"field\[5\].offset = 20: bytes 20 to 23 of a report of 20"),
+        ("reports.input.field.1.offset", 2, r"field\[1\].offset = 2: byte 2 belongs to field\[0\] already"),
+        ("reports.input.field.0.type", "int24", r"field\[0\].type = 'int24': must be one of .*'int8'"),
+        ("reports.input.field.0.meaning", "w", r"field\[0\].meaning = 'w': must be one of"),
+        ("reports.input.field.0.meaning", "y", r"field\[1\].meaning = 'y': another field has this meaning"),
+        ("reports.input.field.3.meaning", "buttons", r"input.field = \['qx', 'qy', 'qz'\]: a cartesian device"),
+        ("reports.output.field.2.meaning", "constant", "output.field: lacks force_z, which a cartesian needs"),
+        ("kinematics.kind", "chain", "kinematics.capstan_m is missing"),
+        ("kinematics.kind", "delta", "kinematics.kind = 'delta': must be one of 'chain', 'cartesian'"),
+        ("reports.output.id", 256, "output.id = 256: must be a whole number from 0 to 255"),
+        ("vendor_id", 70000, "vendor_id = 70000: must be a whole number from 0 to 65535"),
+        ("reports", "woodenhaptics-v3", "'woodenhaptics-v3': not in the library"),
+        ("timeout_s", 0.005, "timeout_s = 0.005: must be"),
+        ("calibrate", True, "only a chain has a calibration pose"),
+        ("through", "usb", "through = 'usb': must be one of 'auto', 'node', 'thread'"),
+        ("mounting", {"orientation_wxyz": [0, 0, 0, 0]}, "all zero is no orientation"),
+        ("reports.preset", {"bytes": 8, "field": []}, "preset.bytes = 8: must be an output report like the other"),
+    ],
+)  # fmt: skip
+def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:
+    """Each fault of a description is named with its key, what was given, and what would be right."""
+    with pytest.raises(ConfigError, match=message):
+        build(Options, _with(path, value), "rig [device]")
+
+
+def test_a_name_on_usb_is_no_node() -> None:
+    """hidapi's name of an interface is a path for threads, and not for the loop at a node."""
+    build(Options, described(path="1-2.3:1.0", through="thread"), "rig")
+    build(Options, described(path="/dev/hidraw3", through="node"), "rig")
+    with pytest.raises(ConfigError, match=r"path = '1-2.3:1.0': is hidapi's name on USB, .* such as /dev/hidraw0"):
+        build(Options, described(path="1-2.3:1.0", through="node"), "rig")
+
+
+def test_one_fault_gives_one_line() -> None:
+    """A single fault is a single message, and a description without one is taken."""
+    build(Options, described(), "rig")
+    with pytest.raises(ConfigError) as caught:
+        build(Options, _with("reports.input.bytes", 30 - 1), "rig")
+    assert str(caught.value).count("\n") == 0
+
+
+def test_a_named_format_takes_changes() -> None:
+    """A rig may name a format and give one of its reports itself."""
+    own = {"name": "woodenhaptics-v1", "output": {"bytes": 8, "field": [
+        {"meaning": f"current_{k}", "offset": 2 * n, "type": "int16", "scale": -1000.0} for n, k in enumerate("abc")
+    ]}}  # fmt: skip
+    changed = rig_options("woodenhaptics-2015", reports=own).reports
+    assert changed.output.field[0].scale == -1000.0
+    assert changed.input == rig_options("woodenhaptics-2015").reports.input
+
+
+def test_the_description_in_the_docs_is_valid() -> None:
+    """The rig shown in docs/devices/hid.md is taken as it stands."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "devices" / "hid.md").read_text("utf-8")
+    found = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert found is not None
+    rig = build(Rig, tomllib.loads(found[1]), "docs/devices/hid.md")
+    assert build(Options, rig.device.options, "docs/devices/hid.md [device]").reports.input.id == 3

@@ -1,0 +1,358 @@
+"""HID through threads: what is carried, what waits, a device that hangs, zero force on every way out."""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from emulators.woodenhaptics import Arm, Woody
+from helpers.driver_contract import Servo
+from helpers.hid_devices import RIGS, Answering, Api, described, ends, rig_options, woody
+
+from softfinger.config.errors import DeviceError, DeviceTimeout
+from softfinger.config.load import build
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.hid import exchange
+from softfinger.drivers.hid.device import STOP_WAIT_S, HidDevice, Options
+from softfinger.drivers.hid.link import pumped
+from softfinger.drivers.hid.pump import CLOSE_WAIT_S
+
+pytestmark = pytest.mark.real_time
+
+GOOD = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
+"""A report of the described device."""
+
+
+@pytest.fixture(autouse=True)
+def no_thread_is_left() -> Iterator[None]:
+    """Whatever a test did to the device, its threads have ended with it."""
+    before = set(threading.enumerate())
+    yield
+    left = [one for one in set(threading.enumerate()) - before if one.name.startswith("hid ")]
+    for thread in left:  # one that hung ends once its write returns
+        thread.join(5.0)
+    assert not any(thread.is_alive() for thread in left)
+
+
+class Linked:
+    """The described device with its hidapi at hand: `heard` is what it was sent, `end` its end of the bus."""
+
+    def __init__(self, answer: Callable[[bytes], bytes | None] = lambda _: GOOD, **changes: object) -> None:
+        self.heard: list[bytes] = []
+
+        def note(data: bytes) -> bytes | None:
+            self.heard.append(data)
+            return answer(data)
+
+        options = build(Options, described(**{"timeout_s": 0.2, **changes}), "rig")  # a busy machine answers late
+        fd, end = ends()
+        self.answering, self.api = Answering(end, note), Api(fd)
+        link = pumped(self.api, options)
+        self.device = HidDevice(options, link.fd, link.pump)
+        self.servo = Servo(self.device)
+
+    def force(self, index: int = -1) -> tuple[int, ...]:
+        """Of a report that the device was sent (mN)."""
+        return struct.unpack("<3i", self.heard[index][1:])
+
+    def push(self, newtons: float) -> int:
+        return self.servo.write(newtons, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def until(self, wanted: Callable[[int], bool], within_s: float = 5.0) -> int:
+        """Read once a millisecond until a status is `wanted`; that status."""
+        end = time.monotonic() + within_s
+        while not wanted(status := self.servo.read()[0]):
+            assert time.monotonic() < end, f"the last status was {status}"
+            time.sleep(0.001)
+        return status
+
+    def __enter__(self) -> Linked:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.api.held.set()
+        self.device.close()
+        self.answering.unplug()
+
+
+def test_reports_are_carried_byte_for_byte() -> None:
+    """2 000 random reports of every length arrive in order as they were sent, longer ones longer by the spare byte."""
+    fd, end = ends()
+    options = build(Options, described(), "rig")
+    link = pumped(Api(fd), options)
+    assert link.pump is not None
+    generator = np.random.default_rng(5)
+    longest = options.reports.input.bytes + 1 + exchange.IN_SPARE
+    for _ in range(2000):
+        sent = generator.bytes(int(generator.integers(1, 64)))
+        end.send(sent)
+        until = time.monotonic() + 5.0
+        while True:
+            try:
+                came = os.read(link.fd, 4096)
+                break
+            except BlockingIOError:
+                assert time.monotonic() < until
+        assert came == sent[:longest]
+    os.close(link.fd)
+    link.pump.close()
+    end.close()
+
+
+def test_one_force_waits_behind_another() -> None:
+    """While one write takes its time, one more force waits and the rest are told to be held; zeros go behind a force
+    at once, and none piles up behind another."""
+    with Linked() as linked:
+        linked.until(lambda status: status == OK)
+        linked.answering.settle(linked.device)
+        linked.api.held.clear()
+        statuses = [linked.push(0.1 * (n + 1)) for n in range(21)]
+        assert statuses == [OK] * exchange.WAITING_MAX + [HELD] * (21 - exchange.WAITING_MAX)
+        assert linked.device.counts()["held"] == 21 - exchange.WAITING_MAX
+        assert [linked.push(0.0) for _ in range(5)] == [OK] * 5
+        assert linked.push(0.1) == HELD
+        known = len(linked.heard)
+        linked.api.held.set()
+        linked.answering.settle(linked.device)
+        assert [linked.force(n)[0] for n in range(known, len(linked.heard))] == [100, 200, 0]
+
+
+@pytest.mark.parametrize("talkative", [False, True])
+def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCaptureFixture) -> None:
+    """The loop goes on and ends with TIMEOUT, also where the device goes on to report; `stop` and `close` return in
+    time, say so once, and when the write returns the zero goes out, and no older force."""
+    with Linked() as linked:
+        linked.until(lambda status: status == OK)
+        linked.push(1.0)
+        linked.answering.settle(linked.device)
+        linked.api.held.clear()
+        linked.push(2.0)
+        assert linked.api.hung.wait(5.0)
+        stop = threading.Event()
+
+        def talk() -> None:
+            while not stop.wait(0.001):
+                linked.answering.end.send(GOOD)
+
+        speaker = threading.Thread(target=talk)
+        if talkative:
+            speaker.start()
+        begun = time.monotonic()
+        while (status := linked.servo.read()[0]) >= 0:
+            linked.push(3.0)
+            time.sleep(0.001)
+        assert status == TIMEOUT
+        assert time.monotonic() - begun < 5.0  # 0.2 s, twice that if it talks, on a machine that is not held up
+        assert "a write has been under way for" in linked.device.reason()
+        stop.set()
+        begun = time.monotonic()
+        linked.device.stop()
+        linked.device.stop()
+        linked.device.close()
+        # the write has its time once; three machine stalls of a second on top
+        assert time.monotonic() - begun < STOP_WAIT_S + CLOSE_WAIT_S + 3.0
+        assert caplog.text.count("no zero has reached it: a write has been under way for") == 1
+        assert "hid writer: a call of hidapi hangs" in caplog.text
+        assert linked.api.closed == 0, "closed under a call"
+        known = len(linked.heard)
+        linked.api.held.set()
+        until = time.monotonic() + 5.0
+        while linked.api.closed == 0:
+            assert time.monotonic() < until
+            time.sleep(0.001)
+        linked.answering.unplug()
+        assert [linked.force(n)[0] for n in range(known, len(linked.heard))] == [2000, 0, 0]
+        if talkative:
+            speaker.join()
+
+
+def test_old_reports_are_no_flood() -> None:
+    """What piles up while nobody reads is less than one tick reads, so that after a pause the report is one of now."""
+    with Linked() as linked:
+        linked.until(lambda status: status == OK)
+        for n in range(400):
+            linked.answering.end.send(b"\x03" + struct.pack("<7fBB", n, 0, 0, 1, 0, 0, 0, 0, 0))
+        time.sleep(0.05)  # a pause past which queued reports are thrown away
+        drained = linked.device.counts()["reports"]
+        status, sample = linked.servo.read()
+        assert status == OK
+        assert sample[0] == pytest.approx(1e-3, abs=1e-9)  # float32 of the answer's millimetre
+        assert linked.device.counts()["reports"] - drained < exchange.DRAIN_MAX
+
+
+def test_stop_returns_after_the_zero() -> None:
+    """However slow the device takes its reports, when `stop` returns it has taken the zero, and no force after it."""
+    for _ in range(10):
+        with Linked() as linked:
+            written: list[bytes] = []
+            linked.until(lambda status: status == OK)
+            plain = linked.api.write
+
+            def slow(buff: bytes, plain: Callable[[bytes], int] = plain, written: list[bytes] = written) -> int:
+                time.sleep(0.003)
+                written.append(buff)
+                return plain(buff)
+
+            linked.api.write = slow  # type: ignore[method-assign]
+            for _ in range(20):
+                linked.servo.read()
+                linked.push(1.0)
+                time.sleep(0.0005)
+            linked.device.stop()
+            assert any(written[0][1:])
+            assert not any(written[-1][1:])
+            count = len(written)
+            assert linked.push(1.0) == WITHHELD
+            linked.answering.settle(linked.device)
+            assert not any(any(report[1:]) for report in written[count:])
+
+
+@pytest.mark.parametrize("rig", ["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
+def test_calibration_at_opening(rig: str) -> None:
+    """The preset is waited for: an arm in its calibration pose senses it, through a slow writer too."""
+    options = rig_options(rig, calibrate=True, timeout_s=1.0)
+    itself = Arm(RIGS[rig])
+    resting = itself.position(itself.angles_at(itself.calibration))
+    arm = Woody(RIGS[rig], 1 if options.reports.preset is None else 2, lambda _: resting)
+    arm.zero = (321, -123, 77)
+
+    def answer(data: bytes) -> bytes:
+        time.sleep(0.004)  # of the 10 ms between two kicks
+        return arm.answer(data)
+
+    fd, end = ends()
+    with Answering(end, answer):
+        link = pumped(Api(fd), options)
+        with HidDevice(options, link.fd, link.pump) as device:
+            sample = Servo(device).read()[1]
+            np.testing.assert_allclose(sample[:3], resting, atol=3e-4)  # half a count at each motor
+            assert all(not any(words[:3]) for words in arm.sent), "a force during calibration"
+            assert sum(words[3] for words in arm.sent) == (options.reports.preset is not None)
+
+
+def test_a_calibration_that_fails_leaves_nothing_open() -> None:
+    """A board without an answer, and one that takes no report, are told apart at opening; hidapi is closed."""
+    options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=1.0)  # a busy machine answers late
+    for answer, error, said in (
+        (None, DeviceTimeout, "sends no report"),
+        (b"\0" * 64, DeviceError, "did not take the calibration"),
+    ):
+        fd, end = ends()
+        with Answering(end, lambda _, answer=answer: answer):
+            api = Api(fd)
+            link = pumped(api, options)
+            with pytest.raises(error, match=said):
+                HidDevice(options, link.fd, link.pump)
+            assert api.closed == 1
+
+
+def test_a_preset_that_is_not_taken_is_refused() -> None:
+    """A write that hangs at the preset ends the opening with what hangs."""
+    options = rig_options("woodenhaptics-2019", calibrate=True)
+    arm = Woody("woody-2019", 2, lambda _: (0.0, 0.0, 0.0))
+    fd, end = ends()
+    api = Api(fd)
+
+    def answer(data: bytes) -> bytes:
+        api.held.clear()  # from the first answer on
+        return arm.answer(data)
+
+    with Answering(end, answer):
+        link = pumped(api, options)
+        with pytest.raises(DeviceTimeout, match=r"takes no report \(a write has been under way"):
+            HidDevice(options, link.fd, link.pump)
+        api.held.set()
+
+
+@pytest.mark.parametrize("way", ["unplugged", "read", "write"])
+def test_a_device_that_is_gone_is_a_loss(way: str) -> None:
+    """Unplugged, or failing one way: LOST with hidapi's word, and a device that still takes reports gets its zero."""
+    with Linked() as linked:
+        linked.until(lambda status: status == OK)
+        linked.push(1.0)
+        linked.answering.settle(linked.device)
+        if way == "unplugged":
+            linked.answering.unplug()
+        elif way == "read":
+            linked.api.read = gone  # type: ignore[method-assign]
+        else:
+            linked.api.refuses = True
+            linked.push(1.0)
+        assert linked.until(lambda status: status < 0) == LOST
+        linked.device.stop()
+        said = {"read": "hid reader: read error", "write": "hid writer: a write of 13 bytes came back as -1"}
+        assert said.get(way, "hid ") in linked.device.reason()
+        if way == "read":
+            assert linked.force() == (0, 0, 0)
+        else:
+            assert linked.servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) in (LOST, WITHHELD)
+        linked.device.close()
+        assert linked.api.closed == 1
+
+
+def gone(*_: object) -> list[int]:
+    raise OSError("read error")
+
+
+@pytest.mark.parametrize(
+    "report",
+    [GOOD[:-1], GOOD + b"\0", GOOD[:5], b"\x03" + struct.pack("<7fBB", math.nan, 0, 0, 1, 0, 0, 0, 0, 0)],
+    ids=["short", "long", "shorter", "nan"],
+)
+def test_what_is_not_in_the_protocol_is_a_fault(report: bytes) -> None:
+    """A report of another length and one that holds no number end in PROTOCOL, and `stop` leaves a zero."""
+    with Linked() as linked:
+        linked.until(lambda status: status == OK)
+        linked.push(1.0)
+        linked.answering.settle(linked.device)
+        assert linked.force() == (1000, 0, 0)
+        linked.until(lambda status: status == STALE)
+        linked.answering.end.send(report)
+        assert linked.until(lambda status: status != STALE) == PROTOCOL
+        linked.device.stop()
+        linked.answering.settle(linked.device)
+        assert linked.force() == (0, 0, 0)
+
+
+def test_silence_is_kicked_and_then_given_up() -> None:
+    """A device that falls silent is woken with zeros, and given up after the time-out, as at a node."""
+    with woody(through="thread", timeout_s=0.1) as (device, arm, answering):
+        servo = Servo(device, arm=False)
+        assert servo.read()[0] == OK
+        answering.mute.set()
+        begun = time.monotonic()
+        time.sleep(0.011)
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        answering.settle(device)
+        assert not any(arm.sent[-1])
+        while (status := servo.read()[0]) >= 0:
+            time.sleep(0.001)
+        assert status == TIMEOUT
+        assert time.monotonic() - begun > 0.1
+        assert device.counts()["kicks"] > 2
+        assert device.reason() == ""
+
+
+def test_any_bytes_leave_a_finite_pose_or_a_fault() -> None:
+    """3 000 random reports of random lengths and ids through the threads: finite and unit, or a status below 0."""
+    generator = np.random.default_rng(12)
+    with Linked() as linked:
+        linked.until(lambda status: status == OK)
+        seen = {"read": 0, "repeated": 0, "refused": 0}
+        for n in range(3000):
+            data = bytearray(generator.bytes(31 if n % 4 else int(generator.integers(1, 64))))
+            if n % 3:
+                data[0] = 3
+            linked.answering.end.send(data)
+            status, sample = linked.servo.read()
+            seen["refused" if status < 0 else "repeated" if status == STALE else "read"] += 1
+            if status >= 0:
+                assert all(map(math.isfinite, sample))
+                assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-9)  # rounding of a normalisation
+        assert min(seen.values()) > 10

@@ -1,0 +1,269 @@
+"""Recorded poses: reading, checking, resampling, closing into a loop."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation, Slerp
+
+from softfinger.config.errors import RecordingError
+from softfinger.drivers.poses import ENDINGS, RESULT_COLUMNS, Poses, checked, load_poses, shipped_names
+from softfinger.drivers.resample import close_loop, resample
+from softfinger.proxy.record import AT, RECORD_SIZE, columns
+from softfinger.server.offline.results import write_results
+
+HEADER = "t,x,y,z,qw,qx,qy,qz\n"
+ROWS = "0,0,0,0.02,1,0,0,0\n0.01,0.001,0,0.02,1,0,0,0\n0.02,0.002,0,0.02,1,0,0,0\n"
+
+
+def some_poses(count: int = 40, seed: int = 7) -> Poses:
+    """An irregular random walk with turns of either sign."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.004, 0.02, count))
+    quaternion = np.cumsum(rng.normal(0, 0.1, (count, 4)), axis=0) + np.array([2.0, 0, 0, 0])
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return checked(t, np.cumsum(rng.normal(0, 0.002, (count, 3)), axis=0), quaternion, str)
+
+
+def records_of(poses: Poses) -> np.ndarray:
+    records = np.zeros((len(poses.t), RECORD_SIZE))
+    records[:, AT.timestamp] = 1.7e9 + poses.t
+    records[:, AT.tick] = np.arange(len(poses.t))
+    records[:, AT.probe_position : AT.probe_position + 3] = poses.position
+    records[:, AT.probe_orientation : AT.probe_orientation + 4] = poses.orientation
+    return records
+
+
+def test_csv_in_any_column_order(tmp_path: Path) -> None:
+    """Columns are found by name; others, blank lines and a byte-order mark do no harm."""
+    path = tmp_path / "poses.csv"
+    path.write_text("qw, qx,qy,qz,note,t,x,y,z\n1,0,0,0,a,0,1,2,3\n\n1,0,0,0,b,0.5,4,5,6\n", encoding="utf-8-sig")
+    poses = load_poses(path)
+    assert poses.t.tolist() == [0.0, 0.5]
+    assert poses.position.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert poses.orientation.tolist() == [[1, 0, 0, 0]] * 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: column.*t, x"),
+        ("t,x,y,z,qw,qx,qy\n", "line 1: column.*qz missing"),
+        ("t,x,y,z,qw,qx,qy,qz,t\n" + ROWS, "line 1: column.*t missing or given twice"),
+        (HEADER, "0 pose"),
+        (HEADER + "0,0,0,0,1,0,0,0\n", "1 pose"),
+        (HEADER + ROWS + "0.03,0,O,0,1,0,0,0\n", "line 5, column 'y': 'O' is not a number"),
+        (HEADER + ROWS + "0.03,0,0,0,1,0,0\n", "line 5: 7 values, the header names 8"),
+        (HEADER + ROWS + "0.03,0,nan,0,1,0,0,0\n", "line 5, column 'y': nan is not a finite"),
+        (HEADER + ROWS + "\n0.02,0,0,0,1,0,0,0\n", "line 6, column 't': 0.02 s does not follow 0.02 s"),
+        (HEADER + ROWS + "0.03,0,0,0,0.1,0,0,0\n", "line 5, columns 'qw' to 'qz': quaternion of norm 0.1"),
+        (HEADER + ROWS + "0.03,0,0,0,1e200,0,0,0\n", "line 5, columns 'qw' to 'qz': quaternion of norm inf"),
+        (HEADER + ROWS + "0.03,1e9,0,0,1,0,0,0\n", "line 5, column 'x': 1e.09 m is outside"),
+        (HEADER + "1e308,0,0,0,1,0,0,0\n-1e308,0,0,0,1,0,0,0\n", "line 3, column 't'"),
+    ],
+)
+def test_csv_fault_is_located(tmp_path: Path, text: str, message: str) -> None:
+    """Each fault names the file, the line, the column and the value."""
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match="bad.csv.*" + message):
+        load_poses(path)
+
+
+def test_unknown_names_are_refused_with_the_known(tmp_path: Path) -> None:
+    """A name that is no file and no shipped recording, and an ending that says nothing."""
+    with pytest.raises(RecordingError, match=r"did you mean 'roll-follow'.*press-roll-spin-drag"):
+        load_poses("rol-follow")
+    with pytest.raises(RecordingError, match="not a usable file name"):
+        load_poses("a" * 5000)
+    (tmp_path / "poses.txt").write_text(HEADER + ROWS)
+    with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):
+        load_poses(tmp_path / "poses.txt")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(RecordingError, match="cannot be read"):
+        load_poses(tmp_path / "folder.csv")
+
+
+def test_shipped_recordings_load() -> None:
+    """Every shipped recording can be read by its name, with and without its ending."""
+    assert shipped_names() == ["pinch-index", "pinch-thumb", "press-roll-spin-drag", "roll-follow", "tap"]
+    for name in shipped_names():
+        assert load_poses(name).t.tolist() == load_poses(name + ".csv").t.tolist()
+
+
+def test_orientation_is_normalised_and_continuous_in_sign() -> None:
+    """q and -q are one orientation: neighbours end up on one half of the sphere, at norm 1."""
+    poses = some_poses()
+    flipped = poses.orientation * np.random.default_rng(3).choice([-1.6, 1.4], (len(poses.t), 1))
+    again = checked(poses.t, poses.position, flipped, str)
+    sign = np.sign(flipped[0] @ poses.orientation[0])
+    np.testing.assert_allclose(again.orientation, sign * poses.orientation, atol=4e-16)  # two roundings
+    assert np.all(np.sum(again.orientation[1:] * again.orientation[:-1], axis=1) > 0)
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_results_are_poses(tmp_path: Path, ending: str) -> None:
+    """Results of this program can be replayed; their times count from the first row."""
+    assert set(RESULT_COLUMNS) <= set(columns())
+    poses = some_poses()
+    path = tmp_path / f"results{ending}"
+    write_results(path, records_of(poses))
+    again = load_poses(path)
+    np.testing.assert_allclose(again.t, poses.t - poses.t[0], atol=5e-7)  # resolution of an epoch time in float64
+    assert again.position.tobytes() == poses.position.tobytes()
+    np.testing.assert_allclose(again.orientation, poses.orientation, atol=4e-16)  # normalised once more
+
+
+def test_truncated_mcap_is_read_as_far_as_it_goes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A recording cut in the middle gives its first part and a warning; one cut in its header an error."""
+    poses = some_poses(2000)
+    path = tmp_path / "whole.mcap"
+    write_results(path, records_of(poses))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with caplog.at_level(logging.WARNING, logger="softfinger"):
+        part = load_poses(path)
+    assert 100 < len(part.t) < 2000
+    assert part.position.tobytes() == poses.position[: len(part.t)].tobytes()
+    assert "cut short or damaged" in caplog.text
+    path.write_bytes(whole[:40])
+    with pytest.raises(RecordingError, match="not a readable MCAP"):
+        load_poses(path)
+
+
+def test_npz_of_something_else_is_refused(tmp_path: Path) -> None:
+    """Missing arrays, wrong shapes and objects are errors, and a pickle in the file is never run."""
+    path, marker = tmp_path / "x.npz", tmp_path / "pickle-ran"
+
+    class Trap:
+        def __reduce__(self) -> tuple[object, tuple[str]]:
+            return (open, (str(marker), "w"))  # type: ignore[return-value]
+
+    for arrays in (
+        {"timestamp": np.arange(3.0)},
+        {"timestamp": np.arange(3.0), "probe.position": np.zeros((3, 2)), "probe.orientation": np.ones((3, 4))},
+        {"timestamp": np.arange(3.0), "probe.position": np.zeros((3, 3)), "probe.orientation": np.ones((2, 4))},
+        {"timestamp": np.array([Trap()]), "probe.position": np.zeros((1, 3)), "probe.orientation": np.ones((1, 4))},
+    ):
+        np.savez(path, **arrays)
+        with pytest.raises(RecordingError, match=r"x\.npz"):
+            load_poses(path)
+    path.write_bytes(pickle.dumps(Trap()))
+    with pytest.raises(RecordingError, match=r"x\.npz"):
+        load_poses(path)
+    assert not marker.exists()
+
+
+def _valid(ending: str, folder: Path) -> bytes:
+    path = folder / f"seed{ending}"
+    write_results(path, records_of(some_poses(30)))
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_arbitrary_bytes_give_poses_or_an_error(tmp_path: Path, ending: str, data: st.DataObject) -> None:
+    """Random bytes, and good files with bytes changed or cut off, never raise anything but RecordingError."""
+    path = tmp_path / f"fuzz{ending}"
+    content = bytearray(_valid(ending, tmp_path))
+    if data.draw(st.booleans()):
+        for _ in range(data.draw(st.integers(1, 4))):
+            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+        content = content[: data.draw(st.integers(0, len(content)))]
+    else:
+        content = bytearray(data.draw(st.binary(max_size=300)))
+    path.write_bytes(bytes(content))
+    with contextlib.suppress(RecordingError):
+        poses = load_poses(path)
+        assert np.isfinite(np.column_stack((poses.t, poses.position, poses.orientation))).all()
+        assert np.all(np.diff(poses.t) > 0)
+
+
+@pytest.mark.parametrize("count", [2, 3, 40])
+def test_resampling_equals_scipy(count: int) -> None:
+    """Positions are SciPy's PCHIP and orientations SciPy's Slerp, on irregular times."""
+    poses = some_poses(count)
+    samples = resample(poses, 1000.0)
+    at = np.arange(len(samples)) / 1000.0
+    t = poses.t - poses.t[0]
+    assert at[-1] <= t[-1] < at[-1] + 0.001 + 1e-6
+    position = PchipInterpolator(t, poses.position)(at) if count > 2 else None
+    if position is None:
+        position = np.stack([np.interp(at, t, poses.position[:, i]) for i in range(3)], axis=1)
+    np.testing.assert_allclose(samples[:, :3], position, atol=1e-15)  # rounding of numbers below 0.1
+    rotation = Slerp(t, Rotation.from_quat(poses.orientation[:, [1, 2, 3, 0]]))(np.minimum(at, t[-1]))
+    error = rotation.inv() * Rotation.from_quat(samples[:, [4, 5, 6, 3]])
+    assert error.magnitude().max() < 1e-14  # rad, rounding
+
+
+def test_resampling_passes_through_the_samples() -> None:
+    """At the time of a recorded sample the result is that sample, bit for bit."""
+    poses = load_poses("press-roll-spin-drag")
+    samples = resample(poses, 1000.0)
+    assert samples[::10, :3].tobytes() == poses.position.tobytes()
+    assert samples[::10, 3:].tobytes() == poses.orientation.tobytes()
+
+
+def test_resampling_has_no_velocity_step_and_no_overshoot() -> None:
+    """Between 100 Hz samples the velocity changes smoothly, and a press stays between its ends."""
+    samples = resample(load_poses("press-roll-spin-drag"), 1000.0)
+    velocity = np.diff(samples[:, :3], axis=0) * 1000.0
+    # peak acceleration of the script is 0.15 m/s2: linear interpolation would step by 1.5 mm/s at each sample
+    assert np.abs(np.diff(velocity, axis=0)).max() < 4e-4
+    assert samples[:, 2].min() == 0.009
+    assert samples[:, 2].max() == 0.020
+
+
+def test_resampling_refuses_what_is_too_short_or_too_long() -> None:
+    """Less than two ticks, or more than fit in memory, is an error that gives the numbers."""
+    still = np.zeros((2, 3)), np.array([[1.0, 0, 0, 0]] * 2)
+    with pytest.raises(RecordingError, match=r"0\.5 ticks at 100 Hz"):
+        resample(Poses(np.array([0.0, 0.005]), *still), 100.0)
+    with pytest.raises(RecordingError, match="must be 1 to 10,000,000"):
+        resample(Poses(np.array([0.0, 1e9]), *still), 1000.0)
+    with pytest.raises(RecordingError, match="inf"):
+        resample(Poses(np.array([-1e308, 1e308]), *still), 1000.0)
+
+
+def steps(loop: np.ndarray) -> tuple[float, float, float, float]:
+    """Largest velocity and change of velocity per tick, linear (m/s) and angular (rad/s), round the loop twice."""
+    twice = np.vstack((loop, loop))
+    velocity = np.diff(twice[:, :3], axis=0) * 1000.0
+    rotation = Rotation.from_quat(twice[:, [4, 5, 6, 3]])
+    spin = (rotation[1:] * rotation[:-1].inv()).as_rotvec() * 1000.0
+    size = [np.linalg.norm(x, axis=1).max() for x in (velocity, np.diff(velocity, axis=0), spin, np.diff(spin, axis=0))]
+    return float(size[0]), float(size[1]), float(size[2]), float(size[3])
+
+
+def test_loop_of_an_open_motion_has_no_jump() -> None:
+    """A motion that ends elsewhere, moving and turning, comes back at bounded speed without a step in velocity."""
+    k = np.arange(1001) / 1000.0
+    turned = Rotation.from_rotvec(np.outer(k, [0.9, -0.4, 0.2])) * Rotation.from_rotvec([0.1, 0.2, 2.0])
+    samples = np.column_stack((0.05 * k, 0.01 * np.sin(9 * k), 0 * k, turned.as_quat()[:, [3, 0, 1, 2]]))
+    loop = close_loop(samples, 1000.0)
+    assert loop[:1001].tobytes() == samples.tobytes()
+    speed, change, spin, spin_change = steps(loop)
+    assert speed < 0.1 + 2 * 0.11
+    assert spin < 1.0 + 2 * 1.01
+    assert change < 0.002
+    assert spin_change < 0.02
+    assert np.allclose(np.linalg.norm(loop[:, 3:], axis=1), 1.0, atol=1e-14)
+
+
+def test_loop_of_a_closed_motion_is_not_lengthened() -> None:
+    """When the end runs on into the start, the doubled sample goes and nothing is added."""
+    angle = np.arange(1001) / 1000.0 * 2 * np.pi
+    circle = np.column_stack((np.cos(angle), np.sin(angle), 0 * angle, 0 * angle + 1, *(0 * angle,) * 3))
+    circle[-1] = circle[0]
+    loop = close_loop(circle, 1000.0)
+    assert loop.tobytes() == circle[:-1].tobytes()
+    assert steps(loop)[1] < 0.05  # centripetal: 39.5 m/s2 in a tick

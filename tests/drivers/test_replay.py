@@ -1,0 +1,187 @@
+"""The replay device: samples in order, every wrench kept, zero at the end."""
+
+from __future__ import annotations
+
+import re
+import threading
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from helpers.driver_contract import Servo
+
+from softfinger.config.errors import RecordingError
+from softfinger.drivers import wrench_log
+from softfinger.drivers.base import END, OK, WITHHELD
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.replay import device as replay
+from softfinger.drivers.replay.device import Options, Replay, open_device
+from softfinger.drivers.resample import resample
+from softfinger.drivers.wrench_log import FORCE_COLUMNS
+
+
+def opened(**options: Any) -> Replay:
+    return open_device(Options(**{"recording": "tap", **options}), 1000.0)
+
+
+def test_read_n_gives_sample_n() -> None:
+    """Reads return the resampled poses in order, stamped with nominal time."""
+    wanted = resample(load_poses("tap"), 1000.0)
+    with opened(loop=False) as device:
+        servo = Servo(device)
+        for n in range(500):
+            status, sample = servo.read()
+            assert status == OK
+            assert sample == [*wanted[n], n * 0.001, 0.0, 0.0]
+        assert device.info.own_clock
+        assert device.reads == 500
+
+
+def test_once_through_ends_and_stays_ended() -> None:
+    """After the last sample every read says END and repeats it."""
+    with opened(loop=False) as device:
+        servo, count = Servo(device), len(device.samples)
+        statuses = [servo.read()[0] for _ in range(count)]
+        assert statuses == [OK] * count
+        for _ in range(3):
+            assert servo.read() == (END, [*device.samples[-1], (count - 1) * 0.001, 0.0, 0.0])
+
+
+def test_loop_goes_on() -> None:
+    """A looped recording starts over, and its device time keeps running."""
+    with opened() as device:
+        servo, count = Servo(device), len(device.samples)
+        first = [servo.read()[1] for _ in range(count)]
+        second = [servo.read() for _ in range(count)]
+        assert [s for s, _ in second] == [OK] * count
+        assert [x[:7] for _, x in second] == [x[:7] for x in first]
+        assert second[0][1][7] == count * 0.001
+
+
+def test_every_wrench_is_kept_with_its_read() -> None:
+    """Wrenches come back in order, each with the index of the read it answers; stop adds a zero."""
+    with opened(loop=False) as device:
+        servo = Servo(device)
+        servo.write(9.0, 0, 0, 0, 0, 0)
+        for n in range(50):
+            servo.read()
+            assert servo.write(n, 1.0, 2.0, 3.0, 4.0, 5.0) == OK
+        device.stop()
+        read, wrench = device.written()
+    assert read.tolist() == [-1, *range(50), 49]
+    assert wrench[0].tolist() == [9.0, 0, 0, 0, 0, 0]
+    assert wrench[1:-1].tolist() == [[n, 1.0, 2.0, 3.0, 4.0, 5.0] for n in range(50)]
+    assert wrench[-1].tolist() == [0.0] * 6
+
+
+def test_stopped_device_takes_no_force() -> None:
+    """After stop a force is refused and never kept; stopping again changes nothing."""
+    device = opened()
+    servo = Servo(device)
+    servo.write(1.0, 0, 0, 0, 0, 0)
+    device.stop()
+    kept = device.forces()
+    assert servo.write(1.0, 0, 0, 0, 0, 0) == WITHHELD
+    assert servo.write(0.0, 0, 0, 0, 0, 0) == OK
+    device.close()
+    assert device.forces().tobytes() == kept.tobytes()
+    assert kept[-1].tolist() == [0.0] * 6
+
+
+def test_log_of_a_long_loop_keeps_the_newest() -> None:
+    """When a loop outruns the log, at least the last 10 s remain, still in order, and the loss is counted."""
+    with opened() as device:
+        servo = Servo(device)
+        for n in range(15_000):
+            servo.write(float(n), 0, 0, 0, 0, 0)
+        device.stop()
+        forces = device.forces()
+        assert len(forces) >= 10_000
+        assert device.lost == 15_001 - len(forces)
+    assert forces[-1, 0] == 0.0
+    assert forces[:-1, 0].tolist() == list(range(15_001 - len(forces), 15_000))
+
+
+def test_stop_during_writes_leaves_zero_last() -> None:
+    """However stop falls between the writes of a running servo, the last wrench kept is zero."""
+    for _ in range(30):
+        device = opened()
+        servo, running = Servo(device), threading.Event()
+
+        def write(servo: Servo = servo, running: threading.Event = running) -> None:
+            for n in range(300):
+                servo.write(1.0, 0, 0, 0, 0, 0)
+                if n == 20:
+                    running.set()
+
+        thread = threading.Thread(target=write)
+        thread.start()
+        running.wait()
+        device.stop()
+        thread.join()
+        forces = device.forces()
+        assert forces[-1].tolist() == [0.0] * 6
+        assert np.all(forces[:-1, 0] == 1.0)
+        device.close()
+
+
+def test_two_replays_are_equal() -> None:
+    """The same writes to the same recording leave logs that are equal to the bit."""
+    logs = []
+    for _ in range(2):
+        with opened() as device:
+            servo = Servo(device)
+            for _ in range(3000):
+                sample = servo.read()[1]
+                servo.write(*(1000.0 * x for x in sample[:3]), *sample[4:7])
+        logs.append(device.written())
+    assert logs[0].wrench.tobytes() == logs[1].wrench.tobytes()
+    assert logs[0].read.tobytes() == logs[1].read.tobytes()
+    assert len(logs[0].wrench) == 3001
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz"])
+def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
+    """With `forces` set, closing writes the log to a file that gives the same numbers back."""
+    path = tmp_path / f"forces{ending}"
+    with opened(forces=str(path)) as device:
+        servo = Servo(device)
+        for n in range(20):
+            servo.read()
+            servo.write(n / 3.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+    read, wrench = device.written()
+    if ending == ".csv":
+        lines = path.read_text().splitlines()
+        assert lines[0] == ",".join(FORCE_COLUMNS)
+        table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    else:
+        with np.load(path) as archive:
+            table = np.column_stack((archive["read"], archive["force"], archive["torque"]))
+    assert table.tobytes() == np.column_stack((read, wrench)).tobytes()
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_unusable_options_are_refused(tmp_path: Path) -> None:
+    """A recording that is not there, a forces file of no known kind or in no folder."""
+    with pytest.raises(RecordingError, match="did you mean 'tap'"):
+        opened(recording="tapp")
+    with pytest.raises(RecordingError, match=r"must end in \.csv or \.npz"):
+        opened(forces="forces.txt")
+    with pytest.raises(RecordingError, match="there is no folder"):
+        opened(forces=str(tmp_path / "no" / "forces.csv"))
+
+
+@pytest.mark.parametrize("function", [replay._read, wrench_log.write, wrench_log.silence])
+def test_c_functions_neither_allocate_nor_raise(function: Any) -> None:
+    """Compiled afresh, the body calls nothing, always returns status 0, and so never reaches numba's error path."""
+    fresh = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc)
+    code = fresh.inspect_llvm()
+    bodies = re.findall(r"^define [^\n]*?@(\S+?)\(.*?^}", code, re.M | re.S)
+    assert bodies
+    assert not re.search(r"NRT|malloc|_alloc", code)
+    body = next(part for part in re.findall(r"^define .*?^}", code, re.M | re.S) if "%retptr" in part.split("\n")[0])
+    assert set(re.findall(r"\bret (.*)", body)) == {"i32 0"}
+    calls = re.findall(r"call [^@\n]*@([\w.]+)", body)
+    assert all(name.startswith("llvm.mem") for name in calls)

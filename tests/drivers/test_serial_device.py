@@ -1,0 +1,468 @@
+"""The exchange with a serial device: contract, one answer for each frame, silences, damaged frames, a blocked port,
+zero on every way out. The port is a pseudo terminal: the system's own code of terminals, with an emulated board."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import ClassVar
+
+import numba
+import numpy as np
+import pytest
+from emulators.serialboard import FRAME_BYTES, Board, Cable
+from helpers import driver_contract
+from helpers.compiled_code import called_in, functions
+from helpers.driver_contract import Servo
+from helpers.hid_devices import RefusedNode
+from helpers.serial_devices import PLACE, board, fresh, opened, rig_options, settle
+
+from softfinger.config.errors import ConfigError, DeviceError
+from softfinger.config.errors import DeviceTimeout as NoAnswer
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.conversation import TALK
+from softfinger.drivers.serial import exchange
+from softfinger.drivers.serial.device import SerialDevice, open_device
+from softfinger.drivers.system.libc import IO_SIGNATURE
+
+pytestmark = pytest.mark.real_time
+
+STEP_M = 0.5e-6 * 1.001
+"""A frame has micrometres: half of one, and rounding."""
+STEP_RAD = 1e-4
+"""Angles have four places: half of the last one in each of four joints, and they add up at most."""
+STEP_N = 0.5e-3 * 1.001
+"""A frame has millinewtons: half of one, and rounding."""
+
+
+class Bench(driver_contract.Bench):
+    """An emulated board at the end of a pseudo terminal; refusals of a port on a plain file."""
+
+    force_step_n: ClassVar[float] = STEP_N
+    patience_s: ClassVar[float] = 10.0
+
+    def __init__(self, early_end: bool, node: RefusedNode, undo: contextlib.ExitStack) -> None:
+        self.early_end, self.node, self._undo = early_end, node, undo
+        self.case = ""
+
+    def open(self) -> Device:
+        if self.case:
+            path = "/dev/ttyACM-none" if self.case == "not_found" else str(self.node.path)
+            return open_device(rig_options(path=path), driver_contract.RATE_HZ)
+        self.cable = self._undo.enter_context(Cable(Board(lambda _: PLACE, self.early_end)))
+        self.device = opened(self.cable)
+        return self.device
+
+    def displayed(self) -> tuple[float, ...]:
+        if self.cable.pulled:  # its motors have no power
+            return (0.0, 0.0, 0.0)
+        settle(self.device, self.cable)
+        return self.cable.board.force
+
+    def make(self, case: str) -> None:
+        if case == "lost":
+            self.cable.pull()
+        elif case == "timeout":
+            self.cable.mute.set()
+        else:
+            self.case = case
+            if case != "not_found":
+                self.node.make(case)
+
+    def mend(self) -> None:
+        self.node.mend()
+        self.case = ""
+
+
+@pytest.fixture(params=[False, True], ids=["one newline", "two newlines"])
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    with RefusedNode() as node, contextlib.ExitStack() as undo:
+        yield Bench(request.param, node, undo)
+
+
+class TestContract(driver_contract.DriverContract):
+    """The contract over both forms of a frame, an emulated board behind each."""
+
+
+def turned(axis: str, angle: float) -> np.ndarray:
+    """Rotation matrix about an axis."""
+    c, s = math.cos(angle), math.sin(angle)
+    return {
+        "x": np.array([[1, 0, 0], [0, c, -s], [0, s, c]]),
+        "y": np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]),
+        "z": np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]),
+    }[axis]
+
+
+def matrix(w: float, x: float, y: float, z: float) -> np.ndarray:
+    """Rotation matrix of a unit quaternion, by its columns' definition q e q*."""
+    v = np.array([x, y, z])
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
+
+
+@pytest.mark.parametrize("mounted", [False, True])
+def test_pose_and_force_in_the_world(mounted: bool) -> None:
+    """The sample is the board's place and R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE), turned and shifted as mounted; a force
+    in the world reaches the board in its own frame; info is the buttons."""
+    half = math.sqrt(0.5)
+    mounting = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]} if mounted else {}
+    frame, origin = (turned("z", math.pi / 2), np.array([0.1, 0.2, 0.3])) if mounted else (np.eye(3), np.zeros(3))
+    with board(mounting=mounting) as (device, itself, cable):
+        itself.wrist, itself.info = (0.7, -1.1), 5
+        servo = Servo(device)
+        servo.read()
+        servo.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0)
+        settle(device, cable)
+        sample = fresh(servo)
+        np.testing.assert_allclose(sample[:3], frame @ itself.place + origin, atol=STEP_M)
+        a, b, d, e = itself.angles()
+        wanted = frame @ turned("z", a) @ turned("y", -b) @ turned("x", d) @ turned("y", e)
+        np.testing.assert_allclose(matrix(*sample[3:7]), wanted, atol=4 * STEP_RAD)
+        assert sample[8] == 5
+        np.testing.assert_allclose(frame @ itself.force, (0.5, -1.0, 2.0), atol=STEP_N)
+        assert not itself.faults
+
+
+def test_a_force_past_the_largest_is_limited() -> None:
+    """A force of more than the rig's is cut to it in its direction, and the write says so; one that is not finite is
+    zero."""
+    with board(force_max_n=5.0) as (device, itself, cable):
+        servo = Servo(device)
+        fresh(servo)
+        assert servo.write(30.0, 0.0, -40.0, 0.0, 0.0, 0.0) == STALE
+        settle(device, cable)
+        assert itself.sent[-1][:3] == (3000, 0, -4000)
+        assert device.counts()["cut"] == 1
+        for bad in (math.nan, math.inf):
+            fresh(servo)
+            servo.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+            assert servo.write(0.0, bad, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+            settle(device, cable)
+            assert itself.sent[-2][:3] == (0, 1000, 0)
+            assert itself.sent[-1][:3] == (0, 0, 0)
+
+
+def test_a_frame_waits_for_the_answer_to_the_last() -> None:
+    """While a frame has no answer no force and no second zero follows it; the zero after a force does not wait."""
+    with board() as (device, itself, cable):
+        servo = Servo(device)
+        fresh(servo)
+        cable.mute.set()
+        before = len(itself.sent)
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+        assert servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
+        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+        settle(device, cable)
+        assert [words[2] for words in itself.sent[before:]] == [1000, 0]
+        assert device.counts()["held"] == 1
+        cable.mute.clear()
+        cable.say(itself.frame())
+        fresh(servo)
+        assert servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
+
+
+def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
+    """After a pause longer than the time-out a board that is late to answer is not given up: the sample of before
+    is repeated, no force goes with it, and a frame of now ends that."""
+    with board(timeout_s=1.0) as (device, itself, cable):
+        servo = Servo(device)
+        fresh(servo)
+        cable.mute.set()
+        time.sleep(1.2)
+        assert servo.read()[0] == STALE
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        settle(device, cable)
+        assert itself.force == (0.0, 0.0, 0.0)
+        cable.mute.clear()
+        fresh(servo)
+
+
+def test_the_newest_of_many_frames_counts() -> None:
+    """Frames that have piled up within a tick are passed over for the newest."""
+    with board() as (device, itself, cable):
+        servo = Servo(device)
+        fresh(servo)
+        cable.mute.set()
+        places = [(0.0, 0.0, z) for z in (-0.01, 0.0, 0.01, 0.02)]
+        said = []
+        for itself.place in places:
+            said.append(itself.frame())
+        cable.say(b"".join(said))
+        while (sample := fresh(servo))[2] != pytest.approx(0.02, abs=STEP_M):
+            assert sample[2] < 0.02  # a terminal may hand them over in two parts
+        assert device.counts()["frames"] == device.counts()["bytes"] // FRAME_BYTES
+
+
+def test_a_pause_is_followed_by_a_frame_of_now() -> None:
+    """What was queued while the loop stood still is thrown away, and so is the force that was on."""
+    with board() as (device, itself, cable):
+        servo = Servo(device)
+        fresh(servo)
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device, cable)
+        cable.say(20 * itself.frame())
+        time.sleep(0.05)
+        itself.place, itself.speed = (0.03, 0.0, 0.02), (0.0, 0.0, 0.0)
+        status, sample = servo.read()
+        assert status == WITHHELD
+        settle(device, cable)
+        np.testing.assert_allclose(sample[:3], (0.03, 0.0, 0.02), atol=1e-3)  # the hand pulls it away for one step
+        assert not any(itself.sent[-1][:3])
+
+
+def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
+    """A board that falls silent gets one zero, a newline every 100 ms and no force; after the time-out it is given up.
+    One that answers again in between goes on."""
+    with board(quiet_s=0.02) as (device, itself, cable):
+        servo = Servo(device)
+        for again in (True, False):
+            fresh(servo)
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+            settle(device, cable)
+            servo.read()
+            cable.mute.set()
+            frames, wakes, begun = len(itself.sent), itself.wakes, time.monotonic()
+            while (status := servo.read()[0]) >= 0 and not (again and itself.wakes > wakes):
+                silent = time.monotonic() - begun
+                wrote = servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+                if silent > 0.025:  # counted from before the driver's last frame
+                    assert wrote == WITHHELD
+                time.sleep(0.001)
+            settle(device, cable)
+            sent = [words[2] for words in itself.sent[frames:]]
+            assert itself.force == (0.0, 0.0, 0.0)
+            assert sent.count(0) == 1 and sent[-1] == 0
+            cable.mute.clear()
+            if again:
+                cable.say(itself.frame())
+                continue
+            assert status == TIMEOUT
+            lasted = time.monotonic() - begun
+            assert lasted > 0.15
+            assert 1 <= itself.wakes - wakes <= lasted / 0.1 + 1
+
+
+def nonsense(text: bytes) -> Callable[[bytes], bytes]:
+    return lambda _: text.ljust(FRAME_BYTES - 1) + b"\n"
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        nonsense(b"nan nan nan 0 0 0 0 0"), nonsense(b"inf 0 0 0 0 0 0 0"), nonsense(b"1 2 3"), lambda f: f[:-1],
+        lambda f: f[1:], lambda f: f[:-1] + b" \n", lambda f: b" " + f, lambda f: f[:20] + f[21:], lambda f: 2 * f[:-1],
+        lambda f: bytes(FRAME_BYTES), lambda f: b"\n" * FRAME_BYTES, lambda f: b"9" * FRAME_BYTES,
+    ],
+    ids=[
+        "nan", "inf", "three numbers", "no newline", "cut in front", "a blank behind", "a blank in front",
+        "a byte lost", "two in one", "zeros", "newlines", "digits",
+    ],
+)  # fmt: skip
+def test_damaged_frames_are_no_pose_and_no_force(spoil: Callable[[bytes], bytes]) -> None:
+    """Whatever comes in place of a frame, the last pose stays and the force ends; a good frame mends it. A line that
+    never gets better is a device that speaks another language, and its bytes are told."""
+    with board(quiet_s=0.02) as (device, itself, cable):
+        servo = Servo(device)
+        known = fresh(servo)
+        itself.place = (0.05, 0.05, 0.05)
+        cable.spoil = spoil
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device, cable)
+        until = time.monotonic() + 0.03
+        while time.monotonic() < until:
+            status, sample = servo.read()
+            assert status in (STALE, WITHHELD, PROTOCOL)  # the second after a pause that a busy machine makes
+            assert status == PROTOCOL or sample[:3] == known[:3]
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+            time.sleep(0.001)
+        settle(device, cable)
+        assert itself.force == (0.0, 0.0, 0.0)
+        cable.spoil = bytes
+        cable.say(b"\n" + itself.frame())
+        assert fresh(servo)[:3] != known[:3]
+        assert device.reason() == ""
+        cable.spoil = spoil
+        while (status := servo.read()[0]) >= 0:
+            cable.say(spoil(itself.frame()))
+            time.sleep(0.001)
+        assert status == PROTOCOL
+        assert device.reason().startswith("its last bytes are b'")
+
+
+def test_a_frame_in_parts_is_read_when_it_is_whole() -> None:
+    """A frame whose second half comes a tick later is no pose before, and one after."""
+    with board() as (device, itself, cable):
+        servo = Servo(device)
+        fresh(servo)
+        whole = itself.frame().replace(b"10.000", b"11.000")
+        before = device.counts()["bytes"]
+        cable.say(whole[:40])
+        while device.counts()["bytes"] < before + 40:
+            assert servo.read()[0] == STALE
+        cable.say(whole[40:])
+        assert fresh(servo)[0] == pytest.approx(0.011, abs=1e-9)  # rounding of mm to m
+
+
+def fill(device: SerialDevice) -> int:
+    """Write into a device's port until it takes no more, also after a while; how many bytes it took."""
+    took = full = 0
+    while full < 10:
+        try:
+            took += os.write(int(device._block.word[TALK.fd]), b"\n" * 7)
+            full = 0
+        except BlockingIOError:
+            full += 1
+            time.sleep(0.002)
+    return took
+
+
+def test_a_blocked_port_stops_no_tick() -> None:
+    """A board that takes nothing: writes come back at once with the force not taken, reads give the device up, stop
+    and close come back, and no force is behind what was stuck."""
+    with Cable(Board(lambda _: PLACE)) as cable:
+        device = opened(cable)
+        servo = Servo(device)
+        fresh(servo)
+        cable.deaf.set()
+        assert fill(device) > 1000
+        forces = len(cable.board.sent)
+        while (status := servo.read()[0]) >= 0:
+            assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) in (HELD, WITHHELD)
+            time.sleep(0.002)
+        assert status == TIMEOUT
+        device.close()
+        cable.deaf.clear()
+        time.sleep(0.05)
+        assert all(not any(words[:3]) for words in cable.board.sent[forces:])
+
+
+def test_a_frame_that_went_out_in_part_is_finished_first() -> None:
+    """After a write of which the port took 20 bytes, the rest comes before the next frame, so that no number is cut."""
+    with board() as (device, itself, cable):
+        servo = Servo(device)
+        fresh(servo)
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device, cable)
+        # The state after such a write, which no terminal can be made to do at will.
+        os.write(int(device._block.word[TALK.fd]), device._block.octets(exchange.AT.outgoing, 20).tobytes())
+        device._block.word[TALK.left] = FRAME_BYTES - 20
+        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+        until = time.monotonic() + 10.0
+        while len(itself.sent) < 3:
+            assert time.monotonic() < until
+            time.sleep(0.0005)
+        assert [words[2] for words in itself.sent] == [1000, 1000, 0]
+        assert itself.faults == []
+
+
+def test_unplugging_is_a_loss() -> None:
+    """Reads and writes of a board that is gone say so, and stop and close raise nothing."""
+    with board() as (device, _, cable):
+        servo = Servo(device)
+        fresh(servo)
+        cable.pull()
+        assert servo.read()[0] == LOST
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
+        device.stop()
+        device.close()
+        assert servo.read()[0] == LOST
+
+
+def test_stop_while_the_loop_writes() -> None:
+    """Stopped from another thread twenty times over, no force follows the zero of the stop."""
+    for _ in range(20):
+        with board() as (device, itself, cable):
+            servo = Servo(device)
+            running, over = threading.Event(), threading.Event()
+
+            def loop(servo: Servo = servo, running: threading.Event = running, over: threading.Event = over) -> None:
+                while not over.is_set():
+                    servo.read()
+                    if servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK:
+                        running.set()
+
+            thread = threading.Thread(target=loop)
+            thread.start()
+            assert running.wait(10.0)
+            device.stop()
+            time.sleep(0.005)
+            over.set()
+            thread.join()
+            settle(device, cable)
+            forces = [any(words[:3]) for words in itself.sent]
+            assert True in forces
+            assert not forces[-1]
+            last = len(forces) - forces[::-1].index(True)
+            assert forces[:last].count(False) <= 1  # the zero of a wake-up, and none between forces
+
+
+def test_minutes_between_opening_and_the_first_tick() -> None:
+    """Arming wakes the board again and asks for a frame of now; one that has fallen silent is told before a tick."""
+    with board(wake_s=0.3, timeout_s=0.2) as (device, itself, cable):
+        cable.say(20 * itself.frame())
+        itself.place, itself.speed = (0.03, 0.0, 0.02), (0.0, 0.0, 0.0)
+        device.arm()
+        sample = Servo(device).read()[1]
+        np.testing.assert_allclose(sample[:3], (0.03, 0.0, 0.02), atol=1e-3)  # the hand pulls it away for one step
+        cable.mute.set()
+        with pytest.raises(NoAnswer, match=r"sends no frame within 0\.3 s"):
+            device.arm()
+
+
+def test_a_sleeping_board_is_woken_at_opening() -> None:
+    """A board that starts slowly is kicked until it speaks; one that never does, and one that speaks nonsense, are
+    told apart."""
+    with Cable(Board(lambda _: PLACE)) as cable:
+        cable.mute.set()
+        threading.Timer(0.3, cable.mute.clear).start()
+        with opened(cable) as device:
+            assert device.counts()["kicks"] >= 3
+            assert cable.board.sent == []
+        cable.mute.set()
+        with pytest.raises(NoAnswer, match=r"at /dev/pts/\d+ sends no frame within 0.2 s: check its power"):
+            opened(cable, wake_s=0.2)
+        cable.mute.clear()
+        cable.spoil = nonsense(b"Marlin 2.1 ready")
+        with pytest.raises(
+            DeviceError, match=r"no frame of eight numbers in 64 bytes \(its last bytes are b'Marlin 2.1"
+        ):
+            opened(cable, wake_s=0.2)
+        assert all(not any(words[:3]) for words in cable.board.sent)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("product_id", 70000, "product_id = 70000: must be a whole number from 0 to 65535"),
+        ("force_max_n", 33.0, "force_max_n = 33.0: must be a number from 0 to 32"),
+        ("kick_s", 1.0, "kick_s = 1.0: must be a number from 0.005 to 0.2"),
+        ("timeout_s", 0.01, "timeout_s = 0.01: must be at least quiet_s = 0.02"),
+        ("mounting", {"orientation_wxyz": [0, 0, 0, 0]}, "all zero is no orientation"),
+        ("baud", 9600, "baud is not a key here"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(key: str, value: object, message: str) -> None:
+    """Each fault of a rig is named with its key, what was given, and what would be right."""
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        rig_options(**{key: value})
+
+
+def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
+    """Compiled afresh, the C functions name nothing outside themselves but system calls, clock and libm."""
+    allowed = {"read", "write", "poll", "clock_gettime", "__errno_location", "sin", "cos"}
+    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    for function in (exchange.read, exchange.write):
+        ir = numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm()
+        # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
+        bodies = functions(ir)
+        called = {name for body in bodies.values() for name in called_in(body)}
+        outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
+        assert "clock_gettime" in outside
+        assert outside <= allowed

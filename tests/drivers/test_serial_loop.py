@@ -1,0 +1,138 @@
+"""The whole daemon on an emulated board behind a pseudo terminal: closed loop, faults, a second program, signals."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from emulators.hand import stroke
+from emulators.serialboard import Board, Cable
+from helpers.closed_loop import assert_engine_agrees, records_of_daemon
+from helpers.serial_devices import PLACE, RIG
+
+from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
+from softfinger.config.load import find, load_rig, load_scene
+from softfinger.config.schema import Rig
+from softfinger.proxy.record import AT, MODE_NAMES
+from softfinger.server.app import Daemon
+
+pytestmark = pytest.mark.real_time
+
+LIFT_M = 0.012
+"""Height of the hand over the plane: the fingertip of 10 mm is free by 2 mm."""
+
+
+def rig(cable: Cable, **changes: Any) -> Rig:
+    """The shipped rig on an emulated board; a thread of a busy machine may answer late."""
+    base = {
+        "device.path": cable.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "servo.realtime": "off",
+        "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
+    }  # fmt: skip
+    return load_rig(RIG, base | changes)
+
+
+def test_closed_loop_through_the_daemon() -> None:
+    """A hand presses into the plane, drags and lets go: modes and forces are the engine's on the same poses, the poses
+    are the board's to its micrometres, the forces reach it and hold its hand up, and the last one is zero."""
+    board = Board(stroke((0.0, 0.0, LIFT_M), 0.006, 0.02), early_end=True)
+    scene = load_scene("paper-plane")
+    with Cable(board) as cable:
+        records = records_of_daemon(rig(cable), scene, 2500)
+        reached = np.array(board.sent)[:, :3] * 1e-3
+    assert board.faults == []
+    compared = assert_engine_agrees(records, scene, 1000.0)
+    assert set(records[:, AT.contact_mode]) == set(range(len(MODE_NAMES)))
+    assert compared > 300, "the guard left too few ticks in contact to compare"
+    places = records[:, AT.probe_position : AT.probe_position + 3] * 1e6
+    np.testing.assert_allclose(places, np.round(places), atol=1e-6)  # rounding of mm to m
+    # What the board was sent are forces of the ticks, to the millinewton, in their order.
+    given = iter(np.floor(records[:, AT.force : AT.force + 3] * 1e3 + 0.5).tolist())
+    felt = [row for row in np.round(reached * 1e3).tolist() if any(row)]
+    assert len(felt) > 300
+    assert all(any(row == tick for tick in given) for row in felt)
+    # The hand's spring (300 N/m) and the wall's share what the hand means to press; without a wall it would be 4 mm.
+    stiffness = scene.object[0].material.stiffness_n_per_m
+    depth = (0.010 - places[:, 2].min() * 1e-6) / 0.004
+    assert depth == pytest.approx(300.0 / (300.0 + stiffness), rel=0.15)  # the hand's stroke is not at rest
+    assert not reached[-1].any()
+    assert board.force == (0.0, 0.0, 0.0)
+
+
+def pull(cable: Cable) -> None:
+    cable.pull()
+
+
+def mute(cable: Cable) -> None:
+    cable.mute.set()
+
+
+def garble(cable: Cable) -> None:
+    cable.spoil = lambda frame: frame.replace(b".", b",")
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "words"),
+    [
+        (pull, DeviceLost, r"serial 16c0:0483 at /dev/pts/\d+ is gone"),
+        (mute, DeviceTimeout, "no answer to a read in time: check cable and power"),
+        (garble, DeviceLost, r"not in its protocol \(status -3 on read\) \(its last bytes are b'.*,"),
+    ],
+)
+def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
+    """A board unplugged, mute or garbled while it pushes ends the daemon with its own error, and without force."""
+    board = Board(lambda _: (0.0, 0.0, 0.006))
+    with Cable(board) as cable, Daemon(rig(cable), load_scene("paper-plane")) as daemon:
+        daemon.start()
+        until = time.monotonic() + 20.0
+        while board.force[2] < 0.5:
+            assert time.monotonic() < until
+            time.sleep(0.001)
+        fault(cable)
+        with pytest.raises(error, match=words):
+            daemon.wait(20.0)
+        if not cable.pulled:
+            time.sleep(0.01)
+            assert board.force == (0.0, 0.0, 0.0)
+
+
+def test_the_command_line_on_a_port(tmp_path: Path) -> None:
+    """`run` on a rig that names the port: it starts, a second one finds the port held by it, and a signal ends it in
+    order, with the force off."""
+    board = Board(lambda _: (*PLACE[:2], 0.006))
+    with Cable(board) as cable:
+        mine = tmp_path / "rig.toml"
+        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
+        mine.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
+        command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
+        command += ["--scene", "paper-plane", "--endpoint"]
+        first = subprocess.Popen([*command, f"ipc://{tmp_path}/a"], stderr=subprocess.PIPE, text=True)
+        timer = threading.Timer(120.0, first.kill)
+        timer.start()
+        try:
+            while board.force[2] < 0.5 and first.poll() is None:
+                time.sleep(0.01)
+            assert first.poll() is None, first.communicate()[1]
+            second = subprocess.run(
+                [*command, f"ipc://{tmp_path}/b"], stderr=subprocess.PIPE, text=True, timeout=120, check=False
+            )
+            assert second.returncode == 4
+            assert re.search(rf"{cable.path} is held by process {first.pid} \(python.*\): end that one", second.stderr)
+            first.send_signal(signal.SIGINT)
+            said = first.communicate(timeout=60)[1]
+        finally:
+            timer.cancel()
+            first.kill()
+            first.wait()
+        assert first.returncode == 0, said
+        assert f"device serial 16c0:0483 at {cable.path} at 1000 Hz" in said
+        assert "force is zero" in said
+        assert board.force == (0.0, 0.0, 0.0)
+        assert board.faults == []

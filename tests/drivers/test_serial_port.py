@@ -1,0 +1,135 @@
+"""The serial port of a device: found, opened for this process alone, refused with what to do."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from helpers.serial_devices import board, opened, rig_options
+from test_devices_verb import plug_serial
+
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
+from softfinger.drivers.serial import port
+from softfinger.drivers.serial.device import open_device
+from softfinger.drivers.system import discovery
+
+
+def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
+    """Absent, no port, held by this or another process: each is its own error with what to do."""
+    with pytest.raises(DeviceNotFound, match=r"ttyACM9 cannot be opened: No such file.*plug"):
+        open_device(rig_options(path=str(tmp_path / "ttyACM9")), 1000.0)
+    for path in ("/dev/null", str(tmp_path / "file")):
+        (tmp_path / "file").write_bytes(b"")
+        with pytest.raises(DeviceError, match=f"{path} is no serial port: name a /dev/ttyACMN"):
+            open_device(rig_options(path=path), 1000.0)
+    with board() as (_, _, cable):
+        with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
+            opened(cable)
+        command = [sys.executable, "-c", OPEN, cable.path]
+        other = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        assert other.stdout == f"DeviceBusy {cable.path} is held by process {os.getpid()}\n"
+        # A program that asks for no lock is kept out by the port itself, unless it runs as root.
+        user, mine = os.geteuid(), rig_options(path=cable.path)
+        if user == 0:
+            os.chmod(cable.path, 0o666)
+            os.seteuid(65534)
+        try:
+            with pytest.raises(OSError, match="Device or resource busy"):
+                os.open(cable.path, os.O_RDWR | os.O_NOCTTY)
+            with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
+                port.open_port(mine)
+        finally:
+            os.seteuid(user)
+
+
+OPEN = """
+import sys
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.serial import port
+from softfinger.drivers.serial.device import Options
+options = {**load_rig("woodenhaptics-v3").device.options, "path": sys.argv[1]}
+try:
+    port.open_port(build(Options, options, "rig"))
+except Exception as error:
+    print(type(error).__name__, str(error).split(" (")[0])
+"""
+
+
+def test_a_port_without_permission() -> None:
+    """A user who may not open the port is told the group that may, or the rule that lets him."""
+    folder = tempfile.mkdtemp(dir="/tmp")
+    node, user = Path(folder) / "ttyACM9", os.geteuid()
+    try:
+        node.write_bytes(b"")
+        Path(folder).chmod(0o755)
+        rule = r'SUBSYSTEM=="tty", ATTRS\{idVendor\}=="16c0", ATTRS\{idProduct\}=="0483", TAG\+="uaccess"'
+        cases = [(0o000, f"write {rule}.*70-softfinger-serial.rules")]
+        if user == 0:  # who alone may give a file to another group
+            os.chown(node, 0, 20)
+            cases.append((0o060, r"run `sudo usermod -aG dialout \$USER`, and log in again"))
+        for mode, said in cases:
+            node.chmod(mode)
+            if user == 0:
+                os.seteuid(65534)
+            try:
+                with pytest.raises(DevicePermission, match=f"may not be opened by this user.*{said}"):
+                    port.open_port(rig_options(path=str(node)))
+            finally:
+                os.seteuid(user)
+    finally:
+        shutil.rmtree(folder)
+
+
+def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A port is looked for by the rig's ids; of several the serial number tells, and none is an error that lists what
+    is there. A path of another device is refused."""
+    ports, one = discovery.serial_ports, discovery.serial_port
+    monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
+    monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
+    with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no serial port on USB is"):
+        port.find(rig_options())
+    plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
+    (tmp_path / discovery.TTY / "ttyS0").mkdir()
+    with pytest.raises(DeviceNotFound, match=r"; attached are Teensy \(0403:6001\) at /dev/ttyUSB0$"):
+        port.find(rig_options())
+    plug_serial(tmp_path, "ttyACM1", "16c0", "0483", "SN42")
+    assert port.find(rig_options(serial="SN42")) == "/dev/ttyACM1"
+    with pytest.raises(DeviceNotFound, match=r"has the serial number 'SN43': attached are 'SN42'"):
+        port.find(rig_options(serial="SN43"))
+    plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN43")
+    assert port.find(rig_options(serial="SN43")) == "/dev/ttyACM0"
+    with pytest.raises(
+        DeviceNotFound, match=r"2 serial ports are 16c0:0483: name one with serial or path: /dev/ttyACM0"
+    ):
+        port.find(rig_options())
+    with pytest.raises(
+        DeviceError, match=r"/dev/ttyUSB0 is the device 0403:6001 \(Teensy\), and the rig is for 16c0:0483"
+    ):
+        port.open_port(rig_options(path="/dev/ttyUSB0"))
+
+
+def test_a_board_is_not_known_by_its_ids_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any Teensy has 16c0:0483: one whose product string tells nothing is not opened before somebody names its port,
+    and a Haply Inverse3 never; ids that a rig gives for another board are nobody else's."""
+    ports, one = discovery.serial_ports, discovery.serial_port
+    monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
+    monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
+    plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN1", product="Haply inverse3")
+    with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is .*; attached are a Haply Inverse3 "):
+        port.find(rig_options())
+    with pytest.raises(DeviceNotFound):
+        port.find(rig_options(serial="SN1"))
+    with pytest.raises(DeviceError, match=r"/dev/ttyACM0 is a Haply Inverse3 \('Haply inverse3'\), which"):
+        port.open_port(rig_options(path="/dev/ttyACM0"))
+    plug_serial(tmp_path, "ttyACM1", "16c0", "0483", "SN2", product="USB Serial")
+    said = r"/dev/ttyACM1 may be the device or not: its product is 'USB Serial', .*path = \"/dev/ttyACM1\" under"
+    with pytest.raises(DeviceNotFound, match=said):
+        port.find(rig_options())
+    assert port.find(rig_options(serial="SN2")) == "/dev/ttyACM1"
+    plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
+    assert port.find(rig_options(vendor_id=0x0403, product_id=0x6001)) == "/dev/ttyUSB0"

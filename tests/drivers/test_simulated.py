@@ -1,0 +1,184 @@
+"""The simulated device behind its C functions: it feels what is written, stops in order, and repeats to the bit."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from helpers.driver_contract import Servo
+
+from softfinger.config.devices import presets
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.load import build, load_rig, shipped
+from softfinger.config.schema import Rig
+from softfinger.drivers.base import END, OK, WITHHELD
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
+from softfinger.drivers.simulated import device as simulated
+from softfinger.drivers.simulated.device import Options, Simulated, open_device
+from softfinger.drivers.simulated.plant import goal_at
+
+AT = [0.0, 0.0, 0.02]
+LOOSE = {"hand": {"mass_kg": 0.0, "damping_ns_per_m": 0.0, "stiffness_n_per_m": 0.0}}
+BARE = {"damping_ns_per_m": [0, 0, 0], "friction_n": [0, 0, 0], "lag_s": 0, "delay_ticks": 0, "resolution_m": 0}
+"""A mass and nothing else."""
+
+
+def opened(rate_hz: float = 1000.0, **options: Any) -> Simulated:
+    return open_device(build(Options, options, "[device]"), rate_hz)
+
+
+def test_force_moves_the_handle_and_stop_lets_it_go_on() -> None:
+    """A mass of 0.5 kg under 1 N goes t^2 m; after stop no force acts, whatever is written, and it flies straight."""
+    with opened(position_m=AT, mass_kg=[0.5, 0.5, 0.5], **LOOSE, **BARE) as device:
+        servo, x = Servo(device), []
+        for n in range(100):
+            status, sample = servo.read()
+            assert status == OK and sample[7] == pytest.approx(n * 0.001, abs=1e-15) and sample[3:7] == [1, 0, 0, 0]
+            x.append(sample[0])
+            assert servo.write(1.0, 0, 0, 0, 0, 0) == OK
+        np.testing.assert_allclose(x, (np.arange(100) * 0.001) ** 2, rtol=1e-12, atol=1e-18)  # 100 additions
+        device.stop()
+        assert servo.write(1.0, 0, 0, 0, 0, 0) == WITHHELD
+        flown = np.diff([servo.read()[1][0] for _ in range(50)])
+    # The stop falls before the tick of the last write: the speed is that of 99 ticks.
+    np.testing.assert_allclose(flown, 0.099 * 2.0 * 0.001, rtol=1e-9)  # a way of 2e-4 m as a difference of 2e-2 m
+    assert device.written().wrench[-1].tolist() == [0.0] * 6
+
+
+def test_force_is_held_until_the_next_is_written() -> None:
+    """Reads without a write go on under the last force, as motors do."""
+    with opened(position_m=AT, mass_kg=[0.5, 0.5, 0.5], **LOOSE, **BARE) as device:
+        servo = Servo(device)
+        servo.read()
+        servo.write(1.0, 0, 0, 0, 0, 0)
+        x = [servo.read()[1][0] for _ in range(20)]
+    np.testing.assert_allclose(x, (np.arange(1, 21) * 0.001) ** 2, rtol=1e-12)  # 20 additions
+
+
+def test_free_hand_follows_its_recording() -> None:
+    """Without force a stiff hand without friction is where the recording is, and turned as the recording is."""
+    wanted = resample(load_poses("tap"), 1000.0)
+    hand = {"mass_kg": 0.0, "damping_ns_per_m": 200.0, "stiffness_n_per_m": 1e5}
+    with opened(recording="tap", loop=False, hand=hand, **BARE) as device:
+        servo = Servo(device)
+        reads = [servo.read() for _ in range(len(wanted))]
+        assert [status for status, _ in reads] == [OK] * len(wanted)
+        assert servo.read() == (END, reads[-1][1])
+    samples = np.array([sample for _, sample in reads])
+    # Spring and damper leave m a / k behind: 0.3 kg, 3 m/s^2 (a tap of 10 mm within 0.08 s has 9) over 1e5 N/m.
+    assert np.abs(samples[:, :3] - wanted[:, :3]).max() < 1e-4
+    assert samples[:, 3:7].tobytes() == np.ascontiguousarray(wanted[:, 3:]).tobytes()
+
+
+@pytest.mark.parametrize("preset", ["omega.3", "falcon"])
+def test_devices_without_a_wrist_sense_no_rotation(preset: str) -> None:
+    """Three sensed degrees of freedom: the orientation stays the unit quaternion while the recording turns."""
+    with opened(preset=preset) as device:
+        servo = Servo(device)
+        assert {tuple(servo.read()[1][3:7]) for _ in range(4000)} == {(1.0, 0.0, 0.0, 0.0)}
+        assert device.info.sensed_dof == device.info.actuated_dof == 3
+
+
+def test_sway_is_a_sinusoid_about_the_place() -> None:
+    """The hand's intention is position + amplitude sin(2 pi f t + phase), to rounding, also after a million ticks."""
+    device = opened(position_m=AT, sway_m=[0.001, 0.0, 0.002], sway_hz=7.3, sway_phase_rad=0.4)
+    simulation = device.simulation
+    for n in (0, 1, 500, 10**6):
+        position, _ = goal_at(simulation.intention, simulation.poses, n)
+        wave = np.sin((2.0 * np.pi * 7.3 * n / 1000.0 + 0.4) % (2.0 * np.pi))
+        # 7300 turns are known to 1e-12 of a turn.
+        np.testing.assert_allclose(position, np.array(AT) + wave * np.array([0.001, 0.0, 0.002]), atol=1e-14)
+    device.close()
+
+
+def test_two_runs_are_equal_to_the_bit() -> None:
+    """The same writes give the same samples and the same log, with every effect of the preset on."""
+    runs = []
+    for _ in range(2):
+        with opened(preset="falcon", forces=None) as device:
+            servo, samples = Servo(device), []
+            for _ in range(3000):
+                sample = servo.read()[1]
+                samples.append(sample)
+                servo.write(*(40.0 * (0.015 - x) for x in sample[:3]), 0.0, 0.0, 0.0)
+            runs.append((np.array(samples).tobytes(), device.written().wrench.tobytes()))
+    assert runs[0] == runs[1]
+
+
+def test_pushed_handle_comes_back_to_rest_near_its_goal() -> None:
+    """Pushed for 50 ticks and left alone, it stands still within what friction holds against the spring."""
+    hand = build(Options, {}, "").hand
+    with opened(preset="omega.6", position_m=AT, resolution_m=0.0) as device:
+        servo, x = Servo(device), []
+        for n in range(1500):
+            x.append(servo.read()[1][2])
+            servo.write(0.0, 0.0, 3.0 if n < 50 else 0.0, 0.0, 0.0, 0.0)
+    assert max(x) - AT[2] > 2e-3  # 3 N against 1000 N/m
+    assert x[-1] == x[-500]
+    assert abs(x[-1] - AT[2]) <= presets()["omega.6"].friction_n[2] / hand.stiffness_n_per_m
+
+
+def test_forces_are_saved_on_close(tmp_path: Path) -> None:
+    """With `forces` the wrenches are in the file, as a replay leaves them."""
+    path = tmp_path / "forces.npz"
+    with opened(position_m=AT, forces=str(path)) as device:
+        servo = Servo(device)
+        for n in range(10):
+            servo.read()
+            servo.write(0.1 * n, 0, 0, 0, 0, 0)
+    with np.load(path) as saved:
+        np.testing.assert_array_equal(saved["force"][:, 0], [*(0.1 * n for n in range(10)), 0.0])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"preset": "omega.9"}, ["preset", "omega.9", "omega.6", "falcon"]),
+        ({"delay_ticks": 17}, ["delay_ticks", "17", "0 to 16"]),
+        ({"mass_kg": [0.0, 0.2, 0.2]}, ["mass_kg", "0.001 to 100"]),
+        ({"hand": {"stiffness": 3.0}}, ["hand.stiffness", "stiffness_n_per_m"]),
+        ({"recording": "tap", "position_m": AT}, ["position_m", "recording"]),
+    ],
+)
+def test_unusable_options_name_key_and_range(options: dict[str, Any], words: list[str]) -> None:
+    """Each fault says which key, what it holds and what it may."""
+    with pytest.raises(ConfigError) as caught:
+        build(Options, options, "rig.toml [device]")
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_unknown_recording_is_refused() -> None:
+    """The hand's recording is looked up as a replay's is."""
+    with pytest.raises(RecordingError, match="did you mean 'tap'"):
+        opened(recording="tapp")
+
+
+def test_shipped_rigs_open_their_device() -> None:
+    """Every shipped rig with this driver opens, with the limits of its preset, without the puck of one."""
+    devices = {name: load_rig(name).device for name in shipped(Rig)}
+    single = {name: device for name, device in devices.items() if device is not None}
+    names = [n for n, device in single.items() if device.driver == "simulated" and "puck" not in device.options]
+    assert len(names) == len(presets())
+    for name in names:
+        rig = load_rig(name)
+        with open_device(build(Options, rig.device.options, name), rig.servo.rate_hz) as device:
+            assert rig.guard.force_max_n == device.info.force_max_n
+            assert rig.device.options["preset"] in device.info.name.lower()
+
+
+def test_read_neither_allocates_nor_raises() -> None:
+    """Compiled afresh, the body calls mathematics alone, and returns status 0: it never reaches numba's error path."""
+    function = simulated._read
+    code = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc).inspect_llvm()
+    bodies = [part for part in re.findall(r"^define .*?^}", code, re.M | re.S) if "%retptr" in part.split("\n")[0]]
+    assert bodies
+    for body in bodies:
+        assert set(re.findall(r"\bret (.*)", body)) == {"i32 0"}
+        calls = set(re.findall(r"call [^@\n]*@([\w.]+)", body))
+        assert {name for name in calls if not name.startswith("llvm.")} <= {"atan2"}

@@ -1,0 +1,251 @@
+"""The simulated handle against closed forms and against a high-order integration of its equations."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import pytest
+from references import handle
+from scipy.linalg import expm as scipy_expm
+
+from softfinger.drivers.simulated.plant import (
+    DELAY_MAX,
+    LINE_SIZE,
+    NO_HAND,
+    Handle,
+    Impedance,
+    Plant,
+    PlantState,
+    advance,
+    at_rest,
+    expm,
+    make_plant,
+    sense,
+)
+from softfinger.proxy.kernels.native.jit import entry
+
+T = 0.001
+STILL = (1.0, 0.0, 0.0, 0.0)
+GOOD = Handle((0.2,) * 3)
+
+
+@entry
+def travel(plant, state, commands, goals, turns, line, places, felt):
+    """One tick for each row of `commands` (n, 3); positions, velocities, motor forces, orientations -> (n, 13)."""
+    for i in range(commands.shape[0]):
+        command = (commands[i, 0], commands[i, 1], commands[i, 2])
+        goal = (goals[i + 1, 0], goals[i + 1, 1], goals[i + 1, 2])
+        turn = (turns[i + 1, 0], turns[i + 1, 1], turns[i + 1, 2], turns[i + 1, 3])
+        state = advance(plant, state, command, goal, turn, line)
+        x = sense(plant, state)
+        for k in range(3):
+            felt[i, k] = x[k]
+            places[i, k], places[i, 3 + k], places[i, 6 + k] = state.position[k], state.velocity[k], state.force[k]
+        for k in range(4):
+            places[i, 9 + k] = state.orientation[k]
+
+
+class Journey:
+    """A plant driven through `commands` (n, 3) from rest at the origin, or from `start`."""
+
+    def __init__(self, plant: Plant, commands, goals=None, turns=None, start: PlantState | None = None) -> None:
+        commands = np.ascontiguousarray(commands, dtype=float)
+        n = len(commands)
+        goals = np.zeros((n + 1, 3)) if goals is None else np.ascontiguousarray(goals, dtype=float)
+        turns = np.tile(STILL, (n + 1, 1)) if turns is None else np.ascontiguousarray(turns, dtype=float)
+        places, self.felt = np.zeros((n, 13)), np.zeros((n, 3))
+        state = at_rest(tuple(goals[0]), tuple(turns[0])) if start is None else start
+        travel(plant, state, commands, goals, turns, np.zeros(LINE_SIZE), places, self.felt)
+        self.x, self.v, self.force, self.q = np.split(places, [3, 6, 9], axis=1)
+
+
+def along_z(values) -> np.ndarray:
+    return np.column_stack([np.zeros_like(values), np.zeros_like(values), values])
+
+
+def moving(v: float) -> PlantState:
+    return at_rest((0.0, 0.0, 0.0))._replace(velocity=(0.0, 0.0, v))
+
+
+@pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
+def test_free_mass_under_constant_force(period):
+    """x = F t^2 / 2 m and v = F t / m at every tick, each axis with its own mass."""
+    mass, force = np.array([0.1, 0.3, 2.0]), np.array([1.0, -2.0, 0.5])
+    trip = Journey(make_plant(period, Handle(tuple(mass))), np.tile(force, (500, 1)))
+    t = period * np.arange(1, 501)[:, None]
+    np.testing.assert_allclose(trip.x, force * t**2 / 2.0 / mass, rtol=1e-13)  # 500 additions
+    np.testing.assert_allclose(trip.v, force * t / mass, rtol=1e-13)
+
+
+def test_damped_mass_runs_down():
+    """v = v0 exp(-b t / m) and x = v0 m / b (1 - exp(-b t / m)), also where b T / m is 40."""
+    for b in (0.5, 5.0, 8000.0):
+        trip = Journey(make_plant(T, Handle((0.2,) * 3, (b,) * 3)), np.zeros((200, 3)), start=moving(0.3))
+        t = T * np.arange(1, 201)
+        np.testing.assert_allclose(trip.v[:, 2], 0.3 * np.exp(-b * t / 0.2), rtol=1e-11, atol=1e-300)
+        np.testing.assert_allclose(trip.x[:, 2], -0.3 * 0.2 / b * np.expm1(-b * t / 0.2), rtol=1e-12)
+
+
+def test_hand_spring_swings_at_its_frequency():
+    """Let go 10 mm from the goal: x = x0 exp(-c t / 2 m) (cos w t + ...), with handle and hand one mass."""
+    m, c, k, x0 = 0.2 + 0.1, 1.5, 300.0, 0.01
+    plant = make_plant(T, Handle((0.2,) * 3), Impedance(mass=0.1, damping=c, stiffness=k))
+    start = at_rest((0.0, 0.0, 0.0))._replace(position=(0.0, 0.0, x0))
+    trip = Journey(plant, np.zeros((2000, 3)), start=start)
+    decay = c / (2.0 * m)
+    w = sqrt(k / m - decay**2)
+    t = T * np.arange(1, 2001)
+    expected = x0 * np.exp(-decay * t) * (np.cos(w * t) + decay / w * np.sin(w * t))
+    np.testing.assert_allclose(trip.x[:, 2], expected, atol=1e-12 * x0)  # 2000 steps, each rounded once
+
+
+def test_lag_is_a_first_order_one():
+    """The motors' force is F (1 - exp(-t / tau)), and the mass moves by its double integral."""
+    m, tau, f = 0.2, 0.004, 2.0
+    trip = Journey(make_plant(T, Handle((m,) * 3, lag=tau)), along_z(np.full(300, f)))
+    t = T * np.arange(1, 301)
+    np.testing.assert_allclose(trip.force[:, 2], -f * np.expm1(-t / tau), rtol=1e-12)
+    np.testing.assert_allclose(trip.v[:, 2], f / m * (t + tau * np.expm1(-t / tau)), rtol=1e-10)
+    x = f / m * (t**2 / 2.0 - tau * t - tau**2 * np.expm1(-t / tau))
+    np.testing.assert_allclose(trip.x[:, 2], x, rtol=1e-9)  # the form itself loses digits at small t
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 7, DELAY_MAX])
+def test_force_acts_after_exactly_the_delay(delay):
+    """A force commanded in tick 3 alone changes the velocity in tick 3 + d alone."""
+    commands = np.zeros((40, 3))
+    commands[3] = 0.5, 1.0, -2.0
+    trip = Journey(make_plant(T, Handle((0.2,) * 3, delay=delay)), commands)
+    steps = np.diff(trip.v, axis=0, prepend=0.0)
+    assert np.nonzero(steps.any(axis=1))[0].tolist() == [3 + delay]
+    np.testing.assert_allclose(steps[3 + delay], commands[3] * T / 0.2, rtol=1e-13)
+
+
+def test_saturation_keeps_the_direction():
+    """A force beyond the motors' is brought down by its norm; one within passes unchanged, to the bit."""
+    commands = np.array([[3.0, 0.0, 4.0], [30.0, 0.0, 40.0], [1e150, 0.0, 0.0]])
+    trip = Journey(make_plant(T, Handle((0.2,) * 3, force_max=10.0)), commands)
+    assert trip.force[0].tolist() == [3.0, 0.0, 4.0]
+    np.testing.assert_allclose(trip.force[1], [6.0, 0.0, 8.0], rtol=1e-15)
+    np.testing.assert_allclose(trip.force[2], [10.0, 0.0, 0.0], rtol=1e-15)
+
+
+def test_encoders_round_to_their_nearest_step():
+    """What is sensed is a multiple of the step, at most half a step off; the true place is not touched."""
+    step = 1e-4
+    fine = Journey(make_plant(T, Handle((0.2,) * 3)), along_z(np.full(300, 0.5)))
+    coarse = Journey(make_plant(T, Handle((0.2,) * 3, resolution=step)), along_z(np.full(300, 0.5)))
+    assert coarse.x.tobytes() == fine.x.tobytes() == fine.felt.tobytes()
+    assert len(np.unique(coarse.felt[:, 2])) > 100
+    np.testing.assert_allclose(coarse.felt / step, np.rint(coarse.felt / step), atol=1e-9)  # of 1000 steps
+    assert np.abs(coarse.felt - coarse.x).max() <= 0.5 * step * (1.0 + 1e-12)
+
+
+CASES = {
+    "drag": handle.Handle(0.2, 1.0, 0.4),
+    "lag": handle.Handle(0.2, 1.0, 0.4, lag=0.003),
+    "hand": handle.Handle(0.3, 3.0, 0.3, hand_damping=2.0, stiffness=300.0),
+    "fast lag": handle.Handle(0.4, 9.0, 0.8, lag=0.0005, hand_damping=8.0, stiffness=1000.0),
+    "all": handle.Handle(0.3, 3.0, 0.3, lag=0.002, hand_damping=2.0, stiffness=800.0),
+    "stiff": handle.Handle(0.05, 0.5, 0.2, lag=0.001, hand_damping=0.1, stiffness=20000.0),
+    "linear": handle.Handle(0.3, 3.0, 0.0, lag=0.002, hand_damping=2.0, stiffness=800.0),
+}
+
+
+def wander(h: handle.Handle, period: float, n: int, seed: int):
+    """Places and speeds of the plant and of the reference, under forces and goals that wander; both (n, 2)."""
+    rng = np.random.default_rng(seed)
+    commands = 0.6 * np.sin(0.21 * np.arange(n)) + 0.4 * rng.normal(size=n)
+    goals = 0.002 * np.sin(0.1 * np.arange(n + 1)) + 0.0002 * rng.normal(size=n + 1)
+    goals *= 800.0 / max(800.0, h.stiffness)  # a spring that outdoes friction in every tick would never stick
+    goals[0] = 0.0
+    alone = Handle((h.mass,) * 3, (h.damping,) * 3, (h.friction,) * 3, h.lag)
+    plant = make_plant(period, alone, Impedance(damping=h.hand_damping, stiffness=h.stiffness))
+    trip = Journey(plant, along_z(commands), along_z(goals))
+    return np.column_stack([trip.x[:, 2], trip.v[:, 2]]), handle.integrate(h, period, commands, goals, 0.0)[1:]
+
+
+def assert_close(got, want):
+    assert np.array_equal(got[:, 1] == 0.0, want[:, 1] == 0.0)  # held at the same ticks
+    np.testing.assert_allclose(got, want, atol=1e-9 * np.abs(want).max(axis=0).min(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", list(CASES))
+@pytest.mark.parametrize("period", [0.001, 0.01])
+def test_stick_and_slip_agree_with_a_high_order_integration(name, period):
+    """Forces and goals that wander, with stops, holds and reversals inside ticks: equal to 1e-9 of the motion."""
+    got, want = wander(CASES[name], period, 120, seed=5)
+    if CASES[name].friction:
+        assert (want[:, 1] == 0.0).any() and (want[:, 1] != 0.0).any()  # it is held, and it moves
+    assert_close(got, want)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_handles_agree_with_a_high_order_integration(seed):
+    """Masses, frictions, lags and hands over their usual ranges, 8 kHz to 100 Hz: equal to 1e-9 of the motion."""
+    rng = np.random.default_rng(seed)
+    h = handle.Handle(
+        10.0 ** rng.uniform(-1.5, 0.5), 10.0 ** rng.uniform(-1, 1), rng.uniform(0.05, 1.0),
+        rng.choice([0.0, 10.0 ** rng.uniform(-3.5, -2)]), rng.choice([0.0, 5.0]), 10.0 ** rng.uniform(0, 4),
+    )  # fmt: skip
+    assert_close(*wander(h, 1.0 / rng.choice([8000.0, 1000.0, 300.0, 100.0]), 60, seed))
+
+
+def test_nothing_gains_energy_without_a_command():
+    """Kinetic and spring energy together never rise while nothing pushes and the hand's goal stands still."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        m, k, c = rng.uniform(0.05, 1.0), 10.0 ** rng.uniform(1, 4), rng.uniform(0.0, 5.0)
+        friction, lag = rng.choice([0.0, 0.2]), rng.choice([0.0, 0.002])
+        alone = Handle((m,) * 3, (rng.uniform(0.0, 2.0),) * 3, (friction,) * 3, lag)
+        plant = make_plant(T, alone, Impedance(damping=c, stiffness=k))
+        start = at_rest((0.0, 0.0, 0.0))._replace(position=(0.001, -0.01, 0.02), velocity=(0.3, 0.0, -0.1))
+        trip = Journey(plant, np.zeros((800, 3)), start=start)
+        energy = 0.5 * m * trip.v**2 + 0.5 * k * trip.x**2
+        # Where nothing is lost, rounding alone moves it: some ulps of each tick.
+        assert (np.diff(energy, axis=0) <= 1e-14 * energy[0]).all()
+        assert energy[-1, 0] < energy[0, 0]  # the axis that was thrown; another may be held where it is
+
+
+def test_orientation_follows_directly_or_with_its_lag():
+    """Without lag it is the hand's to the bit; with one, the angle to a goal at rest falls as exp(-t / tau)."""
+    angle, tau = 1.2, 0.02
+    turned = (np.cos(angle / 2.0), 0.0, np.sin(angle / 2.0), 0.0)
+    turns = np.array([STILL] + [turned] * 100)
+    direct = Journey(make_plant(T, Handle((0.2,) * 3)), np.zeros((100, 3)), turns=turns)
+    assert direct.q.tolist() == [list(turned)] * 100
+    lagging = Journey(make_plant(T, Handle((0.2,) * 3, orientation_lag=tau)), np.zeros((100, 3)), turns=turns)
+    left = angle - 2.0 * np.arctan2(lagging.q[:, 2], lagging.q[:, 0])
+    np.testing.assert_allclose(left, angle * np.exp(-T * np.arange(1, 101) / tau), rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(lagging.q, axis=1), 1.0, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("period", "alone", "hand"),
+    [
+        (0.0, GOOD, NO_HAND),
+        (T, GOOD._replace(mass=(0.0, 1.0, 1.0)), NO_HAND),
+        (T, GOOD._replace(delay=DELAY_MAX + 1), NO_HAND),
+        (T, GOOD._replace(delay=-1), NO_HAND),
+        (T, GOOD._replace(lag=-1.0), NO_HAND),
+        (T, GOOD._replace(friction=(0.0, -1.0, 0.0)), NO_HAND),
+        (T, GOOD._replace(resolution=-1e-6), NO_HAND),
+        (T, GOOD, Impedance(stiffness=-1.0)),
+    ],
+)
+def test_impossible_numbers_are_refused(period, alone, hand):
+    """A plant of no mass, of no period or with negative parts is a ValueError, not a kernel full of nan."""
+    with pytest.raises(ValueError, match="must"):
+        make_plant(period, alone, hand)
+
+
+def test_matrix_exponential_agrees_with_scipy():
+    """For matrices of any size of entries, growing, decaying, turning and nilpotent."""
+    rng = np.random.default_rng(1)
+    for scale in (1e-6, 0.1, 1.0, 30.0):
+        for matrix in (rng.normal(size=(7, 7)), np.triu(rng.normal(size=(5, 5)), 1), -np.eye(3)):
+            want = scipy_expm(scale * matrix)
+            # Squaring ten times loses three digits at most.
+            np.testing.assert_allclose(expm(scale * matrix), want, rtol=0.0, atol=1e-12 * np.abs(want).max())
+    assert np.array_equal(expm(np.zeros((3, 3))), np.eye(3))

@@ -1,0 +1,476 @@
+"""The SpaceMouse: the driver contract, its reports, rate control against closed forms, and what goes wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+import pytest
+from emulators import puck as emulated
+from helpers.compiled_code import called_in, functions
+from helpers.driver_contract import RATE_HZ, Bench, DriverContract, Servo
+from helpers.hid_devices import RefusedNode, ends
+from scipy.spatial.transform import Rotation
+
+from softfinger.config.errors import ConfigError, DeviceNotFound
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, Device
+from softfinger.drivers.simulated import device as simulated
+from softfinger.drivers.simulated.device import Options as SimulatedOptions
+from softfinger.drivers.simulated.device import Simulated
+from softfinger.drivers.spacemouse import device as spacemouse
+from softfinger.drivers.spacemouse.device import SpaceMouse, find, open_device
+from softfinger.drivers.spacemouse.puck import Options, decode, make_setup, move
+from softfinger.drivers.system.libc import IO_SIGNATURE
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.loop import servo as s
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.simulate import with_device
+
+PAST = 350 - 15
+"""Counts past the usual deadband at full deflection."""
+
+
+class PuckBench(Bench):
+    """A puck at the end of a packet socket, which keeps the borders of reports as a hidraw node does; refusals of a
+    node on a plain file."""
+
+    cannot: ClassVar[Mapping[str, str]] = {"timeout": "a puck that nobody touches sends nothing, for ever"}
+
+    def __init__(self, node: RefusedNode) -> None:
+        self.node = node
+        self.end: socket.socket | None = None
+        self.device: Any = None
+        self.case = ""
+
+    def open(self) -> Device:
+        if self.case == "not_found":
+            return open_device(Options(), RATE_HZ)
+        if self.case:
+            return open_device(Options(path=str(self.node.path)), RATE_HZ)
+        self.unplug()
+        fd, self.end = ends()
+        self.device = SpaceMouse(Options(), fd, RATE_HZ)
+        return self.device
+
+    def displayed(self) -> tuple[float, ...]:
+        return tuple(self.device.written().wrench[-1].tolist())
+
+    def make(self, case: str) -> None:
+        if case == "lost":
+            self.unplug()
+            return
+        self.case = case
+        self.node.make(case)
+
+    def mend(self) -> None:
+        self.node.mend()
+        self.case = ""
+
+    def unplug(self) -> None:
+        if self.end is not None:
+            self.end.close()
+
+
+@pytest.fixture
+def bench() -> Iterator[PuckBench]:
+    with RefusedNode() as node:
+        made = PuckBench(node)
+        yield made
+        made.unplug()
+
+
+class TestContract(DriverContract):
+    """The contract over the SpaceMouse."""
+
+
+@contextlib.contextmanager
+def puck(**options: Any) -> Iterator[tuple[SpaceMouse, Servo, socket.socket]]:
+    fd, end = ends()
+    with end, SpaceMouse(build(Options, options, "test"), fd, RATE_HZ) as device:
+        yield device, Servo(device), end
+
+
+def over(servo: Servo, reads: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
+    """Time (s), way (3,) and samples from the first of some reads, 2 ms apart, to the last."""
+    samples = []
+    for _ in range(reads):
+        status, sample = servo.read()
+        assert status == OK
+        samples.append(sample)
+        time.sleep(0.002)
+    table = np.array(samples)
+    return float(table[-1, 7] - table[0, 7]), table[-1, :3] - table[0, :3], table
+
+
+@pytest.mark.parametrize("kind", [emulated.split, emulated.combined])
+@pytest.mark.parametrize(
+    ("deflection", "direction"),
+    [
+        ({"right": 350}, (1, 0, 0)),
+        ({"right": -350}, (-1, 0, 0)),
+        ({"away": 350}, (0, 1, 0)),
+        ({"up": 350}, (0, 0, 1)),
+    ],
+)
+def test_a_push_moves_that_way(kind: Any, deflection: dict[str, int], direction: tuple[int, ...]) -> None:
+    """Pushed to the right, away or up all the way, the fingertip goes there at gain times counts past the deadband."""
+    with puck() as (_, servo, end):
+        for report in kind(**deflection):
+            end.send(report)
+        seconds, way, table = over(servo)
+    assert seconds > 0.006
+    # whatever the clock did: rounding of sums of a few centimetres
+    np.testing.assert_allclose(way, np.array(direction) * 2e-4 * PAST * seconds, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(table[:, 3:7], np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))
+
+
+@pytest.mark.parametrize("kind", [emulated.split, emulated.combined])
+@pytest.mark.parametrize(
+    ("deflection", "axis"),
+    [
+        ({"nose_down": 350}, (-1, 0, 0)),
+        ({"roll_right": 350}, (0, 1, 0)),
+        ({"clockwise": 350}, (0, 0, -1)),
+        ({"nose_down": -350, "clockwise": 350}, (1, 0, -1)),
+    ],
+)
+def test_a_twist_turns_that_way(kind: Any, deflection: dict[str, int], axis: tuple[int, ...]) -> None:
+    """Nose down is about -x, roll to the right about +y, clockwise from above about -z, and a twist about several axes
+    turns about the axis between them: right-handed rotation vectors, in the world, whatever was turned before."""
+    with puck() as (_, servo, end):
+        for report in kind(**deflection):
+            end.send(report)
+        seconds, way, table = over(servo)
+    first, last = (Rotation.from_quat(row[[4, 5, 6, 3]]) for row in (table[0], table[-1]))
+    turned = (last * first.inv()).as_rotvec()
+    # four products of unit quaternions
+    np.testing.assert_allclose(turned, np.array(axis) * 3e-3 * PAST * seconds, rtol=0, atol=1e-14)
+    assert not way.any()
+
+
+def test_a_puck_in_its_deadband_moves_nothing() -> None:
+    """Up to the deadband nothing moves, one count past it moves with one count: no step in speed."""
+    with puck(deadband=20.0) as (_, servo, end):
+        end.send(emulated.combined(right=20, away=-20, clockwise=20)[0])
+        _, way, table = over(servo)
+        assert not way.any()
+        assert np.ptp(table[:, 3:7], axis=0).max() == 0.0
+        end.send(emulated.combined(right=21)[0])
+        seconds, way, _ = over(servo)
+        np.testing.assert_allclose(way, (2e-4 * seconds, 0, 0), rtol=0, atol=1e-15)
+
+
+def test_axes_can_be_turned_round() -> None:
+    """`invert` turns the sign of the axes it names and of no other."""
+    with puck(invert=[True, False, False, False, False, True]) as (_, servo, end):
+        end.send(emulated.combined(right=350, up=350, clockwise=350)[0])
+        _, way, table = over(servo)
+    assert way[0] < 0 < way[2]
+    assert table[-1, 6] > 0
+
+
+def test_the_workspace_is_not_left() -> None:
+    """At the wall of its box the fingertip slides along, and comes back at once when the puck is turned round."""
+    box = {"workspace_min_m": [-1e-4, -0.1, 0.0], "workspace_max_m": [1e-4, 0.1, 0.1], "start_m": [0.0, 0.0, 0.03]}
+    with puck(**box, gain_m_per_s=3e-3) as (_, servo, end):
+        end.send(emulated.combined(right=350, away=100)[0])
+        _, _, table = over(servo)
+        assert table[-1, 0] == 1e-4
+        assert table[-1, 1] > table[1, 1] > 0.0
+        end.send(emulated.combined(right=-16)[0])
+        _, _, table = over(servo)
+        assert table[-1, 0] < 1e-4
+
+
+def test_buttons_and_lamp() -> None:
+    """The button mask arrives bit by bit without touching the motion; the lamp burns while the device is open."""
+    fd, end = ends()
+    with end:
+        with SpaceMouse(Options(), fd, RATE_HZ) as device:
+            servo = Servo(device)
+            assert emulated.LED[end.recv(64)] is True
+            end.send(emulated.combined(right=350)[0])
+            end.send(emulated.buttons(0x80000005))
+            _, way, table = over(servo)
+            assert way[0] > 0.0
+            assert set(table[:, 8]) == {float(0x80000005)}
+            end.send(emulated.buttons(0))
+            assert servo.read()[1][8] == 0.0
+        assert emulated.LED[end.recv(64)] is False
+    with puck(led=False) as (_, _, end):
+        end.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            end.recv(64)
+
+
+def test_a_puck_that_falls_silent_is_let_go() -> None:
+    """Deflected when its radio stops, it moves for `hold_s` more and then stands; a button does not prolong that."""
+    with puck(hold_s=0.05) as (_, servo, end):
+        end.send(emulated.combined(right=350)[0])
+        servo.read()
+        time.sleep(0.06)
+        end.send(emulated.buttons(1))
+        servo.read()
+        _, way, table = over(servo)
+        assert not way.any()
+        assert 0.0 < table[0, 0] <= 2e-4 * PAST * 0.051  # one read more than the hold, of at most 50 ms
+
+
+def test_a_pause_is_no_jump() -> None:
+    """After a loop that stood still for long the fingertip goes on from where it was, by 50 ms of motion at most."""
+    with puck() as (_, servo, end):
+        end.send(emulated.combined(right=350)[0])
+        before = servo.read()[1]
+        time.sleep(0.2)
+        after = servo.read()[1]
+    assert after[0] - before[0] == pytest.approx(2e-4 * PAST * 0.05, abs=1e-15)
+
+
+def test_a_queue_that_was_full_tells_nothing_of_now() -> None:
+    """The kernel keeps 64 reports and loses the newest: after minutes before the first tick the last one may be of a
+    push that is long over, so the fingertip stands until the puck speaks again."""
+    with puck() as (_, servo, end):
+        for _ in range(spacemouse.QUEUE):
+            end.send(emulated.combined(right=350)[0])
+        assert not over(servo)[1].any()
+        end.send(emulated.combined(right=350)[0])
+        assert over(servo)[1][0] > 0.0
+
+
+def test_short_reports_and_foreign_ones() -> None:
+    """A motion report that is cut off breaks the protocol; a report of another kind (battery) is passed over."""
+    with puck() as (_, servo, end):
+        end.send(b"\x17\x5a")
+        assert servo.read()[0] == OK
+        for cut in (emulated.combined(right=1)[0][:5], emulated.split(right=1)[1][:6]):
+            end.send(cut)
+            assert servo.read()[0] == PROTOCOL
+
+
+def test_any_bytes_leave_a_pose_or_a_fault() -> None:
+    """20 000 random reports of random lengths and kinds: a finite pose in the box and a unit quaternion, or a fault."""
+    generator = np.random.default_rng(5)
+    seen = {OK: 0, PROTOCOL: 0}
+    with puck() as (_, servo, end):
+        for n in range(20_000):
+            data = bytearray(generator.bytes(int(generator.integers(1, 80)) if n % 2 else 13))
+            if n % 4:
+                data[0] = n % 5
+            end.send(data)
+            status, sample = servo.read()
+            seen[status] += 1
+            if status == OK:
+                assert all(map(math.isfinite, sample))
+                assert max(map(abs, sample[:3])) <= 0.1
+                assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-12)  # rounding of a normalisation
+    assert min(seen.values()) > 100
+
+
+@numba.njit
+def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.ndarray, buttons: np.ndarray) -> Any:
+    """How often each status came; -1 in place of the first when a deflection or a pose is none."""
+    seen = np.zeros(3, np.int64)
+    position, orientation = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    for n in range(len(counts)):
+        status = decode(reports[n], counts[n], deflection, buttons)
+        seen[0 if status == OK else 1 if status == STALE else 2] += 1
+        position, orientation = move(setup, position, orientation, deflection, 0.001)
+        unit = sum([q * q for q in orientation])
+        if not (np.abs(deflection).max() <= 32768.0 and abs(unit - 1.0) < 1e-12 and 0.0 <= buttons[0] < 2.0**48):
+            seen[0] = -1
+            return seen
+        for k in range(3):
+            if not abs(position[k]) <= 0.1:
+                seen[0] = -1
+                return seen
+    return seen
+
+
+def test_a_million_reports_leave_a_pose_in_the_box() -> None:
+    """10^6 reports of random bytes, lengths and kinds, decoded and followed: counts that an int16 holds, buttons that a
+    float64 holds, a position in the box, a unit quaternion."""
+    generator = np.random.default_rng(8)
+    total = np.zeros(3, np.int64)
+    deflection, buttons = np.zeros(6), np.zeros(1)
+    for _ in range(10):
+        reports = generator.integers(0, 256, (100_000, 64), dtype=np.uint8)
+        reports[::2, 0] = generator.integers(1, 4, 50_000)
+        counts = generator.integers(0, 65, 100_000)
+        total += wild(reports, counts, make_setup(Options()), deflection, buttons)
+    assert total.sum() == 1_000_000
+    assert total.min() > 10_000
+
+
+@pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led], ids=["spacemouse", "simulated"])
+def test_read_calls_libc_alone(function: Any) -> None:
+    """Compiled afresh, a read names nothing outside itself but system calls, clock and libm: no allocator, no
+    interpreter."""
+    allowed = {"read", "clock_gettime", "__errno_location", "sin", "cos", "atan2"}
+    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
+    bodies = functions(numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm())
+    called = {name for body in bodies.values() for name in called_in(body)}
+    outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
+    assert {"read", "clock_gettime"} <= outside
+    assert outside <= allowed
+
+
+def test_a_closed_device_reads_as_lost() -> None:
+    """The C functions may be called once more after close, by a loop that hung: no access to what was released."""
+    fd, end = ends()
+    with end:
+        device = SpaceMouse(Options(), fd, RATE_HZ)
+        servo = Servo(device)
+        device.close()
+        assert servo.read()[0] == LOST
+
+
+def test_a_puck_feels_its_way_through_a_scene() -> None:
+    """Pushed down onto the plane through the servo's loop: contact begins, and every force is the engine's on the same
+    poses."""
+    scene, rig = load_scene("paper-plane"), load_rig("spacemouse")
+    fd, end = ends()
+    options = build(Options, rig.device.options | {"start_m": [0.0, 0.0, 0.012]}, "rig")
+    with end, SpaceMouse(options, fd, RATE_HZ) as device:
+        servo = s.Servo([device], make_tuning(scene, rig.guard, [device.info]), RATE_HZ, 900)
+        servo.compile()
+        end.send(emulated.combined(up=-60, right=100)[0])  # 9 mm/s: at the end 6 mm deep, which no guard clamps
+        servo.start()
+        ended = servo.join(30.0)
+        assert ended is not None and ended.ending == s.FINISHED
+        records = np.empty((900, RECORD_SIZE))
+        assert servo.take(records) == 900
+        servo.close()
+        assert not device.written().wrench[-1].any()
+    engine, compared = Engine(scene), 0
+    for row in records:
+        position, orientation = row[AT.probe_position :], row[AT.probe_orientation :]
+        step = engine.step(position[:3], orientation[:4], float(row[AT.dt]))
+        assert step.mode == row[AT.contact_mode]
+        if row[AT.servo_guard] == 0:
+            # the same arithmetic, compiled into the loop and into the engine
+            np.testing.assert_allclose(row[AT.force : AT.force + 3], step.force, rtol=0, atol=1e-12)
+            compared += step.mode != 0
+    assert compared > 100
+
+
+FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "resolution_m": 0.0, "delay_ticks": 0}
+
+
+@contextlib.contextmanager
+def led(**options: Any) -> Iterator[tuple[Simulated, Servo, socket.socket]]:
+    """A simulated device with a hand that a puck leads."""
+    fd, end = ends()
+    built = build(SimulatedOptions, {"puck": {}, **options}, "test")
+    with end, Simulated(built, RATE_HZ, (fd, "puck")) as device:
+        yield device, Servo(device), end
+
+
+def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
+    """Pushed for 300 ticks and let go, the handle comes to rest where gain times time says, turned by gain times time;
+    the way does not hang on the clock."""
+    with led(**FREE) as (_, servo, end):
+        servo.read()
+        end.send(emulated.combined(right=350, clockwise=350)[0])
+        for _ in range(300):
+            assert servo.read()[0] == OK
+        end.send(emulated.combined()[0])
+        end.send(emulated.buttons(2))
+        for _ in range(5000):  # the handle swings with a time constant 2 m / b below 0.1 s
+            status, sample = servo.read()
+    assert status == OK
+    assert sample[8] == 2.0
+    np.testing.assert_allclose(sample[:3], (2e-4 * PAST * 0.3, 0.0, 0.03), rtol=0, atol=1e-12)
+    turned = Rotation.from_quat([*sample[4:7], sample[3]]).as_rotvec()
+    np.testing.assert_allclose(turned, (0.0, 0.0, -3e-3 * PAST * 0.3), rtol=0, atol=1e-12)
+
+
+def test_the_hand_that_a_puck_leads_feels_the_force() -> None:
+    """Against a constant force the handle rests where the hand's spring carries it: force over stiffness away."""
+    with led(**FREE, hand={"stiffness_n_per_m": 500.0}) as (_, servo, _):
+        for _ in range(2000):
+            servo.read()
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        sample = servo.read()[1]
+    np.testing.assert_allclose(sample[:3], (0.0, 0.0, 0.03 + 1.0 / 500.0), rtol=0, atol=1e-9)  # a settled oscillation
+
+
+def test_a_puck_turns_no_device_that_senses_no_rotation() -> None:
+    """A Falcon stays unturned however the puck is twisted."""
+    with led(preset="falcon") as (_, servo, end):
+        end.send(emulated.combined(clockwise=350)[0])
+        for _ in range(50):
+            sample = servo.read()[1]
+    assert sample[3:7] == [1.0, 0.0, 0.0, 0.0]
+
+
+def test_the_simulated_device_is_lost_with_its_puck() -> None:
+    """Unplugged, the puck takes the device that it leads with it, and the fault says whose it is."""
+    with led() as (device, servo, end):
+        servo.read()
+        end.close()
+        assert servo.read()[0] == LOST
+        assert device.reason() == "its hand is led by puck"
+
+
+def test_a_puck_is_the_only_intention() -> None:
+    """A recording or a place beside a puck is refused, and so is a run without a clock."""
+    for key, value in (("recording", "tap"), ("position_m", [0.0, 0.0, 0.0])):
+        with pytest.raises(ConfigError, match=rf"{key} = .*follows the puck"):
+            build(SimulatedOptions, {"puck": {}, key: value}, "rig")
+    rig = load_rig("simulated-spacemouse")
+    with pytest.raises(ConfigError, match="cannot be run without a clock"):
+        with_device(load_scene("paper-plane"), rig, 0.1)
+
+
+def test_pucks_are_found_and_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of what is attached, the puck is taken; of two, the one named; without one, the message says what is there."""
+    nodes = {
+        "hidraw0": "0003:000016C0:00000486",
+        "hidraw3": "0003:0000046D:0000C626",
+        "hidraw4": "0005:0000256F:0000C63A",
+    }
+    attach(tmp_path, "hidraw0", nodes)
+    whole = spacemouse.discovery.hidraw_nodes
+    monkeypatch.setattr(spacemouse.discovery, "hidraw_nodes", lambda: whole(tmp_path))
+    with pytest.raises(DeviceNotFound, match=r"no SpaceMouse is attached: .*Thing \(16c0:0486\) at /dev/hidraw0"):
+        find(Options())
+    attach(tmp_path, "hidraw3", nodes)
+    assert find(Options()).node == "/dev/hidraw3"
+    attach(tmp_path, "hidraw4", nodes)
+    with pytest.raises(DeviceNotFound, match=r"2 pucks are attached: name one .*hidraw3 \(serial 'hidraw3'\)"):
+        find(Options())
+    assert find(Options(serial="hidraw4")).product == 0xC63A
+    assert find(Options(path="/dev/hidraw3")).vendor == 0x046D
+    with pytest.raises(DeviceNotFound, match="no SpaceMouse with serial = 'SN1'"):
+        find(Options(serial="SN1"))
+
+
+def attach(root: Path, name: str, nodes: dict[str, str]) -> None:
+    folder = root / spacemouse.discovery.HIDRAW / name / "device"
+    folder.mkdir(parents=True)
+    (folder / "uevent").write_text(f"HID_ID={nodes[name]}\nHID_NAME=Thing\nHID_UNIQ={name}\n")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"gain_m_per_s": 1.0}, "gain_m_per_s = 1.0: must be"),
+        ({"start_m": [0.0, 0.0, 0.2]}, "start_m = .*outside of the workspace"),
+        ({"workspace_min_m": [0.2, 0.0, 0.0]}, "workspace_min_m = .*is above workspace_max_m"),
+        ({"gain": 1.0}, "gain"),
+    ],
+)
+def test_bad_options_are_named(wrong: dict[str, Any], said: str) -> None:
+    """A value out of its range, a start outside of the box, a box inside out, a key that is none."""
+    with pytest.raises(ConfigError, match=said):
+        build(Options, wrong, "rig [device]")

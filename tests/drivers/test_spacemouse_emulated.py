@@ -1,0 +1,76 @@
+"""The whole program beside an emulated SpaceMouse behind a hidraw node of umockdev: found, opened, followed, unplugged.
+
+Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi, as test_hid_emulated.py does.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.closed_loop import assert_engine_agrees
+from test_hid_emulated import CLOSED_LOOP, SYSTEM_PYTHON, WHY_NOT
+
+from softfinger.config.load import load_scene
+from softfinger.proxy.record import AT
+
+TESTBED = Path(__file__).parents[1] / "emulators" / "puck_testbed.py"
+CLI = (sys.executable, "-m", "softfinger.server.cli")
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
+
+
+def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    """A command beside an emulated puck; what it printed, and what the puck was sent."""
+    done = subprocess.run(
+        ["umockdev-wrapper", SYSTEM_PYTHON, str(TESTBED), json.dumps(case), *command],
+        capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+    )  # fmt: skip
+    lines = done.stdout.splitlines()
+    assert lines, done.stderr
+    return done, json.loads(lines[-1])
+
+
+def run(case: dict[str, Any], *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    """The daemon beside an emulated puck."""
+    return beside(case, *CLI, "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off", *words)
+
+
+@pytest.mark.parametrize("reports", ["split", "combined"])
+def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Path) -> None:
+    """Pushed down and to the right, the daemon's fingertip goes there, into the plane, with the engine's modes and
+    forces on the same poses; buttons arrive, and the lamp is lit and put out."""
+    kept = tmp_path / "records.npy"
+    case = {"reports": reports, "push": {"up": -200, "right": 100}, "buttons": 5}
+    done, saw = beside(case, sys.executable, str(CLOSED_LOOP), "spacemouse", "paper-plane", "900", str(kept))
+    assert done.returncode == 0, done.stderr
+    records = np.load(kept)
+    way = np.ptp(records[:, AT.probe_position : AT.probe_position + 3], axis=0)
+    assert way[0] / way[2] == pytest.approx((100 - 15) / (200 - 15), rel=1e-9)  # one time for both: rounding alone
+    assert way[1] == 0.0
+    assert way[2] > 0.02, "the puck's reports came too late"
+    assert {0.0, 1.0} <= set(records[:, AT.contact_mode])
+    assert assert_engine_agrees(records, load_scene("paper-plane"), 1000.0) > 50
+    assert records[-1, AT.buttons] == 5
+    assert saw["written"] == ["0401", "0400"]
+
+
+def test_an_unplugged_puck_ends_the_run() -> None:
+    """Pulled out while it leads the fingertip, the puck ends the daemon with its exit code and what to do."""
+    done, _ = run({"unplug_after_s": 2.0}, "--rig", "spacemouse", "--duration", "60")
+    assert done.returncode == 4, done.stderr
+    assert "spacemouse SpaceNavigator is gone (status -1 on read): plug it in again" in done.stderr
+
+
+def test_a_daemon_that_does_not_use_it_tells_that_it_went(tmp_path: Path) -> None:
+    """Pulled out beside a daemon that replays, the puck is logged as detached, and the daemon runs on to its end."""
+    socket = tmp_path / "telemetry"
+    done, _ = run({"unplug_when": str(socket)}, "--duration", "6", "--endpoint", f"ipc://{socket}")
+    assert done.returncode == 0, done.stderr
+    assert "detached: SpaceNavigator (046d:c626) at /dev/hidraw0" in done.stderr
+    assert "stopped after 6000 ticks" in done.stderr

@@ -1,0 +1,177 @@
+"""A force that the driver ended or could not send: what the board is given, frame by frame, through the real loop.
+
+Emulated boards on real time that stall, or take long to answer, under a scene that pulls with 5 N from the start.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import paper_mapping
+from emulators.serialboard import Board, Cable
+from helpers.driver_contract import RATE_HZ
+from helpers.hid_devices import Answering, Api, described, ends
+from helpers.serial_devices import PLACE, opened
+
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import Scene
+from softfinger.drivers.base import Device
+from softfinger.drivers.hid.device import HidDevice, Options
+from softfinger.drivers.hid.link import pumped
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tick import Tuning
+from softfinger.server.loop.tuning import make_tuning
+
+pytestmark = pytest.mark.real_time
+
+PULL_N = 5.0
+SLEW_N = 0.2
+"""Largest change in a tick, as the guard here has it: so small that a few ticks together are seen."""
+STEP_N = 1e-3 * 1.001
+"""Both ends of a change are rounded to the millinewton, by half of one each."""
+QUIET_S = 0.02
+STALL_S = 0.06
+
+Sent = Callable[[], np.ndarray]
+
+
+class Line:
+    """A device, what its board was given ((n, 3) N, in order), and how to make the board stall or answer late."""
+
+    def __init__(
+        self, device: Device, forces: Sent, stall: Callable[[bool], None], late: Callable[[float], None]
+    ) -> None:
+        self.device, self.forces, self.stall, self.late = device, forces, stall, late
+
+
+@contextmanager
+def serial() -> Iterator[Line]:
+    with Cable(Board(lambda _: PLACE)) as cable, opened(cable, quiet_s=QUIET_S, timeout_s=2.0) as device:
+
+        def stall(now: bool) -> None:
+            cable.deaf.set() if now else cable.deaf.clear()
+
+        def late(by_s: float) -> None:
+            def slowly(frame: bytes) -> bytes:
+                time.sleep(by_s)
+                return frame
+
+            cable.spoil = slowly
+
+        yield Line(device, lambda: np.array(cable.board.sent).reshape(-1, 7)[:, :3] * 1e-3, stall, late)
+
+
+@contextmanager
+def hid(through: str) -> Iterator[Line]:
+    given: list[tuple[int, ...]] = []
+    wait = [0.0]
+
+    def answer(report: bytes) -> bytes:
+        given.append(struct.unpack("<3i", report[1:]))
+        time.sleep(wait[0])
+        return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 1, 0, 0, 0, 0, 0)
+
+    class Slow(Api):
+        """A bus that takes its time: hidapi's write comes back when the report has gone."""
+
+        def write(self, buff: bytes) -> int:
+            time.sleep(wait[0])
+            return super().write(buff)
+
+    options = build(Options, described(force_max_n=PULL_N, kick_s=QUIET_S, timeout_s=2.0), "rig")
+    fd, end = ends()
+    with Answering(end, answer) as answering:
+        link = None if through == "node" else pumped(Slow(fd), options)
+        with HidDevice(options, fd) if link is None else HidDevice(options, link.fd, link.pump) as device:
+
+            def stall(now: bool) -> None:
+                answering.deaf.set() if now else answering.deaf.clear()
+
+            def late(by_s: float) -> None:
+                wait[0] = by_s
+
+            yield Line(device, lambda: np.array(given).reshape(-1, 3) * 1e-3, stall, late)
+
+
+WAYS = {"serial": serial, "hid node": lambda: hid("node"), "hid thread": lambda: hid("thread")}
+
+
+def pulling(ramp_s: float) -> Tuning:
+    """A scene that pulls with PULL_N wherever the finger is."""
+    mapping = paper_mapping(effect=[{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}])
+    guard = load_rig("woodenhaptics-v3", {"guard.ramp_s": ramp_s, "guard.force_slew_n_per_s": SLEW_N * RATE_HZ}).guard
+    return make_tuning(build(Scene, mapping, "test scene"), guard)
+
+
+@contextmanager
+def running(line: Line, ramp_s: float) -> Iterator[Servo]:
+    """The servo's loop on a line. A tick counts as one, however late a busy machine makes it: changes are per tick."""
+    line.device.info = replace(line.device.info, own_clock=True)
+    servo = Servo([line.device], pulling(ramp_s), RATE_HZ)
+    servo.compile()
+    line.device.arm()
+    servo.start()
+    try:
+        yield servo
+    finally:
+        servo.stop()
+        assert servo.join(30.0) is not None
+        servo.close()
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+def pulls(line: Line) -> bool:
+    """Whether the board has the whole force now."""
+    forces = line.forces()
+    return len(forces) > 0 and bool(forces[-1, 2] > 0.99 * PULL_N)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_force_ended_by_a_silence_fades_in_anew(way: str) -> None:
+    """A board that stalls for 60 ms while it pulls is sent a zero; when it is back the force begins again from zero,
+    with the ramp, and no frame differs from the one before by more than the guard's limit but for the zeros."""
+    ramp_s = 0.2
+    with WAYS[way]() as line, running(line, ramp_s):
+        until(lambda: pulls(line))
+        before = len(line.forces())
+        line.stall(True)
+        time.sleep(STALL_S)
+        line.stall(False)
+        until(lambda: not line.forces()[before:].all(axis=0)[2])
+        until(lambda: pulls(line))
+        forces = line.forces()
+    pull = forces[:, 2]
+    zeros = np.flatnonzero(pull[before:] == 0.0) + before
+    assert pull[before] > 0.9 * PULL_N
+    assert len(zeros) > 0
+    assert np.diff(pull).max() <= SLEW_N + STEP_N
+    back = pull[zeros[-1] + 1 :]
+    # The ramp counts ticks, of which a frame may have waited for QUIET_S at most.
+    assert back[0] <= PULL_N * 2 * QUIET_S / ramp_s
+    assert np.diff(back).max() <= PULL_N * 2 * QUIET_S / ramp_s
+
+
+@pytest.mark.parametrize("way", ["serial", "hid thread"])
+def test_a_force_that_waits_is_no_wider_step(way: str) -> None:
+    """A board that takes four ticks for each frame has the force of before for that long: the next one is within the
+    guard's limit of it."""
+    with WAYS[way]() as line:
+        line.late(0.004)
+        with running(line, 0.01):
+            until(lambda: pulls(line))
+            pull = line.forces()[:, 2]
+    # Upwards: a busy machine may make a silence, which ends the force at once.
+    assert np.diff(pull).max() <= SLEW_N + STEP_N
+    assert np.count_nonzero((pull > 0.0) & (pull < PULL_N - STEP_N)) >= PULL_N / SLEW_N / 2

@@ -1,0 +1,35 @@
+"""A bench whose device stands in another process, which is asked over the socket that the environment names."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from typing import Any, ClassVar, Final
+
+from helpers.driver_contract import Bench
+
+SOCKET: Final = "SOFTFINGER_TESTBED"
+
+
+class AskedBench(Bench):
+    """An emulated device beside this process; a line is a question, and is answered with one of JSON."""
+
+    patience_s: ClassVar[float] = 10.0
+
+    def ask(self, line: str) -> Any:
+        with socket.socket(socket.AF_UNIX) as end:
+            end.connect(os.environ[SOCKET])
+            end.sendall(line.encode() + b"\n")
+            with end.makefile() as stream:
+                return json.loads(stream.readline())
+
+    def displayed(self) -> tuple[float, ...]:
+        x, y, z = self.ask("displayed")
+        return (x, y, z)
+
+    def make(self, case: str) -> None:
+        self.ask(f"make {case}")
+
+    def mend(self) -> None:
+        self.ask("mend")

@@ -1,0 +1,107 @@
+"""What the compiler made of a kernel: read from its LLVM modules."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
+from softfinger.proxy.kernels.step import step
+from softfinger.proxy.scene import start_state
+
+NUMBERS = {"fadd", "fsub", "fmul", "fdiv", "fneg", "fcmp", "frem"}
+
+
+class Compiled(NamedTuple):
+    """A step after optimisation.
+
+    kernels     our kernels that were compiled into it, as module.name
+    body        its text, without what names nothing but itself: mangled names, version counters, metadata
+    operations  how often each instruction stands in it
+    calls       how often it calls what, the compiler's own helpers for memory aside
+    """
+
+    kernels: set[str]
+    body: str
+    operations: Counter[str]
+    calls: Counter[str]
+
+    @property
+    def arithmetic(self) -> int:
+        """Instructions on numbers, and calls of functions of numbers."""
+        return sum(count for name, count in self.operations.items() if name in NUMBERS) + sum(self.calls.values())
+
+
+def functions(ir: str) -> dict[str, str]:
+    """Bodies of the functions an LLVM module defines, without the wrappers numba puts around the kernel for Python."""
+    found = {}
+    for match in re.finditer(r'^define [^\n]*?@"?([^"(\s]+)"?\(.*?^}', ir, re.MULTILINE | re.DOTALL):
+        if not match[1].startswith(("_ZN7cpython", "cfunc.")):
+            found[match[1]] = match[0]
+    return found
+
+
+def called_in(body: str) -> Counter[str]:
+    """Names of the functions that a body calls."""
+    return Counter(re.findall(r'call [^@\n]*@"?([^"(\s]+)"?\(', body))
+
+
+def tick(scene, values, start, state_values, position, orientation, dt, out):
+    """One step with everything in flat arrays, as the servo has it."""
+    pose = model.Pose(position, orientation)
+    state, contacts = step(unpack(scene, values), unpack(start, state_values), (pose,), dt)
+    pack(state_values, state)
+    pack(out, contacts[0])
+
+
+def compile_step(scene: model.Scene) -> Compiled:
+    """The step of a scene, compiled anew by a dispatcher without a cache."""
+    start, some = start_state(scene), np.zeros(1)
+    upright = start.fingers[0].probe.orientation
+    arguments = (scene, flatten(scene), start, flatten(start), model.ZERO, upright, 0.001, some)
+    dispatcher: Callable[..., Any] = numba.njit(**OPTIONS)(tick)
+    dispatcher.compile(tuple(numba.typeof(a) for a in arguments))  # type: ignore[attr-defined]
+    (ir,) = dispatcher.inspect_llvm().values()  # type: ignore[attr-defined]
+    return read(ir)
+
+
+def read(ir: str) -> Compiled:
+    """What stands in the module of one step; everything it needs is inlined into one function."""
+    ((name, body),) = functions(ir).items()
+    body = plain(body, name)
+    operations = Counter(re.findall(r"^  (?:%\S+ = )?(?:tail call|(\w+))", body, re.MULTILINE))
+    calls = Counter({n: count for n, count in called_in(body).items() if not n.startswith(("llvm.mem", "llvm.fabs"))})
+    return Compiled(kernels_in(ir), body, operations, calls)
+
+
+def plain(body: str, name: str) -> str:
+    """A body without what depends on how many functions were compiled before it: names of values and blocks become
+    numbers in the order of their appearance, mangled names, metadata and comments go."""
+    body = body.replace(name, "kernel")
+    body = re.sub(r" *;.*$", "", body, flags=re.MULTILINE)  # comments
+    body = re.sub(r"(, )?![\w.]+( ![\w.]+)?", "", body)  # metadata
+    body = re.sub(r" #\d+", "", body)  # attribute groups
+    body = re.sub(r'^("[^"]*"|[\w.$-]+):$', r"%\1:", body, flags=re.MULTILINE)  # labels are called with a percent sign
+    numbers: dict[str, str] = {}
+    return re.sub(r'%("[^"]*"|[\w.$-]+)', lambda m: numbers.setdefault(m[1], f"%{len(numbers)}"), body)
+
+
+def kernels_in(ir: str) -> set[str]:
+    """Kernels of ours with an environment in the module: every function that was compiled has one."""
+    found = set()
+    for mangled in re.findall(r'^@"?_ZN08NumbaEnv(\S+)', ir, re.MULTILINE):
+        parts, rest = [], mangled
+        while match := re.match(r"\d+", rest):
+            end = match.end() + int(match[0])
+            parts.append(rest[match.end() : end])
+            rest = rest[end:]
+        if parts[:3] == ["softfinger", "proxy", "kernels"]:
+            found.add(".".join(parts[3:]))
+    return found

@@ -1,0 +1,186 @@
+"""The stand-in for Force Dimension's library, compiled by the test, and USB devices for pyusb to find."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import usb.backend
+import usb.backend.libusb1
+import usb.core
+
+from helpers.driver_contract import RATE_HZ, Bench
+from softfinger.drivers.forcedimension import device as forcedimension
+from softfinger.drivers.forcedimension import usb as fd_usb
+
+SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
+COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+NO_COMPILER = "the stand-in for the maker's library is C, and there is no compiler (cc, gcc, clang) to build it"
+
+
+def compile_stub(source: Path, path: Path, *flags: str) -> Path:
+    """A C file as a shared library at `path`."""
+    always = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+    subprocess.run([str(COMPILER), *always, *flags, "-o", str(path), str(source), "-lm"], check=True)
+    return path
+
+
+class Stub:
+    """The library as tests steer it: `stub["fail_read"] = 0`, `stub["watchdog"]`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._library = ctypes.CDLL(str(path))  # the very library that the driver loads: one file, one state
+        self._library.stub_get.restype = ctypes.c_double
+        self._library.stub_set.argtypes = [ctypes.c_char_p, ctypes.c_double]
+
+    def __getitem__(self, name: str) -> float:
+        return float(self._library.stub_get(name.encode()))
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self._library.stub_set(name.encode(), value)
+
+    def update(self, **values: float) -> None:
+        for name, value in values.items():
+            self[name] = value
+
+    def reset(self) -> None:
+        self._library.stub_reset()
+
+    def force(self) -> tuple[float, float, float]:
+        """Force of the motors now, in the library's frame (x towards the user, y right, z up)."""
+        out = (ctypes.c_double * 3)()
+        self._library.stub_force(out)
+        return out[0], out[1], out[2]
+
+    def busy(self) -> bool:
+        """Whether a thread is in an exchange just now."""
+        return bool(self._library.stub_busy())
+
+    def norm(self) -> float:
+        return math.hypot(*self.force())
+
+
+@pytest.fixture(scope="session")
+def stub_library() -> Iterator[Path]:
+    """The library, in a folder that any user may enter."""
+    if COMPILER is None:
+        pytest.skip(NO_COMPILER)
+    with tempfile.TemporaryDirectory(prefix="drd-") as folder:
+        os.chmod(folder, 0o755)
+        yield compile_stub(SOURCE, Path(folder) / "libdrd.so.3.17.5")
+
+
+@pytest.fixture
+def stub(stub_library: Path) -> Iterator[Stub]:
+    """One omega.3 at the stub's settings, the hand still at 20 mm height."""
+    stub = Stub(stub_library)
+    stub.reset()
+    yield stub
+    stub.reset()
+
+
+class UsbBus(usb.backend.IBackend):
+    """A bus for pyusb with devices of Force Dimension on it, each given by its product number."""
+
+    def __init__(self, *products: int) -> None:
+        self.products = products
+
+    def enumerate_devices(self) -> Any:
+        return iter(range(len(self.products)))
+
+    def get_parent(self, dev: int) -> None:
+        return None
+
+    def get_device_descriptor(self, dev: int) -> Any:
+        return SimpleNamespace(
+            bLength=18, bDescriptorType=1, bcdUSB=0x0200, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
+            bMaxPacketSize0=64, idVendor=0x1451, idProduct=self.products[dev], bcdDevice=0x100, iManufacturer=0,
+            iProduct=0, iSerialNumber=0, bNumConfigurations=1, address=5 + dev, bus=1, port_number=1,
+            port_numbers=(1,), speed=3,
+        )  # fmt: skip
+
+
+@contextmanager
+def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged: bool = False) -> Iterator[None]:
+    """pyusb finds these products; their nodes are under `nodes` with that mode. Unless `privileged`, this process may
+    no more than any user."""
+    get_backend, root = usb.backend.libusb1.get_backend, fd_usb.NODES
+    usb.backend.libusb1.get_backend = lambda *_, **__: UsbBus(*products)
+    if nodes is not None:
+        fd_usb.NODES = nodes
+        (nodes / "001").mkdir(exist_ok=True)
+        for number in range(len(products)):
+            node = nodes / "001" / f"{5 + number:03d}"
+            node.touch()
+            node.chmod(mode)
+    drop = os.geteuid() == 0 and not privileged
+    if drop:
+        os.seteuid(65534)  # nobody: root may open everything
+    try:
+        yield
+    finally:
+        if drop:
+            os.seteuid(0)
+        usb.backend.libusb1.get_backend, fd_usb.NODES = get_backend, root
+
+
+class StubBench(Bench):
+    """An omega behind the stand-in."""
+
+    def __init__(self, stub: Stub) -> None:
+        self.stub = stub
+        self.forbidden = False
+
+    def open(self, **options: Any) -> Any:
+        if self.forbidden:
+            with plugged_in(0x0402, nodes=self.stub.path.parent, mode=0):
+                return self._open(**options)
+        return self._open(**options)
+
+    def _open(self, **options: Any) -> Any:
+        device = self.open_unarmed(**options)
+        device.arm()
+        return device
+
+    def open_unarmed(self, **options: Any) -> Any:
+        # The watchdog counts real time, and a test between two exchanges takes what this machine gives it.
+        chosen = {"library_file": str(self.stub.path), "watchdog_s": 0.0, **options}
+        return forcedimension.open_device(forcedimension.Options(**chosen), RATE_HZ)
+
+    def displayed(self) -> tuple[float, ...]:
+        x, y, z = self.stub.force()
+        return y, -x, z
+
+    def make(self, case: str) -> None:
+        match case:
+            case "not_found":
+                self.stub["devices"] = 0
+            case "busy":
+                self.stub["held"] = 1
+            case "permission":
+                self.stub["devices"] = 0
+                self.forbidden = True
+            case "lost":
+                self.stub["unplugged"] = 1
+            case "timeout":
+                self.stub.update(error=7, fail_read=0)
+
+    def mend(self) -> None:
+        self.stub.reset()
+        self.forbidden = False
+
+
+@pytest.fixture
+def bench(stub: Stub) -> StubBench:
+    return StubBench(stub)

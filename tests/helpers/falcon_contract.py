@@ -1,0 +1,95 @@
+"""The driver contract over a Falcon, and what only it does.
+
+Run beside the emulated device by test_falcon_emulated.py, not by itself.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from helpers.asked_bench import AskedBench
+from helpers.driver_contract import RATE_HZ, Bench, DriverContract, Servo
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.base import OK, STALE, WITHHELD
+from softfinger.drivers.falcon.device import Falcon, Options, open_device
+
+
+class Emulated(AskedBench):
+    """The device of the testbed beside this program, through libusb."""
+
+    # Half a motor count at each leg is 4 mN at the knob, and the knob moves by 0.1 mm before it is asked.
+    force_step_n: ClassVar[float] = 0.01
+
+    def open(self) -> Falcon:
+        # A tick of the emulation waits for two other programs: silences are longer than on a bus.
+        given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
+        device = open_device(build(Options, given, "falcon [device]"), RATE_HZ)
+        device.arm()
+        return device
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Emulated()
+
+
+class TestContract(DriverContract):
+    """The contract over the emulated device."""
+
+
+def test_position_is_where_the_knob_is(bench: Emulated) -> None:
+    """The sample is the emulated knob's place in the world, to half an encoder count on each leg."""
+    with bench.open() as device:
+        servo = Servo(device)
+        while device.counts()["replies"] < 30:  # a slow bus takes many ticks for as many milliseconds of the knob
+            assert servo.read()[0] in (OK, STALE, WITHHELD)
+            servo.write(0.6, -0.4, 0.5, 0.0, 0.0, 0.0)
+        time.sleep(0.05)  # after a pause the reply is one of now, asked for with a zero
+        status, sample = servo.read()
+        assert status == WITHHELD
+        # half a count is 0.3 mrad at a leg, at most 1/15 m to a radian there; three legs
+        np.testing.assert_allclose(sample[:3], bench.ask("place"), atol=3 * 0.5 * 6.4e-4 / 15)
+        assert np.linalg.norm(np.array(sample[:3]) - (0.0, 0.0, 0.02)) > 1e-3, "the force did not move it"
+
+
+def test_a_force_past_the_motors_is_limited(bench: Emulated) -> None:
+    """The write says so, the direction is kept; a force that is no number is a zero."""
+    with bench.open() as device:
+        servo = Servo(device)
+        servo.read()
+        assert servo.write(30.0, 0.0, 40.0, 0.0, 0.0, 0.0) == STALE
+        x, y, z = bench.displayed()
+        assert 5.0 < np.linalg.norm((x, y, z)) < 50.0
+        np.testing.assert_allclose((x / z, y / z), (0.75, 0.0), atol=0.01)  # the knob moves before it is asked
+        assert device.counts()["cut"] == 1
+        servo.read()
+        assert servo.write(float("nan"), 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert not any(bench.displayed())
+
+
+def test_late_replies_cost_ticks(bench: Emulated) -> None:
+    """While replies are 20 ms late the last sample is repeated, and no more than two packets are sent in 5 ms; then it
+    goes on."""
+    with bench.open() as device:
+        servo = Servo(device)
+        servo.read()
+        bench.make("late")
+        statuses, written = [], device.counts()["written"]
+        before, begun = servo.read()[1], time.monotonic()
+        for _ in range(10):
+            servo.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+            status, sample = servo.read()
+            if status == STALE and OK not in statuses:
+                assert sample == before
+                assert device.counts()["written"] - written <= 2 * (1 + (time.monotonic() - begun) // 0.005)
+            statuses.append(status)
+        assert set(statuses) <= {OK, STALE, WITHHELD}  # the last after a pause of this machine's
+        assert STALE in statuses
+        until = time.monotonic() + 2.0
+        while servo.read()[0] not in (OK, WITHHELD):
+            assert time.monotonic() < until, "the late reply was lost"
+            time.sleep(0.001)

@@ -1,0 +1,229 @@
+"""HID devices for the tests: the driver's end of a packet socket, an emulated device in a thread at the other.
+
+A packet socket keeps the borders of reports as a hidraw node does, and needs no privilege; for the way through threads
+it stands behind hidapi's calls. What only a node has (enumeration, descriptor, permissions) is proven on umockdev.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any, Self
+
+from emulators.hand import Vector
+from emulators.woodenhaptics import Woody
+
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.hid.device import HidDevice, Options
+from softfinger.drivers.hid.link import pumped
+
+RIGS = {
+    "woodenhaptics-2019": "woody-2019",
+    "woodenhaptics-2015": "woody-2015",
+    "woodenhaptics-polhem-v1": "polhem-v1",
+    "woodenhaptics-2019-lpc1768": "woody-2019",
+    "woodenhaptics-polhem-v1-lpc1768": "polhem-v1",
+    "woodenhaptics-aluhaptics-v2": "aluhaptics-v2",
+    "woodenhaptics-vintage": "vintage",
+}
+"""Shipped rigs, and the rows of the emulator's table."""
+
+
+def rig_options(rig: str, **changes: Any) -> Options:
+    """The [device] table of a shipped rig with keys changed."""
+    return build(Options, {**load_rig(rig).device.options, **changes}, f"{rig} [device]")
+
+
+def described(**changes: Any) -> dict[str, Any]:
+    """A cartesian device of somebody's own: numbered reports, floats, a quaternion, two buttons, a gripper in
+    hundredths of a radian, forces in mN."""
+    fields = [("x", 0), ("y", 4), ("z", 8), ("qw", 12), ("qx", 16), ("qy", 20), ("qz", 24)]
+    scale = {"x": 1e-3, "y": 1e-3, "z": 1e-3}
+    return {
+        "vendor_id": 0xF055, "product_id": 0x0001, "force_max_n": 4.0, "stiffness_max_n_per_m": 900.0,
+        "damping_max_ns_per_m": 3.0, "workspace_radius_m": 0.05, "kinematics": {"kind": "cartesian"},
+        "reports": {
+            "input": {
+                "bytes": 30, "id": 3,
+                "field": [
+                    *({"meaning": m, "offset": at, "type": "float32", "scale": scale.get(m, 1.0)} for m, at in fields),
+                    {"meaning": "buttons", "offset": 28, "type": "uint8"},
+                    {"meaning": "gripper", "offset": 29, "type": "uint8", "scale": 0.01},
+                ],
+            },
+            "output": {
+                "bytes": 12, "id": 4,
+                "field": [
+                    {"meaning": f"force_{k}", "offset": 4 * n, "type": "int32", "scale": 1000.0}
+                    for n, k in enumerate("xyz")
+                ],
+            },
+        },
+        **changes,
+    }  # fmt: skip
+
+
+class Answering:
+    """A thread that answers reports, until it is told to be mute or the socket is closed."""
+
+    def __init__(self, end: socket.socket, answer: Callable[[bytes], bytes | None]) -> None:
+        self.end, self._answer = end, answer
+        self.mute = threading.Event()
+        """Set: the device hears, and says nothing."""
+        self.deaf = threading.Event()
+        """Set: the device reads nothing."""
+        self.answered = 0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        # When the driver has closed its end, what it had sent is still there; only the answers are lost.
+        while True:
+            try:
+                data = self.end.recv(4096)
+            except ConnectionResetError:
+                continue
+            if not data:
+                return
+            while self.deaf.is_set():
+                time.sleep(0.0002)
+            reply = self._answer(data)
+            if reply is not None and not self.mute.is_set():
+                with suppress(BrokenPipeError, ConnectionResetError):
+                    self.end.send(reply)
+            self.answered += 1
+
+    def settle(self, device: HidDevice) -> None:
+        """Wait until every report of the driver has been taken, and answered."""
+        until = time.monotonic() + 10.0
+        sent = device.counts()["written"]
+        if device.pump is not None:
+            assert device.pump.flush(sent, until), "hidapi does not take the driver's reports"
+        while self.answered < sent:
+            assert time.monotonic() < until, "the emulated device does not take its reports"
+            time.sleep(0.0002)
+
+    def unplug(self) -> None:
+        """Close the device's end. Any number of times."""
+        if self.end.fileno() >= 0:
+            with suppress(OSError):  # closed at the other end
+                self.end.shutdown(socket.SHUT_RDWR)
+            self._thread.join()
+            self.end.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.unplug()
+
+
+class Api:
+    """hidapi's device, with the end of a packet socket in the place of its bus."""
+
+    def __init__(self, fd: int) -> None:
+        self._end = socket.socket(fileno=fd)
+        self.held = threading.Event()
+        """While it is not set, writes hang."""
+        self.held.set()
+        self.hung = threading.Event()
+        """Set once a write hangs."""
+        self.refuses = False
+        """Whether writes fail, as libusb's do after a second."""
+        self.closed = 0
+
+    def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
+        if not select.select([self._end], [], [], timeout_ms / 1e3)[0]:
+            return []
+        try:
+            data = self._end.recv(max_length)
+        except OSError:
+            data = b""
+        if not data:
+            raise OSError("read error")
+        return list(data)
+
+    def write(self, buff: bytes) -> int:
+        if not self.held.is_set():
+            self.hung.set()
+            self.held.wait()
+        try:
+            return -1 if self.refuses else self._end.send(buff)
+        except OSError:
+            return -1
+
+    def close(self) -> None:
+        self.closed += 1
+        self._end.close()
+
+
+def opened(options: Options, fd: int, through: str = "node") -> HidDevice:
+    """The driver on an end of a packet socket: as a node, or through threads at hidapi's calls."""
+    if through == "node":
+        return HidDevice(options, fd)
+    link = pumped(Api(fd), options)
+    return HidDevice(options, link.fd, link.pump)
+
+
+def ends() -> tuple[int, socket.socket]:
+    """The driver's file descriptor, non-blocking, and the device's end."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setblocking(False)
+    return ours.detach(), theirs
+
+
+@contextmanager
+def woody(
+    rig: str = "woodenhaptics-2019",
+    intention: Callable[[float], Vector] = lambda _: (0.01, 0.02, -0.015),
+    through: str = "node",
+    **changes: Any,
+) -> Iterator[tuple[HidDevice, Woody, Answering]]:
+    """An open device with the emulated arm of its rig behind it; a thread of a busy machine may answer late."""
+    options = rig_options(rig, **{"timeout_s": 0.5, **changes})
+    generation = 1 if options.reports.name == "woodenhaptics-v1" else 2
+    arm = Woody(RIGS[rig], generation, intention, options.reports.input.bytes)
+    fd, end = ends()
+    with Answering(end, arm.answer) as answering, opened(options, fd, through) as device:
+        yield device, arm, answering
+
+
+class RefusedNode:
+    """A plain file in the place of a hidraw node that is held by another, or forbidden."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(dir="/tmp")
+        Path(self._folder.name).chmod(0o755)
+        self.path = Path(self._folder.name) / "hidraw9"
+        self._undo = ExitStack()
+
+    def make(self, case: str) -> None:
+        """From now on: busy or permission."""
+        self.path.write_bytes(b"")
+        if case == "busy":
+            fcntl.flock(self._undo.enter_context(self.path.open("rb")), fcntl.LOCK_EX)
+        elif case == "permission":
+            self.path.chmod(0)
+            user = os.geteuid()
+            if user == 0:  # whom no mode keeps out
+                os.seteuid(65534)
+                self._undo.callback(os.seteuid, user)
+
+    def mend(self) -> None:
+        """Undo `make`. Any number of times."""
+        self._undo.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.mend()
+        self._folder.cleanup()

@@ -1,0 +1,55 @@
+"""PlotJuggler's rules for a ZeroMQ stream, as found by probing it; each is named by what is wrong without it."""
+
+import math
+
+import msgpack
+
+EPOCH_AFTER_S = 1e9
+"""A time since the epoch is beyond this for a while; the uptime of a machine is not."""
+
+
+def complaints(frames, monotonic=()):
+    """What PlotJuggler would make wrong of a message, a list of its frames; `monotonic`: topics of another clock."""
+    if len(frames) != 2:
+        return [f"{len(frames)} frames: it takes the second as the map, and may abort"]
+    topic, body = frames
+    try:
+        message = msgpack.unpackb(body, strict_map_key=False)
+    except ValueError as error:
+        return [f"no msgpack: {error}"]
+    if not isinstance(message, dict):
+        return ["no map"]
+    found = []
+    timestamp = message.get("timestamp")
+    if not isinstance(timestamp, float):
+        found.append("no timestamp as a float: it uses the time of receipt for ever")
+    elif (timestamp > EPOCH_AFTER_S) == (topic.decode() in monotonic):
+        found.append(f"timestamp {timestamp} is of another clock than the other topics'")
+    series = {}
+    _walk("", message, series, found)
+    return found
+
+
+def _walk(name, value, series, found):
+    if isinstance(value, dict):
+        for key, child in value.items():
+            if not isinstance(key, str):
+                found.append(f"key {key!r} of {name or 'the map'} is no text")
+            else:
+                _walk(f"{name}/{key}" if name else key, child, series, found)
+    elif isinstance(value, list):
+        for i, child in enumerate(value):
+            _walk(f"{name}[{i}]", child, series, found)
+    elif isinstance(value, bool | int | float):
+        if name in series:
+            found.append(f"two values for the series {name}")
+        if not math.isfinite(value):
+            found.append(f"{name} is {value}: an empty series")
+        series[name] = value
+    elif not isinstance(value, str):  # which it leaves out
+        found.append(f"{name} is a {type(value).__name__}, which it does not read")
+
+
+def prefix_complaints(topics):
+    """Topics of which one begins another: its filter goes by that."""
+    return [(a, b) for a in topics for b in topics if a != b and b.startswith(a)]

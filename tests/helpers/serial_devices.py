@@ -1,0 +1,58 @@
+"""Serial devices for the tests: the driver on a pseudo terminal's path, an emulated board at its other end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from emulators.hand import Vector
+from emulators.serialboard import FRAME_BYTES, Board, Cable
+
+from helpers.driver_contract import Servo
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.base import OK
+from softfinger.drivers.serial.device import Options, SerialDevice, open_device
+
+RIG = "woodenhaptics-v3"
+PLACE = (0.01, 0.02, -0.015)
+
+
+def rig_options(**changes: Any) -> Options:
+    """The [device] table of the shipped rig with keys changed."""
+    return build(Options, {**load_rig(RIG).device.options, **changes}, f"{RIG} [device]")
+
+
+def opened(cable: Cable, **changes: Any) -> SerialDevice:
+    """The device at the end of a cable; a thread of a busy machine may answer late."""
+    return open_device(rig_options(**{"path": cable.path, "quiet_s": 0.1, "timeout_s": 0.5, **changes}), 1000.0)
+
+
+@contextmanager
+def board(
+    intention: Callable[[float], Vector] = lambda _: PLACE, early_end: bool = False, **changes: Any
+) -> Iterator[tuple[SerialDevice, Board, Cable]]:
+    """An open device with an emulated board behind it."""
+    with Cable(Board(intention, early_end)) as cable, opened(cable, **changes) as device:
+        yield device, cable.board, cable
+
+
+def settle(device: SerialDevice, cable: Cable) -> None:
+    """Wait until the board has heard everything that the driver has sent."""
+    until = time.monotonic() + 10.0
+    while cable.heard < FRAME_BYTES * device.counts()["written"] + device.counts()["kicks"]:
+        assert time.monotonic() < until, "the emulated board does not take its frames"
+        time.sleep(0.0002)
+
+
+def fresh(servo: Servo) -> list[float]:
+    """The next new sample: the system hands bytes through a pseudo terminal a little later."""
+    until = time.monotonic() + 10.0
+    while True:
+        status, sample = servo.read()
+        if status == OK:
+            return sample
+        assert status >= 0, f"status {status}"
+        assert time.monotonic() < until, "no new sample"
+        time.sleep(0.0005)

@@ -1,0 +1,89 @@
+"""A terminal for tests: a program run on a pseudo terminal, and the screen that its output leaves."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import termios
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+_PART = re.compile(r"\x1b\[([0-9;?]*)([A-Za-z])|(\r)|(\n)|([^\x1b\r\n])", re.DOTALL)
+
+
+class Screen:
+    """What is to be seen, after every byte: the control sequences that a progress display uses, and no others.
+
+    Lines go up without end; columns are as many as the terminal has, and a longer line goes on in the next.
+    """
+
+    def __init__(self, columns: int) -> None:
+        self.columns = columns
+        self.lines: list[str] = [""]
+        self.row = self.column = 0
+
+    def feed(self, text: str) -> None:
+        for part in _PART.finditer(text):
+            number, command, back, down, letter = part.groups()
+            if command == "A":
+                self.row = max(0, self.row - int(number or 1))
+            elif command == "K":
+                line = self.lines[self.row]
+                self.lines[self.row] = "" if number == "2" else line[: self.column]
+            elif command in ("m", "h", "l"):  # colour; cursor to be seen or not
+                pass
+            elif command:
+                raise ValueError(f"the screen does not know {part.group()!r}")
+            elif back:
+                self.column = 0
+            elif down:
+                self._down()
+            else:
+                if self.column == self.columns:
+                    self._down()
+                    self.column = 0
+                line = self.lines[self.row].ljust(self.column)
+                self.lines[self.row] = line[: self.column] + letter + line[self.column + 1 :]
+                self.column += 1
+
+    def _down(self) -> None:
+        self.row += 1
+        if self.row == len(self.lines):
+            self.lines.append("")
+
+
+@contextmanager
+def on_terminal(
+    words: Sequence[str], rows: int = 24, columns: int = 80, **variables: str
+) -> Iterator[tuple[subprocess.Popen[bytes], Iterator[str]]]:
+    """A program on a terminal of its own, and what it writes, as it comes."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+    kept = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
+    process = subprocess.Popen(
+        words, stdin=theirs, stdout=theirs, stderr=theirs, env=kept | {"TERM": "xterm-256color"} | variables
+    )
+    os.close(theirs)
+
+    def written() -> Iterator[str]:
+        rest = b""
+        while True:
+            try:
+                rest += os.read(ours, 65536)
+            except OSError:  # Linux: the other side is closed
+                return
+            text = rest.decode(errors="ignore")
+            if text.encode() == rest:  # no character cut in two
+                rest = b""
+                yield text
+
+    try:
+        yield process, written()
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)

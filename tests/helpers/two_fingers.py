@@ -1,0 +1,37 @@
+"""A scene that two fingers touch, and rigs of two devices for it."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any
+
+from softfinger.config.load import build
+from softfinger.config.schema import Rig, Scene
+
+NAMES = ("thumb", "index")
+SCENE = """
+[[finger]]
+name = "thumb"
+radius_m = 0.01
+[[finger]]
+name = "index"
+radius_m = 0.0095
+[[object]]
+name = "table"
+shape = "plane"
+[object.material]
+stiffness_n_per_m = 1000.0
+friction = { static = 0.6, kinetic = 0.5 }
+"""
+"""Fingertips of 10 and 9.5 mm on a plane with friction, as a file."""
+
+
+def two_fingers(**tables: Any) -> Scene:
+    """The scene of the file, with these tables in place of its own."""
+    return build(Scene, tomllib.loads(SCENE) | tables, "two fingers")
+
+
+def two_devices(thumb: dict[str, Any], index: dict[str, Any], **tables: Any) -> Rig:
+    """A rig with [devices.thumb] and [devices.index], on a port of its own, without real time."""
+    quiet = {"servo": {"realtime": "off"}, "telemetry": {"endpoint": "tcp://127.0.0.1:*"}}
+    return build(Rig, {"devices": {"thumb": thumb, "index": index}, **quiet, **tables}, "two devices")

@@ -1,0 +1,183 @@
+"""The stand-in for libusb with Falcons behind it, compiled by the test and loaded by pyusb's own loader."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import usb.backend.libusb1
+
+from helpers.drd_stub import COMPILER, compile_stub
+from helpers.driver_contract import RATE_HZ, Bench
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.base import SAMPLE_SIZE
+from softfinger.drivers.falcon.block import AT
+from softfinger.drivers.falcon.device import Falcon, Options, open_device
+
+SOURCE = Path(__file__).parents[1] / "stubs" / "usb.c"
+NO_COMPILER = "the stand-in for libusb is C, and there is no compiler (cc, gcc, clang) to build it"
+SONAME = "libusb-1.0.so.0"
+
+Counts = ctypes.c_int64 * 9
+
+
+class UsbStub:
+    """libusb as tests steer it: `stub["unplug_at"] = 100`, `stub["steps"]` of the first Falcon, `stub[1, "steps"]` of
+    the second."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._library = call = ctypes.CDLL(str(path))  # the very library that pyusb loads: one file, one state
+        call.stub_get.restype = ctypes.c_double
+        call.stub_get.argtypes = [ctypes.c_int, ctypes.c_char_p]
+        call.stub_set.argtypes = [ctypes.c_int, ctypes.c_char_p, ctypes.c_double]
+        call.stub_fuzz.argtypes = [*(ctypes.c_int64,) * 4, ctypes.c_int, ctypes.c_int, ctypes.POINTER(ctypes.c_int64)]
+
+    def __getitem__(self, name: str | tuple[int, str]) -> float:
+        number, knob = (0, name) if isinstance(name, str) else name
+        return float(self._library.stub_get(number, knob.encode()))
+
+    def __setitem__(self, name: str | tuple[int, str], value: float) -> None:
+        number, knob = (0, name) if isinstance(name, str) else name
+        self._library.stub_set(number, knob.encode(), value)
+
+    def update(self, **values: float) -> None:
+        for name, value in values.items():
+            self[name] = value
+        self.place()
+
+    def reset(self) -> None:
+        self._library.stub_reset()
+        self.place()
+        self.place(1)
+
+    def place(self, number: int = 0) -> None:
+        """Put the knob where the hand is."""
+        self._library.stub_place(number)
+
+    def state(self, number: int = 0) -> np.ndarray:
+        """Force (N) on the hand and place (m) of the knob now, (6,), in the world's frame."""
+        out = np.zeros(6)
+        self._library.stub_state(number, out.ctypes.data_as(ctypes.c_void_p))
+        return out
+
+    def motors(self, number: int = 0) -> tuple[float, float, float]:
+        """Motor counts now."""
+        return self[number, "m0"], self[number, "m1"], self[number, "m2"]
+
+    def log(self) -> np.ndarray:
+        """Of each packet since `logged` was set to 0: force and place as `state` has them, and whether the host waited
+        for its answer, (n, 7)."""
+        out = np.zeros((int(self["logged"]), 7))
+        self._library.stub_log(0, out.ctypes.data_as(ctypes.c_void_p), len(out))
+        return out
+
+    def busy(self) -> bool:
+        """Whether a thread is handling events just now."""
+        return bool(self._library.stub_busy())
+
+    def fuzz(self, device: Falcon, ticks: int) -> list[int]:
+        """So many ticks in C against spoilt replies; what was seen, as stub_fuzz says it."""
+        io, seen = device.io(), Counts()
+        self._library.stub_fuzz(io.read, io.write, io.handle, io.handle + 8 * AT.counts, SAMPLE_SIZE, ticks, seen)
+        return list(seen)
+
+
+def word(device: Falcon, place: int) -> int:
+    """A word of the device's block, of which its handle is the address."""
+    return int(ctypes.c_int64.from_address(device.io().handle + 8 * place).value)
+
+
+@contextmanager
+def in_place_of_libusb(path: Path) -> Iterator[None]:
+    """pyusb's own loader finds this library, and whoever asks pyusb for its backend gets it."""
+    module = usb.backend.libusb1
+    before = module._lib, module._lib_object
+    module._lib_object = None
+    assert module.get_backend(find_library=lambda _: str(path)) is not None
+    try:
+        yield
+    finally:
+        if before[0] is not None and before[0]._name != str(path):
+            gc.collect()  # pyusb's objects give themselves back to the library that the module names then
+        module._lib, module._lib_object = before[0] or module._lib, before[1]
+
+
+@pytest.fixture(scope="session")
+def usb_library() -> Iterator[Path]:
+    """The library, in a folder of its own."""
+    if COMPILER is None:
+        pytest.skip(NO_COMPILER)
+    with tempfile.TemporaryDirectory(prefix="usb-") as folder:
+        # without a soname: libusb itself may be loaded later on
+        yield compile_stub(SOURCE, Path(folder) / SONAME)
+
+
+@pytest.fixture
+def stub(usb_library: Path) -> Iterator[UsbStub]:
+    """One homed Falcon whose firmware runs, the hand still at 20 mm height."""
+    stub = UsbStub(usb_library)
+    stub.reset()
+    with in_place_of_libusb(usb_library):
+        yield stub
+    stub.reset()
+
+
+def child_environment(folder: Path, **knobs: float) -> dict[str, str]:
+    """Environment of a process that finds the stand-in, in `folder`, where libusb would be."""
+    compile_stub(SOURCE, folder / SONAME, f"-Wl,-soname,{SONAME}")
+    settings = ",".join(f"{name}={value}" for name, value in knobs.items())
+    return {
+        **os.environ,
+        "LD_LIBRARY_PATH": str(folder),
+        "STUB_USB_SET": settings,
+        "STUB_USB_LOG": str(folder / "left"),
+    }
+
+
+def left_behind(folder: Path) -> dict[str, float]:
+    """The knobs as a process with `child_environment` left them."""
+    return {name: float(value) for name, value in (line.split() for line in (folder / "left").read_text().splitlines())}
+
+
+def options(**changes: Any) -> Options:
+    """The [device] table of the shipped rig with keys changed, the motors' gain known."""
+    given = {**load_rig("falcon").device.options, "counts_per_nm": 10000.0, **changes}
+    return build(Options, given, "falcon [device]")
+
+
+class FalconBench(Bench):
+    """A Falcon behind the stand-in."""
+
+    # Half a motor count at each leg is 4 mN at the knob; it moves by a millisecond before it is asked.
+    force_step_n = 0.01
+    patience_s = 10.0
+
+    def __init__(self, stub: UsbStub) -> None:
+        self.stub = stub
+
+    def open(self, **changes: Any) -> Falcon:
+        device = open_device(options(**changes), RATE_HZ)
+        device.arm()
+        return device
+
+    def displayed(self) -> tuple[float, ...]:
+        return tuple(self.stub.state()[:3])
+
+    def make(self, case: str) -> None:
+        knobs = {"not_found": "attached", "busy": "held", "permission": "forbidden", "lost": "unplugged"}
+        if case == "timeout":
+            self.stub["mute_at"] = 0.0
+        else:
+            self.stub[knobs[case]] = 0.0 if case == "not_found" else 1.0
+
+    def mend(self) -> None:
+        self.stub.reset()

@@ -1,0 +1,64 @@
+"""Any number of balls that make one solid: a shape of another package, whose sizes are a read-only array.
+
+The search over all of them is the same code however many there are, and stands in a scene once.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from softfinger.config.schema import ObjectBase, add_shape, said
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.surfaces import closest, curvature
+from softfinger.proxy.kernels.geometry.surfaces.contract import Z_AXIS, any_tangent, direction
+from softfinger.proxy.kernels.native.arrays import ReadOnly
+from softfinger.proxy.kernels.native.outlined import outlined
+from softfinger.proxy.scene import Body, shape_bodies
+
+
+class Beads(NamedTuple):
+    """`count` balls; `balls` has x, y, z of the centre and the radius of one after the other, m."""
+
+    count: float
+    balls: ReadOnly
+
+
+@outlined
+def nearest_bead(shape: Beads, x: Any) -> Any:
+    """Gap, centre and radius of the ball with the smallest gap."""
+    least, center, radius = 1e300, (0.0, 0.0, 0.0), 0.0
+    for i in range(int(shape.count)):
+        middle = (shape.balls[4 * i], shape.balls[4 * i + 1], shape.balls[4 * i + 2])
+        gap = vec3.norm(vec3.sub(x, middle)) - shape.balls[4 * i + 3]
+        if gap < least:
+            least, center, radius = gap, middle, shape.balls[4 * i + 3]
+    return least, center, radius
+
+
+@closest.of(Beads)
+def closest_on_beads(shape: Beads, x: Any) -> Any:
+    gap, center, radius = nearest_bead(shape, x)
+    _, normal = direction(vec3.sub(x, center), Z_AXIS)
+    return gap, vec3.add_scaled(center, radius, normal), normal
+
+
+@curvature.of(Beads)
+def curvature_of_beads(shape: Beads, radius: float, point: Any, normal: Any) -> Any:
+    _, _, own = nearest_bead(shape, point)
+    return 1.0 / (own + radius), 1.0 / (own + radius), any_tangent(normal)
+
+
+@add_shape
+class BeadsTable(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="beads"):
+    """Balls that a file lists."""
+
+    shape: ClassVar[str] = "beads"
+    balls_file: Annotated[str, said("a line for each ball: x, y, z and radius, m", "balls.txt")]
+
+
+@shape_bodies.register
+def _beads(thing: BeadsTable) -> list[Body]:
+    balls = np.loadtxt(thing.balls_file, ndmin=2)
+    return [Body(Beads(float(len(balls)), ReadOnly(balls)))]

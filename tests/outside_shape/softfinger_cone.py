@@ -1,0 +1,63 @@
+"""A solid cone without end: a shape of another package, in one file.
+
+What a shape is: a named tuple of its sizes, kernels for `closest` and `curvature` of it, a table that scene files have,
+and what the one is made of the other. Importing this module before a scene is read is all there is to do.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+from softfinger.config.limits import Range
+from softfinger.config.schema import ObjectBase, add_shape, within
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.surfaces import closest, curvature
+from softfinger.proxy.kernels.geometry.surfaces.contract import X_AXIS, direction, offset
+from softfinger.proxy.scene import Body, shape_bodies
+
+ANGLE_RAD = Range(0.05, 1.5, "a needle and a plane are other shapes")
+
+
+class Cone(NamedTuple):
+    """Solid below the apex at the origin, about the z axis; sine and cosine of the half angle at the apex."""
+
+    sine: float
+    cosine: float
+
+
+@closest.of(Cone)
+def closest_on_cone(shape: Cone, x: Any) -> Any:
+    """On the flank, or the apex from where that is nearest. On the axis the flank towards x is taken."""
+    distance, radial = direction((x[0], x[1], 0.0), X_AXIS)
+    down = distance * shape.sine - x[2] * shape.cosine  # along the straight line of the flank that is nearest
+    if down <= 0.0:
+        gap, normal = direction(x, (0.0, 0.0, 1.0))
+        return gap, (0.0, 0.0, 0.0), normal
+    gap = distance * shape.cosine + x[2] * shape.sine
+    normal = (shape.cosine * radial[0], shape.cosine * radial[1], shape.sine)
+    return gap, vec3.add_scaled(x, -gap, normal), normal
+
+
+@curvature.of(Cone)
+def curvature_of_cone(shape: Cone, radius: float, point: Any, normal: Any) -> Any:
+    """Round the axis, and none along the flank; on the apex that of the fingertip, whose centre moves on a ball."""
+    _, radial = direction((normal[0], normal[1], 0.0), X_AXIS)
+    around = (-radial[1], radial[0], 0.0)
+    down = shape.sine * (point[0] * radial[0] + point[1] * radial[1]) - shape.cosine * point[2]
+    if down <= 1e-12:
+        return 1.0 / radius, 1.0 / radius, around
+    return offset(shape.cosine / (down * shape.sine), radius), 0.0, around
+
+
+@add_shape
+class ConeTable(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cone"):
+    """A cone about the object's z axis, its apex at the origin."""
+
+    shape: ClassVar[str] = "cone"
+    half_angle_rad: Annotated[float, within(ANGLE_RAD, "between axis and flank", 0.5)]
+
+
+@shape_bodies.register
+def _cone(thing: ConeTable) -> list[Body]:
+    return [Body(Cone(sin(thing.half_angle_rad), cos(thing.half_angle_rad)))]

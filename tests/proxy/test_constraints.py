@@ -1,0 +1,78 @@
+"""The multi-contact solve against an independent quadratic programme."""
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from softfinger.proxy.kernels.contact.half_spaces import FACING, displacement, hold
+from softfinger.proxy.kernels.native.jit import entry
+
+
+@entry
+def solve(count, n1, n2, n3, b1, b2, b3):
+    held = hold(count, n1, n2, n3, b1, b2, b3)
+    return held.push, displacement(held.place, n1, n2, n3)
+
+
+def unit(rng):
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_agrees_with_non_negative_least_squares(count):
+    """For a goal x behind constraints through a point c, x + d is what Lawson and Hanson's method finds."""
+    rng = np.random.default_rng(count)
+    for _ in range(2000):
+        normals = [unit(rng) for _ in range(3)]
+        if count == 3 and abs(np.linalg.det(np.array(normals))) < 1e-3:
+            continue  # nearly coplanar normals: both solutions are right to fewer digits
+        if any(normals[i] @ normals[j] < FACING for i in range(count) for j in range(i)):
+            continue  # walls that face each other are a pinch
+        deflection = rng.normal(size=3)  # c - x
+        demands = [float(n @ deflection) for n in normals]
+        _, d = solve(count, *[tuple(n.tolist()) for n in normals], *demands)
+        weights, _ = nnls(np.array(normals[:count]).T, deflection)
+        # The condition of the Gram matrix at a determinant of 1e-3 costs up to six digits of sixteen.
+        np.testing.assert_allclose(d, np.array(normals[:count]).T @ weights, atol=1e-9)
+
+
+def test_corner_of_a_box():
+    """Three walls at right angles: every demand is met separately."""
+    axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+    push, _ = solve(3, *axes, 1.0, 2.0, 3.0)
+    assert push == (1.0, 2.0, 3.0)
+
+
+def test_demand_that_another_meets_gets_no_weight():
+    """A wall that is satisfied by the push from the floor carries no force."""
+    slanted = (0.6, 0.0, 0.8)
+    push, d = solve(2, (0.0, 0.0, 1.0), slanted, slanted, 1.0, 0.5, 0.0)
+    assert push == (1.0, 0.0, 0.0) and d == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 2e-6, 1e-5, 3e-5, 1e-4, 2e-3])
+def test_nearly_parallel_walls_push_as_one(angle):
+    """Whatever little there is between two normals, and between the demands: the sum is the greater demand.
+
+    Up to what the second asks for aside, no more than the difference of the demands.
+    """
+    up, tilted = (0.0, 0.0, 1.0), (float(np.sin(angle)), 0.0, float(np.cos(angle)))
+    for more in (0.0, 1e-18, -1e-18, 1e-12, -1e-12, 1e-9, -1e-9):
+        for normals, demands in (((up, tilted, up), (0.04, 0.04 + more)), ((tilted, up, up), (0.04 + more, 0.04))):
+            for count in (2, 3):
+                push, d = solve(count, *normals, *demands, 0.04)
+                assert min(push) >= 0.0
+                # A demand may be missed by 1e-9 of itself where the normals are as good as parallel.
+                for n, b in zip(normals, demands, strict=False):
+                    assert np.dot(n, d) > b - 1e-10
+                assert sum(push) < max(*demands) + 0.04 * angle**2 + abs(more) + 1e-10
+
+
+def test_parallel_and_opposite_normals_give_finite_weights():
+    """Two walls with one normal, and a gap too narrow, are solved without a division by nothing."""
+    up, down = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+    assert solve(2, up, up, up, 1.0, 1.0, 0.0)[1] == (0.0, 0.0, 1.0)
+    push, d = solve(2, up, down, up, 1.0, 0.5, 0.0)
+    assert push == (1.0, 0.5, 0.0) and d == (0.0, 0.0, 0.25)
+    assert np.isfinite(solve(3, up, down, (1.0, 0.0, 0.0), 1.0, 1.0, 1.0)[1]).all()

@@ -1,0 +1,267 @@
+"""What a scene leaves out is not in its compiled code, and what others could have is not either."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+import numba
+import pytest
+from helpers.compiled_code import Compiled, compile_step
+
+from softfinger.config import schema
+from softfinger.config.load import build
+from softfinger.proxy.scene import build_scene
+from softfinger.tools.bench.features import RIBS, all_features
+
+FRICTION = {"friction": {"static": 0.6, "kinetic": 0.5}}
+TORSION = {"torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}}
+
+STAND_INS = {
+    "contact.fingertip.point_on_ball",
+    "contact.fingertip.point_under_ball",
+    "contact.fingertip.roundness_of_ball",
+    "contact.fingertip.seen_by_ball",
+    "contact.fingertip.torque_of_ball",
+    "contact.fingertip.velocity_of_ball",
+    "contact.normal.press_linear",
+    "contact.normal.linear_spring",
+    "contact.normal.bounded",
+    "friction.footprint.no_footprint",
+    "friction.footprint.no_torsion_under",
+    "friction.footprint.no_unit",
+    "friction.machine.slide_freely",
+    "friction.laws.unturned_nothing",
+    "friction.torsion.no_torsion",
+    "contact.rolling.base.no_roll",
+    "contact.rolling.base.land",
+    "effects.forces.apply_none",
+    "effects.objects.effects_of_none",
+    "effects.objects.effects_of_one",
+    "geometry.motion.pose_at_rest",
+    "geometry.motion.no_moving_pose",
+    "geometry.surfaces.plane.closest_on_plane",
+    "geometry.surfaces.plane.transport_on_plane",
+    "geometry.surfaces.plane.travel_to_plane",
+    "contact.texture.roughened",
+    "contact.texture.roughened_one",
+    "contact.texture.roughen_nothing",
+    "contact.texture.embossed_by_one",
+    "contact.texture.emboss_nothing",
+}
+"""All that a bare plane compiles of the modules below: the kernels for a part that is not there, and the plane's."""
+
+PARTS = (
+    "contact.fingertip",
+    "friction",
+    "contact.normal",
+    "contact.rolling",
+    "effects",
+    "geometry.motion",
+    "geometry.surfaces",
+    "contact.texture",
+)
+
+SCENES: dict[str, dict[str, Any]] = {
+    "bare": {},
+    "bent": {"material": {"normal": {"exponent": 1.5}}},
+    "crossed": {"material": {"normal": {"damping_s_per_m": 0.5}}},
+    "friction": {"material": FRICTION},
+    "rolling": {"material": FRICTION, "rolling": {"method": "euler_zxz"}},
+    "whole": {"material": FRICTION | TORSION, "rolling": {"method": "euler_zxz"}},
+    "patch": {"material": FRICTION | TORSION, "fingertip": {"patch": {"shear_modulus_pa": 45e3}}},
+    "form": {"fingertip": {"radius_m": None, "radii_m": [0.008, 0.006, 0.012]}},
+    "effect": {"effect": [{"kind": "vibration", "amplitude_n": 1.0, "frequency_hz": 50.0, "direction": [0, 0, 1]}]},
+    "motion": {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0}},
+    "texture": {"texture": {"file": str(RIBS), "size_m": [0.004, 0.004], "height_m": 1e-4}},
+    "second object": {"others": [{"name": "ball", "shape": "sphere", "radius_m": 0.02}]},
+}
+"""A plane, and what each scene has besides."""
+
+ADDED = {
+    ("bare", "bent"): {"contact.normal"},
+    ("bare", "crossed"): {"contact.normal"},
+    ("bare", "friction"): {"friction.machine", "friction.laws", "friction.limit_surface"},
+    ("friction", "rolling"): {"contact.rolling.euler", "geometry.rotations"},
+    ("rolling", "whole"): {"friction.torsion"},
+    ("friction", "patch"): {"friction.footprint"},
+    ("bare", "form"): {"contact.fingertip", "geometry.surfaces.grown"},
+    ("bare", "effect"): {"effects.forces"},
+    ("bare", "motion"): {"geometry.motion"},
+    ("bare", "texture"): {"contact.texture", "geometry.surfaces.charts"},
+    ("bare", "second object"): {"contact.constraints", "geometry.surfaces.round"},
+}
+"""Scenes that differ by one part, and modules of which the one without it must have less."""
+
+
+def scene(name: str) -> schema.Scene:
+    changes = SCENES[name]
+    stuff = {"material": {"stiffness_n_per_m": 1000.0} | changes.get("material", {})}
+    table = {"name": "table", "shape": "plane"} | stuff
+    table |= {key: changes[key] for key in ("motion", "texture") if key in changes}
+    tables = {key: changes[key] for key in ("rolling", "effect") if key in changes}
+    tables["fingertip"] = {"radius_m": 0.01} | changes.get("fingertip", {})
+    things = [table, *(thing | stuff for thing in changes.get("others", []))]
+    return build(schema.Scene, {"object": things, **tables}, name)
+
+
+@functools.cache
+def compiled(name: str) -> Compiled:
+    return compile_step(build_scene(scene(name)))
+
+
+def of_modules(kernels: set[str], modules: tuple[str, ...]) -> set[str]:
+    return {kernel for kernel in kernels if kernel.startswith(tuple(f"{module}." for module in modules))}
+
+
+def test_bare_plane_has_no_kernel_of_what_it_leaves_out() -> None:
+    """Of friction, torsion, rolling, effects, motion and geometry there are the stand-ins for nothing, and a plane."""
+    assert of_modules(compiled("bare").kernels, PARTS) == STAND_INS
+
+
+def test_bare_plane_has_no_costly_instruction() -> None:
+    """No call leaves the step, no sine, power or arc; one root and three divisions, each with its reason."""
+    bare = compiled("bare")
+    # The root is the size of the tangential force, which is in every record.
+    assert set(bare.calls) <= {"llvm.sqrt.f64"} and bare.calls["llvm.sqrt.f64"] <= 1
+    # Velocity filter; share of the sweep; easing of the load.
+    assert bare.operations["fdiv"] <= 3
+
+
+@pytest.mark.parametrize(("without", "having"), list(ADDED))
+def test_each_feature_adds_its_own_code_and_no_other_has_it(without: str, having: str) -> None:
+    """A part brings kernels of its modules and more arithmetic; the scene without it has neither."""
+    less, more = compiled(without), compiled(having)
+    added = more.kernels - less.kernels
+    assert {kernel.rpartition(".")[0] for kernel in added} >= ADDED[without, having]
+    assert less.arithmetic < more.arithmetic
+    assert sum(less.operations.values()) < sum(more.operations.values())
+
+
+def test_costly_functions_are_called_by_the_parts_that_need_them() -> None:
+    """atan2 comes with rolling and winding, sin with an oscillation or a turntable, pow with a bent law of the normal
+    force, and with nothing else."""
+    called = {
+        name: {call.removeprefix("llvm.").removesuffix(".f64") for call in compiled(name).calls} for name in SCENES
+    }
+    assert "sin" in called["effect"] and {"sin", "cos"} <= called["motion"]
+    assert "atan2" in called["rolling"] and "atan2" in called["whole"]
+    assert called["bent"] <= {"sqrt", "pow"} and "pow" in called["bent"]
+    for name in ("bare", "crossed", "friction", "second object"):
+        assert called[name] <= {"sqrt"}, name
+    assert called["texture"] <= {"sqrt", "floor"}  # which is one instruction
+
+
+REGISTER = """
+import sys
+import numba
+from typing import NamedTuple
+from softfinger.proxy.kernels.geometry.surfaces import closest, curvature
+from softfinger.proxy.kernels.geometry.surfaces.contract import any_tangent
+
+class Step(NamedTuple):
+    "Half space z <= height: a plane again, but as a type of its own."
+    height: float
+
+@closest.of(Step)
+def closest_on_step(shape, x):
+    return x[2] - shape.height, (x[0], x[1], shape.height), (0.0, 0.0, 1.0)
+
+@curvature.of(Step)
+def curvature_of_step(shape, radius, point, normal):
+    return 0.0, 0.0, any_tangent(normal)
+"""
+
+COMPILE = """
+import json
+from helpers.compiled_code import compile_step
+from softfinger.proxy.scene import build_scene
+from test_economy import scene
+
+def report(step):
+    return {"body": step.body, "kernels": sorted(step.kernels)}
+
+found = {name: report(compile_step(build_scene(scene(name)))) for name in %r}
+"""
+
+USE = """
+bare = build_scene(scene("bare"))
+found["new"] = report(compile_step(bare._replace(objects=(bare.objects[0]._replace(shape=Step(0.0)),))))
+"""
+
+
+def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
+    """What a Python of its own finds; with our modules on its path, and a seed for hashing that is not ours."""
+    path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
+    environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "12345"}
+    script = "\n".join([*code, "print(json.dumps(found))"])
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, dict[str, Any]] = json.loads(done.stdout)
+    return found
+
+
+def test_a_surface_that_a_scene_does_not_use_changes_nothing() -> None:
+    """With one more surface registered in the program, other scenes compile to the same instructions."""
+    names = ["bare", "whole"]
+    found = in_a_process(REGISTER, COMPILE % names, USE)
+    for name in names:
+        assert found[name]["body"] == compiled(name).body
+        assert set(found[name]["kernels"]) == compiled(name).kernels
+    # The comparison sees a part more, and the surface was registered: a scene that uses it has it.
+    bodies = [found[name]["body"] for name in found] + [compiled("friction").body, compiled("second object").body]
+    assert len(set(bodies)) == len(bodies)
+    assert "rest_on_curved" in {kernel.split(".")[-1] for kernel in found["new"]["kernels"]}
+
+
+def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
+    """Each law, method, effect, motion and shape a file may name is in some pair, and is what the pair differs by."""
+    pairs = [(feature.without, feature.having) for feature in all_features()]
+
+    def news(of: Callable[[schema.Scene], set[str]]) -> set[str]:
+        return set().union(*(of(having) - of(without) for without, having in pairs))
+
+    def kinds(union: Any, key: str = "kind") -> set[str]:
+        return {getattr(member, key) for member in get_args(union)}
+
+    assert news(lambda s: {s.rolling.method} if s.rolling else set()) == set(get_args(schema.RollingMethod))
+    machines = news(lambda s: {s.rolling.state_machine} if s.rolling else set())
+    assert machines == set(get_args(schema.StateMachine))
+    options = {key for key in schema.Friction.__struct_fields__ if key not in {"static", "kinetic"}}
+
+    def given(s: schema.Scene) -> set[str]:
+        present = [t.material.friction for t in s.object if t.material.friction]
+        return {key for friction in present for key in options if getattr(friction, key) is not None}
+
+    # Static friction may be scaled by direction too: the same code with other numbers.
+    assert news(given) == options - {"static_scale"}
+    assert news(lambda s: {t.material.torsion.model for t in s.object if t.material.torsion}) == set(
+        get_args(schema.TorsionModel)
+    )
+    assert news(lambda s: {effect.kind for effect in s.effect}) == kinds(schema.Effect)
+    assert news(lambda s: {effect.kind for t in s.object for effect in t.effect}) == kinds(schema.ObjectEffect)
+    assert news(lambda s: {t.motion.kind for t in s.object if t.motion}) == kinds(schema.Motion)
+    both = {"height_m", "friction_scale"}
+    textures = news(
+        lambda s: {key for t in s.object for key in both if getattr(getattr(t, "texture", None), key, None)}
+    )
+    assert textures == both
+    hollow = kinds(schema.Object, "shape") - {"plane"}  # a plane is what the others are compared with
+    assert news(lambda s: {t.shape for t in s.object}) >= hollow
+    assert news(lambda s: {t.shape for t in s.object if getattr(t, "inside", False)}) == hollow
+
+
+def test_pairs_of_features_differ_in_what_is_compiled() -> None:
+    """A feature is code, not a number; only inside and outside of a smooth shape are one code with another sign."""
+    names = [feature.name for feature in all_features()]
+    assert len(set(names)) == len(names)
+    for feature in all_features():
+        types = {numba.typeof(build_scene(s)) for s in (feature.without, feature.having)}
+        one_code = feature.name.startswith("inside ") and "ends" not in feature.name and "box" not in feature.name
+        assert len(types) == (1 if one_code else 2), feature.name

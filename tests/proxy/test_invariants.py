@@ -1,0 +1,418 @@
+"""What must hold for every input: random cases, found and shrunk by Hypothesis."""
+
+import functools
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from references.laws import K_Z, axis_angles, column, stored_energy, work_of_the_hand
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.geometry import rotations
+from softfinger.proxy.kernels.geometry.motion import pose_at
+from softfinger.proxy.kernels.native.jit import OPTIONS
+
+R = 0.01
+CASES = settings(
+    max_examples=10_000 if settings.get_current_profile_name() == "full" else 1000,
+    deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow],
+)  # fmt: skip
+"""A thousand each; ten thousand, in minutes, with `--hypothesis-profile=full`."""
+GRIP = {
+    "stiffness_n_per_m": 1000.0,
+    "damping_ns_per_m": 1.0,
+    "friction": {"static": 0.6, "kinetic": 0.5},
+    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+}
+SLICK = {"stiffness_n_per_m": 1000.0}
+TURNED = [0.8, 0.36, 0.48, 0.0]
+HALF = np.array([0.02, 0.015, 0.01])
+
+quaternion = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: sum(x * x for x in q) > 1e-3)
+shift = st.tuples(*[st.floats(0.1, 1.0)] * 3)  # never zero: a ball at the origin has no place to tune
+
+
+def numbers(rows, columns):
+    """Arrays (rows, columns) in [-1, 1), 0 the simplest.
+
+    One draw for all: one for each number would take longer than what is tested.
+    """
+    count = rows * columns
+    return st.binary(min_size=2 * count, max_size=2 * count).map(
+        lambda found: np.frombuffer(found, np.int16).reshape(rows, columns) / 32768.0
+    )
+
+
+def rotation(q):
+    w, x, y, z = np.asarray(q) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def product(a, b):
+    return np.array(
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    )
+
+
+def scene(kind, material="grip", at=(0.5, 0.5, 0.5)):
+    stuff = {"grip": GRIP, "slick": SLICK, "springs": GRIP | {"damping_ns_per_m": 0.0}}[material]
+    ball = {"name": "ball", "shape": "sphere", "radius_m": 0.02, "material": stuff}
+    things = {
+        "zoo": [
+            {"name": "floor", "shape": "plane", "position_m": [0, 0, -0.02], "material": stuff},
+            ball | {"position_m": [0.03, 0.0, 0.0]},
+            {
+                "name": "block",
+                "shape": "box",
+                "size_m": (2 * HALF).tolist(),
+                "position_m": [-0.03, 0.01, 0.0],
+                "orientation_wxyz": TURNED,
+                "material": stuff,
+            },
+        ],
+        "ball": [ball],
+        "hollow ball": [ball | {"radius_m": 0.05, "inside": True}],
+        "rod": [ball | {"shape": "cylinder"}],
+        "floor": [{"name": "floor", "shape": "plane", "material": stuff}],
+        "ball elsewhere": [ball | {"position_m": list(at)}],
+    }[kind]
+    tables = {
+        "grip": {"rolling": {"method": "euler_zxz"}},
+        "slick": {},
+        "springs": {"rolling": {"method": "rotation_vector"}, "coupling": {"damping_ns_per_m": 0.0}},
+    }[material]
+    return build(Scene, {"fingertip": {"radius_m": R}, "object": things, **tables}, "invariants")
+
+
+@functools.cache
+def engine(kind, material="grip"):
+    return Engine(scene(kind, material))
+
+
+def gaps(x):
+    """Distances (3, n) of points (n, 3) from the zoo's objects, in formulas of their own."""
+    local = (x - np.array([-0.03, 0.01, 0.0])) @ rotation(TURNED)
+    beyond = np.abs(local) - HALF
+    block = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+    return np.array([x[:, 2] + 0.02, np.linalg.norm(x - np.array([0.03, 0.0, 0.0]), axis=1) - 0.02, block])
+
+
+def visits(start, found):
+    """Poses (n + 1, 7): the point `start`, then one within 60 mm for each row (n, 6), turned by up to 0.1 rad each."""
+    orientations, _ = walk(np.vstack([np.zeros(3), 0.1 * found[:, 3:]]), len(found) + 1)
+    return np.hstack([np.vstack([start, 0.06 * found[:, :3]]), orientations])
+
+
+def visit(running, poses):
+    """Records (n, RECORD_SIZE) of a fresh contact."""
+    running.reset()
+    return running.run(poses)
+
+
+ABOVE = (0.0, 0.0, 0.055)
+"""Outside of everything: what begins inside stays inside."""
+
+
+@CASES
+@given(numbers(6, 6), st.integers(1, 6))
+def test_proxy_is_never_inside_any_object(found, count):
+    """After every tick the fingertip's sphere about the proxy is outside all objects, unless it began inside one."""
+    records = visit(engine("zoo"), visits(ABOVE, found[:count]))
+    # The solve stops at 1e-10 of the radius; these formulas round too.
+    assert gaps(column(records, "proxy.position", 3)).min() > R * (1.0 - 1e-9)
+
+
+@CASES
+@given(numbers(6, 6), st.integers(1, 6))
+def test_force_is_within_the_friction_cone_and_never_pulls(found, count):
+    """The tangential force is at most mu_s times the normal force, which is not negative; torsion keeps its limit."""
+    records = visit(engine("ball"), visits(0.06 * found[0, :3], found[:count]))
+    normal = column(records, "contact.normal_force")
+    assert (normal >= 0.0).all()
+    assert (column(records, "contact.tangential_force") <= 0.6 * normal * (1.0 + 1e-9) + 1e-15).all()
+    moment = np.sum(column(records, "torque", 3) * column(records, "contact.normal", 3), axis=1)
+    assert (np.abs(moment) <= 0.004 * normal * (1.0 + 1e-9) + 1e-15).all()
+
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
+AXES = {"ball": (1.0, 1.0, 1.0), "hollow ball": (1.0, 1.0, 1.0), "rod": (1.0, 1.0, 0.0)}
+"""Coordinates that count for the distance from the middle or the axis."""
+REACH = {"ball": 0.03, "hollow ball": 0.04, "rod": 0.03}
+"""That distance, m, where the fingertip touches: the radii's sum, or their difference inside."""
+
+
+def legs_of_force(running, corners, which, reach):
+    """Work of the rendered force on the hand (n,), J, along each side of a closed polyline of n corners (n, 3).
+
+    By Gauss's rule between the points where a side crosses the surface that the centre rests on. The path keeps
+    0.6 reach from the middle and a piece is at most 0.7 reach long, so the force is analytic in an ellipse with
+    semi-axes' sum 3.67 about a piece, and the error of 12 nodes is about 3.67^-24 = 3e-14 of the work.
+    """
+    ways = np.roll(corners, -1, axis=0) - corners
+    squares, rests = np.sum(which * ways**2, axis=1), np.sum(which * corners**2, axis=1) - reach**2
+    halves = np.sum(which * ways * corners, axis=1)
+    pieces = []
+    for side, (square, half, rest) in enumerate(zip(squares.tolist(), halves.tolist(), rests.tolist(), strict=True)):
+        root = max(half * half - square * rest, 0.0) ** 0.5
+        cuts = [t for t in ((-half - root) / square, (-half + root) / square) if 0.0 < t < 1.0] if square > 0.0 else []
+        pieces += [(side, begin, end) for begin, end in zip([0.0, *cuts], [*cuts, 1.0], strict=True)]
+    sides, begins, ends = (np.array(values) for values in zip(*pieces, strict=True))
+    shares = begins[:, None] + 0.5 * (ends - begins)[:, None] * (NODES + 1.0)
+    poses = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (shares.size, 1))
+    poses[:, :3] = (corners[sides, None] + shares[:, :, None] * ways[sides, None]).reshape(-1, 3)
+    running.reset()
+    force = column(running.run(poses), "force", 3).reshape(*shares.shape, 3)
+    work = np.einsum("pni,n,pi->p", force, WEIGHTS, 0.5 * (ends - begins)[:, None] * ways[sides])
+    return np.bincount(sides, work, len(corners))
+
+
+@pytest.mark.parametrize("kind", list(REACH))
+def test_closed_cycle_of_a_frictionless_contact_gives_no_energy(kind):
+    """Round a random closed polyline the rendered force does no work, and on each side what K depth^2 / 2 loses."""
+    running, reach, which = engine(kind, "slick"), REACH[kind], np.array(AXES[kind])
+
+    @CASES
+    @given(numbers(6, 3), st.integers(4, 6))
+    def check(found, count):
+        # All corners in a ball of 0.35 reach about a point at 0.95 reach: partly in contact, never near the middle.
+        toward = found[0] * which
+        size = np.linalg.norm(toward)
+        middle = 0.95 * reach * (toward / size if size > 0.0 else np.array([1.0, 0.0, 0.0]))
+        corners = middle + 0.35 * reach * found[1:count] / np.sqrt(3.0)
+        depth = reach - np.sqrt(np.sum(which * corners**2, axis=1))
+        energy = 0.5 * 1000.0 * np.maximum(-depth if kind == "hollow ball" else depth, 0.0) ** 2
+        work = legs_of_force(running, corners, which, reach)
+        # Of forces up to 16 N along sides of up to 28 mm, by the rule above and by rounding.
+        assert np.abs(work - energy + np.roll(energy, -1)).max() < 2e-14
+        assert abs(work.sum()) < 4e-14
+
+    check()
+
+
+def cycle(at, goals, turns, ticks=8):
+    """Poses (n, 7) that leave `at` (3,) for one goal (3,) after the other, each turned to in `ticks` ticks, and come
+    back as they began."""
+    x, q, shares = at, np.array([1.0, 0.0, 0.0, 0.0]), np.arange(1, ticks + 1)[:, None] / ticks
+    poses = [np.concatenate([x, q])[None]]
+    for goal, turned in [*zip(goals, turns, strict=True), (at, None)]:
+        if turned is None:  # back the way that is left
+            (turned,) = axis_angles(np.array([q, [1.0, 0.0, 0.0, 0.0]]))
+        angle = np.linalg.norm(turned)
+        vector = 0.5 * np.sinc(shares * angle / (2.0 * np.pi)) * shares * turned
+        orientations = product(np.hstack([np.cos(0.5 * shares * angle), vector]).T, q).T
+        poses.append(np.hstack([x + shares * (goal - x), orientations]))
+        x, q = goal, orientations[-1]
+    return np.concatenate(poses)
+
+
+@CASES
+@given(numbers(4, 6), st.integers(1, 4))
+def test_closed_cycle_on_a_plane_with_friction_gives_no_energy(found, count):
+    """Pressed, rolled, dragged, spun and brought back, the hand has put in all along what the springs store, or more.
+
+    Exactly, whatever the time step, with each tick's motion against the wrench at its end: the springs' energy is
+    convex on a plane, and a slip is towards the probe.
+    """
+    running = engine("floor", "springs")
+    running.reset()
+    goals = np.array([0.0, 0.0, R - 0.001]) + found[:count, :3] * [0.004, 0.004, 0.002]
+    records = running.run(cycle(np.array([0.0, 0.0, R + 0.002]), goals, 0.3 * found[:count, 3:]))
+    # Sums of up to forty terms of up to 1e-2 J.
+    assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
+
+
+@CASES
+@given(numbers(4, 6), st.integers(1, 4))
+def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
+    """The same on a ball, up to what a tick misses of the normal's turn.
+
+    The proxy goes l = |slip| + r |turn| in a tick, the normal turns by up to l / D, D the sum of the radii, and what
+    was tangent lies l^2 / D beside the surface. The wrench at the end of the tick belongs to the last normal: the
+    account misses up to the force times l^2 / D, the moment times the turn times l / D, and the springs' K / 2 times
+    the square of l^2 / D. All are at least of second order in the tick's motion.
+    """
+    running, reach = engine("ball", "springs"), R + 0.02
+    running.reset()
+    outward = np.array([0.0, 0.0, reach]) + found[:count, :3] * [0.004, 0.004, 0.0]
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    goals = outward * (reach - 0.001 + 0.002 * found[:count, 2:3])
+    records = running.run(cycle(np.array([0.0, 0.0, reach + 0.002]), goals, 0.3 * found[:count, 3:]))
+    turned = np.linalg.norm(axis_angles(column(records, "probe.orientation", 4)), axis=1)
+    way = np.linalg.norm(np.diff(column(records, "proxy.position", 3), axis=0), axis=1) + R * turned
+    force = np.linalg.norm(column(records, "force", 3), axis=1)[1:]
+    moment = np.abs(K_Z * column(records, "contact.spin"))[1:]
+    missed = np.cumsum((force * way + moment * turned) * way / reach + 0.5 * 1000.0 * (way**2 / reach) ** 2)
+    assert ((work_of_the_hand(records) - stored_energy(records))[1:] + missed).min() > -1e-14
+
+
+@CASES
+@given(quaternion, shift, numbers(4, 6), st.integers(2, 4))
+def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
+    """A rigid motion of the whole world, scene and hand, moves all results with it."""
+    turned = np.asarray(q) / np.linalg.norm(q)
+    matrix, center = rotation(turned), np.asarray(moved)
+    # Begins outside: a first pose in the very middle of the ball has no normal but the coordinates' own.
+    poses = visits((0.05, 0.02, 0.03), found[:count])
+    one = visit(engine("ball"), poses)
+    there = engine("ball elsewhere")
+    there.tune(scene("ball elsewhere", at=center.tolist()))
+    other = visit(there, np.hstack([poses[:, :3] @ matrix.T + center, product(turned, poses[:, 3:].T).T]))
+    modes = column(one, "contact.mode") == column(other, "contact.mode")
+    same = len(modes) if modes.all() else int(np.argmin(modes))
+    if same < len(modes):
+        # Only where a threshold is met to the last digit: that of touching, or that of the friction cone.
+        room = 0.6 * column(one, "contact.normal_force") - column(one, "contact.tangential_force")
+        assert abs(np.linalg.norm(poses[same, :3]) - 0.03) < 1e-9 or abs(room[same]) < 1e-9
+    one, other = one[:same], other[:same]
+    # Rounding of coordinates up to 1 m against a radius of 10 mm, through a few ticks, times 1000 N/m.
+    for name, shifted, error in (("force", 0.0, 1e-9), ("torque", 0.0, 1e-9), ("proxy.position", center, 1e-12)):
+        expected = column(one, name, 3) @ matrix.T + shifted
+        assert np.abs(column(other, name, 3) - expected).max() < error, name
+
+
+@CASES
+@given(numbers(6, 6), st.integers(1, 6))
+def test_finger_side_point_is_exactly_that_of_the_orientation(found, count):
+    """The contact on the fingertip is -r R^T n, so it cannot drift from the orientation."""
+    records = visit(engine("zoo"), visits(0.06 * found[0, :3], found[:count]))
+    for record in records[column(records, "contact.mode") > 0.0]:
+        (normal,), (finger,) = (column(record[None], f"contact.{name}", 3) for name in ("normal", "finger_point"))
+        (orientation,) = column(record[None], "probe.orientation", 4)
+        assert np.abs(finger + R * rotation(orientation).T @ normal).max() <= 1e-16 * 10
+        assert abs(np.linalg.norm(normal) - 1.0) < 1e-14
+
+
+anything = st.floats(-1e6, 1e6)
+any_quaternion = st.tuples(*[st.floats(-1e6, 1e6)] * 4).filter(lambda q: 1e-6 <= np.linalg.norm(q) <= 1e6)
+any_dt = st.one_of(st.just(0.0), st.floats(1e-9, 1e3))
+
+
+@CASES
+@given(st.lists(st.tuples(st.tuples(anything, anything, anything), any_quaternion, any_dt), min_size=1, max_size=4))
+def test_no_finite_input_gives_anything_but_finite_output(ticks):
+    """Poses a thousand kilometres apart, any rotation, any time step: every number that comes out is finite."""
+    running = engine("zoo")
+    running.reset()
+    for position, orientation, dt in ticks:
+        assert np.isfinite(running.run([[*position, *orientation]], dt)).all()
+
+
+@numba.njit(**OPTIONS)
+def as_matrices(quaternions, out):
+    """Rotation matrices (n, 3, 3) of what the kernels make of quaternions (n, 4) of any length: unit ones first."""
+    for i in range(quaternions.shape[0]):
+        q = rotations.normalize((quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]))
+        for k in range(3):
+            axis = (1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0)
+            out[i, 0, k], out[i, 1, k], out[i, 2, k] = rotations.rotate(q, axis)
+
+
+@numba.njit(**OPTIONS)
+def walk_by(turns, steps, out):
+    """Orientations (n, 4) of a walk by rotation vectors (n, 3), and `relative` of each to the one before."""
+    q = (1.0, 0.0, 0.0, 0.0)
+    for i in range(turns.shape[0]):
+        before = q
+        turn = rotations.exp((turns[i, 0], turns[i, 1], turns[i, 2]))
+        q = rotations.normalize(rotations.multiply(turn, before))
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = q
+        steps[i, 0], steps[i, 1], steps[i, 2], steps[i, 3] = rotations.relative(q, before)
+
+
+def walk(turns, ticks):
+    """Orientations (ticks, 4) of a walk by rotation vectors (n, 3), over and over, and its steps (ticks, 4)."""
+    orientations, steps = np.empty((ticks, 4)), np.empty((ticks, 4))
+    walk_by(np.resize(turns, (ticks, 3)), steps, orientations)
+    return orientations, steps
+
+
+@numba.njit(**OPTIONS)
+def moved_pose(motion, pose, time, out):
+    """Orientation (4,) of an object that rests at `pose`, at `time` s."""
+    out[0], out[1], out[2], out[3] = pose_at(motion, pose, time).orientation
+
+
+ULP = np.finfo(float).eps
+
+
+def assert_rotations(matrices):
+    """R^T R = 1 and det R = +1: an entry is some ten operations on numbers of up to 2, each off by half an ulp."""
+    assert np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() <= 16 * ULP
+    assert np.abs(np.linalg.det(matrices) - 1.0).max() <= 24 * ULP
+
+
+def matrices_of(quaternions):
+    out = np.empty((len(quaternions), 3, 3))
+    as_matrices(np.ascontiguousarray(quaternions, float), out)
+    return out
+
+
+@CASES
+@given(numbers(1, 4), st.floats(-6.0, 6.0))
+def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
+    """From 1e-6 to 1e6 long, a quaternion becomes the rotation it stands for, orthogonal to some ulp."""
+    if not found.any():
+        return
+    q = 10.0**exponent * found / np.linalg.norm(found)
+    matrices = matrices_of(q)
+    assert_rotations(matrices)
+    np.testing.assert_allclose(matrices[0], rotation(q[0]), atol=16 * ULP)
+
+
+@CASES
+@given(numbers(3, 3), st.integers(1, 300))
+def test_a_walk_of_rotations_stays_rotations(found, ticks):
+    """After up to 300 turns, each from the one before, orientation and step are unit and no drift has come together."""
+    orientations, steps = walk(3.0 * found, ticks)
+    # One product and one normalisation from unit again, whatever the tick; a step is the product of two unit ones.
+    assert np.abs(np.linalg.norm(orientations, axis=1) - 1.0).max() <= 4 * ULP
+    assert np.abs(np.linalg.norm(steps, axis=1) - 1.0).max() <= 8 * ULP
+    assert (steps[:, 0] >= 0.0).all()
+    assert_rotations(matrices_of([orientations[-1], steps[-1]]))
+
+
+@CASES
+@given(numbers(1, 7), st.floats(-100.0, 100.0), st.floats(0.0, 1e9))
+def test_poses_of_moving_objects_stay_rotations(found, rate, time):
+    """Thirty years on, a turntable and a sinusoid have turned their object by a rotation."""
+    q, axis = found[0, :4], found[0, 4:]
+    if not (q.any() and axis.any()):
+        return
+    unit = tuple((axis / np.linalg.norm(axis)).tolist())
+    rest, zero = model.Pose((0.1, 0.2, 0.3), tuple((q / np.linalg.norm(q)).tolist())), (0.0, 0.0, 0.0)
+    out = np.empty((2, 4))
+    moved_pose(model.Turntable(unit, rate, (0.0, 0.0, 0.1)), rest, time, out[0])
+    moved_pose(model.Sinusoid(zero, unit, 3.0, abs(rate), 0.5), rest, time, out[1])
+    assert np.abs(np.linalg.norm(out, axis=1) - 1.0).max() <= 8 * ULP
+    assert_rotations(matrices_of(out))
+
+
+@CASES
+@given(numbers(3, 3), st.floats(1e-4, 2e-3))
+def test_contact_keeps_its_directions_over_many_ticks(found, deep):
+    """Over two hundred ticks of rolling on a ball, normal and finger-side point neither grow nor shrink."""
+    running = engine("ball", "springs")
+    running.reset()
+    poses = np.tile([0.0, 0.0, R + 0.02 - deep, 0.0, 0.0, 0.0, 0.0], (200, 1))
+    poses[:, 3:], _ = walk(0.3 * found, 200)
+    records = running.run(poses)
+    assert column(records, "contact.mode").all()
+    assert np.abs(np.linalg.norm(column(records, "contact.normal", 3), axis=1) - 1.0).max() <= 16 * ULP
+    finger = np.linalg.norm(column(records, "contact.finger_point", 3), axis=1)
+    assert np.abs(finger - R).max() <= 16 * ULP * R

@@ -1,0 +1,337 @@
+"""Compiled kernels on disk: what is loaded, what is refused, and that nothing about them keeps a start from running.
+
+Real processes, real damage, a real full disk; where the suite runs as root, real other users.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numba
+import pytest
+
+from softfinger.proxy.kernels.model import Plane
+from softfinger.proxy.kernels.native import jit
+from softfinger.proxy.kernels.native.kept import MAGIC, Folder, Unsound, _kinds, make_private
+from softfinger.proxy.kernels.native.rows import Rows
+
+STRANGER = 54321
+"""A user without an entry in passwd."""
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="makes files of other users")
+
+INNER = """
+from softfinger.proxy.kernels.native.jit import jit
+
+FACTOR = 2.0
+
+@jit
+def scaled(x):
+    return FACTOR * x
+"""
+OUTER = """
+from inner import scaled
+from softfinger.proxy.kernels.native.jit import entry
+
+@entry
+def kernel(x):
+    return scaled(x) + 1.0
+
+print(kernel(1.5), sum(kernel.stats.cache_hits.values()))
+"""
+ALLOCATES = """
+import sys
+import numpy as np
+from numba import types
+from softfinger.proxy.kernels.native.jit import c_function
+
+@c_function(types.int64(types.int64))
+def kernel(n):
+    return np.zeros(n).size
+
+compiler = {"numba.np.arraymath", "scipy.linalg"} & sys.modules.keys()
+print(kernel.ctypes(1000), kernel.cache_hits, bool(compiler))
+"""
+PACKAGE_KERNELS = "import softfinger.drivers.replay.device as r; print('runs', r._read.address != 0)"
+"""Imports a driver: four kernels with C addresses."""
+
+
+@pytest.fixture
+def scripts(tmp_path: Path) -> Path:
+    """A folder with a kernel that inlines code from another file."""
+    folder = tmp_path / "scripts"
+    folder.mkdir()
+    (folder / "inner.py").write_text(INNER)
+    (folder / "outer.py").write_text(OUTER)
+    return folder
+
+
+def start(
+    what: Path | str, cache: Path | str, prepare: Callable[[], None] | None = None, **env: str | None
+) -> tuple[str, str]:
+    """Run a script or code in a process of its own; returns what it printed and what it said. It must not fail."""
+    command = [sys.executable, "-B", *(["-c", what] if isinstance(what, str) else [str(what)])]
+    changed = {"SOFTFINGER_CACHE_DIR": str(cache), **env}
+    environment = {k: v for k, v in (os.environ | changed).items() if v is not None}
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=300, check=False, preexec_fn=prepare
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip(), done.stderr
+
+
+def kernels(cache: Path) -> list[Path]:
+    return sorted(cache.rglob("*.kernel"))
+
+
+def test_a_kernel_is_kept_and_loaded_again(scripts: Path, tmp_path: Path) -> None:
+    """The second process loads what the first compiled, without a word; the folder is the user's alone."""
+    cache = tmp_path / "cache"
+    assert start(scripts / "outer.py", cache) == ("4.0 0", "")
+    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
+    (kept,) = kernels(cache)
+    for folder in (cache, kept.parent):
+        assert folder.stat().st_mode & 0o777 == 0o700
+    assert kept.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_hit_brings_in_no_compiler(scripts: Path, tmp_path: Path) -> None:
+    """What numba needs to compile, and SciPy with it, would be most of what a start imports: a hit does without."""
+    cache, outer = tmp_path / "cache", scripts / "outer.py"
+    outer.write_text(f"import sys\n{OUTER}\nprint(bool({{'numba.np.arraymath', 'scipy.linalg'}} & sys.modules.keys()))")
+    assert start(outer, cache) == ("4.0 0\nTrue", "")
+    assert start(outer, cache) == ("4.0 1\nFalse", "")
+
+
+def test_a_kernel_finds_what_only_numba_offers(tmp_path: Path) -> None:
+    """One that calls numba's allocator is loaded with it: LLVM ends a program where an address is missing."""
+    script, cache = tmp_path / "allocates.py", tmp_path / "cache"
+    script.write_text(ALLOCATES)
+    assert start(script, cache) == ("1000 0 True", "")
+    assert start(script, cache) == ("1000 1 True", "")
+
+
+@pytest.mark.parametrize("place", [0.0, 0.01, 0.5, 0.999])
+def test_a_flipped_bit_is_found(scripts: Path, tmp_path: Path, place: float) -> None:
+    """One bit changed anywhere in the file: it is said, the kernel is compiled anew, and kept whole again."""
+    cache = tmp_path / "cache"
+    start(scripts / "outer.py", cache)
+    (kept,) = kernels(cache)
+    data = bytearray(kept.read_bytes())
+    data[int(place * len(data))] ^= 0x10
+    kept.write_bytes(data)
+    printed, said = start(scripts / "outer.py", cache)
+    assert printed == "4.0 0" and "compiled anew: damaged" in said
+    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
+
+
+@pytest.mark.parametrize("damage", ["empty", "short", "fifo", "link", "other pickle"])
+def test_what_is_no_kept_kernel_is_compiled_anew(scripts: Path, tmp_path: Path, damage: str) -> None:
+    """Files that a crash, a full disk or an accident left behind end no start, and are replaced."""
+    cache = tmp_path / "cache"
+    start(scripts / "outer.py", cache)
+    (kept,) = kernels(cache)
+    whole = kept.read_bytes()
+    kept.unlink()
+    if damage == "empty":
+        kept.touch()
+    elif damage == "short":
+        kept.write_bytes(whole[: len(whole) // 2])
+    elif damage == "fifo":
+        os.mkfifo(kept)
+    elif damage == "link":
+        (tmp_path / "elsewhere").write_bytes(whole)
+        kept.symlink_to(tmp_path / "elsewhere")
+    else:
+        body = pickle.dumps("no kernel")
+        kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
+    printed, said = start(scripts / "outer.py", cache)
+    assert printed == "4.0 0" and "compiled anew" in said
+    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
+
+
+def test_an_edit_is_obeyed_where_nothing_can_be_kept(scripts: Path) -> None:
+    """Without a folder to write to kernels are compiled in memory and nowhere else: an edit of inlined code counts."""
+    printed, said = start(scripts / "outer.py", "/dev/null/none")
+    assert printed == "4.0 0"
+    assert said.count("not kept") == 1 and "SOFTFINGER_CACHE_DIR" in said
+    inner = scripts / "inner.py"
+    inner.write_text(inner.read_text().replace("FACTOR = 2.0", "FACTOR = 0.25"))
+    assert start(scripts / "outer.py", "/dev/null/none")[0] == "1.375 0"
+    assert sorted(path.name for path in scripts.rglob("*")) == ["inner.py", "outer.py"]
+
+
+def test_an_edit_beside_a_kernel_of_another_package_is_obeyed(scripts: Path, tmp_path: Path) -> None:
+    """A driver outside of this program may inline from its own package: an edit there compiles it anew, too."""
+    (scripts / "__init__.py").touch()
+    assert start(scripts / "outer.py", tmp_path / "cache") == ("4.0 0", "")
+    inner = scripts / "inner.py"
+    inner.write_text(inner.read_text().replace("FACTOR = 2.0", "FACTOR = 0.25"))
+    assert start(scripts / "outer.py", tmp_path / "cache")[0] == "1.375 0"
+
+
+def test_it_is_said_once() -> None:
+    """A process of several kernels that cannot be kept says so once."""
+    printed, said = start(PACKAGE_KERNELS, "/dev/null/none")
+    assert printed == "runs True" and said.count("not kept") == 1
+
+
+def test_a_full_disk_is_no_reason_not_to_run(tmp_path: Path) -> None:
+    """Files that cannot be written whole are not left behind; the program runs and says what is missing."""
+
+    def no_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    printed, said = start(PACKAGE_KERNELS, tmp_path / "cache", no_room)
+    assert printed == "runs True" and said.count("not kept") == 1 and "make room" in said
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
+
+
+@as_root
+def test_a_disk_without_room(tmp_path: Path) -> None:
+    """The same on a file system that is full."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=8k,mode=0700", "tmpfs", str(disk)]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip("this sandbox may not mount")
+    try:
+        printed, said = start(PACKAGE_KERNELS, disk / "cache")
+        assert printed == "runs True" and said.count("not kept") == 1 and "No space left" in said
+        assert start(PACKAGE_KERNELS, disk / "cache")[0] == "runs True"
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None:
+    """Processes that compile the same kernel into the same folder at the same time leave one whole file."""
+    cache = tmp_path / "cache"
+    command = [sys.executable, "-B", str(scripts / "outer.py")]
+    environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
+    running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    assert [process.communicate(timeout=300)[0].split()[0] for process in running] == ["4.0"] * 4
+    assert [path.suffix for path in cache.rglob("*") if path.is_file()] == [".kernel"]
+    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
+
+
+def test_no_home_is_no_reason_not_to_run(monkeypatch: pytest.MonkeyPatch, scripts: Path) -> None:
+    """Without HOME and without an entry in passwd there is no folder, which is said; a process still starts."""
+    for name in ("HOME", "XDG_CACHE_HOME", "SOFTFINGER_CACHE_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    with monkeypatch.context() as patch:
+        patch.setattr("pwd.getpwuid", lambda uid: {}[uid])
+        assert jit._cache_root() is None
+    problem = Folder(None).problem()
+    assert problem is not None and "SOFTFINGER_CACHE_DIR" in problem
+
+
+@as_root
+def test_a_user_without_a_name_still_starts() -> None:
+    """The same with a real user whom passwd does not know."""
+
+    def become() -> None:
+        os.setgroups([])
+        os.setgid(STRANGER)
+        os.setuid(STRANGER)
+
+    try:
+        subprocess.run([sys.executable, "-c", "import numba"], check=True, preexec_fn=become, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("other users may not read this Python")
+    nowhere = {"HOME": None, "XDG_CACHE_HOME": None, "SOFTFINGER_CACHE_DIR": None}
+    printed, said = start(PACKAGE_KERNELS, "", become, **nowhere)
+    assert printed == "runs True" and said.count("not kept") == 1 and "no home" in said
+
+
+# --- other users -----------------------------------------------------------------------------------
+
+
+class Planted:
+    """Unpickled, it leaves a file behind."""
+
+    def __init__(self, proof: Path) -> None:
+        self.proof = proof
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return os.mkdir, (str(self.proof),)
+
+
+@as_root
+@pytest.mark.parametrize("whose", ["all", "folder", "file"])
+def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path, whose: str) -> None:
+    """A pickle with a right checksum, under the name that is looked for: it runs as us if it is ours, else it does not.
+
+    The first half shows that the plant works: without the check of owners it would run.
+    """
+    cache, proof = tmp_path / "cache", tmp_path / "proof"
+    start(scripts / "outer.py", cache)
+    (kept,) = kernels(cache)
+    body = pickle.dumps(Planted(proof))
+    kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
+    start(scripts / "outer.py", cache)
+    assert proof.is_dir()
+    proof.rmdir()
+    kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
+    for path in {"all": [cache, kept.parent, kept], "folder": [kept.parent], "file": [kept]}[whose]:
+        os.chown(path, STRANGER, STRANGER)
+    printed, said = start(scripts / "outer.py", cache)
+    assert printed == "4.0 0" and not proof.exists()
+    assert ("compiled anew" if whose == "file" else f"belongs to user {STRANGER}") in said
+
+
+def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:
+    """The folder itself, one above it, or one that a link leads through; a sticky one only above."""
+    for number, mode in enumerate((0o777, 0o775, 0o770, 0o1777)):
+        folder = tmp_path / str(number)
+        (folder / "own").mkdir(parents=True)
+        folder.chmod(mode)
+        with pytest.raises(Unsound, match="can be written by other users"):
+            make_private(folder)
+        if mode & 0o1000:
+            make_private(folder / "own")
+            continue
+        with pytest.raises(Unsound, match="can be written by other users"):
+            make_private(folder / "own")
+        link = tmp_path / f"link-{number}"
+        link.symlink_to(folder / "own")
+        with pytest.raises(Unsound, match="can be written by other users"):
+            make_private(link)
+
+
+def test_links_of_the_user_are_followed(tmp_path: Path) -> None:
+    """A cache moved to another disk by a link is as good as any; a circle is not."""
+    (tmp_path / "disk").mkdir(mode=0o700)
+    (tmp_path / "link").symlink_to("disk")
+    make_private(tmp_path / "link" / "new")
+    assert (tmp_path / "disk" / "new").is_dir()
+    (tmp_path / "circle").symlink_to("circle")
+    with pytest.raises(Unsound, match="without end"):
+        make_private(tmp_path / "circle" / "new")
+
+
+@as_root
+def test_links_of_another_user_are_not(tmp_path: Path) -> None:
+    """In a folder that all may write to, such as /tmp, a link may be anybody's, and lead anywhere tomorrow."""
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(0o1777)
+    (tmp_path / "ours").mkdir(mode=0o700)
+    link = tmp_path / "shared" / "link"
+    link.symlink_to(tmp_path / "ours")
+    make_private(link)
+    os.lchown(link, STRANGER, STRANGER)
+    with pytest.raises(Unsound, match=f"belongs to user {STRANGER}"):
+        make_private(link)
+
+
+def test_a_class_is_seen_wherever_a_signature_has_it() -> None:
+    """In a tuple, in rows of many, behind a type given as an argument: a kernel is kept under its file, too."""
+    plane = Plane((0.0, 0.0, 1.0), 0.0)
+    for given in (plane, (1.0, plane), Rows([plane, plane])):
+        kind = numba.typeof(given)
+        assert Plane in _kinds((kind,)) and Plane in _kinds((numba.types.TypeRef(kind),))

@@ -1,0 +1,49 @@
+"""Named tuples of many values are built by keyword: a value in the wrong place of twenty is seen by nobody."""
+
+import ast
+from pathlib import Path
+
+import numba
+import pytest
+
+from softfinger.proxy.kernels.model import Patch
+
+KERNELS = Path(__file__).parents[2] / "proxy" / "kernels"
+BY_POSITION_MAX = 6
+"""As many values are read at a glance: two points, or three weights and what they weigh."""
+
+
+def named_tuples():
+    """Names of all NamedTuple classes that kernels have."""
+    classes = (node for tree in trees() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    return {node.name for node in classes if any(ast.unparse(base) == "NamedTuple" for base in node.bases)}
+
+
+def trees():
+    return [ast.parse(path.read_text(encoding="utf-8"), str(path)) for path in sorted(KERNELS.rglob("*.py"))]
+
+
+@pytest.mark.parametrize("path", sorted(KERNELS.rglob("*.py")), ids=lambda path: str(path.relative_to(KERNELS)))
+def test_long_tuples_are_built_by_keyword(path):
+    """No named tuple of a kernel is built from more values by position than a reader can count."""
+    known = named_tuples()
+    calls = (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call))
+    built = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in known]
+    assert [f"line {call.lineno}: {call.func.id}" for call in built if len(call.args) > BY_POSITION_MAX] == []
+
+
+def test_keywords_cost_nothing():
+    """A kernel that builds a tuple by keyword compiles to what it is by position."""
+    names = Patch._fields
+
+    def code(call):
+        scope = {"Patch": Patch}
+        exec(f"def build(x):\n    return Patch({call})", scope)
+        kernel = numba.njit(scope["build"])
+        kernel.compile((numba.float64,))
+        (text,) = kernel.inspect_asm().values()
+        return [line.split()[0] for line in text.splitlines() if line.startswith("\t") and line[1] not in ".#"]
+
+    values = [f"x + {number}.0" for number in range(len(names))]
+    by_keyword = [f"{name}={value}" for name, value in zip(names, values, strict=True)]
+    assert code(", ".join(by_keyword)) == code(", ".join(values))

@@ -1,0 +1,204 @@
+"""One limit for tangential force and moment: the surface, the way back to it, and the contact that lives on it.
+
+The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, k_z = 0.05, mu_t = 4 mm, 1 kHz.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import SceneFactory, paper_mapping
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from references.hand import Hand, drive
+from references.laws import ANISOTROPIC, Handling, column, handling
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.friction.ellipsoid import multiplier, near, shrink
+from softfinger.proxy.record import ROLLING, SLIDING
+
+R = 0.01
+F, TAU = 0.5, 0.004
+"""Semi-axes of the kinetic limit surface under 1 N, N and N m."""
+COUPLED = {"torsion": {"model": "limit_surface"}}
+
+
+def pressed(depth: float = 0.001) -> Hand:
+    """A hand that was free on its first tick and is pressed in from its second."""
+    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
+
+
+# --- the nearest point -----------------------------------------------------------------------------
+
+sizes = st.floats(-12, 12).map(lambda exponent: 10.0**exponent)
+components = st.floats(-1e3, 1e3)
+
+
+@settings(max_examples=1000, deadline=None, derandomize=True)
+@given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
+def test_nearest_point_is_on_the_surface_and_straight_below(
+    y: tuple[float, float, float], weight: tuple[float, float, float]
+) -> None:
+    """What is outside comes back onto the surface along its normal, whatever the axes; what is inside stays."""
+    m = multiplier(near(y), weight)
+    p = shrink(near(y), weight, m)
+    if np.linalg.norm(y) <= 1.0:
+        assert (m, p) == (0.0, y)
+        return
+    # The multiplier is the only unknown: on the surface with this form, the point is the nearest one.
+    assert np.linalg.norm(p) == pytest.approx(1.0, abs=1e-14)
+    assert m >= 0.0
+    exact = np.array(y) / (1.0 + np.array(weight) * m)
+    # The last scaling onto the surface takes no more than Newton's tolerance.
+    assert np.array(p) == pytest.approx(exact, rel=1e-13, abs=1e-300)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
+def test_multiplier_equals_bisection(y: tuple[float, float, float], weight: tuple[float, float, float]) -> None:
+    """Newton's multiplier is the one that halving an interval finds, which needs no derivative."""
+    if np.linalg.norm(y) < 1.0 + 1e-6:
+        return
+    w = np.array(weight)
+
+    def outside(m: float) -> bool:
+        return bool(np.linalg.norm(np.array(y) / (1.0 + w * m)) > 1.0)
+
+    low, high = 0.0, 1.0 / min(weight)
+    while outside(high):
+        high *= 2.0
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if outside(middle) else (low, middle)
+    # Ill-conditioned where the surface is all but flat along the way back: compare the points, not the multipliers.
+    expected = np.array(y) / (1.0 + w * high)
+    assert np.array(shrink(y, weight, multiplier(y, weight))) == pytest.approx(expected, abs=1e-9)
+
+
+# --- the contact -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.002, 0.02, 0.2])
+@pytest.mark.parametrize("rate", [-50.0, 0.5, 5.0])
+def test_steady_slip_divides_the_limit(plane_scene: SceneFactory, speed: float, rate: float) -> None:
+    """Slipping at v and spinning at omega: f = F^2 v / N and tau = tau_max^2 omega / N, N = |(F v, tau_max omega)|."""
+    # Until the springs have turned to their final ratio: ten wind-ups of the slower of the two.
+    seconds = min(10 * 0.08 / abs(rate), 10 * 0.5e-3 / speed if speed > 0.0 else np.inf) + 0.3
+    ticks = int(1000 * seconds)
+    scene = plane_scene(material=COUPLED)
+    poses = pressed().poses
+    for i in range(1, ticks + 1):
+        angle = rate * i / 2000
+        poses.append(np.array([speed * i / 1000, 0, R - 0.001, np.cos(angle), 0, 0, np.sin(angle)]))
+    records = Engine(scene).run(np.array(poses))
+    norm = np.hypot(F * speed, TAU * rate)
+    # A slip that is almost all spin turns the force to its direction slowly: 1e-6 of F is left at the slowest.
+    assert column(records, "force", 3)[-1, 0] == pytest.approx(-(F**2) * speed / norm, abs=1e-6)
+    assert column(records, "torque", 3)[-1, 2] == pytest.approx(-(TAU**2) * rate / norm, abs=1e-8)
+
+
+@pytest.mark.parametrize("heading", [0.3, 2.0])
+def test_steady_slip_on_an_anisotropic_surface(plane_scene: SceneFactory, heading: float) -> None:
+    """With three axes a, b, t: force and moment are (a^2 v_x, b^2 v_y, t^2 omega) / |(a v_x, b v_y, t omega)|."""
+    velocity, rate = 0.02 * np.array([np.cos(heading), np.sin(heading)]), 4.0
+    scene = plane_scene(material={**COUPLED, "friction": ANISOTROPIC})
+    trace = drive(Engine(scene), pressed().go(800, move=[*(0.8 * velocity), 0], turn=[0, 0, 0.8 * rate]))
+    a, b = 0.5 * 0.9, 0.5 * 0.4
+    norm = np.linalg.norm([a * velocity[0], b * velocity[1], TAU * rate])
+    expected = -np.array([a**2 * velocity[0], b**2 * velocity[1]]) / norm
+    assert trace.force[-1, :2] == pytest.approx(expected, abs=1e-8)
+    assert trace.torque[-1, 2] == pytest.approx(-(TAU**2) * rate / norm, abs=1e-10)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+def test_a_wound_finger_breaks_loose_earlier(plane_scene: SceneFactory, share: float) -> None:
+    """With a share s of the torsional limit in use, sqrt(1 - s^2) of the static cone is left to drag against."""
+    hand = pressed().go(100, turn=[0, 0, share * 0.08])
+    start = hand.at
+    trace = drive(Engine(plane_scene(material=COUPLED)), hand.go(200, move=[200 * 7e-6, 0, 0]))
+    slide = trace.events[1]
+    assert slide == (start + int(np.ceil(0.6e-3 * np.sqrt(1 - share**2) / 7e-6)), "drag")
+    # On that tick the load is at most one step of the drag outside, and comes back to the static surface.
+    on = (trace.tangential[slide[0]] / 0.6) ** 2 + (trace.torque[slide[0], 2] / TAU) ** 2
+    assert on == pytest.approx(1.0, abs=1e-12)
+
+
+def test_inside_the_surface_nothing_is_coupled(plane_scene: SceneFactory) -> None:
+    """Short of the limit, and for a drag or a spin alone, the forces are those of the independent model."""
+    hand = pressed().go(50, move=[2e-4, 0, 0]).go(50, turn=[0, 0, 0.04]).go(50, turn=[0.01, 0, 0])
+    drag = pressed().go(300, move=[0.01, 0, 0]).go(100).go(300, move=[-0.01, 0, 0])
+    spin = pressed().go(300, turn=[0, 0, 0.3]).go(300, turn=[0, 0, -0.5])
+    for motion in (hand, drag, spin):
+        coupled, alone = drive(Engine(plane_scene(material=COUPLED)), motion), drive(Engine(plane_scene()), motion)
+        assert coupled.force == pytest.approx(alone.force, abs=1e-12)
+        assert coupled.torque == pytest.approx(alone.torque, abs=1e-14)
+        assert coupled.events == alone.events
+
+
+def test_the_surface_is_never_left(plane_scene: SceneFactory) -> None:
+    """Whatever the hand does, (f_T / mu_s f_N)^2 + (tau_n / tau_max)^2 is at most one."""
+    engine = Engine(plane_scene(material=COUPLED, coupling={"damping_ns_per_m": 1.0}))
+
+    # 90 hands of some 130 ticks: 10^4 cases.
+    @settings(max_examples=90, deadline=None, derandomize=True)
+    @given(handling())
+    def check(hand: Handling) -> None:
+        engine.reset()
+        records = engine.run(hand.poses)
+        normal = column(records, "contact.normal_force")
+        force, moment = column(records, "contact.tangential_force"), column(records, "torque", 3)[:, 2]
+        pushed = normal > 0.0
+        assert (force[~pushed] == 0.0).all()
+        assert (moment[~pushed] == 0.0).all()
+        on = (force[pushed] / (0.6 * normal[pushed])) ** 2 + (moment[pushed] / (0.004 * normal[pushed])) ** 2
+        assert (on <= 1.0 + 1e-9).all()
+
+    check()
+
+
+def test_a_pure_spin_after_a_slide_goes_on_slipping(plane_scene: SceneFactory) -> None:
+    """A slide that turns into a spin on the spot keeps slipping, and its force passes over into the moment."""
+    hand = pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0])
+    trace = drive(Engine(plane_scene(material=COUPLED)), hand)
+    assert trace.causes == ["touch", "drag"]
+    assert (trace.mode[300:] == SLIDING).all()
+    assert trace.tangential[-1] < 1e-6
+    assert trace.torque[-1, 2] == pytest.approx(-TAU, rel=1e-9)
+
+
+@pytest.mark.parametrize("spin", [0.0, 0.4])
+def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, spin: float) -> None:
+    """Held at rest after a slip, through encoders that flicker by one step, it sticks once and stays stuck."""
+    hand, rng = pressed().go(200, move=[0.01, 0, 0], turn=[0, 0, spin]), np.random.default_rng(5)
+    x = hand.x.copy()
+    for _ in range(3000):
+        hand.go_to(1, x + 1e-5 * np.array([*rng.integers(-1, 2, 2), 0]))
+    scene = plane_scene(material=COUPLED, probe={"position_resolution_m": 1e-5})
+    trace = drive(Engine(scene), hand)
+    assert trace.causes == ["touch", "drag", "stop"]
+    assert trace.mode[-1] == ROLLING
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-12, 1.0])
+@pytest.mark.parametrize("kinetic", [0.0, 0.5])
+def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kinetic: float) -> None:
+    """A surface with no extent along one of its axes, or nearly none, gives that force and no NaN."""
+    material = {
+        "torsion": {"model": "limit_surface", "friction_length_m": length},
+        "friction": {"static": kinetic * 1.2, "kinetic": kinetic},
+    }
+    hand = pressed().go(200, move=[0.01, 0.003, 0], turn=[0, 0, 1.0]).go(50, move=[0, 0, 0.0009999]).go(3)
+    records = Engine(plane_scene(material=material)).run(np.array(hand.poses))
+    assert np.isfinite(records).all()
+    normal = column(records, "contact.normal_force")
+    assert (column(records, "contact.tangential_force") <= 1.2 * kinetic * normal * (1 + 1e-12)).all()
+    assert (np.abs(column(records, "torque", 3)[:, 2]) <= length * normal * (1 + 1e-12)).all()
+
+
+def test_limit_surface_needs_friction() -> None:
+    """A limit shared with friction that is not there is refused when the scene is read."""
+    with pytest.raises(ConfigError, match="needs friction to share its limit with"):
+        build(Scene, paper_mapping(rolling=None, material={**COUPLED, "friction": None}), "test scene")

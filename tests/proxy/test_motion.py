@@ -1,0 +1,165 @@
+"""Moving objects: their poses in closed form, the rates against differences, and the hand that feels them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from conftest import SceneFactory
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from references.hand import Array
+from references.rotation import matrix
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.geometry.motion import pose_at
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.record import AT
+from softfinger.proxy.scene import build_scene
+
+STILL = model.Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+TILTED = model.Pose((0.3, -0.1, 0.2), (0.5, 0.5, -0.5, 0.5))
+SHAKE = model.Sinusoid((0.01, 0.0, 0.02), (0.0, 0.6, 0.8), 0.4, 2.5, 0.7)
+TABLE = model.Turntable((0.0, 0.6, 0.8), 3.0, (0.05, 0.0, -0.02))
+MOTIONS = [SHAKE, TABLE]
+
+times = st.floats(0.0, 1000.0)
+both = pytest.mark.parametrize("motion", MOTIONS, ids=["sinusoid", "turntable"])
+
+
+def placed(pose: model.Pose, point: Any) -> Array:
+    """World coordinates (3,) of a point (3,) of the body."""
+    return np.asarray(matrix(np.array(pose.orientation)) @ np.asarray(point) + pose.position)
+
+
+def test_without_a_motion_an_object_stays() -> None:
+    """At any time it is where it rests, to the last bit, and so is one that is driven from outside."""
+    assert pose_at(None, TILTED, 123.4) is TILTED
+    assert pose_at(model.Driven(), TILTED, 123.4) is TILTED
+
+
+def test_sinusoid_swings_by_its_amplitude_both_ways() -> None:
+    """At rest when the sine is zero, at plus and minus the amplitude a quarter before and after."""
+    swing = model.Sinusoid((0.01, 0.0, 0.0), (0.0, 0.0, 1.0), 0.5, 2.0, 0.0)
+    for time, s in [(0.0, 0.0), (0.125, 1.0), (0.25, 0.0), (0.375, -1.0), (1000.125, 1.0)]:
+        pose = pose_at(swing, STILL, time)
+        assert pose.position == pytest.approx((0.01 * s, 0.0, 0.0), abs=1e-14)
+        assert pose.orientation == pytest.approx((math.cos(0.25 * s), 0.0, 0.0, math.sin(0.25 * s)), abs=1e-13)
+
+
+def test_the_phase_says_where_in_the_cycle_it_starts() -> None:
+    """A phase of a quarter turn starts at the amplitude."""
+    swing = model.Sinusoid((0.0, 0.0, 0.02), (0.0, 0.0, 1.0), 0.0, 5.0, math.pi / 2)
+    assert pose_at(swing, STILL, 0.0).position == pytest.approx((0.0, 0.0, 0.02))
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(times)
+def test_turntable_leaves_its_axis_alone(time: float) -> None:
+    """Every point of the axis stays, any other keeps its distance from it."""
+    pose = pose_at(TABLE, TILTED, time)
+    for along in (-1.0, 0.0, 2.0):
+        point = np.array(TABLE.pivot) + along * np.array(TABLE.axis)
+        assert placed(pose, point) == pytest.approx(placed(TILTED, point), abs=1e-13)
+    corner, pivot = (0.1, 0.2, 0.3), placed(TILTED, TABLE.pivot)
+    assert np.linalg.norm(placed(pose, corner) - pivot) == pytest.approx(
+        np.linalg.norm(placed(TILTED, corner) - pivot), rel=1e-13
+    )
+
+
+def test_turntable_turns_at_its_rate() -> None:
+    """A right angle after a quarter of its period, right-handed, and after a million turns more."""
+    table = model.Turntable((0.0, 0.0, 1.0), 2.0, (0.0, 0.0, 0.0))
+    for turns in (0.25, 1e6 + 0.25):
+        pose = pose_at(table, STILL, turns * math.pi)
+        # The time itself is a double: 3e6 s have steps of 5e-10 s, times 2 rad/s.
+        assert placed(pose, (1.0, 0.0, 0.0)) == pytest.approx([0.0, 1.0, 0.0], abs=1e-13 if turns < 1.0 else 2e-9)
+
+
+@both
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(time=times)
+def test_the_motion_goes_with_the_pose_of_rest(motion: Any, time: float) -> None:
+    """Seen from the object's frame at rest the motion is the same wherever that frame is."""
+    here, there = pose_at(motion, STILL, time), pose_at(motion, TILTED, time)
+    for point in [(0.0, 0.0, 0.0), (0.1, -0.2, 0.3)]:
+        assert placed(there, point) == pytest.approx(placed(TILTED, placed(here, point)), abs=1e-14)
+
+
+@both
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(time=st.floats(allow_nan=False, allow_infinity=False))
+def test_at_any_finite_time_the_pose_is_a_pose(motion: Any, time: float) -> None:
+    """The orientation stays a unit quaternion and the position within reach, however late it is."""
+    pose = pose_at(motion, TILTED, time)
+    assert math.hypot(*pose.orientation) == pytest.approx(1.0, abs=1e-14)
+    assert np.linalg.norm(np.array(pose.position) - TILTED.position) < 0.2
+
+
+def test_compiled_equals_plain_python() -> None:
+    """The machine code gives the poses of the Python it was made from, to the last bits."""
+    compiled = numba.njit(**OPTIONS)(lambda m, p, t: pose_at(m, p, t))
+    for motion in MOTIONS:
+        for time in np.linspace(0.0, 7.0, 57):
+            ours, plain = compiled(motion, TILTED, time), pose_at(motion, TILTED, time)
+            # Sine and cosine may be another library's: units in the last place of numbers below 4.
+            assert np.hstack(ours) == pytest.approx(np.hstack(plain), abs=1e-14)
+
+
+# --- from the file -------------------------------------------------------------------------------
+
+
+def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
+    """Axes are made unit, and what is left out is zero."""
+    swing = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2, "axis": [0, 3, 4]}
+    table = {"kind": "turntable", "rate_rad_per_s": -1, "pivot_m": [0.1, 0, 0]}
+    expected = [
+        (swing, model.Sinusoid((0.0, 0.0, 0.01), (0.0, 0.6, 0.8), 0.0, 2.0, 0.0)),
+        (table, model.Turntable((0.0, 0.0, 1.0), -1.0, (0.1, 0.0, 0.0))),
+        ({"kind": "driven"}, model.Driven()),
+    ]
+    for motion, kernel in expected:
+        built = build_scene(plane_scene(table={"motion": motion})).objects[0].motion
+        assert (type(built), built) == (type(kernel), kernel)
+    assert build_scene(plane_scene()).objects[0].motion is None
+
+
+@pytest.mark.parametrize(
+    ("motion", "said"),
+    [
+        ({"kind": "turntabel", "rate_rad_per_s": 1}, "object[0].motion.kind = 'turntabel': must be one of"),
+        ({"kind": "turntable"}, "object[0].motion.rate_rad_per_s is missing"),
+        ({"kind": "turntable", "rate_rad_per_s": 101}, "from -100 to 100 rad/s"),
+        ({"kind": "turntable", "rate_rad_per_s": 1, "axis": [0, 0, 0]}, "object[0].motion.axis = [0.0, 0.0, 0.0]"),
+        ({"kind": "sinusoid", "frequency_hz": 200}, "from 0 to 100 Hz"),
+        ({"frequency_hz": 2}, "object[0].motion.kind is missing"),
+        ([], "object[0].motion = []: must be a table"),
+    ],
+)
+def test_a_faulty_motion_is_refused_with_what_to_do(plane_scene: SceneFactory, motion: Any, said: str) -> None:
+    """A kind that is none, no rate, too fast, no axis, not a table."""
+    with pytest.raises(ConfigError) as refused:
+        plane_scene(table={"motion": motion})
+    assert said in str(refused.value)
+
+
+# --- through the engine --------------------------------------------------------------------------
+
+
+def test_a_table_that_bobs_presses_on_a_finger_that_rests(plane_scene: SceneFactory) -> None:
+    """The normal force follows the sine of the table's height, tick by tick, and nothing else happens."""
+    bob = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.001], "frequency_hz": 4.0}
+    scene = plane_scene(table={"motion": bob}, material={"friction": None, "torsion": None}, rolling=None)
+    n, dt = 600, 0.001
+    poses = np.tile([0.0, 0.0, 0.0085, 1.0, 0.0, 0.0, 0.0], (n, 1))
+    records = Engine(scene).run(poses, dt)
+    force = records[:, AT.force : AT.force + 3]
+    # The first pose is that of the first dt.
+    height = 0.001 * np.sin(2 * np.pi * 4.0 * dt * np.arange(1, n + 1))
+    assert force[:, 2] == pytest.approx(1000.0 * (0.0015 + height), abs=1e-9)
+    assert np.abs(force[:, :2]).max() < 1e-12

@@ -1,0 +1,277 @@
+"""Objects that move into the finger: touch is found where the object is, from where it was, whoever moved."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+from references.laws import column
+from references.rotation import matrix
+from test_invariants import CASES, GRIP, HALF, SLICK, R, numbers, product, visits
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.drivers.simulated.options import Options, simulation
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import AT, CAUSE_NAMES
+from softfinger.proxy.scene import build_scene
+from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.tick import Tuning
+from softfinger.server.offline.closed_loop import run_closed_loop
+
+Array = NDArray[np.float64]
+DT = 1e-3
+K = 1000.0
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+ROUNDING_N = 1e-10
+"""Positions of up to 0.1 m round to 1e-17 m, and a turn there and back to some more, times K."""
+
+
+def scene(*things: dict[str, Any], **tables: Any) -> Scene:
+    """Objects without friction unless they say otherwise, driven from outside unless they move by themselves."""
+    base = {"material": SLICK, "motion": {"kind": "driven"}}
+    objects = [{"name": f"thing {i}", **base, **thing} for i, thing in enumerate(things)]
+    for thing in objects:
+        if thing["motion"] is None:
+            del thing["motion"]
+    head = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}}
+    return build(Scene, {**head, "object": objects, **tables}, "moving objects")
+
+
+class Driver:
+    """An engine whose objects are put somewhere before each tick."""
+
+    def __init__(self, given: Scene) -> None:
+        self.scene, self.engine = given, Engine(given)
+
+    def step(self, finger: ArrayLike, *places: tuple[ArrayLike, ArrayLike] | None, dt: float = DT) -> Any:
+        """One tick of the finger at (7,) or (3,) with each object at its position (3,) and orientation (4,)."""
+        things = list(self.scene.object)
+        for i, place in enumerate(places):
+            if place is not None:
+                at, turn = (tuple(np.asarray(part, float).tolist()) for part in place)
+                things[i] = msgspec.structs.replace(things[i], position_m=at, orientation_wxyz=turn)
+        self.engine.tune(msgspec.structs.replace(self.scene, object=tuple(things)))
+        pose = np.asarray(finger, float)
+        return self.engine.step(pose[:3], pose[3:] if len(pose) == 7 else UPRIGHT, dt)
+
+
+def causes(records: Array) -> list[str]:
+    return [CAUSE_NAMES[int(cause)] for cause in column(records, "contact.cause") if cause != 0]
+
+
+# --- the normal force in closed form -------------------------------------------------------------
+
+SHAPES: dict[str, tuple[dict[str, Any], float, float]] = {
+    "plane": ({"shape": "plane"}, 0.0, 0.0),
+    "sphere": ({"shape": "sphere", "radius_m": 0.02}, 0.0, 0.02),
+    "box": ({"shape": "box", "size_m": [0.05, 0.05, 0.03]}, 0.0, 0.015),
+    "plate": ({"shape": "box", "size_m": [0.05, 0.05, 0.0005]}, 0.0, 0.00025),
+    "can": ({"shape": "cylinder", "radius_m": 0.02, "length_m": 0.04}, 0.0, 0.02),
+    "ellipsoid": ({"shape": "ellipsoid", "semi_axes_m": [0.03, 0.02, 0.01]}, 0.0, 0.01),
+    "torus": ({"shape": "torus", "major_radius_m": 0.03, "minor_radius_m": 0.005}, 0.03, 0.005),
+    "hollow ball": ({"shape": "sphere", "radius_m": 0.03, "inside": True}, 0.0, -0.03),
+    "hollow box": ({"shape": "box", "size_m": [0.06, 0.06, 0.06], "inside": True}, 0.0, -0.03),
+}
+"""Each with x and height, m, of the surface that meets a finger above it when the object rises."""
+ALONE = ("plane", "sphere", "plate", "hollow ball")
+"""Enough for what does not depend on the shape: each scene compiles for some seconds."""
+HEIGHT = -0.01 * np.cos(4.0 * np.pi * DT * np.arange(1, 501))
+"""Of an object that rises by 20 mm in a quarter of a second and goes down again."""
+
+
+@pytest.mark.parametrize("retreat", [0.0, 0.004], ids=["still", "retreating"])
+@pytest.mark.parametrize("name", SHAPES)
+def test_an_object_that_rises_presses_on_the_finger(name: str, retreat: float) -> None:
+    """K depth from the first tick at which the gap is below r; a finger that gives way more slowly feels the same."""
+    shape, x, top = SHAPES[name]
+    finger = np.column_stack([np.full(500, x), np.zeros(500), top + R + retreat * DT * np.arange(1, 501)])
+    driver = Driver(scene(shape))
+    steps = [driver.step(at, ((0.0, 0.0, h), UPRIGHT)) for at, h in zip(finger, HEIGHT, strict=True)]
+    expected = K * np.maximum(HEIGHT + top + R - finger[:, 2], 0.0)
+    assert expected.max() > 8.0
+    np.testing.assert_allclose([s.force for s in steps], expected[:, None] * [0.0, 0.0, 1.0], atol=ROUNDING_N)
+    assert [s.cause for s in steps if s.cause != "none"] == ["touch", "release"]
+    if name in ALONE:  # and moved by itself
+        rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
+        records = Engine(scene(shape | {"motion": rise})).run(np.hstack([finger, np.tile(UPRIGHT, (500, 1))]), DT)
+        np.testing.assert_allclose(column(records, "force", 3)[:, 2], expected, atol=ROUNDING_N)
+        assert causes(records) == ["touch", "release"]
+
+
+SWING = {"kind": "turntable", "axis": [0, 1, 0], "rate_rad_per_s": -2.0, "pivot_m": [0.0, 0.0, 0.0]}
+PADDLE = {"shape": "box", "size_m": [0.2, 0.05, 0.001]}
+
+
+def test_a_paddle_that_swings_takes_a_still_finger_along() -> None:
+    """Rotation alone: a thin paddle through the origin turns up by phi under a finger at (length, 0, h).
+
+    The finger is h cos phi - length sin phi above the paddle's middle; it stays on that face, however deep.
+    """
+    length, h, angle = 0.06, 0.03, 2.0 * DT * np.arange(1, 501)
+    records = Engine(scene(PADDLE | {"motion": SWING})).run(np.tile([length, 0.0, h, *UPRIGHT], (500, 1)), DT)
+    depth = np.maximum(0.0005 + R - h * np.cos(angle) + length * np.sin(angle), 0.0)
+    normal = np.column_stack([-np.sin(angle), np.zeros(500), np.cos(angle)])
+    assert depth.max() > 0.02
+    np.testing.assert_allclose(column(records, "force", 3), K * depth[:, None] * normal, atol=ROUNDING_N)
+    assert causes(records) == ["touch"]
+
+
+def test_damping_is_against_the_speed_of_the_object() -> None:
+    """From the first tick on: a rise at 0.02 m/s against B = 3 N s/m adds 0.06 N, or doubles the spring's force."""
+    driver = Driver(scene({"shape": "plane", "material": {"stiffness_n_per_m": K, "damping_ns_per_m": 3.0}}))
+    height = 0.02 * DT * np.arange(1, 101)
+    force = [driver.step((0.0, 0.0, R + 0.00099), ((0.0, 0.0, z), UPRIGHT)).force[2] for z in height]
+    elastic = K * np.maximum(height - 0.00099, 0.0)
+    np.testing.assert_allclose(force, np.minimum(elastic + 3.0 * 0.02, 2.0 * elastic), atol=1e-9)  # B 1e-16 m / DT
+
+
+# --- jumps ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dt", [DT, 0.0])
+@pytest.mark.parametrize("name", SHAPES)
+def test_an_object_that_jumps_over_the_finger_holds_it_on_the_side_it_came_to(name: str, dt: float) -> None:
+    """Moved up by 30 mm in a tick, through a finger 1 mm above: the finger is 29 mm deep, whatever lies between."""
+    shape, x, top = SHAPES[name]
+    driver = Driver(scene(shape))
+    finger = (x, 0.0, top + R + 0.001)
+    assert driver.step(finger, ((0.0, 0.0, 0.0), UPRIGHT)).cause == "none"
+    met = driver.step(finger, ((0.0, 0.0, 0.03), UPRIGHT), dt=dt)
+    held = driver.step(finger, ((0.0, 0.0, 0.03), UPRIGHT), dt=dt)
+    for step in (met, held):
+        np.testing.assert_allclose(step.force, [0.0, 0.0, K * 0.029], atol=ROUNDING_N)
+    assert (met.cause, held.cause) == ("touch", "none")
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_an_object_that_appears_about_the_finger_pushes_it_out(name: str) -> None:
+    """One that cannot move by itself, but is put elsewhere by a command: a gap below r is a touch, from any side."""
+    shape, x, top = SHAPES[name]
+    driver = Driver(scene(shape | {"motion": None, "position_m": [0.0, 0.0, -0.5]}))
+    finger = (x, 0.0, top + R)
+    if top < 0.0 or name == "plane":  # a hollow elsewhere is an object that the finger is in
+        driver.step(finger, ((0.0, 0.0, -0.001), UPRIGHT))
+    else:
+        driver.step(finger, ((0.0, 0.0, -0.5), UPRIGHT))
+    step = driver.step(finger, ((0.0, 0.0, 0.001), UPRIGHT))
+    np.testing.assert_allclose(step.force, [0.0, 0.0, K * 0.001], atol=ROUNDING_N)
+    assert step.cause == "touch"
+
+
+def test_an_object_that_comes_back_touches_again() -> None:
+    """Up, down and up again under a still finger: two contacts, each from its first tick on."""
+    driver = Driver(scene({"shape": "plane"}))
+    height = 0.002 * np.sin(2.0 * np.pi * np.arange(400) / 200.0)
+    steps = [driver.step((0.0, 0.0, R + 0.0005), ((0.0, 0.0, z), UPRIGHT)) for z in height]
+    np.testing.assert_allclose([s.force[2] for s in steps], K * np.maximum(height - 0.0005, 0.0), atol=ROUNDING_N)
+    assert [s.cause for s in steps if s.cause != "none"] == ["touch", "release"] * 2
+
+
+# --- several objects -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("thickness", [0.1, 0.001])
+@pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda way: f"{1000 * way:g} mm")
+def test_a_second_object_that_comes_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:
+    """A finger pressed on a floor, and a wall that comes from the side: each presses with its own depth."""
+    floor = {"shape": "plane", "motion": None}
+    wall = {"shape": "box", "size_m": [thickness, 0.2, 0.2]}
+    driver = Driver(scene(floor, wall))
+    for z in (R + 0.001, R - 0.001):
+        driver.step((0.0, 0.0, z), None, ((-0.02 - 0.5 * thickness, 0.0, 0.0), UPRIGHT))
+    faces = np.arange(-0.02, 0.005, jump) + jump
+    for face in faces:
+        step = driver.step((0.0, 0.0, R - 0.001), None, ((face - 0.5 * thickness, 0.0, 0.0), UPRIGHT))
+        np.testing.assert_allclose(step.force, [K * max(face + R, 0.0), 0.0, 1.0], atol=1e-9)
+    assert faces[-1] > 0.0
+
+
+def test_a_lift_takes_the_finger_to_the_ceiling() -> None:
+    """The first object moves and the second stands still: the plate lifts the proxy to a thin shelf."""
+    grip = {"stiffness_n_per_m": K}
+    lift = {"shape": "plane", "material": grip}
+    shelf = {"shape": "box", "size_m": [0.2, 0.2, 0.001], "position_m": [0.0, 0.0, 0.03], "motion": None}
+    driver = Driver(scene(lift, shelf))
+    for z in (R + 0.001, R - 0.001):
+        driver.step((0.0, 0.0, z), ((0.0, 0.0, 0.0), UPRIGHT))
+    for _ in range(3):
+        step = driver.step((0.0, 0.0, R - 0.001), ((0.0, 0.0, 0.04), UPRIGHT))
+        assert step.proxy_position[2] < 0.03 or step.force[2] > 0.0
+
+
+# --- who moves does not matter -------------------------------------------------------------------
+
+BLOCK = {"shape": "box", "size_m": (2 * HALF).tolist(), "material": GRIP}
+BALL = {"shape": "sphere", "radius_m": 0.02, "material": GRIP}
+ROLLING = {"rolling": {"method": "euler_zxz"}, "coupling": {"damping_ns_per_m": 2.0}}
+
+
+@functools.cache
+def pair(name: str) -> tuple[Engine, Driver]:
+    """The object at rest, and the same one driven."""
+    given = {"ball": [BALL], "block": [BLOCK], "hollow": [BALL | {"radius_m": 0.05, "inside": True}]}[name]
+    still = Engine(scene(*[thing | {"motion": None} for thing in given], **ROLLING))
+    return still, Driver(scene(*given, **ROLLING))
+
+
+FEWER = settings(CASES, max_examples=300)
+"""A tuned scene for every tick: some 10 ms a case."""
+
+
+def conjugate(q: Array) -> Array:
+    return q * [1.0, -1.0, -1.0, -1.0]
+
+
+@pytest.mark.parametrize("name", ["ball", "block", "hollow"])
+def test_an_object_moved_against_the_finger_is_a_finger_moved_against_the_object(name: str) -> None:
+    """The same relative poses with the hand at rest and the object led: the same contact, seen from the object.
+
+    Mode, cause, force, torque and proxy, to rounding, with friction, rolling and damping: of a step of some 10 mm in
+    a tick, whose rounding the coupling's damping takes times 2 N s/m / DT.
+    """
+    still, driver = pair(name)
+
+    @FEWER
+    @given(numbers(6, 6), st.integers(2, 6))
+    def check(found: Array, count: int) -> None:
+        poses = visits((0.0, 0.0, 0.055 if name != "hollow" else 0.0), found[:count])
+        still.reset()
+        driver.engine.reset()
+        hand, turn = np.array([0.01, -0.02, 0.03]), np.array([0.5, 0.1, -0.7, 0.5])
+        turn /= np.linalg.norm(turn)
+        one = still.run(poses, DT)
+        for row, pose in zip(one, poses, strict=True):
+            led = product(turn, conjugate(pose[3:]))
+            led /= np.linalg.norm(led)
+            world = matrix(led)
+            step = driver.step(np.hstack([hand, turn]), (hand - world @ pose[:3], led))
+            mode, normal_force = row[AT.contact_mode], row[AT.contact_normal_force]
+            if step.mode != mode or step.cause != CAUSE_NAMES[int(row[AT.contact_cause])]:
+                room = 0.6 * normal_force - row[AT.contact_tangential_force]
+                assert abs(room) < 1e-7 or abs(row[AT.contact_penetration]) < 1e-9, (step.cause, row)
+                return
+            for at, got in ((AT.force, step.force), (AT.torque, step.torque)):
+                assert np.abs(world.T @ got - row[at : at + 3]).max() < 1e-8
+
+    check()
+
+
+def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
+    """A simulated device at rest, a hand that holds it softly: K depth in every tick, and never a tick without it."""
+    rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
+    tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
+    options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))
+    records = run_closed_loop(tuning, simulation(options, 1000.0), 1000.0, 500)
+    z = column(records, "probe.position", 3)[:, 2]
+    height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(column(records, "dt")))
+    expected = K * np.maximum(height + R - z, 0.0)
+    np.testing.assert_allclose(column(records, "force", 3)[:, 2], expected, atol=ROUNDING_N)
+    assert expected.max() > 0.1 and np.ptp(z) > 1e-4
+    assert causes(records)[:2] == ["touch", "release"]

@@ -1,0 +1,412 @@
+"""Shapes of other packages, each in one file, named in scene files and touched like those of this program."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from conftest import merged
+from helpers.compiled_code import called_in, functions
+from helpers.compiled_code import tick as one_step
+from helpers.faulty_device import FaultyDevice, Options
+from numpy.typing import NDArray
+from references.laws import column
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, describe, load_rig
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.geometry.surfaces import closest, curvature, is_hollow, transport
+from softfinger.proxy.kernels.native.arrays import ReadOnly
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.outlined import _PROCESS
+from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.record import FREE
+from softfinger.proxy.scene import build_scene, start_state
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tuning import make_tuning
+
+Array = NDArray[np.float64]
+OUTSIDE = Path(__file__).parents[1] / "outside_shape"
+RADIUS, STIFFNESS = 0.01, 1000.0
+HALF_ANGLE = 0.5
+
+
+def outside(name: str) -> Iterator[ModuleType]:
+    """The module of a shape, and its table known only so long: other tests list the shapes that are here."""
+    before = list(schema.ObjectBase.added)
+    sys.path.insert(0, str(OUTSIDE))
+    try:
+        yield importlib.import_module(name)
+    finally:
+        sys.path.remove(str(OUTSIDE))
+        schema.ObjectBase.added[:] = before
+
+
+@pytest.fixture(scope="module")
+def cone() -> Iterator[ModuleType]:
+    yield from outside("softfinger_cone")
+
+
+@pytest.fixture(scope="module")
+def beads() -> Iterator[ModuleType]:
+    yield from outside("softfinger_beads")
+
+
+def scene(thing: dict[str, Any], **tables: Any) -> schema.Scene:
+    """One object with friction and torsion, and rolling, as a scene file has them."""
+    material = {
+        "stiffness_n_per_m": STIFFNESS,
+        "friction": {"static": 0.6, "kinetic": 0.5},
+        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+    }
+    base = {"fingertip": {"radius_m": RADIUS}, "rolling": {"method": "euler_zxz"}}
+    thing = {"name": "thing", **thing, "material": material}
+    return build(schema.Scene, merged(base, tables) | {"object": [thing]}, "f.toml")
+
+
+# --- a surface is one file and one table ---------------------------------------------------------
+
+
+def test_a_shape_of_another_package_is_one_of_the_scene_format(cone: ModuleType) -> None:
+    """Its tag is known, its keys are checked, and a scene of it survives being written out and read again."""
+    found = scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})
+    assert isinstance(found.object[0], cone.ConeTable)
+    assert build(schema.Scene, describe(found), "again") == found
+    with pytest.raises(ConfigError, match=r"object\[0\]\.half_angle_rad = 2\.0.*1\.5.*a needle and a plane"):
+        scene({"shape": "cone", "half_angle_rad": 2.0})
+    with pytest.raises(ConfigError, match=r"shape = 'kone'.*did you mean 'cone'"):
+        scene({"shape": "kone", "half_angle_rad": 0.5})
+    with pytest.raises(ConfigError, match=r"no closed form on .* shape cone"):
+        scene({"shape": "cone", "half_angle_rad": 0.5}, rolling={"method": "rotation_vector"})
+
+
+def test_a_tag_is_taken_once(cone: ModuleType) -> None:
+    """Two tables of one tag, or one of a shape that is here already, would leave it to chance which is meant."""
+    before = list(schema.ObjectBase.added)
+    for tag in ("cone", "sphere"):
+
+        class Again(schema.ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag=tag):
+            shape = tag
+
+        with pytest.raises(TypeError, match=f"there is a shape '{tag}' already"):
+            schema.add_shape(Again)
+
+    class Untagged(schema.ObjectBase, frozen=True, kw_only=True):
+        shape = "untagged"
+
+    with pytest.raises(TypeError, match="tag_field"):
+        schema.add_shape(Untagged)
+    assert schema.ObjectBase.added == before
+
+
+def test_cone_is_where_its_points_are(cone: ModuleType) -> None:
+    """The gap is the distance to the nearest of many points of the flank, and the point is on it, along the normal."""
+    rng = np.random.default_rng(1)
+    s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
+    spacing = 1e-4
+    line = np.arange(0.0, 0.3, spacing)[:, None] * [s, -c]  # in the half plane of the axis: distance from it, and z
+    for x in rng.uniform(-0.1, 0.1, (50, 3)):
+        gap, point, normal = closest(cone.Cone(s, c), tuple(x))
+        level = np.hypot(x[0], x[1])
+        nearest = np.hypot(*(line - [level, x[2]]).T).min()
+        # The point between two of the line is at most half a spacing away from one.
+        assert abs(abs(gap) - nearest) <= 0.5 * spacing
+        assert (gap < 0.0) == (level * c + x[2] * s < 0.0)
+        np.testing.assert_allclose(np.add(point, np.multiply(gap, normal)), x, atol=1e-15)
+
+
+def test_curvature_of_cone_is_how_its_normal_turns(cone: ModuleType) -> None:
+    """On the offset surface the normal turns by k1 along d1 and by k2 across, as finite differences have it."""
+    shape, step = cone.Cone(np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)), 1e-6
+    for x in ((0.02, 0.01, -0.01), (0.003, 0.0, 0.002), (0.0, 0.001, 0.02)):
+        _, point, normal = closest(shape, x)
+        center = np.add(point, np.multiply(RADIUS, normal))
+        k1, k2, d1 = curvature(shape, RADIUS, point, normal)
+        for k, d in ((k1, np.array(d1)), (k2, np.cross(normal, d1))):
+            ahead, behind = (closest(shape, tuple(center + way * d))[2] for way in (step, -step))
+            # Central differences err by the square of the step, and by rounding over it.
+            np.testing.assert_allclose(np.subtract(ahead, behind) / (2.0 * step), k * d, atol=1e-6 * max(k1, 1.0))
+
+
+def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None:
+    """Along a straight line of the flank: touch, press, roll, spin, and drag until it slides, as on that plane.
+
+    The normal curvature there is none, so the plane is the closed form of every column of the record.
+    """
+    s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
+    normal, along, across = np.array([c, 0.0, s]), np.array([s, 0.0, -c]), np.array([0.0, 1.0, 0.0])
+    tick = np.arange(401)  # one thing changes in a tick: roll and spin at once would lead off the straight line
+    depth = np.interp(tick, [0, 80, 400], [-0.00101, 0.001, 0.001])  # no tick at a depth of zero
+    roll = np.interp(tick, [80, 160], [0.0, 0.3])
+    spin = np.interp(tick, [160, 240], [0.0, 0.2])
+    drag = np.interp(tick, [240, 400], [0.0, 0.01])
+    poses = np.zeros((len(tick), 7))
+    poses[:, :3] = 0.05 * along + np.outer(RADIUS - depth, normal) + np.outer(drag, along)
+    for row, a, b in zip(poses, roll, spin, strict=True):
+        first = np.concatenate([[np.cos(a / 2)], np.sin(a / 2) * across])
+        second = np.concatenate([[np.cos(b / 2)], np.sin(b / 2) * normal])
+        row[3] = first[0] * second[0] - first[1:] @ second[1:]
+        row[4:] = first[0] * second[1:] + second[0] * first[1:] + np.cross(second[1:], first[1:])
+    turn = np.arctan2(c, s)  # of the plane about y, so that its z axis is the normal
+    tilted = {"shape": "plane", "orientation_wxyz": [np.cos(turn / 2), 0.0, np.sin(turn / 2), 0.0]}
+    on_cone = Engine(scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})).run(poses)
+    on_plane = Engine(scene(tilted)).run(poses)
+    assert {0, 1, 2} <= set(column(on_cone, "contact.mode").ravel().astype(int))
+    assert column(on_cone, "contact.rolled").max() > 0.9 * RADIUS * 0.3
+    # Forces of the order of 1 N at 1000 N/m: 1e-9 N is a picometre, far above rounding and below any model's error.
+    np.testing.assert_allclose(on_cone, on_plane, atol=1e-9)
+
+
+def test_defaults_serve_what_says_nothing_else_and_never_an_absent_part(cone: ModuleType) -> None:
+    """`otherwise` is for kinds that are there: None stays an error where nobody said what it means."""
+
+    @by_type
+    def half(node: Any) -> Any: ...
+
+    @half.otherwise
+    def half_of_any(node: Any) -> float:
+        return 0.5
+
+    @numba.njit(**OPTIONS)
+    def ask(node: Any) -> float:
+        return half(node)
+
+    shape = cone.Cone(0.6, 0.8)
+    assert half(shape) == 0.5 == ask(shape)
+    with pytest.raises(TypeError, match="half is not defined for None"):
+        half(None)
+    with pytest.raises(numba.TypingError):
+        ask(None)
+
+    @half.of(cone.Cone)
+    def half_of_cone(node: Any) -> float:
+        return 0.25
+
+    assert half(shape) == 0.25
+    assert is_hollow(shape) is False
+    assert transport(shape, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)) == (1.0, 0.0, 0.0)
+
+
+# --- kept kernels --------------------------------------------------------------------------------
+
+TOUCH = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import softfinger_{name}
+from softfinger.config.load import load_scene
+from softfinger.proxy.engine import Engine, step_many
+step = Engine(load_scene(sys.argv[2])).step((0.0, 0.0, 0.0099), (1.0, 0.0, 0.0, 0.0))
+print(round(step.force[2], 9), sum(step_many.stats.cache_hits.values()))
+"""
+SCENE = """
+fingertip.radius_m = 0.01
+[[object]]
+name = "thing"
+shape = "{name}"
+{keys}
+material.stiffness_n_per_m = 1000.0
+"""
+
+
+def touched(name: str, folder: Path, keys: str) -> str:
+    """Force, and kernels loaded, of a process of its own that touches a shape; the cache is in the folder, too."""
+    (folder / "scene.toml").write_text(SCENE.format(name=name, keys=keys))
+    environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(folder / "cache")}
+    command = [sys.executable, "-B", "-c", TOUCH.format(name=name), str(folder), str(folder / "scene.toml")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_an_edited_shape_is_compiled_anew(tmp_path: Path) -> None:
+    """The step is this program's and is kept, but not for a shape whose file has changed since."""
+    file = tmp_path / "softfinger_cone.py"
+    shutil.copy(OUTSIDE / file.name, file)
+    keys = "half_angle_rad = 0.5"
+    assert touched("cone", tmp_path, keys) == "0.1 0"
+    assert touched("cone", tmp_path, keys) == "0.1 1"
+    text = file.read_text()
+    assert "return gap, (0.0, 0.0, 0.0), normal" in text
+    lower = "return gap + 5e-5, vec3.scale(-5e-5, normal), normal"
+    file.write_text(text.replace("return gap, (0.0, 0.0, 0.0), normal", lower))
+    assert touched("cone", tmp_path, keys) == "0.05 0"
+    assert touched("cone", tmp_path, keys) == "0.05 1"
+
+
+# --- arrays that a scene owns, and kernels that are called ---------------------------------------
+
+BALLS = np.array([[0.0, 0.0, -0.02, 0.02], [0.05, 0.0, -0.03, 0.03], [0.0, 0.08, -0.01, 0.01]])
+
+
+@pytest.fixture
+def balls_file(tmp_path: Path) -> Path:
+    np.savetxt(tmp_path / "balls.txt", BALLS, fmt="%.17g")
+    return tmp_path / "balls.txt"
+
+
+def beads_of(file: Path) -> dict[str, Any]:
+    return {"shape": "beads", "balls_file": str(file)}
+
+
+def rolling_over(ball: Array) -> Array:
+    """Poses (300, 7) that touch a ball from above, roll, and go on until the fingertip slides."""
+    t = np.linspace(0.0, 1.0, 300)
+    poses = np.zeros((len(t), 7))
+    depth = np.interp(t, [0.0, 0.2, 1.0], [-0.001, 0.001, 0.001])
+    tilt = np.interp(t, [0.0, 0.5, 1.0], [0.0, 0.0, 0.3])
+    away = np.stack([np.sin(tilt), np.zeros_like(t), np.cos(tilt)], axis=1)
+    poses[:, :3] = ball[:3] + (ball[3] + RADIUS - depth)[:, None] * away
+    roll = np.interp(t, [0.0, 0.2, 0.5, 1.0], [0.0, 0.0, 0.1, 0.1])
+    poses[:, 3], poses[:, 5] = np.cos(0.5 * roll), np.sin(0.5 * roll)
+    return poses
+
+
+def test_balls_of_an_array_are_touched_as_spheres_are(beads: ModuleType, balls_file: Path) -> None:
+    """Each ball of the array gives what the sphere of this program gives in its place, with friction and rolling."""
+    engine = Engine(scene(beads_of(balls_file)))
+    for ball in BALLS:
+        sphere = {"shape": "sphere", "radius_m": ball[3], "position_m": ball[:3].tolist()}
+        poses = rolling_over(ball)
+        engine.reset()
+        expected = Engine(scene(sphere)).run(poses)
+        found = engine.run(poses)
+        assert (column(found, "contact.mode") != FREE).mean() > 0.5
+        np.testing.assert_allclose(found, expected, atol=1e-9)  # 1e-9 N is a picometre at 1000 N/m
+
+
+def test_results_do_not_depend_on_where_the_array_lies(beads: ModuleType, balls_file: Path) -> None:
+    """Two engines whose arrays lie apart give the same bits, through one compiled kernel; nothing else is longer."""
+    one, other = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))
+    first, second = one.scene.objects[0].shape.balls, other.scene.objects[0].shape.balls
+    assert first.address != second.address
+    assert numba.typeof(one.scene) == numba.typeof(other.scene)
+    assert (flatten(one.scene) != flatten(other.scene)).sum() == 1
+    poses = rolling_over(BALLS[1])
+    assert one.run(poses).tobytes() == other.run(poses).tobytes()
+
+
+def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Path) -> None:
+    """The engine alone keeps it, through a change of parameters too, and nothing keeps it after the engine."""
+    config = scene(beads_of(balls_file))
+    engine = Engine(config)
+    was = weakref.ref(engine.scene.objects[0].shape.balls.array)
+    gc.collect()
+    assert was() is not None
+    engine.run(rolling_over(BALLS[0]))
+    engine.tune(config)
+    gc.collect()
+    now = weakref.ref(engine.scene.objects[0].shape.balls.array)
+    assert was() is None and now() is not None
+    engine.run(rolling_over(BALLS[0]))
+    del engine
+    gc.collect()
+    assert now() is None
+
+
+def test_a_servo_keeps_an_array_until_its_loop_reads_another(beads: ModuleType, balls_file: Path) -> None:
+    """What was replaced is let go only when two whole ticks have passed since: the first may still have read it."""
+    rig, config = load_rig("replay"), scene(beads_of(balls_file))
+    servo = Servo([FaultyDevice(Options())], make_tuning(config, rig.guard), 1000.0)
+    array = [servo.tuning.scene.objects[0].shape.balls.array]
+    kept = []
+    for ticks in (0, 1, 2, 3, 5):  # done by the loop, before each change
+        servo.shared.progress[0] = ticks
+        servo.tune(make_tuning(config, rig.guard))
+        array.append(servo._tuned[-1].scene.objects[0].shape.balls.array)
+        kept.append(weakref.ref(array.pop(0)))
+        gc.collect()
+        # Of those replaced, the first is the loop's own argument.
+        alive = [each() is not None for each in kept]
+        expected = {
+            0: [True],
+            1: [True, True],
+            2: [True, True, True],
+            3: [True, True, True, True],
+            5: [True, False, False, False, True],
+        }
+        assert alive == expected[ticks]
+    servo.close()
+
+
+def test_an_array_is_read_only(beads: ModuleType) -> None:
+    """In Python it refuses to be written to, in a kernel a write does not compile; the numbers given are copied."""
+    given = np.arange(6.0).reshape(2, 3)
+    held = ReadOnly(given)
+    given[0, 0] = 7.0
+    assert held[0] == 0.0 and len(held) == 6 and not held.array.flags.writeable
+    for name in ("float64", "float32", "int64", "int32"):
+        values = ReadOnly(np.arange(5).astype(name))
+
+        @numba.njit(**OPTIONS)
+        def third(values: Any) -> Any:
+            return values[3] + values[1]
+
+        assert third(values) == 4
+
+    @numba.njit(**OPTIONS)
+    def write(values: Any) -> None:
+        values[0] = 1.0
+
+    with pytest.raises(numba.TypingError):
+        write(held)
+    with pytest.raises(TypeError, match="complex128"):
+        ReadOnly(np.zeros(3, complex))
+
+
+def step_of(config: schema.Scene) -> dict[str, str]:
+    """Functions of the module that the step of a scene is compiled to."""
+    tree = build_scene(config)
+    start, some = start_state(tree), np.zeros(1)
+    arguments = (
+        tree,
+        flatten(tree),
+        start,
+        flatten(start),
+        (0.0, 0.0, 0.0),
+        start.fingers[0].probe.orientation,
+        0.001,
+        some,
+    )
+    dispatcher: Any = numba.njit(**OPTIONS)(one_step)
+    dispatcher.compile(tuple(numba.typeof(each) for each in arguments))
+    (ir,) = dispatcher.inspect_llvm().values()
+    return functions(ir)
+
+
+def test_an_outlined_kernel_is_compiled_once_and_called(beads: ModuleType, balls_file: Path) -> None:
+    """Asked at many places of the step it stands in the module once; the step alone is beside it."""
+    bodies = step_of(scene(beads_of(balls_file)))
+    (query,) = [name for name in bodies if "nearest_bead" in name]
+    assert _PROCESS in query  # two kept callers of two processes may each bring a query of one name along
+    (step,) = [name for name in bodies if "nearest_bead" not in name]
+    assert called_in(bodies[step])[query] >= 2
+    assert "noinline" not in bodies[step].splitlines()[0]
+
+
+def test_an_outlined_kernel_is_linked_to_a_kept_caller(tmp_path: Path) -> None:
+    """A process that loads the step from disk calls the query that it was compiled with; an edit of it is obeyed."""
+    file = tmp_path / "softfinger_beads.py"
+    shutil.copy(OUTSIDE / file.name, file)
+    np.savetxt(tmp_path / "balls.txt", BALLS, fmt="%.17g")
+    keys = f'balls_file = "{tmp_path / "balls.txt"}"'
+    assert touched("beads", tmp_path, keys) == "0.1 0"
+    assert touched("beads", tmp_path, keys) == "0.1 1"
+    text = file.read_text()
+    assert "return least, center, radius" in text
+    file.write_text(text.replace("return least, center, radius", "return least + 5e-5, center, radius - 5e-5"))
+    assert touched("beads", tmp_path, keys) == "0.05 0"
+    assert touched("beads", tmp_path, keys) == "0.05 1"

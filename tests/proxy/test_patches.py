@@ -1,0 +1,509 @@
+"""A patch of contact for each object that holds the fingertip: friction, torsion and rolling in grooves, at seams and
+in pinches, against closed forms.
+
+Finger 10 mm, K = 1000 N/m, mu .6/.5. Pressed 1 mm into a groove of 90 degrees each wall bears f = 1 N / sqrt 2.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import AT
+
+R = 0.01
+SQRT2 = 2.0**0.5
+F = 1.0 / SQRT2
+"""Normal force of each wall of the groove, N."""
+GRIP = {"static": 0.6, "kinetic": 0.5}
+LATE = {"static": 0.2, "kinetic": 0.1}
+LIMP = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
+STRONG = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 1.0}
+WALLS = (np.array([1.0, 0.0, 1.0]) / SQRT2, np.array([-1.0, 0.0, 1.0]) / SQRT2)
+ORDERS = ((0, 1), (1, 0))
+SOFT = {"fingertip": {"radius_m": R, "patch": {"shear_modulus_pa": 45e3, "rolling_loss": 0.4}}}
+"""A fingertip with Hertz's patch, under a load f of radius (3 f R / 16 G)^(1/3), as stiff against spin as f R."""
+BASE = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}}
+PLAIN = {"coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}, "rolling": {"method": "rotation_vector"}}
+
+
+def facing(normal):
+    """Quaternion that turns +z to `normal` (3,)."""
+    n = np.asarray(normal, float) / np.linalg.norm(normal)
+    q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
+    return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
+
+
+def material(friction=GRIP, torsion=None, **keys):
+    return (
+        {"stiffness_n_per_m": 1000.0}
+        | ({"friction": friction} if friction else {})
+        | ({"torsion": torsion} if torsion else {})
+        | keys
+    )
+
+
+def wall(name, normal, stuff=None, offset=0.0, **keys):
+    n = np.asarray(normal, float) / np.linalg.norm(normal)
+    return {
+        "name": name,
+        "shape": "plane",
+        "position_m": (offset * n).tolist(),
+        "orientation_wxyz": facing(n),
+        "material": stuff or material(),
+        **keys,
+    }
+
+
+def tile(name, x, y=0.0, edge=0.1, stuff=None):
+    """A box whose top is z = 0."""
+    return {
+        "name": name,
+        "shape": "box",
+        "size_m": [edge, edge, 0.1],
+        "position_m": [x, y, -0.05],
+        "material": stuff or material(),
+    }
+
+
+def groove(order=(0, 1), stuff=(None, None), angle=None):
+    """Two planes whose line is y, in either order; 90 degrees, or with normals `angle` rad from z."""
+    normals = WALLS if angle is None else [(s * np.sin(angle), 0.0, np.cos(angle)) for s in (1.0, -1.0)]
+    return [wall(f"wall {i}", normals[i], stuff[i]) for i in order]
+
+
+def engine(*things, **tables):
+    whole = BASE | PLAIN | {"object": list(things)} | tables
+    return Engine(build(Scene, {key: table for key, table in whole.items() if table is not None}, "patches"))
+
+
+def poses(points, vectors=None):
+    """Poses (n, 7) of points (n, 3), turned by rotation vectors (n, 3)."""
+    points = np.asarray(points, float)
+    vectors = np.zeros_like(points) if vectors is None else np.asarray(vectors, float)
+    angles = np.linalg.norm(vectors, axis=1, keepdims=True)
+    axes = np.divide(vectors, angles, out=np.zeros_like(vectors), where=angles > 0.0)
+    return np.hstack([points, np.cos(0.5 * angles), np.sin(0.5 * angles) * axes])
+
+
+def line(start, end, ticks):
+    return np.linspace(start, end, ticks + 1)[1:]
+
+
+def part(records, name, size=3):
+    at = getattr(AT, name)
+    return records[:, at : at + size]
+
+
+def pressing(goal, ticks=20):
+    """Points of a way straight down to a goal."""
+    above = np.add(goal, [0.0, 0.0, 0.003])
+    return np.vstack([above, line(above, goal, ticks)])
+
+
+IN_GROOVE = np.array([0.0, 0.0, SQRT2 * R - 0.001])
+ABOVE = np.add(IN_GROOVE, [0.0, 0.0, 0.003])
+PRESS = pressing(IN_GROOVE, 100)
+
+
+def in_groove(running, points, vectors=None):
+    """Records of a way in the groove, pressed 1 mm before."""
+    running.run(poses(PRESS))
+    return running.run(poses(points, vectors))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize(
+    ("laws", "expected"),
+    [((GRIP, GRIP), 1.0 * F), ((GRIP, None), 0.5 * F), ((None, GRIP), 0.5 * F), ((GRIP, LATE), 0.6 * F)],
+)
+def test_dragged_along_a_groove_each_wall_rubs_by_its_own_law(order, laws, expected):
+    """mu_d1 f1 + mu_d2 f2, whichever wall comes first: 0.354 N with one of ice, 0.424 N with 0.5 and 0.1."""
+    running = engine(*groove(order, [material(law) for law in laws]))
+    force = part(in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400)), "force")
+    # Dragged by 20 mm; what lies across decays by e for every 0.7 mm of slip.
+    np.testing.assert_allclose(force[-1], [0.0, -expected, 1.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("shifted", [-1e-5, 1e-5])
+def test_which_wall_was_touched_first_is_forgotten(order, shifted):
+    """Come to by one wall or the other, the drag is the same."""
+    running = engine(*groove(order, [material(None), material()]))
+    begin = np.add(ABOVE, [shifted, 0.0, 0.0])
+    running.run(poses(np.vstack([begin, line(begin, IN_GROOVE, 100)])))
+    force = part(running.run(poses(line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))), "force")
+    np.testing.assert_allclose(force[-1, 1], -0.5 * F, atol=1e-9)
+
+
+def test_each_patch_is_in_the_record():
+    """Object, point, normal, force and mode of each wall; the forces add up."""
+    running = engine(*groove(stuff=[material(), material(LATE)]))
+    record = in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))[-1:]
+    for i in (0, 1):
+        number = int(part(record, f"contacts{i}_object", 1)[0, 0])
+        rubbing, n = (0.5, 0.1)[number], WALLS[number]
+        np.testing.assert_allclose(part(record, f"contacts{i}_normal")[0], n, atol=1e-15)
+        np.testing.assert_allclose(part(record, f"contacts{i}_force")[0], F * n - [0.0, rubbing * F, 0.0], atol=1e-9)
+        np.testing.assert_allclose(part(record, f"contacts{i}_point")[0] @ n, 0.0, atol=1e-15)
+        assert part(record, f"contacts{i}_mode", 1)[0, 0] == 2.0
+    assert {part(record, f"contacts{i}_object", 1)[0, 0] for i in range(3)} == {0.0, 1.0, -1.0}
+    both = part(record, "contacts0_force") + part(record, "contacts1_force")
+    np.testing.assert_allclose(both, part(record, "force"), atol=1e-15)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_first_patch_is_the_one_that_bears_most(order):
+    """As deep in both walls: the one that is three times as stiff, whichever the scene names first."""
+    running = engine(*groove(order, [material(stiffness_n_per_m=3000.0), material()]))
+    record = in_groove(running, np.tile(IN_GROOVE, (3, 1)))[-1:]
+    for i in (0, 1):
+        number = int(part(record, f"contacts{i}_object", 1)[0, 0])
+        force = np.linalg.norm(part(record, f"contacts{i}_force"))
+        assert order[number] == i and force == pytest.approx((3.0, 1.0)[i] * F, rel=1e-12)
+
+
+def test_equal_walls_give_no_moment_about_the_bisector():
+    records = in_groove(engine(*groove()), line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))
+    assert np.abs(part(records, "torque")[:, 2]).max() < 1e-15
+    # About the axis across: both forces along are sin 45 r below the centre.
+    np.testing.assert_allclose(part(records, "torque")[-1], [-R * F / SQRT2, 0.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_spun_about_the_bisector_there_is_no_force_along(order):
+    """By symmetry: the patches rub to either side, and both resist the spin."""
+    running = engine(*groove(order))
+    spin = np.zeros((400, 3))
+    spin[:, 2] = np.linspace(0.0, 1.0, 401)[1:]
+    records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), spin)
+    assert np.abs(part(records, "force")[:, :2]).max() < 1e-12
+    # Each rubs with mu_d f at r sin 45 from the bisector.
+    np.testing.assert_allclose(part(records, "torque")[-1], [0.0, 0.0, -2.0 * 0.5 * F * R / SQRT2], atol=1e-9)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_turned_about_the_axis_both_walls_rub(order):
+    """r mu_d (f1 + f2) = 7.07 mN m, and each rubs along its wall."""
+    running = engine(*groove(order))
+    turn = np.zeros((400, 3))
+    turn[:, 1] = np.linspace(0.0, 1.0, 401)[1:]
+    records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turn)
+    np.testing.assert_allclose(part(records, "torque")[-1], [0.0, -R * 0.5 * 2.0 * F, 0.0], atol=1e-12)
+    # mu_d f along each wall: to one side down, to the other up, and both aside.
+    np.testing.assert_allclose(np.abs(part(records, "force")[-1]), [0.5 * F * SQRT2, 0.0, 1.0], atol=1e-12)
+
+
+SEAM = [tile("left", -0.05), tile("right", 0.05)]
+ON_SEAM = np.array([0.0, 0.0, R - 0.001])
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("speed", [0.0123, 0.05, 1.0])
+def test_dragged_across_a_seam_friction_stays(order, speed):
+    """Two flush boxes are the plane they make: mu_d f_N from side to side."""
+    running = engine(*[SEAM[i] for i in order])
+    start, end = ON_SEAM - [0.03, 0.0, 0.0], np.add(ON_SEAM, [0.03, 0.0, 0.0])
+    running.run(poses(pressing(start)))
+    records = running.run(poses(line(start, end, round(0.06 / speed * 1000.0))))
+    sliding = np.linalg.norm(part(records, "proxy_position")[:, :2] - start[:2], axis=1) > 0.001
+    force = part(records, "force")[sliding]
+    np.testing.assert_allclose(force, np.tile([-0.5, 0.0, 1.0], (len(force), 1)), atol=1e-12)
+
+
+def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
+    """Without friction: nothing for across and back at a depth d, (K1 - K2) d^2 / 2 for pressing and lifting apart."""
+    slick, stiffness, deep = {"static": 0.0, "kinetic": 0.0}, (1000.0, 300.0), 0.001
+    boxes = [each | {"material": material(slick, stiffness_n_per_m=k)} for each, k in zip(SEAM, stiffness, strict=True)]
+    running = engine(*boxes)
+
+    def work(*corners):
+        """The hand's over a way, J: in a piece of it the force goes with the way, or at right angles to it."""
+        way = np.vstack([corners[0], *(line(a, b, 100) for a, b in pairwise(corners))])
+        force = part(running.run(poses(way)), "force")
+        running.reset()
+        return -np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(way, axis=0))
+
+    (over_stiff, stiff), (over_soft, soft) = ([(x, 0.0, R), (x, 0.0, R - deep)] for x in (-0.005, 0.005))
+    gained = 0.5 * (stiffness[0] - stiffness[1]) * deep**2  # 0.35 mJ
+    # Sums of hundreds of terms of up to 1e-5 J.
+    assert work(over_stiff, stiff, soft, stiff, over_stiff) == pytest.approx(0.0, abs=1e-15)
+    assert work(over_soft, soft, stiff, over_stiff, over_soft) == pytest.approx(-gained, abs=1e-15)
+    assert work(over_stiff, stiff, soft, over_soft, over_stiff) == pytest.approx(gained, abs=1e-15)
+
+
+def tiled(edge, stuff, side=10):
+    """A surface z = 0 of side x side flush boxes about the origin."""
+    at = edge * (np.arange(side) - 0.5 * (side - 1))
+    return [tile(f"tile {i} {j}", x, y, edge, stuff) for i, x in enumerate(at) for j, y in enumerate(at)]
+
+
+def all_over():
+    """Pressed, dragged, rolled and spun all over 30 mm x 30 mm."""
+    t = np.linspace(0.0, 20.0, 4000)
+    points = np.stack([0.014 * np.sin(1.3 * t), 0.014 * np.sin(1.7 * t), R - 0.0006 + 0.001 * np.sin(2.9 * t)], axis=1)
+    return poses(points, np.stack([0.9 * np.sin(1.1 * t), 0.9 * np.sin(1.9 * t), 0.5 * np.sin(2.3 * t)], axis=1))
+
+
+def deep():
+    """Twice as deep as the fingertip is thick: alone, a tile that is left would let the proxy fall round its edge."""
+    way = all_over()
+    way[:, 2] = np.linspace(R + 0.001, R - 0.02, len(way))
+    return way
+
+
+WAYS = {
+    "all over": all_over,
+    "deep": deep,
+    "recording": lambda: resample(load_poses("press-roll-spin-drag"), 1000.0),
+}
+
+
+@pytest.mark.parametrize(("way", "tip"), [*((way, {}) for way in WAYS), ("all over", SOFT)])
+def test_a_tiled_surface_is_the_plane_it_stands_for(way, tip):
+    """A hundred flush boxes of 6 mm: nothing tells them from a plane."""
+    stuff = material(GRIP, LIMP)
+    way = WAYS[way]()
+    plane, boxes = engine(wall("plane", (0, 0, 1), stuff), **tip).run(way), engine(*tiled(0.006, stuff), **tip).run(way)
+    assert len(set(boxes[:, AT.contact_object])) > 5  # many of them, and free space
+    for name in ("force", "torque", "proxy_position", "contact_point"):
+        # Rounding of 20 mm times 1000 N/m, and a sum of thousands of ticks.
+        np.testing.assert_allclose(part(boxes, name), part(plane, name), rtol=0, atol=1e-11)
+    for name in ("contact_mode", "contact_rolled", "contact_spin", "contact_torsion", "contact_patch_radius"):
+        np.testing.assert_allclose(boxes[:, getattr(AT, name)], plane[:, getattr(AT, name)], rtol=0, atol=1e-12)
+
+
+def test_objects_have_the_numbers_of_the_file_however_they_are_asked():
+    """Nine balls, of which the kernels ask eight and more in a row, about a floor in the middle of the list."""
+    ball = {"shape": "sphere", "radius_m": 0.005, "material": material()}
+    things = [ball | {"name": f"ball {i}", "position_m": [0.03 * i, 0.0, 0.05]} for i in range(9)]
+    running = engine(*things[:4], wall("floor", (0, 0, 1)), *things[4:])
+    for number, x in zip([*range(4), *range(5, 10)], 0.03 * np.arange(9), strict=True):
+        record = running.run(poses(pressing([x, 0.0, 0.064])))[-1]
+        assert record[AT.contact_object] == record[AT.contacts0_object] == number
+        np.testing.assert_allclose(record[AT.force : AT.force + 3], [0.0, 0.0, 1.0], atol=1e-12)
+        running.reset()
+    assert running.run(poses(pressing([0.0, 0.05, 0.009])))[-1, AT.contact_object] == 4.0
+
+
+def test_more_moving_objects_than_can_be_compiled_are_refused():
+    """One clear error, and not the compiler's; as many that stand still are one type."""
+    moving = [each | {"motion": {"kind": "driven"}} for each in tiled(0.004, material(), 5)]
+    with pytest.raises(ConfigError, match="25 walls and objects"):
+        engine(*moving)
+    engine(*tiled(0.004, material(), 5))
+
+
+def test_another_number_of_objects_is_another_scene():
+    """What runs has places for so many: tuned to fewer, a patch could be on one that is not there."""
+    more, fewer = (build(Scene, BASE | PLAIN | {"object": tiled(0.004, material(), side)}, "") for side in (4, 3))
+    with pytest.raises(ValueError, match="other parts"):
+        Engine(more).tune(fewer)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_rolled_across_a_seam_the_moment_stays(order):
+    """Torsion wound on one box is there on the next."""
+    running = engine(*[SEAM[i] | {"material": material(GRIP, LIMP)} for i in order])
+    start = ON_SEAM - [0.004, 0.0, 0.0]
+    running.run(poses(pressing(start)))
+    spin = np.zeros((50, 3))
+    spin[:, 2] = np.linspace(0.0, 0.06, 51)[1:]
+    running.run(poses(np.tile(start, (50, 1)), spin))
+    ticks = 400
+    angles = np.linspace(0.0, 0.8, ticks + 1)[1:, None]
+    points = start + np.hstack([R * angles, np.zeros((ticks, 2))])
+    # Roll about y, in the world, after the spin.
+    q_spin, half = np.array([np.cos(0.03), 0.0, 0.0, np.sin(0.03)]), 0.5 * angles[:, 0]
+    c, s = np.cos(half), np.sin(half)
+    q = np.stack([c * q_spin[0], s * q_spin[3], s * q_spin[0], c * q_spin[3]], axis=1)
+    records = running.run(np.hstack([points, q]))
+    assert set(records[:, AT.contact_object]) == {0.0, 1.0}
+    np.testing.assert_allclose(part(records, "torque")[:, 2], -0.05 * 0.06, atol=1e-12)
+    np.testing.assert_allclose(part(records, "proxy_position")[:, 0], points[:, 0], atol=1e-12)
+
+
+def test_weight_shifted_between_walls_hands_the_moment_on():
+    """The moment about the normals goes as the share does, and never faster than the shift."""
+    running = engine(*groove(stuff=[material(GRIP, STRONG)] * 2))
+    spin = np.zeros((300, 3))
+    spin[:, 2] = np.linspace(0.0, 0.4, 301)[1:]
+    in_groove(running, np.tile(IN_GROOVE, (300, 1)), spin)
+    aside = 0.0009 * np.sin(np.linspace(0.0, 4.0 * np.pi, 2001))[1:]
+    points = IN_GROOVE + np.stack([aside, np.zeros(2000), np.zeros(2000)], axis=1)
+    torque = part(running.run(poses(points, np.tile(spin[-1], (2000, 1)))), "torque")
+    # A share changes by what the probe goes aside over the depth, 1 mm; what is held is at most k_z phi and r mu_s f.
+    moved = np.abs(np.diff(aside))
+    held = 2.0 * (0.05 * 0.4 + R * 0.6 * SQRT2)
+    assert (np.linalg.norm(np.diff(torque, axis=0), axis=1) <= held * moved / 0.001 + 1e-12).all()
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("along", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):
+    """The finger stands on a still floor; the wall's kinetic friction is all there is."""
+    motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.0], "frequency_hz": 0.1}
+    slides = wall("wall", (1, 0, 0)) | {"motion": motion}
+    # The motion is given in the wall's own frame, whose z is the normal, x is -z of the world, y is y.
+    slides["motion"]["translation_m"] = [0.0, 0.1 * along[1], 0.0] if along[1] else [-0.1, 0.0, 0.0]
+    things = [wall("floor", (0, 0, 1)), slides]
+    running = engine(*[things[i] for i in order])
+    at = np.array([R - 0.0005, 0.0, R - 0.001])
+    records = running.run(poses(np.tile(at, (500, 1))))
+    expected = np.array([0.5, 0.0, 1.0]) + 0.25 * np.array(along)
+    np.testing.assert_allclose(part(records, "force")[-1], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_wall_that_moves_in_has_its_damping(order):
+    """The finger stands on the floor; the wall comes at 10 mm/s with 20 N s/m."""
+    stuff = material(None, damping_ns_per_m=20.0)
+    turning = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.05], "frequency_hz": 1.0 / (2.0 * np.pi) / 5.0}
+    things = [wall("floor", (0, 0, 1), material(None)), wall("wall", (1, 0, 0), stuff) | {"motion": turning}]
+    running = engine(*[things[i] for i in order], rolling=None)
+    at = np.array([R + 0.001, 0.0, R - 0.001])
+    records = running.run(poses(np.tile(at, (601, 1))))
+    time = records[:, AT.timestamp] + 0.001
+    depth = 0.05 * np.sin(time / 5.0) - 0.001
+    speed = np.diff(depth) / 0.001
+    expected = np.minimum(1000.0 * depth[1:] + 20.0 * speed, 2000.0 * depth[1:])
+    late = depth[1:] > 1e-4
+    assert late.sum() > 400
+    np.testing.assert_allclose(part(records, "force")[1:][late, 0], expected[late], atol=1e-9)
+
+
+def test_a_shallow_valley_is_the_plane_it_nearly_is():
+    """Dragged through a valley of one degree, friction is the plane's to what the slope changes."""
+    half = np.radians(0.5)
+    running = engine(*groove(angle=half))
+    start, end = np.array([-0.005, 0.0, R - 0.001]), np.array([0.005, 0.0, R - 0.001])
+    running.run(poses(pressing(start)))
+    force = part(running.run(poses(line(start, end, 2000))), "force")
+    plane = engine(wall("plane", (0, 0, 1)))
+    plane.run(poses(pressing(start)))
+    like = part(plane.run(poses(line(start, end, 2000))), "force")
+    # A slope of half a degree tilts a force of 1 N by 9 mN, its depth is 44 um more at the ends, and that is 44 mN;
+    # friction has half of both. From 0.7 mm on both slide.
+    assert np.abs(force - like)[140:].max() < 0.07
+    # A tick of 5 um, three of which are the crease: as much as friction can change in it is 2 mu sin(1 degree) f.
+    assert np.abs(np.diff(force[140:], axis=0)).max() < 2.0 * 0.5 * np.sin(2.0 * half) * 1.05
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_pinched_the_forces_add(order):
+    """Floor 1 mm deep, ceiling 3 mm: 1 N up, 3 N down, and friction in each."""
+    gap = 2.0 * R - 0.004
+    things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-gap)]
+    running = engine(*[things[i] for i in order])
+    at = np.array([0.0, 0.0, R - 0.001])
+    records = running.run(poses(np.vstack([np.tile(at, (10, 1)), line(at, np.add(at, [0.01, 0.0, 0.0]), 500)])))
+    np.testing.assert_allclose(part(records, "force")[5], [0.0, 0.0, -2.0], atol=1e-12)
+    np.testing.assert_allclose(part(records, "force")[-1], [-0.5 * 4.0, 0.0, -2.0], atol=1e-9)
+
+
+def test_a_ceiling_that_comes_down_takes_hold_by_and_by():
+    """While there is room, the floor alone; from where the ceiling reaches the probe, a spring of its own."""
+    motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.02], "frequency_hz": 0.5}
+    things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
+    records = engine(*things).run(poses(np.tile([0.0, 0.0, R - 0.001], (500, 1))))
+    height = 0.03 - 0.02 * np.sin(np.pi * (records[:, AT.timestamp] + 0.001))
+    deep = np.maximum(R - (height - (R - 0.001)), 0.0)
+    assert deep.max() > 0.005
+    np.testing.assert_allclose(part(records, "force")[:, 2], 1.0 - 1000.0 * deep, atol=1e-9)
+
+
+JAWS = [np.array([np.cos(a), np.sin(a), 0.0]) for a in 2.0 * np.pi / 3.0 * np.arange(3)]
+CLOSING = 0.003
+"""How far three jaws close in from 1 mm clear of the fingertip, m."""
+
+
+def jaws():
+    """Three plates at 120 degrees, which close within half a second."""
+    motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, CLOSING], "frequency_hz": 0.5}
+    stuff = material(GRIP, STRONG)
+    return engine(*(wall(f"jaw {i}", n, stuff, -R - 0.001) | {"motion": motion} for i, n in enumerate(JAWS)))
+
+
+def test_three_jaws_hold_a_finger_in_the_middle_with_a_force_each():
+    """Closed by t each bears K t, with no force in all; aside of the middle by s they push back as a spring K does.
+
+    As long as the jaws leave room the nearest does that alone, and nothing jumps where the room ends.
+    """
+    running, aside = jaws(), 0.0004
+    records = running.run(poses(np.tile([-aside, 0.0, 0.0], (500, 1))))
+    t = CLOSING * np.sin(np.pi * (records[:, AT.timestamp] + 0.001)) - 0.001
+    force = part(records, "force")
+    closed, away = t > 0.0, t < -aside
+    assert closed.sum() > 300 and away.sum() > 50
+    # All rounded by some 10 mm times 1000 N/m. The hand is at rest, and so is friction.
+    np.testing.assert_allclose(force[closed], np.tile([1000.0 * aside, 0.0, 0.0], (closed.sum(), 1)), atol=1e-11)
+    np.testing.assert_allclose(force[away], 0.0, atol=1e-11)
+    fastest = 2.0 * np.pi * 0.5 * CLOSING * 0.001  # way of a jaw in a tick, m
+    assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() < 1000.0 * fastest
+    for i in range(3):
+        on = records[closed][:, [AT.contacts0_object, AT.contacts1_object, AT.contacts2_object]] == i
+        held = [part(records, f"contacts{k}_force")[closed] for k in range(3)]
+        pressing = sum(on[:, k] * (held[k] @ JAWS[i]) for k in range(3))
+        deep = t[closed] + (aside if i == 0 else 0.0)
+        np.testing.assert_allclose(pressing, 1000.0 * deep, atol=1e-11)
+
+
+def test_three_jaws_resist_a_twist_and_a_tilt():
+    """Spun about their axis each rubs with mu_d K t at r; tilted about a normal each winds by what it sees of the tilt.
+
+    Springs of a third each: k_z along a normal n, K r^2 across. The mean of n n^T is 1/2 in the plane of the jaws.
+    """
+    running, angle = jaws(), 0.01
+    closed = running.run(poses(np.zeros((500, 3))))
+    np.testing.assert_allclose(part(closed, "force")[-1], 0.0, atol=1e-11)
+    vectors = np.zeros((10, 3))
+    vectors[:, 0] = np.linspace(0.0, angle, 11)[1:]
+    tilted = part(running.run(poses(np.zeros((10, 3)), vectors)), "torque")
+    # A roll in steps of 1 mrad about an axis that turns with none of the patches: exact but for their product.
+    np.testing.assert_allclose(tilted[-1], [-0.5 * (0.05 + 1000.0 * R**2) * angle, 0.0, 0.0], atol=1e-9)
+    running.reset()
+    running.run(poses(np.zeros((500, 3))))
+    vectors = np.zeros((200, 3))
+    vectors[:, 2] = np.linspace(0.0, 1.5, 201)[1:]
+    spun = part(running.run(poses(np.zeros((200, 3)), vectors)), "torque")
+    # The jaws have begun to open again, 0.7 s after they began to close.
+    load = 3.0 * 1000.0 * (CLOSING * np.sin(0.7 * np.pi) - 0.001)
+    np.testing.assert_allclose(spun[-1], [0.0, 0.0, -R * 0.5 * load], atol=1e-9)
+
+
+# --- a soft fingertip ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_each_wall_has_the_contact_patch_of_its_own_load(order):
+    """Spun by phi about the bisector, each patch winds by phi / sqrt 2 against f R, up to mu_s 3 pi / 16 a f."""
+    running = engine(*groove(order, [material(GRIP, LIMP)] * 2), **SOFT)
+    spin = np.zeros((1000, 3))
+    spin[:, 2] = np.linspace(0.0, 1.0, 1001)[1:]
+    records = in_groove(running, np.tile(IN_GROOVE, (1000, 1)), spin)
+    a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)
+    limit = 0.6 * 3.0 * np.pi / 16.0 * a * F
+    wound = np.minimum(spin[:, 2] / SQRT2, limit / (F * R))
+    assert wound[0] < wound[-1] < spin[-1, 2] / SQRT2  # it winds, and it slips
+    np.testing.assert_allclose(records[:, AT.contact_patch_radius], a, rtol=1e-9)
+    for column in (AT.contacts0_spin, AT.contacts1_spin, AT.contact_spin):
+        np.testing.assert_allclose(records[:, column], wound, rtol=1e-9)
+    np.testing.assert_allclose(records[:, AT.contact_torsion], -F * R * wound, rtol=1e-9)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_each_wall_resists_rolling_by_its_own_load(order):
+    """Turned about the groove's axis without friction: 3/16 alpha a f of each wall, once it has slipped."""
+    running = engine(*groove(order, [material(None)] * 2), rolling=None, **SOFT)
+    turn = np.zeros((1000, 3))
+    turn[:, 1] = np.linspace(0.0, 1.0, 1001)[1:]
+    records = in_groove(running, np.tile(IN_GROOVE, (1000, 1)), turn)
+    a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)
+    moment = 2.0 * np.minimum(3.0 / 16.0 * 0.4 * R * F * turn[:, 1], 3.0 / 16.0 * 0.4 * a * F)
+    np.testing.assert_allclose(part(records, "torque")[:, 1], -moment, rtol=1e-9)

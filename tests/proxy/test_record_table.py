@@ -1,0 +1,130 @@
+"""The record's table: what stands in it once is everywhere, and nothing else has to be told."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pytest
+
+from softfinger.proxy.engine import STEP_FIELDS, Step
+from softfinger.proxy.kernels.model import Contact
+from softfinger.proxy.kernels.record import write_contact
+from softfinger.proxy.record import AT, CAUSE_NAMES, FIELDS, NAMED, RECORD_SIZE, Kind
+
+ROOT = Path(__file__).parents[2]
+NEW = '    fault_level: Annotated[int, 2, "float", "V", "rotor", "a field that a test has added"]\n'
+
+
+def test_columns_follow_each_other():
+    """Each field begins where the one before it ends, under its own name; sizes and kinds are those there are."""
+    assert [field.at for field in FIELDS] == list(AT)
+    ends = [field.at + field.size for field in FIELDS]
+    assert [0, *ends] == [*AT, RECORD_SIZE]
+    assert [field.name.replace(".", "_") for field in FIELDS] == list(AT._fields)
+    assert len(NAMED) == len(FIELDS)
+    assert {field.kind for field in FIELDS} <= set(get_args(Kind))
+    assert all(field.size == 1 for field in FIELDS if field.kind == "int")
+
+
+def test_step_has_every_field_that_the_contact_fills():
+    """What a contact writes into a record, but for what it was called with, is in the engine's Step."""
+    row = np.full(RECORD_SIZE, np.nan)
+    outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
+    force, orientation = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
+    write_contact.py_func(row, 7, 0.001, force, orientation, outcome, force, force)
+    filled = {f.name for f in FIELDS if not np.isnan(row[f.at : f.at + f.size]).any()}
+    assert filled - {"tick", "dt", "probe.position", "probe.orientation"} == {f.name for f in STEP_FIELDS.values()}
+
+
+def contact_types():
+    return get_type_hints(Contact).values()
+
+
+def test_step_has_the_types_of_the_table():
+    """An int, a float or an array as the table says; the cause goes by its name."""
+    step = Step(np.arange(1.0, RECORD_SIZE + 1.0) % len(CAUSE_NAMES))
+    assert step.cause in CAUSE_NAMES
+    for name, field in STEP_FIELDS.items():
+        value, row = getattr(step, name), step.record[field.at : field.at + field.size]
+        if name != "cause":
+            assert type(value) is (np.ndarray if field.size > 1 else {"int": int, "float": float}[field.kind]), name
+            np.testing.assert_array_equal(value, row if field.size > 1 else row[0])
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory):
+    """A copy of the program whose record has one field more, added in the table and nowhere else."""
+    root = tmp_path_factory.mktemp("tree")
+    package = root / "softfinger"
+    shutil.copytree(ROOT / ".dev" / "softfinger", package, symlinks=False)
+    for folder in ("docs", "tests"):
+        shutil.copytree(ROOT / folder, root / folder)
+    table = package / "proxy" / "record.py"
+    text = table.read_text(encoding="utf-8")
+    last = text.index("\n\n\n", text.index("class Offsets")) + 1
+    table.write_text(text[:last] + NEW + text[last:], encoding="utf-8")
+    return root
+
+
+def run_in(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=tree,
+        env={"PYTHONPATH": str(tree), "HOME": str(tree), "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+EVERYWHERE = """
+import json, sys
+import numpy as np
+from softfinger.drivers.poses import decoded_messages
+from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
+from softfinger.server.cli import main
+from softfinger.server.offline.results import read_results, write_results
+from softfinger.server.wire.client import record_of
+from softfinger.server.wire.native.templates import Shown, make_plan, write_message
+from softfinger.server.wire.protocol import CONTACT, decode
+
+assert FIELDS[-1] is NAMED["fault.level"] and AT.fault_level == RECORD_SIZE - 2
+records = np.zeros((3, RECORD_SIZE))
+records[:, AT.fault_level :] = (0.25, -0.5)
+
+plan = make_plan(("",), 1, Shown())
+sent = np.zeros(plan.sizes[7], np.uint8)
+write_message(plan, 7, records, 0, 0, sent, 0)
+body = sent[2 + len(CONTACT) + 9 :].tobytes()
+assert decode(CONTACT.encode(), body).fault.level == (0.25, -0.5)
+
+for ending in ("csv", "npz", "mcap"):
+    write_results(f"out.{ending}", records)
+    assert read_results(f"out.{ending}").tobytes() == records.tobytes(), ending
+assert open("out.csv").readline().rstrip().endswith(",fault.level[0],fault.level[1]")
+assert np.load("out.npz")["fault.level"].tolist() == [[0.25, -0.5]] * 3
+assert [list(m.fault.level) for m in decoded_messages("out.mcap")] == [[0.25, -0.5]] * 3
+
+sys.exit(main(["schema", "telemetry"]))
+"""
+
+
+def test_new_field_is_everywhere(tree):
+    """One line more in the table: the record, the wire, all results files and the schema have it."""
+    done = run_in(tree, "-c", EVERYWHERE)
+    assert done.returncode == 0, done.stderr
+    assert '"fault.level"' in done.stdout
+    assert "a field that a test has added" in done.stdout
+
+
+def test_new_field_is_asked_of_the_page(tree):
+    """The page that lists the keys no longer agrees, and the failure shows the line to add."""
+    page = "tests/server/test_protocol_doc.py::test_table_is_the_codes_table"
+    done = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "| `fault.level` | float[2] | V | rotor | a field that a test has added |" in done.stdout
+    assert "1 failed" in done.stdout

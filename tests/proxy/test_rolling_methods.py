@@ -1,0 +1,239 @@
+"""The rolling methods against eighth-order integration: what is exact is exact, the rest has its order."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SceneFactory
+from references.rolling_cases import (
+    METHODS,
+    PIECED,
+    RADIUS,
+    SHAPES,
+    SMOOTH,
+    has_closed_form,
+    pairs,
+    roll_long,
+    rolled_by,
+    rotation,
+    touching,
+)
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.contact.rolling import roll
+from softfinger.proxy.kernels.geometry import rotations
+from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.scene import build_scene
+from softfinger.tools.accuracy.reference import rolled
+
+CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_rotation_vector_is_exact(name: str) -> None:
+    """A constant rate of up to half a turn a tick ends within 1e-10 m of the integrated path; so does the spin."""
+    rng, shape = np.random.default_rng(11), SHAPES[name]
+    worst = 0.0
+    for _ in range(6):
+        center, normal = touching(shape, rng)
+        w = rotation(rng)
+        out = rolled_by(METHODS["rotation_vector"], shape, center, normal, w)
+        end, n, spin = rolled(shape, RADIUS, center, normal, lambda _, w=w: w)
+        worst = max(worst, np.abs(np.array(out.center) - end).max(), RADIUS * np.abs(np.array(out.normal) - n).max())
+        worst = max(worst, RADIUS * abs(out.spin - spin))
+    # Rounding, the reference's own 1e-13, and 1e-12 rad of spin across the rim of a cylinder, which is integrated.
+    assert worst < 1e-13
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1.0, 1e3])
+def test_rotation_vector_at_all_sizes(scale: float) -> None:
+    """From 10 um to 1 km the closed forms keep the same relative accuracy."""
+    rng = np.random.default_rng(12)
+    for shape in (model.Sphere(3.0 * scale, 1.0), model.Sphere(3.0 * scale, -1.0), model.Cylinder(2.0 * scale, 1.0)):
+        x = tuple(float(v) for v in rng.normal(0, 0.1 * scale, 3))
+        _, point, n = closest(shape, x)
+        center = tuple(p + scale * c for p, c in zip(point, n, strict=True))
+        w = rotation(rng)
+        out = roll(METHODS["rotation_vector"], shape, scale, center, n, rotations.exp(w))
+        # The reference is integrated in units of the fingertip, where its tolerances mean what they say.
+        unit = shape._replace(radius=shape.radius / scale)
+        end, _, _ = rolled(unit, 1.0, np.array(center) / scale, n, lambda _, w=w: w)
+        assert np.abs(np.array(out.center) / scale - end).max() < 1e-11
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_step_control_reaches_its_tolerance(name: str) -> None:
+    """montana_rk45 at 1e-12 stays within 1e-10 of the radius for up to half a turn, across edges too."""
+    rng, shape = np.random.default_rng(13), SHAPES[name]
+    for _ in range(2):
+        center, normal = touching(shape, rng)
+        w = rotation(rng)
+        out = rolled_by(METHODS["montana_rk45"], shape, center, normal, w)
+        end, _, spin = rolled(shape, RADIUS, center, normal, lambda _, w=w: w)
+        # 1e-10 of the radius; where the curvature jumps the estimate is rougher, and the spin has none of its own.
+        assert np.abs(np.array(out.center) - end).max() < 1e-12
+        assert abs(out.spin - spin) < (1e-9 if name in PIECED else 1e-11)
+
+
+def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
+    """Distances (m) from the integrated end point of a path of 1.5 rad rolled in so many ticks."""
+    rng = np.random.default_rng(seed)
+    center, normal = touching(shape, rng)
+    w = rotation(rng, 1.5, 1.5)
+    end, _, _ = rolled(shape, RADIUS, center, normal, lambda _: w)
+    ends = [np.array(rolled_by(method, shape, center, normal, w, n).center) for n in ticks]
+    return [float(np.linalg.norm(found - end)) for found in ends]
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "order"),
+    [
+        ("montana_rk4", "ellipsoid", 4.0),
+        ("montana_rk4", "torus", 4.0),
+        ("midpoint", "ellipsoid", 2.0),
+        ("midpoint", "torus", 2.0),
+        ("euler_zxz", "plane", 2.0),
+        ("euler_zxz", "ellipsoid", 1.0),
+        ("euler_zxz", "torus", 1.0),
+        ("euler_zxz", "sphere", 1.0),
+        ("euler_zyx", "plane", 1.0),
+        ("euler_zyx", "ellipsoid", 1.0),
+    ],
+)
+def test_order_of_convergence(method: str, name: str, order: float) -> None:
+    """Halving the tick divides the error by two to the power of the method's order."""
+    found = errors(METHODS[method], SMOOTH[name], [16, 32, 64], seed=21)
+    for coarse, fine in pairwise(found):
+        # At these ticks the next order has a share of two per cent.
+        assert np.log2(coarse / fine) == pytest.approx(order, abs=0.05)
+    assert found[-1] > 1e-14  # far above rounding, or the ratios would say nothing
+
+
+@pytest.mark.parametrize("name", ["plane", "sphere", "hollow sphere"])
+def test_euler_zxz_is_exact_without_spin(name: str) -> None:
+    """A roll about a tangent axis follows the great circle of a sphere, and the line of a plane, to rounding."""
+    rng, shape = np.random.default_rng(14), SHAPES[name]
+    for _ in range(20):
+        center, normal = touching(shape, rng)
+        tangent = np.cross(normal, rng.normal(size=3))
+        w = tangent / np.linalg.norm(tangent) * rng.uniform(0, 3)
+        out = rolled_by(METHODS["euler_zxz"], shape, center, normal, w)
+        exact = rolled_by(METHODS["rotation_vector"], shape, center, normal, w)
+        # Rounding of lengths of 0.1 m.
+        assert out.center == pytest.approx(exact.center, abs=1e-15)
+        assert out.motion == pytest.approx(exact.motion, abs=1e-15)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rolling_over_the_edge_of_a_box(method: str) -> None:
+    """Rolled to an edge, round it and down the side: contact is kept, and the normal turns through the fan."""
+    box, center, normal = SHAPES["box"], (0.0, 0.0148, 0.02), (0.0, 0.0, 1.0)
+    turn = rotations.exp((-1e-3, 0.0, 0.0))
+    angles = []
+    for _ in range(1700):
+        out = roll(METHODS[method], box, RADIUS, center, normal, turn)
+        center, normal = out.center, out.normal
+        gap, _, _ = closest(box, center)
+        assert gap == pytest.approx(RADIUS, abs=1e-17)
+        angles.append(np.arctan2(normal[1], normal[2]))
+    # 0.02 rad on the face, pi / 2 on the edge, the rest down the side; and no jump.
+    assert np.diff(angles).min() >= 0.0
+    assert np.diff(angles).max() < 1.1e-3
+    assert normal == (0.0, 1.0, 0.0)
+    # Fixed steps end their straight pieces at the edge within one tick, 10 um; the others meet it exactly.
+    down = 0.01 - RADIUS * (1.7 - 0.02 - np.pi / 2)
+    assert center[2] == pytest.approx(down, abs=1e-12 if method in ("rotation_vector", "montana_rk45") else 1e-5)
+
+
+@pytest.mark.parametrize(("method", "name"), pairs())
+def test_no_rotation_moves_nothing(method: str, name: str) -> None:
+    """The identity is no roll and no spin, and leaves the centre where it is, to rounding."""
+    center, normal = touching(SHAPES[name], np.random.default_rng(15))
+    out = roll(METHODS[method], SHAPES[name], RADIUS, center, normal, (1.0, 0.0, 0.0, 0.0))
+    assert (out.motion, out.theta, out.spin) == ((0.0, 0.0, 0.0), 0.0, 0.0)
+    assert out.center == pytest.approx(center, abs=1e-16)
+
+
+@pytest.mark.parametrize(("method", "name"), pairs())
+def test_tiny_rotation_rolls_by_its_tangential_part(method: str, name: str) -> None:
+    """A rotation of 1e-12 rad moves the centre by r w x n and spins by w . n, with the same relative accuracy."""
+    rng, shape = np.random.default_rng(16), SHAPES[name]
+    center, normal = touching(shape, rng)
+    w = rotation(rng, 1e-12, 1e-12)
+    out = roll(METHODS[method], shape, RADIUS, center, normal, rotations.exp(w))
+    # The normal turns by about as much, and all the rest is rounding.
+    assert np.array(out.motion) == pytest.approx(RADIUS * np.cross(w, normal), abs=1e-10 * RADIUS * 1e-12)
+    assert out.spin == pytest.approx(np.dot(w, normal), abs=1e-23)
+
+
+@pytest.mark.parametrize(("method", "name"), pairs())
+def test_pure_spin_does_not_roll(method: str, name: str) -> None:
+    """A rotation about the normal is all spin: half a turn, a right angle and a milliradian alike."""
+    center, normal = touching(SHAPES[name], np.random.default_rng(17))
+    for angle in (1e-3, np.pi / 2, 3.0, -3.0):
+        turn = rotations.exp(tuple(angle * float(n) for n in normal))
+        out = roll(METHODS[method], SHAPES[name], RADIUS, center, normal, turn)
+        assert out.spin == pytest.approx(angle, abs=1e-12)
+        assert out.theta < 1e-12
+        assert out.center == pytest.approx(center, abs=1e-14)
+
+
+@pytest.mark.parametrize(("method", "name"), pairs())
+def test_rotations_near_half_a_turn(method: str, name: str) -> None:
+    """At and around pi, where the rotation's axis may flip, the result is finite and on the offset surface."""
+    rng, shape = np.random.default_rng(18), SHAPES[name]
+    for angle in (np.pi - 1e-9, np.pi, np.pi * (1 - 1e-16)):
+        center, normal = touching(shape, rng)
+        w = rotation(rng, angle, angle)
+        turn = rotations.relative(rotations.exp(w), (1.0, 0.0, 0.0, 0.0))
+        out = roll(METHODS[method], shape, RADIUS, center, normal, turn)
+        assert np.isfinite([*out.center, *out.motion, out.theta, out.spin]).all()
+        gap, _, _ = closest(shape, out.center)
+        assert gap == pytest.approx(RADIUS, abs=1e-15)
+        assert out.theta == pytest.approx(np.linalg.norm(out.motion) / RADIUS, abs=1e-12)
+        assert np.dot(out.motion, out.normal) == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize(("method", "name"), pairs())
+def test_compiled_equals_plain_python(method: str, name: str) -> None:
+    """Some compiled steps of 0.3 rad and the same source run by Python end with the same numbers."""
+    center, normal = touching(SHAPES[name], np.random.default_rng(19))
+    case = (METHODS[method], SHAPES[name], RADIUS, center, normal, (0.2, -0.15, 0.17), 8)
+    (off, stretched, compiled), (plain_off, plain_stretched, plain) = roll_long(*case), roll_long.py_func(*case)
+    assert (off, stretched) == pytest.approx((plain_off, plain_stretched), abs=1e-15)
+    for a, b in zip(compiled, plain, strict=True):
+        # No contraction, and the same library for sin and cos: not much more than the last bit may differ.
+        assert a == pytest.approx(b, rel=1e-13, abs=1e-15)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_scene_selects_the_method(plane_scene: SceneFactory, method: str) -> None:
+    """The scene's method, k_tau and tolerance reach the kernels; k_tau is the coupling's unless the scene says less."""
+    built = build_scene(plane_scene(rolling={"method": method}))
+    assert type(built.rolling) is type(METHODS[method])
+    assert built.fingers[0].torque_stiffness == 1000.0
+    tolerance = {"tolerance": 1e-6} if method == "montana_rk45" else {}
+    less = build_scene(plane_scene(rolling={"method": method, "torque_stiffness_n_per_m": 250.0, **tolerance}))
+    assert less.rolling == type(built.rolling)(*tolerance.values())
+    assert less.fingers[0].torque_stiffness == 250.0
+
+
+@pytest.mark.parametrize(
+    ("table", "rolling", "message"),
+    [
+        ({"shape": "torus", "major_radius_m": 0.05, "minor_radius_m": 0.02}, {}, "torus: choose montana_rk4"),
+        ({"shape": "ellipsoid", "semi_axes_m": [0.05, 0.03, 0.02]}, {}, "ellipsoid: choose montana_rk4"),
+        ({}, {"tolerance": 1e-6}, "tolerance = 1e-06: is for montana_rk45"),
+        ({}, {"method": "montana_rk45", "tolerance": 1e-15}, "must be a number from 1e-13 to 0.001"),
+    ],
+)
+def test_a_scene_is_refused(
+    plane_scene: SceneFactory, table: dict[str, Any], rolling: dict[str, Any], message: str
+) -> None:
+    """Closed forms that do not exist, and options of another method, are faults that say what to do."""
+    with pytest.raises(ConfigError, match=message):
+        plane_scene(table=table, rolling={"method": "rotation_vector"} | rolling)

@@ -1,0 +1,82 @@
+"""Rotation kernels against the extended precision of the machine, on both sides of every seam."""
+
+import numpy as np
+import pytest
+
+from softfinger.proxy.kernels.geometry import rotations
+
+ULP = np.finfo(np.float64).eps
+SEAM = rotations.SMALL
+ARGUMENTS = np.unique(
+    np.concatenate([np.geomspace(1e-300, 3.0, 400), np.linspace(0.9 * SEAM, 1.1 * SEAM, 401), [np.nextafter(SEAM, 0)]])
+)
+
+pytestmark = pytest.mark.skipif(
+    np.finfo(np.longdouble).eps >= ULP, reason="this machine has no float wider than float64 to compare with"
+)
+
+
+def test_sinc_is_exact_to_rounding():
+    """sin(x) / x within two units of the last place, small or large, either sign."""
+    for x in ARGUMENTS.tolist():
+        wide = np.longdouble(x)
+        expected = float(np.sin(wide) / wide)
+        # The series rounds once per term, and every term but the first is below 1/600 of it.
+        assert abs(rotations.sinc(x) - expected) <= 2.0 * ULP * abs(expected)
+        assert rotations.sinc(-x) == rotations.sinc(x)
+    assert rotations.sinc(0.0) == 1.0
+
+
+def test_angle_of_is_exact_to_rounding():
+    """2 atan2(s, c) within three units of the last place, for a sine and cosine of any common scale."""
+    for ratio in ARGUMENTS.tolist():
+        for c in (1.0, 0.7, 1e-3):
+            s = ratio * c
+            if s == 0.0:
+                continue
+            expected = float(2 * np.arctan2(np.longdouble(s), np.longdouble(c)))
+            # One rounding of the quotient and a few of the series; the library's call is within one.
+            assert abs(rotations.angle_of(s, c) - expected) <= 3.0 * ULP * expected
+            assert rotations.angle_of(-s, c) == -rotations.angle_of(s, c)
+    assert rotations.angle_of(0.0, 1.0) == 0.0
+    assert rotations.angle_of(0.0, 0.0) == 0.0
+    assert rotations.angle_of(1.0, 0.0) == np.pi
+
+
+def test_exp_and_log_undo_each_other():
+    """A rotation vector shorter than half a turn comes back from its quaternion, however short it is."""
+    rng = np.random.default_rng(5)
+    for length in np.geomspace(1e-150, 3.0, 200).tolist():
+        axis = rng.normal(size=3)
+        vector = length * axis / np.linalg.norm(axis)
+        back = rotations.log(rotations.exp(tuple(vector)))
+        # Towards half a turn the cosine tells little, and the sine loses digits: a few roundings in all.
+        np.testing.assert_allclose(back, vector, rtol=0, atol=8.0 * ULP * length)
+
+
+def matrix_of(q):
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def test_quaternion_of_a_matrix_is_exact_to_rounding():
+    """Random rotations, and half turns and near half turns about every axis, come back from their matrices, w >= 0."""
+    rng = np.random.default_rng(6)
+    axes = [*np.eye(3), *(-np.eye(3)), *rng.normal(size=(20, 3))]
+    quaternions = [*rng.normal(size=(500, 4)), [1.0, 0.0, 0.0, 0.0]]
+    for axis in axes:
+        unit = axis / np.linalg.norm(axis)
+        quaternions.extend([w, *unit] for w in (0.0, 1e-17, 1e-9, -1e-9, 1e-3))
+    for q in quaternions:
+        q = np.array(q) / np.linalg.norm(q)
+        back = rotations.from_matrix(tuple(map(tuple, matrix_of(q).tolist())))
+        assert back[0] >= 0.0
+        assert sum(part * part for part in back) == pytest.approx(1.0, abs=4 * ULP)
+        # Up to sign the same; the matrix's own rounding is a few units of the last place, and no component is lost.
+        assert min(np.abs(back - q).max(), np.abs(back + q).max()) < 8 * ULP

@@ -1,0 +1,232 @@
+"""Several fingers over one world: the world goes on once a tick, and a finger feels only what it touches itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.load import build
+from softfinger.proxy.engine import Engine, PoseError
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
+from softfinger.proxy.kernels.step import step
+from softfinger.proxy.record import AT, FREE
+from softfinger.proxy.scene import build_scene, start_state
+
+Array = NDArray[np.float64]
+DT = 1e-3
+TICKS = 400
+LEAVES = sum(3 if kind is model.Vec3 else 1 for kind in model.Contact.__annotations__.values())
+"""Numbers in an outcome."""
+THUMB = model.Finger(0.01, model.Coupling(1000.0, 1.0), 1000.0, 0.002, 0.0)
+INDEX = model.Finger(0.006, model.Coupling(700.0, 0.5), 500.0, 0.001, 1e-6)
+"""Two fingertips that have no parameter in common."""
+
+RUBBER = {
+    "stiffness_n_per_m": 1000.0,
+    "damping_ns_per_m": 2.0,
+    "friction": {"static": 0.6, "kinetic": 0.5},
+    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+}
+REMEMBERS = [
+    {"kind": "stick_slip", "stiffness_n_per_m": 300.0, "force_max_n": 0.2},
+    {"kind": "vibration", "amplitude_n": 0.1, "frequency_hz": 120.0},
+]
+"""Effects with a memory of their visitor: an anchor, and a phase that waits while nobody touches."""
+TURNS: dict[str, Any] = {"kind": "turntable", "rate_rad_per_s": 1.5}
+OBJECTS: dict[str, list[dict[str, Any]]] = {
+    "a table": [{"shape": "plane"}],
+    "a turntable with a box on it": [
+        {"shape": "plane", "motion": TURNS},
+        {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.045, 0.0, 0.0]},
+    ],
+}
+
+
+def scene(name: str, *fingers: model.Finger) -> model.Scene:
+    """Objects that remember their visitors, and these fingers."""
+    objects = [
+        {"name": f"thing {i}", "material": RUBBER, "effect": REMEMBERS, **thing}
+        for i, thing in enumerate(OBJECTS[name])
+    ]
+    tables = {"fingertip": {"radius_m": 0.01}, "rolling": {"method": "euler_zxz"}, "object": objects}
+    return build_scene(build(schema.Scene, tables, name))._replace(fingers=fingers)
+
+
+def step_along(scene, values, start, state_values, poses, dt, contacts, times):
+    """One step for each of `poses` (ticks, fingers, 7); contacts (ticks, fingers, ...) and times (ticks,) come out."""
+    parameters, state = unpack(scene, values), unpack(start, state_values)
+    for i in range(poses.shape[0]):
+        state, found = step(parameters, state, all_poses(poses[i], state.fingers), dt)
+        write_all(contacts[i], found)
+        times[i] = state.world.time
+    pack(state_values, state)
+
+
+@numba.njit(**OPTIONS)
+def pose_in(row):
+    return model.Pose((row[0], row[1], row[2]), (row[3], row[4], row[5], row[6]))
+
+
+@numba.njit(**OPTIONS)
+def write(row, contact):
+    pack(row, contact)
+
+
+def all_poses(rows: Any, fingers: Any) -> Any:
+    """A Pose of each row, as many as there are fingers."""
+    return tuple(pose_in(row) for row in rows)
+
+
+def write_all(rows: Any, contacts: Any) -> None:
+    for row, contact in zip(rows, contacts, strict=True):
+        row[:] = flatten(contact)
+
+
+@numba.extending.overload(all_poses, jit_options=OPTIONS)
+def _all_poses(rows, fingers):
+    if len(fingers) == 1:
+        return lambda rows, fingers: (pose_in(rows[0]),)
+    return lambda rows, fingers: (pose_in(rows[0]), pose_in(rows[1]))
+
+
+@numba.extending.overload(write_all, jit_options=OPTIONS)
+def _write_all(rows, contacts):
+    if len(contacts) == 1:
+        return lambda rows, contacts: write(rows[0], contacts[0])
+
+    def two(rows, contacts):
+        write(rows[0], contacts[0])
+        write(rows[1], contacts[1])
+
+    return two
+
+
+def run(given: model.Scene, poses: Array) -> tuple[Array, Array, model.State]:
+    """Contacts (ticks, fingers, LEAVES), world times (ticks,) and the last state, of poses (ticks, fingers, 7)."""
+    start = start_state(given)
+    contacts, times = np.zeros((*poses.shape[:2], LEAVES)), np.zeros(len(poses))
+    state = flatten(start)
+    compiled(given, flatten(given), start, state, np.ascontiguousarray(poses), DT, contacts, times)
+    return contacts, times, rebuilt(start, state)
+
+
+compiled = numba.njit(**OPTIONS)(step_along)
+
+
+def stroke(radius: float, x: float, phase: float) -> Array:
+    """Poses (TICKS, 7) that come down onto the table at x, press, drag, roll, spin and leave it, at their own time."""
+    s = np.linspace(0.0, 2.0 * np.pi, TICKS) + phase
+    poses = np.zeros((TICKS, 7))
+    poses[:, 0] = x + 0.008 * np.sin(s)
+    poses[:, 1] = 0.006 * np.sin(2.0 * s)
+    poses[:, 2] = radius - 0.002 * np.sin(s)
+    turns = np.stack([np.ones(TICKS), 0.1 * np.sin(2.0 * s), 0.05 * np.sin(3.0 * s), 0.1 * np.sin(s)], axis=1)
+    poses[:, 3:] = turns / np.linalg.norm(turns, axis=1)[:, None]
+    return poses
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_two_fingers_on_one_object_are_two_runs_of_one(name: str) -> None:
+    """Fingers touch each other only through bodies that yield: on others, each has the bits it has alone."""
+    thumb, index = stroke(THUMB.radius, -0.02, 0.0), stroke(INDEX.radius, 0.03, 0.7)
+    both, times, _ = run(scene(name, THUMB, INDEX), np.stack([thumb, index], axis=1))
+    for place, (finger, poses) in enumerate([(THUMB, thumb), (INDEX, index)]):
+        alone, times_alone, _ = run(scene(name, finger), poses[:, None])
+        np.testing.assert_array_equal(both[:, place], alone[:, 0])
+        np.testing.assert_array_equal(times, times_alone)
+        modes = set(alone[:, 0, 0])
+        assert FREE in modes and len(modes) == 3  # the stroke sees every mode, or it proves little
+    assert not np.array_equal(both[:, 0], both[:, 1])
+
+
+def test_fingers_keep_their_order() -> None:
+    """Which finger comes first decides nothing."""
+    name = "a turntable with a box on it"
+    thumb, index = stroke(THUMB.radius, -0.02, 0.0), stroke(INDEX.radius, 0.03, 0.7)
+    one, _, _ = run(scene(name, THUMB, INDEX), np.stack([thumb, index], axis=1))
+    other, _, _ = run(scene(name, INDEX, THUMB), np.stack([index, thumb], axis=1))
+    np.testing.assert_array_equal(one, other[:, ::-1])
+
+
+def test_time_of_the_world_goes_on_once_a_tick() -> None:
+    """Two fingers do not make the turntable turn twice as fast: n ticks are n dt, summed up."""
+    poses = np.stack([stroke(THUMB.radius, -0.02, 0.0)] * 2, axis=1)
+    given = scene("a turntable with a box on it", THUMB, THUMB)
+    _, times, after = run(given, poses)
+    np.testing.assert_array_equal(times, np.cumsum(np.full(TICKS, DT)))
+    assert after.world.time == times[-1]
+    angle, before = (2.0 * np.arctan2(q[3], q[0]) for ((_, q), _) in (after.world.poses, after.world.was))
+    rate = TURNS["rate_rad_per_s"]
+    # An angle of up to a radian rounds to some 1e-16, and the sum of the steps of time by that much for each.
+    assert angle == pytest.approx(rate * TICKS * DT, rel=0, abs=TICKS * 1e-15)
+    assert angle - before == pytest.approx(rate * DT, rel=0, abs=TICKS * 1e-15)
+
+
+def rebuilt(like: Any, values: Array) -> Any:
+    """The tree of the same type as `like` whose leaves are `values`, in plain Python."""
+    leaves = iter(values.tolist())
+
+    def walk(node: Any) -> Any:
+        if isinstance(node, tuple):
+            parts = [walk(child) for child in node]
+            return type(node)(*parts) if hasattr(node, "_fields") else tuple(parts)
+        value = next(leaves)
+        return None if node is None else value
+
+    return walk(like)
+
+
+@pytest.fixture(scope="module")
+def pair_of_engines() -> tuple[Engine, dict[str, Engine]]:
+    """An engine for two fingers with couplings of their own, and one for each of them alone."""
+    given = {"thumb": (0.01, 1000.0), "index": (0.006, 700.0)}
+    objects = [{"name": "table", "shape": "plane", "material": RUBBER}]
+    rest = {"rolling": {"method": "euler_zxz"}, "object": objects}
+    fingers = [
+        {"name": name, "radius_m": radius, "coupling": {"stiffness_n_per_m": stiffness}}
+        for name, (radius, stiffness) in given.items()
+    ]
+    alone = {
+        name: {"fingertip": {"radius_m": radius}, "coupling": {"stiffness_n_per_m": stiffness}}
+        for name, (radius, stiffness) in given.items()
+    }
+    both = Engine(build(schema.Scene, {"finger": fingers, **rest}, "both"))
+    return both, {name: Engine(build(schema.Scene, tables | rest, name)) for name, tables in alone.items()}
+
+
+def test_engine_takes_and_gives_each_finger_by_name(pair_of_engines: tuple[Engine, dict[str, Engine]]) -> None:
+    """Each with the coupling and the torque stiffness that it has alone, to the bit, whatever order poses come in."""
+    both, alone = pair_of_engines
+    poses = {"index": stroke(0.006, 0.03, 0.7), "thumb": stroke(0.01, -0.02, 0.0)}
+    found = both.run(poses)
+    assert list(found) == ["thumb", "index"] == list(both.fingers)
+    for name, engine in alone.items():
+        np.testing.assert_array_equal(found[name], engine.run(poses[name]))
+        assert len(np.unique(found[name][:, AT.contact_mode])) == 3
+    again = both.run({name: rows[:1] for name, rows in poses.items()})
+    assert again["thumb"][0, AT.tick] == TICKS  # it goes on
+
+
+@pytest.mark.parametrize(
+    ("poses", "said"),
+    [
+        (np.zeros((3, 7)), "the fingers thumb, index: give `run` poses of each by its name"),
+        ({"thumb": np.ones((3, 7))}, "poses of thumb are not those of the scene's fingers: thumb, index"),
+        ({"thumb": np.ones((3, 7)), "ring": np.ones((3, 7))}, "poses of thumb, ring are not those"),
+        ({"thumb": np.ones((3, 7)), "index": np.ones((2, 7))}, "as many of each, not 3 of thumb, 2 of index"),
+        ({"thumb": np.ones((3, 7)), "index": np.full((3, 7), np.nan)}, "pose 0 is"),
+    ],
+)
+def test_poses_of_other_fingers_are_refused(
+    pair_of_engines: tuple[Engine, dict[str, Engine]], poses: Any, said: str
+) -> None:
+    """Which fingers there are, and what is wrong with what was given."""
+    with pytest.raises(PoseError, match=said):
+        pair_of_engines[0].run(poses)

@@ -1,0 +1,265 @@
+"""Several objects at once, thin objects, moving objects: the proxy is the nearest point outside all of them."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import AT
+
+R = 0.01
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def facing(normal):
+    """Quaternion that turns +z to `normal` (3,)."""
+    n = np.asarray(normal, float) / np.linalg.norm(normal)
+    q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
+    return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
+
+
+def wall(name, normal, offset=0.0, **material):
+    n = np.asarray(normal, float) / np.linalg.norm(normal)
+    return {
+        "name": name,
+        "shape": "plane",
+        "position_m": (offset * n).tolist(),
+        "orientation_wxyz": facing(n),
+        "material": {"stiffness_n_per_m": 1000.0} | material,
+    }
+
+
+def thing(name, shape, position=(0.0, 0.0, 0.0), **keys):
+    material = keys.pop("material", {"stiffness_n_per_m": 1000.0})
+    return {"name": name, "shape": shape, "position_m": list(position), "material": material, **keys}
+
+
+def engine(*objects, **tables):
+    scene = {
+        "fingertip": {"radius_m": R},
+        "probe": {"velocity_time_constant_s": 0.0},
+        "object": list(objects),
+        **tables,
+    }
+    return Engine(build(Scene, scene, "several objects"))
+
+
+def go(running, points):
+    """Records of a straight visit to each of `points` (n, 3), upright."""
+    return running.run(np.hstack([np.asarray(points, float), np.tile(UPRIGHT, (len(points), 1))]))
+
+
+def way(start, end, ticks):
+    return np.linspace(start, end, ticks)
+
+
+def proxy(records):
+    at = AT.proxy_position
+    return records[:, at : at + 3]
+
+
+def force(records):
+    at = AT.force
+    return records[:, at : at + 3]
+
+
+def test_corner_of_three_planes_holds_on_all_sides():
+    """A probe behind three walls has its proxy in the corner, and each wall pushes with its own spring."""
+    corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
+    records = go(
+        corner, np.vstack([way((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5])
+    )
+    # The planes' normals are turned from +z by a quaternion: rounding of some 1e-16 times metres.
+    np.testing.assert_allclose(proxy(records)[-1], [R, R, R], atol=1e-15)
+    np.testing.assert_allclose(force(records)[-1], [2.0, 1.0, 1.5], atol=1e-10)
+
+
+@pytest.mark.parametrize("angle", [30.0, 60.0, 90.0, 120.0, 150.0])
+def test_groove_is_the_nearest_point_to_the_probe(angle):
+    """Between two walls at any angle the proxy is the closed-form foot of the probe on their common line."""
+    half = np.radians(angle) / 2.0
+    n1, n2 = np.array([np.cos(half), 0.0, np.sin(half)]), np.array([-np.cos(half), 0.0, np.sin(half)])
+    groove = engine(wall("one", n1), wall("two", n2))
+    height = R / np.sin(half)  # the sphere's centre when it rests on both
+    records = go(groove, way((0.0005, 0.0, height + 0.005), (0.0005, 0.003, height - 0.002), 400))
+    final = np.array([0.0005, 0.003, height - 0.002])
+    inside = [R - n @ final for n in (n1, n2)]
+    assert min(inside) > 0.0
+    np.testing.assert_allclose(proxy(records)[-1], [0.0, 0.003, height], atol=1e-12)
+
+
+def test_constraints_do_not_take_turns():
+    """Dragged along a groove at constant depth, the force does not ripple from tick to tick."""
+    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
+    groove = engine(wall("one", n1), wall("two", n2))
+    height = R / 0.6
+    down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.001), 100)
+    along = way((0.0, 0.0, height - 0.001), (0.0, 0.05, height - 0.001), 1000)
+    pushed = force(go(groove, np.vstack([down, along])))[110:]
+    # 50 um of travel a tick would show as 0.05 N if one wall were solved at a time.
+    assert np.abs(np.diff(pushed, axis=0)).max() < 1e-9
+
+
+def test_sphere_rests_in_a_dent_between_spheres():
+    """Three balls carry the fingertip: the proxy stays at a distance r from all of them."""
+    corners = [np.array([0.012 * np.cos(a), 0.012 * np.sin(a), 0.0]) for a in np.radians([0.0, 120.0, 240.0])]
+    balls = [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.01) for i, p in enumerate(corners)]
+    height = np.sqrt(0.02**2 - 0.012**2)
+    target = (0.0003, 0.0002, height - 0.001)
+    records = go(engine(*balls), np.vstack([way((0.0, 0.0, 0.03), target, 300), [target] * 20]))
+    at = proxy(records)[-1]
+    np.testing.assert_allclose([np.linalg.norm(at - p) for p in corners], 0.02, atol=1e-12)
+    np.testing.assert_allclose(at, [0.0, 0.0, height], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("shape", "keys"),
+    [
+        ("box", {"size_m": [0.2, 0.2, 0.001]}),
+        ("sphere", {"radius_m": 0.0005}),
+        ("capsule", {"radius_m": 0.0005, "length_m": 0.1, "orientation_wxyz": facing((0, 1, 0))}),
+        ("cylinder", {"radius_m": 0.0005, "length_m": 0.1, "orientation_wxyz": facing((0, 1, 0))}),
+        ("ellipsoid", {"semi_axes_m": [0.05, 0.05, 0.0005]}),
+        ("torus", {"major_radius_m": 0.02, "minor_radius_m": 0.0005}),
+    ],
+)
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+def test_thin_object_is_not_jumped_over(shape, keys, tilt):
+    """A probe that crosses a thin object in a single tick is held on the side it came from."""
+    passing = engine(thing("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
+    start, end = np.array([tilt * 0.05, 0.0, 0.05]), np.array([-tilt * 0.05, 0.0, -0.05])
+    records = go(passing, [start, start, end, end, end])
+    assert (records[2:, AT.contact_mode] != 0).all()
+    assert proxy(records)[2][2] > 0.0
+    assert (force(records)[2:, 2] > 1.0).all()
+
+
+def test_two_thin_walls_are_met_one_after_the_other():
+    """While one plate is touched, a second behind the edge of the way is not passed through."""
+    plates = [
+        thing("plate", "box", size_m=[0.2, 0.2, 0.001]),
+        thing("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
+    ]
+    running = engine(*plates)
+    records = go(
+        running, [(0.0, 0.0, 0.03), (0.0, 0.0, 0.03), (0.0, 0.0, 0.008), (0.09, 0.0, 0.008), (0.09, 0.0, 0.008)]
+    )
+    np.testing.assert_allclose(proxy(records)[-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
+
+
+def test_where_two_objects_meet_nothing_gets_through():
+    """Two boxes side by side make one table: dragging across the seam leaves the proxy's height alone."""
+    table = [thing(f"half {i}", "box", (x, 0.0, -0.05), size_m=[0.1, 0.1, 0.1]) for i, x in enumerate((-0.05, 0.05))]
+    down = way((-0.03, 0.0, 0.02), (-0.03, 0.0, 0.009), 100)
+    records = go(engine(*table), np.vstack([down, way((-0.03, 0.0, 0.009), (0.03, 0.0, 0.009), 1000)]))
+    touching = records[:, AT.contact_mode] != 0
+    np.testing.assert_allclose(proxy(records)[touching][:, 2], R, atol=1e-12)
+    assert touching[110:].all()
+
+
+def test_inside_of_a_box_is_a_corner_too():
+    """The inside of a box holds the fingertip on three walls at once."""
+    room = engine(thing("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
+    records = go(room, np.vstack([way((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3]))
+    np.testing.assert_allclose(proxy(records)[-1], [0.04, 0.04, -0.04], atol=1e-12)
+    np.testing.assert_allclose(force(records)[-1], [-2.0, -3.0, 4.0], atol=1e-9)
+    assert records[-1, AT.contact_object] == 0
+
+
+def test_friction_in_a_groove_carries_the_load_of_both_walls():
+    """Along a groove the friction limit is that of both normal forces together."""
+    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
+    grip = {"friction": {"static": 0.6, "kinetic": 0.5}}
+    groove = engine(wall("one", n1, **grip), wall("two", n2, **grip))
+    height = R / 0.6
+    down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.0006), 200)
+    along = way((0.0, 0.0, height - 0.0006), (0.0, 0.02, height - 0.0006), 500)
+    records = go(groove, np.vstack([down, along]))
+    # 0.6 mm down is 0.5 mm along each normal: 0.5 N each, 1 N in sum.
+    tangential = -force(records)[:, 1]
+    np.testing.assert_allclose(tangential.max(), 0.6, rtol=1e-3)
+    np.testing.assert_allclose(np.median(tangential[-200:]), 0.5, rtol=1e-9)
+
+
+def test_contact_rides_on_a_moving_object():
+    """On a table that moves to and fro the stuck fingertip's contact goes along; the hand held still feels it."""
+    grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
+    motion = {"kind": "sinusoid", "translation_m": [0.0002, 0.0, 0.0], "frequency_hz": 2.0}
+    table = thing("table", "plane", material=grip, motion=motion)
+    stiff = {"coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}}
+    records = go(engine(table, **stiff), [(0.0, 0.0, 0.0095)] * 500)
+    t = np.arange(1, 501) * 0.001
+    moved = 0.0002 * np.sin(2.0 * np.pi * 2.0 * t)
+    # Stuck at first touch, which is the first tick; 0.5 N press, at most 0.4 mm * 1000 N/m of drag is cut at 0.3 N.
+    expected = np.clip(1000.0 * (moved - moved[0]), -0.3, 0.3)
+    stuck = records[:, AT.contact_mode] == 1
+    assert stuck[:100].all()
+    np.testing.assert_allclose(force(records)[:100, 0], expected[:100], atol=1e-9)
+
+
+def test_turning_table_spins_the_contact():
+    """A turntable under a still fingertip winds up torsion against its own turn."""
+    material = {
+        "stiffness_n_per_m": 1000.0,
+        "friction": {"static": 0.6, "kinetic": 0.5},
+        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+    }
+    motion = {"kind": "turntable", "axis": [0.0, 0.0, 1.0], "rate_rad_per_s": 0.5}
+    table = thing("table", "plane", material=material, motion=motion)
+    records = go(engine(table), [(0.0, 0.0, 0.009)] * 101)
+    # 100 ticks of 0.5 mrad after touch: the table has turned by 0.05 rad, so the finger has by -0.05 against it.
+    np.testing.assert_allclose(records[-1, AT.contact_spin], -0.05, rtol=1e-9)
+    np.testing.assert_allclose(records[-1, AT.torque + 2], 0.0025, rtol=1e-9)
+
+
+def test_relative_rotation_of_a_rolling_ball_drives_rolling():
+    """A ball that turns under a still fingertip rolls the contact as the fingertip turning the other way would."""
+    grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 50.0, "kinetic": 50.0}}
+    tables = {"rolling": {"method": "rotation_vector"}, "coupling": {"stiffness_n_per_m": 1e-3}}
+    turning = {"kind": "turntable", "axis": [1.0, 0.0, 0.0], "rate_rad_per_s": -0.2}
+    ball = thing("ball", "sphere", radius_m=0.03, material=grip)
+    moving = go(engine(ball | {"motion": turning}, **tables), [(0.0, 0.0, 0.039)] * 201)
+    angle = 0.2 * 0.001 * np.arange(201)
+    poses = np.zeros((201, 7))
+    poses[:, 2], poses[:, 3], poses[:, 4] = 0.039, np.cos(angle / 2), np.sin(angle / 2)
+    still = engine(ball, **tables).run(poses)
+    rolled = AT.contact_rolled
+    np.testing.assert_allclose(moving[-1, rolled], still[-1, rolled], rtol=1e-9)
+
+
+def test_proxy_never_oscillates_at_rest():
+    """A probe that rests anywhere in a cluttered corner has a proxy that rests as well."""
+    rng = np.random.default_rng(5)
+    clutter = [
+        wall("floor", (0, 0, 1)),
+        wall("left", (1, 0, 0)),
+        thing("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012),
+    ]
+    for _ in range(20):
+        target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
+        records = go(engine(*clutter), np.vstack([way((0.05, 0.0, 0.05), target, 100), [target] * 60]))
+        moved = np.linalg.norm(np.diff(proxy(records)[-50:], axis=0), axis=1)
+        # Each tick is at least as still as the one before (to rounding): near a medial axis it only takes longer.
+        assert (moved[1:] <= moved[:-1] + 1e-15).all(), target
+        assert moved[-1] < 1e-6, target
+
+
+def test_proxy_is_outside_every_object_on_random_walks():
+    """Whatever the probe does among several objects, the proxy keeps its radius from all of them."""
+    rng = np.random.default_rng(6)
+    balls = [np.array([0.03, 0.0, 0.01]), np.array([-0.02, 0.02, 0.0])]
+    scene = [wall("floor", (0, 0, 1)), wall("slope", (1, 0.2, 1)), wall("side", (0, 1, 0.1), -0.02)]
+    scene += [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.015) for i, p in enumerate(balls)]
+    running = engine(*scene)
+    steps = rng.normal(0.0, 0.003, (5000, 3)) * rng.choice([0.1, 1.0, 10.0], (5000, 1))
+    points = np.array(
+        list(itertools.accumulate(steps, lambda p, s: np.clip(p + s, -0.06, 0.08), initial=np.full(3, 0.05)))
+    )
+    at = proxy(go(running, points))
+    planes = [((0, 0, 1), 0.0), ((1, 0.2, 1), 0.0), ((0, 1, 0.1), -0.02)]
+    gaps = [at @ (np.array(n) / np.linalg.norm(n)) - d for n, d in planes]
+    gaps += [np.linalg.norm(at - p, axis=1) - 0.015 for p in balls]
+    assert np.min(gaps) > R * (1.0 - 1e-9)

@@ -1,0 +1,490 @@
+"""Surfaces: signed distance, nearest point, normal and curvature of every shape, at every scale, from both sides."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from references.surface_points import Array, contacts, ellipsoid_foot, signed_distance, unit
+from scipy.optimize import minimize
+
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.geometry.surfaces import closest, curvature, transport
+from softfinger.proxy.kernels.native.jit import OPTIONS
+
+Triple = tuple[float, float, float]
+
+EPS = float(np.finfo(np.float64).eps)
+
+SHAPES: list[Any] = [
+    model.Plane((0.6, 0.0, 0.8), 0.3),
+    model.Sphere(0.7, 1.0),
+    model.Sphere(0.7, -1.0),
+    model.Cylinder(0.5, 1.0),
+    model.Cylinder(0.5, -1.0),
+    model.CappedCylinder(0.5, 0.8),
+    model.Capsule(0.4, 0.9, 1.0),
+    model.Capsule(0.4, 0.9, -1.0),
+    model.Box((0.5, 0.9, 0.3)),
+    model.Ellipsoid((0.9, 0.5, 0.7), 1.0),
+    model.Ellipsoid((0.9, 0.6, 0.7), -1.0),
+    model.Ellipsoid((0.8, 0.8, 0.5), 1.0),
+    model.Torus(0.8, 0.3, 1.0),
+    model.Torus(0.8, 0.3, -1.0),
+]
+NAMES = [f"{type(s).__name__}{'-inside' if getattr(s, 'side', 1.0) < 0 else ''}" for s in SHAPES]
+
+BALL = ((1.0, 1.0, 1.0), -1.0)
+
+every_shape = pytest.mark.parametrize("shape", SHAPES, ids=NAMES)
+scales = st.floats(-5.0, 3.0).map(lambda power: 10.0**power)
+seeds = st.integers(0, 2**32 - 1)
+
+
+@numba.njit(**OPTIONS)
+def compiled_closest(shape, x):  # type: ignore[no-untyped-def]
+    return closest(shape, x)
+
+
+@numba.njit(**OPTIONS)
+def compiled_curvature(shape, radius, point, normal):  # type: ignore[no-untyped-def]
+    return curvature(shape, radius, point, normal)
+
+
+@numba.njit(**OPTIONS)
+def compiled_transport(shape, v, normal_from, normal_to):  # type: ignore[no-untyped-def]
+    return transport(shape, v, normal_from, normal_to)
+
+
+def triple(v: Array) -> Triple:
+    x, y, z = (float(c) for c in v)
+    return x, y, z
+
+
+def size_of(shape: Any) -> float:
+    """Largest dimension, m."""
+    return max(abs(v) for v in leaves(shape))
+
+
+def leaves(shape: Any) -> list[float]:
+    """All numbers of a shape but its side."""
+    fields = shape._asdict()
+    fields.pop("side", None)
+    fields.pop("normal", None)
+    return [leaf for item in fields.values() for leaf in (item if isinstance(item, tuple) else (item,))]
+
+
+def scaled(shape: Any, factor: float) -> Any:
+    """The shape, `factor` times as large."""
+    fields = shape._asdict()
+    for key, value in fields.items():
+        if key not in {"side", "normal"}:
+            fields[key] = tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
+    return type(shape)(**fields)
+
+
+def random_shape(kind: type, rng: np.random.Generator, size: float) -> Any:
+    """A shape of that kind, of any proportions up to 1 : 100."""
+    a, b, c = (float(v) for v in size * 10.0 ** rng.uniform(-2.0, 0.0, 3))
+    side = 1.0 if rng.random() < 0.5 else -1.0
+    build = {
+        model.Plane: lambda: model.Plane(triple(unit(rng)), a),
+        model.Sphere: lambda: model.Sphere(a, side),
+        model.Cylinder: lambda: model.Cylinder(a, side),
+        model.Capsule: lambda: model.Capsule(a, b, side),
+        model.CappedCylinder: lambda: model.CappedCylinder(a, b),
+        model.Box: lambda: model.Box((a, b, c)),
+        model.Ellipsoid: lambda: model.Ellipsoid((a, b, c), side),
+        model.Torus: lambda: model.Torus(max(a, b), 0.9 * min(a, b), side),
+    }
+    return build[kind]()
+
+
+KINDS = sorted({type(shape) for shape in SHAPES}, key=lambda kind: kind.__name__)
+EXPLICIT = [kind for kind in KINDS if kind is not model.Ellipsoid]
+kinds = st.sampled_from(KINDS)
+
+
+def near_or_far(shape: Any, rng: np.random.Generator) -> Array:
+    """A point from deep inside a shape to far outside it, sometimes in a plane of symmetry."""
+    x = unit(rng) * size_of(shape) * 10.0 ** rng.uniform(-3.0, 1.5)
+    return np.where(rng.random(3) < 0.15, 0.0, x)
+
+
+# --- distance, point and normal ------------------------------------------------------------------
+
+
+@settings(derandomize=True, max_examples=1250, deadline=None)
+@given(kind=st.sampled_from(EXPLICIT), size=scales, seed=seeds)
+def test_gap_is_the_signed_distance(kind: type, size: float, seed: int) -> None:
+    """Against formulas that need no nearest point, for any proportions and size, in and out."""
+    rng = np.random.default_rng(seed)
+    shape = random_shape(kind, rng, size)
+    for _ in range(8):
+        x = near_or_far(shape, rng)
+        gap, _, _ = compiled_closest(shape, triple(x))
+        expected = getattr(shape, "side", 1.0) * signed_distance(shape, x)
+        # A few roundings of numbers as large as the shape and the place.
+        assert abs(gap - expected) <= 8 * EPS * max(size_of(shape), float(np.linalg.norm(x)))
+
+
+@settings(derandomize=True, max_examples=1500, deadline=None)
+@given(kind=kinds, size=scales, seed=seeds)
+def test_the_way_to_the_nearest_point_is_along_the_normal(kind: type, size: float, seed: int) -> None:
+    """x = point + gap normal with a unit normal, and the point itself is on the surface."""
+    rng = np.random.default_rng(seed)
+    shape = random_shape(kind, rng, size)
+    x = near_or_far(shape, rng)
+    gap, point, normal = compiled_closest(shape, triple(x))
+    rounding = 16 * EPS * max(size_of(shape), float(np.linalg.norm(x)))
+    assert math.hypot(*normal) == pytest.approx(1.0, abs=4 * EPS)
+    if kind is model.Ellipsoid:
+        a = np.array(shape.semi_axes)
+        assert np.linalg.norm(point / a) == pytest.approx(1.0, abs=4 * EPS)
+    else:
+        assert signed_distance(shape, np.array(point)) == pytest.approx(0.0, abs=rounding)
+    away = np.array(point) + gap * np.array(normal) - x
+    # On an ellipsoid rounding turns the normal by as much as its sharpest end is small.
+    sharp = max(shape.semi_axes) / min(shape.semi_axes) if kind is model.Ellipsoid else 1.0
+    assert np.linalg.norm(away) <= rounding * sharp
+
+
+@settings(derandomize=True, max_examples=1500, deadline=None)
+@given(kind=kinds, size=scales, seed=seeds)
+def test_a_fingertip_put_on_the_surface_is_found_there(kind: type, size: float, seed: int) -> None:
+    """From a surface point r along its normal, over faces, edges and corners alike, the nearest is that point, at r."""
+    rng = np.random.default_rng(seed)
+    shape = random_shape(kind, rng, size)
+    for point, normal, _, room in contacts(shape, rng):
+        r = min(size_of(shape), 0.9 * room) * rng.uniform(0.01, 1.0)
+        gap, found, n = compiled_closest(shape, triple(point + r * normal))
+        extent = max(size_of(shape), float(np.linalg.norm(point)))
+        # In a hollow all but filled, nearness differs by a tenth only and rounding shows tenfold; where an ellipsoid
+        # is 100 times as long as thick it is bent 10^4 times as much at one place as at another.
+        rounding = 64 * EPS * (1e4 if kind is model.Ellipsoid else 1.0)
+        assert gap == pytest.approx(r, abs=16 * EPS * extent)
+        assert np.linalg.norm(found - point) <= rounding * extent
+        assert np.linalg.norm(n - normal) <= rounding * max(1.0, extent / r)
+
+
+@settings(derandomize=True, max_examples=400, deadline=None)
+@given(size=scales, flat=st.floats(0.0, 8.0), needle=st.floats(0.0, 8.0), seed=seeds)
+def test_ellipsoid_to_machine_precision(size: float, flat: float, needle: float, seed: int) -> None:
+    """Against 60 digits, with axes up to 10^8 apart, or equal, in planes of symmetry, at the centre, close and far."""
+    rng = np.random.default_rng(seed)
+    spread = min(1.0, 8.0 / max(flat + needle, 1e-9))
+    axes = rng.permutation(size * np.array([1.0, 10.0 ** (-spread * flat), 10.0 ** (-spread * needle)]))
+    if rng.random() < 0.2:
+        axes[0] = axes[1]
+    direction = np.where(rng.random(3) < 0.15, 0.0, unit(rng))
+    reach = axes if rng.random() < 0.7 else np.full(3, axes.max())
+    x = direction * reach * (10.0 ** rng.uniform(-3.0, 2.0) if rng.random() < 0.7 else 1.0 + rng.uniform(-1e-3, 1e-3))
+    gap, point, normal = compiled_closest(model.Ellipsoid(triple(axes), 1.0), triple(x))
+    expected_gap, expected_point, expected_normal = ellipsoid_foot(triple(axes), triple(x))
+    extent = max(float(axes.max()), float(np.abs(x).max()))
+    assert abs(gap - float(expected_gap)) <= 8 * EPS * extent
+    for i in range(3):
+        assert point[i] == pytest.approx(float(expected_point[i]), abs=1e-13 * float(axes.max()))
+        assert normal[i] == pytest.approx(float(expected_normal[i]), abs=1e-12)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-59, 1e-30, 1e-16, 1e-9])
+@pytest.mark.parametrize("thin", [0.9, 0.1, 1e-4, 1e-8])
+def test_ellipsoid_where_its_medial_surface_ends(thin: float, off: float) -> None:
+    """At the centre of curvature of the sharpest end, hardly off the plane of symmetry, the slowest to converge."""
+    for axes, x in (
+        ((1.0, thin, 1.0), (1.0 - thin * thin, off, 0.0)),
+        ((1.0, thin, thin), ((1.0 - thin * thin) * (1.0 - 1e-15), off, off)),
+        ((1.0, thin, 0.5), ((1.0 - thin * thin) * 0.6, off, (0.25 - thin * thin) / 0.5 * 0.8)),
+    ):
+        gap, point, normal = compiled_closest(model.Ellipsoid(axes, 1.0), x)
+        # The point itself is not defined better than to the root of rounding here; how far it is, and that it
+        # is the foot of x, are.
+        assert abs(gap - float(ellipsoid_foot(axes, x)[0])) <= 4 * EPS
+        assert np.linalg.norm(np.array(point) + gap * np.array(normal) - x) <= 1e-15 / thin
+
+
+@pytest.mark.parametrize("axes", [(0.9, 0.5, 0.7), (2.0, 0.3, 0.3), (1.0, 1.0, 0.05)])
+def test_ellipsoid_against_minimisation(axes: Triple) -> None:
+    """No point that a general minimiser finds on the ellipsoid is nearer, and the best it finds is as near."""
+    rng, a = np.random.default_rng(7), np.array(axes)
+
+    def distance(free: Array, x: Array) -> float:
+        return float(np.linalg.norm(a * free / np.linalg.norm(free) - x))
+
+    for _ in range(12):
+        x = unit(rng) * rng.uniform(0.05, 2.0)
+        gap, _, _ = compiled_closest(model.Ellipsoid(axes, 1.0), triple(x))
+        starts = [x / a, *np.eye(3), *-np.eye(3)]
+        least = min(minimize(distance, start, args=(x,), tol=1e-10).fun for start in starts)
+        assert (gap > 0.0) == (np.linalg.norm(x / a) > 1.0)
+        # 1e-9: the minimiser's own precision near a minimum, which it cannot undercut.
+        assert abs(gap) == pytest.approx(least, abs=1e-9)
+
+
+@every_shape
+def test_gradient_of_the_gap_is_the_normal(shape: Any) -> None:
+    """Central differences of the signed distance, away from where several points are nearest."""
+    rng, h, tested = np.random.default_rng(3), 1e-5, 0
+    while tested < 40:
+        x = near_or_far(shape, rng)
+        _, _, normal = compiled_closest(shape, triple(x))
+        steps = [
+            (compiled_closest(shape, triple(x + h * e)), compiled_closest(shape, triple(x - h * e))) for e in np.eye(3)
+        ]
+        turned = max(float(np.linalg.norm(np.subtract(side[2], normal))) for pair in steps for side in pair)
+        # Where the normal jumps there is no gradient; where it turns fast the difference is no derivative.
+        if turned > 1e-2:
+            continue
+        gradient = np.array([(plus[0] - minus[0]) / (2.0 * h) for plus, minus in steps])
+        # turned^2: what central differences leave out; 1e-10: rounding of numbers up to 30 over 2 h.
+        assert np.linalg.norm(gradient - normal) <= turned**2 + 1e-9
+        tested += 1
+
+
+@pytest.mark.parametrize("shape", [s for s in SHAPES if getattr(s, "side", 0.0) > 0.0])
+def test_inside_is_outside_seen_from_the_other_side(shape: Any) -> None:
+    """With the side turned the nearest point stays, gap and normal change sign."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        x = triple(near_or_far(shape, rng))
+        gap, point, normal = compiled_closest(shape, x)
+        other = compiled_closest(shape._replace(side=-shape.side), x)
+        assert other == (-gap, point, (-normal[0], -normal[1], -normal[2]))
+
+
+SYMMETRIC: list[tuple[Any, Triple, float, Triple, Triple]] = [
+    (model.Sphere(2.0, 1.0), (0.0, 0.0, 0.0), -2.0, (0.0, 0.0, 2.0), (0.0, 0.0, 1.0)),
+    (model.Sphere(2.0, -1.0), (0.0, 0.0, 0.0), 2.0, (0.0, 0.0, 2.0), (0.0, 0.0, -1.0)),
+    (model.Cylinder(2.0, 1.0), (0.0, 0.0, 5.0), -2.0, (2.0, 0.0, 5.0), (1.0, 0.0, 0.0)),
+    (model.Capsule(2.0, 1.0, -1.0), (0.0, 0.0, 0.5), 2.0, (2.0, 0.0, 0.5), (-1.0, 0.0, 0.0)),
+    (model.Capsule(2.0, 1.0, 1.0), (0.0, 0.0, 1.5), -1.5, (0.0, 0.0, 3.0), (0.0, 0.0, 1.0)),
+    (model.CappedCylinder(2.0, 3.0), (0.0, 0.0, 0.0), -2.0, (2.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+    (model.CappedCylinder(2.0, 1.0), (0.0, 0.0, -0.5), -0.5, (0.0, 0.0, -1.0), (0.0, 0.0, -1.0)),
+    (model.Box((3.0, 1.0, 2.0)), (0.0, 0.0, 0.0), -1.0, (0.0, 1.0, 0.0), (0.0, 1.0, 0.0)),
+    (model.Box((1.0, 1.0, 1.0)), (1.0, 1.0, 1.0), 0.0, (1.0, 1.0, 1.0), (1.0, 0.0, 0.0)),
+    (model.Ellipsoid((3.0, 1.0, 2.0), 1.0), (0.0, 0.0, 0.0), -1.0, (0.0, 1.0, 0.0), (0.0, 1.0, 0.0)),
+    (model.Ellipsoid((1.0, 1.0, 1.0), -1.0), (0.0, 0.0, 0.0), 1.0, (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)),
+    (model.Torus(3.0, 1.0, 1.0), (3.0, 0.0, 0.0), -1.0, (3.0, 0.0, 1.0), (0.0, 0.0, 1.0)),
+    (model.Torus(3.0, 1.0, 1.0), (0.0, 0.0, 0.0), 2.0, (2.0, 0.0, 0.0), (-1.0, 0.0, 0.0)),
+]
+
+
+@pytest.mark.parametrize(("shape", "x", "gap", "point", "normal"), SYMMETRIC)
+def test_where_many_points_are_nearest_one_is_chosen(
+    shape: Any, x: Triple, gap: float, point: Triple, normal: Triple
+) -> None:
+    """At centres, on axes and core circles the answer is a fixed one of the nearest points, exactly."""
+    assert compiled_closest(shape, x) == (gap, point, normal)
+
+
+@settings(derandomize=True, max_examples=1500, deadline=None)
+@given(kind=kinds, size=scales, seed=seeds, x=st.tuples(*[st.floats(-1e100, 1e100)] * 3))
+def test_any_place_gives_finite_numbers(kind: type, size: float, seed: int, x: Triple) -> None:
+    """From 1e-308 to 1e100 m, gap and point are finite, the normal is a unit vector, and curvatures are finite."""
+    shape = random_shape(kind, np.random.default_rng(seed), size)
+    gap, point, normal = compiled_closest(shape, x)
+    assert math.isfinite(gap)
+    assert math.hypot(*normal) == pytest.approx(1.0, abs=4 * EPS)
+    assert all(math.isfinite(v) for v in point)
+    k1, k2, d1 = compiled_curvature(shape, 0.01, point, normal)
+    assert math.isfinite(k1)
+    assert math.isfinite(k2)
+    assert math.hypot(*d1) == pytest.approx(1.0, abs=8 * EPS)
+
+
+@pytest.mark.parametrize("x", [(5e-324, 0.0, 0.0), (1e-320, 1e-310, 0.0), (0.0, 1e-170, -1e-200), (1e-160, 1e-90, 0.1)])
+@every_shape
+def test_the_smallest_numbers_do_no_harm(shape: Any, x: Triple) -> None:
+    """Coordinates whose squares and inverses leave the range of float64 are as good as zero."""
+    gap, point, normal = compiled_closest(shape, x)
+    nothing = compiled_closest(shape, triple(np.where(np.abs(x) < 1e-80, 0.0, x)))
+    # Rounding of lengths below 1 m.
+    assert gap == pytest.approx(nothing[0], abs=4 * EPS)
+    assert math.hypot(*normal) == pytest.approx(1.0, abs=4 * EPS)
+    assert all(math.isfinite(v) for v in point)
+
+
+# --- curvature -----------------------------------------------------------------------------------
+
+
+@settings(derandomize=True, max_examples=1000, deadline=None)
+@given(kind=kinds, size=scales, seed=seeds)
+def test_curvature_of_the_offset_surface(kind: type, size: float, seed: int) -> None:
+    """Against the closed forms k / (1 + r k), an edge's 1 / r included, and fundamental forms for the ellipsoid."""
+    rng = np.random.default_rng(seed)
+    shape = random_shape(kind, rng, size)
+    for point, normal, (k1, k2), room in contacts(shape, rng):
+        r = min(size_of(shape), 0.9 * room) * rng.uniform(0.01, 1.0)
+        expected = [1.0 / r if math.isinf(k) else k / (1.0 + r * k) for k in (k1, k2)]
+        found = compiled_curvature(shape, r, triple(point), triple(normal))[:2]
+        # The reference's fundamental forms lose as many digits as the ellipsoid is longer than thick, squared.
+        assert sorted(found) == pytest.approx(sorted(expected), rel=1e-8 if kind is model.Ellipsoid else 1e-12)
+
+
+@every_shape
+def test_curvature_against_finite_differences(shape: Any) -> None:
+    """Moving the fingertip's centre by h along a principal direction turns the normal by k h in that direction."""
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        for point, normal, _, room in contacts(shape, rng):
+            r = min(0.2, 0.5 * room)
+            k1, k2, first = compiled_curvature(shape, r, triple(point), triple(normal))
+            d1 = np.array(first)
+            d2 = np.cross(normal, d1)
+            assert abs(d1 @ normal) <= 4 * EPS
+            assert np.linalg.norm(d1) == pytest.approx(1.0, abs=4 * EPS)
+            h, center = 1e-4, point + r * normal
+            for k, d in ((k1, d1), (k2, d2)):
+                ahead, behind = (np.array(compiled_closest(shape, triple(center + s * d))[2]) for s in (h, -h))
+                # (k h)^2 with k up to 20 / m: what central differences leave out, relative to k.
+                assert np.linalg.norm((ahead - behind) / (2.0 * h) - k * d) <= 1e-4
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e2, 1e5, 1e8])
+def test_curvature_at_the_ends_of_long_ellipsoids(ratio: float) -> None:
+    """At the ends of the axes the radii of curvature are a^2 / c, however flat or needle-like the ellipsoid."""
+    axes = np.array([1e-5, 1e-5 * ratio, 1e-5 * math.sqrt(ratio)])
+    shape = model.Ellipsoid(triple(axes), 1.0)
+    for i in range(3):
+        end = np.eye(3)[i]
+        r = 1e-5
+        k1, k2, _ = compiled_curvature(shape, r, triple(axes * end), triple(end))
+        bends = [axes[j] ** 2 / axes[i] for j in range(3) if j != i]
+        assert sorted((k1, k2)) == pytest.approx(sorted(1.0 / (r + bend) for bend in bends), rel=16 * EPS)
+
+
+@every_shape
+def test_an_edge_survives_a_turned_frame(shape: Any) -> None:
+    """A normal that was rotated away and back has lost its exact zeros; the curvature is the same."""
+    rng = np.random.default_rng(8)
+    for point, normal, _, room in contacts(shape, rng):
+        r = min(0.2, 0.5 * room)
+        exact = compiled_curvature(shape, r, triple(point), triple(normal))
+        turned = compiled_curvature(shape, r, triple(point), triple(normal + 1e-15 * rng.uniform(-1.0, 1.0, 3)))
+        assert turned[:2] == pytest.approx(exact[:2], rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("slope", [1e-6, 0.1])
+def test_an_edge_has_a_fan_however_narrow(slope: float) -> None:
+    """A normal a millionth off a face's is in the fan of the edge: 1 / r across, and none along it."""
+    n = triple(np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0))
+    assert compiled_curvature(model.Box((0.5, 0.9, 0.3)), 0.1, (0.5, 0.2, 0.3), n)[:2] == (10.0, 0.0)
+    rim = compiled_curvature(model.CappedCylinder(0.5, 0.8), 0.1, (0.5, 0.0, 0.8), n)
+    assert rim[:2] == pytest.approx((10.0, n[0] / (0.5 + 0.1 * n[0])), rel=4 * EPS)
+    end = compiled_curvature(model.Capsule(0.4, 0.9, 1.0), 0.1, (0.4, 0.0, 0.9), (n[2], 0.0, n[0]))
+    assert end[:2] == pytest.approx((2.0, 2.0), rel=4 * EPS)
+
+
+@pytest.mark.parametrize("shape", [s for s in SHAPES if getattr(s, "side", 1.0) < 0.0 or isinstance(s, model.Torus)])
+def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
+    """A hollow filled exactly, or overfilled, gives large numbers, not infinite ones."""
+    rng = np.random.default_rng(9)
+    # The last is a ball as an ellipsoid, filled to the last bit.
+    for hollow, radius in [
+        *((shape, length) for length in leaves(shape)),
+        (shape, 10.0),
+        (model.Ellipsoid(*BALL), 1.0),
+    ]:
+        for point, normal, *_ in contacts(hollow, rng):
+            k1, k2, _ = compiled_curvature(hollow, radius, triple(point), triple(normal))
+            assert math.isfinite(k1)
+            assert math.isfinite(k2)
+
+
+# --- transport -----------------------------------------------------------------------------------
+
+
+@settings(derandomize=True, max_examples=500, deadline=None)
+@given(seed=seeds, nearness=st.floats(-17.0, 0.0), opposite=st.booleans())
+def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite: bool) -> None:
+    """The old normal goes to the new one, the axis across both stays, lengths are kept, close to opposite too."""
+    rng = np.random.default_rng(seed)
+    before, v = unit(rng), unit(rng)
+    after = (-before if opposite else before) + 10.0**nearness * unit(rng)
+    after /= np.linalg.norm(after)
+    across = np.cross(before, after)
+    sine = np.linalg.norm(across)
+
+    def carried(w: Array) -> Array:
+        return np.array(compiled_transport(SHAPES[1], triple(w), triple(before), triple(after)))
+
+    tangent = v - (v @ before) * before
+    # The half-way plane is known as well as the sum of the normals is long.
+    slack = 16 * EPS / max(float(np.linalg.norm(before + after)), 1e-14)
+    assume(slack < 0.1)
+    assert abs(np.linalg.norm(carried(tangent)) - np.linalg.norm(tangent)) <= 16 * EPS
+    assert np.linalg.norm(carried(before) - after) <= slack
+    assert abs(carried(tangent) @ after) <= slack
+    if sine > 1e-8:
+        axis = across / sine
+        assert np.linalg.norm(carried(axis) - axis) <= slack + 16 * EPS / sine
+
+
+def test_transport_between_opposite_normals() -> None:
+    """Half a turn: a tangent stays a tangent of the same length, and the frame right-handed."""
+    rng = np.random.default_rng(10)
+    for _ in range(50):
+        n = unit(rng)
+        frame = np.array([compiled_transport(SHAPES[1], triple(e), triple(n), triple(-n)) for e in np.eye(3)]).T
+        assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-14)
+        assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-14)
+        assert frame @ n == pytest.approx(-n, abs=1e-14)
+
+
+def test_a_plane_carries_nothing() -> None:
+    """On a plane the normal does not turn: a vector comes out bit for bit."""
+    assert compiled_transport(SHAPES[0], (0.1, 0.2, 0.3), (0.6, 0.0, 0.8), (0.6, 0.0, 0.8)) == (0.1, 0.2, 0.3)
+
+
+# --- scale, symmetry, compilation ----------------------------------------------------------------
+
+
+@every_shape
+def test_all_is_relative_to_size(shape: Any) -> None:
+    """Scaled by a power of two, from about 1e-5 to 1e3 m, every answer scales exactly: no length is built in."""
+    rng = np.random.default_rng(11)
+    for _ in range(40):
+        x = near_or_far(shape, rng)
+        gap, point, normal = compiled_closest(shape, triple(x))
+        k1, k2, d1 = compiled_curvature(shape, 0.125, point, normal)
+        for factor in (2.0**-16, 2.0**10):
+            large = scaled(shape, factor)
+            g, p, n = compiled_closest(large, triple(factor * x))
+            assert (g, p, n) == (factor * gap, triple(factor * np.array(point)), normal)
+            assert compiled_curvature(large, factor * 0.125, p, n) == (k1 / factor, k2 / factor, d1)
+
+
+@pytest.mark.parametrize("kind", [model.Box, model.Ellipsoid])
+def test_axes_may_be_named_in_any_order(kind: type) -> None:
+    """Permuting and mirroring the axes of a box or an ellipsoid permutes and mirrors the answer."""
+    rng = np.random.default_rng(12)
+    for _ in range(100):
+        shape, order = random_shape(kind, rng, 1.0), rng.permutation(3)
+        shape = shape._replace(side=1.0) if kind is model.Ellipsoid else shape
+        signs, x = np.where(rng.random(3) < 0.5, -1.0, 1.0), unit(rng)
+        other = shape._replace(**{shape._fields[0]: triple(np.array(shape[0])[order])})
+        gap, point, normal = compiled_closest(shape, triple(x))
+        g, p, n = compiled_closest(other, triple((signs * x)[order]))
+        # Sums of three are taken in another order.
+        assert g == pytest.approx(gap, abs=1e-14)
+        assert p == pytest.approx((signs * point)[order], abs=1e-13)
+        assert n == pytest.approx((signs * normal)[order], abs=1e-11)
+
+
+@every_shape
+def test_compiled_is_what_python_computes(shape: Any) -> None:
+    """Bit for bit, so that a kernel can be debugged as plain Python."""
+    rng = np.random.default_rng(13)
+    for _ in range(60):
+        x, v = triple(near_or_far(shape, rng)), triple(unit(rng))
+        found = closest(shape, x)
+        assert found == compiled_closest(shape, x)
+        _, point, normal = found
+        assert curvature(shape, 0.1, point, normal) == compiled_curvature(shape, 0.1, point, normal)
+        assert transport(shape, v, (0.0, 0.6, 0.8), normal) == compiled_transport(shape, v, (0.0, 0.6, 0.8), normal)

@@ -1,0 +1,529 @@
+"""Textures: heights and friction from a file, against closed forms of sampled and filtered waves.
+
+A fingertip of 10 mm on an object of 1000 N/m without damping, but for what a test says; poses are far apart where
+nothing depends on the velocity.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from textwrap import dedent
+from typing import Any
+
+import msgspec
+import numba
+import numpy as np
+import pytest
+from conftest import merged
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from references.rotation import matrix
+from references.waves import REST, Wave, tail
+
+from softfinger.config import schema
+from softfinger.config.arrays.grids import read_grid
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import FOLDERS, build, describe, load_scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.contact.texture import sample
+from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.record import AT, FREE, SLIDING
+from softfinger.proxy.scene import build_scene
+from softfinger.proxy.textures import FREQUENCY_MAX_HZ, bounds, filtered
+from softfinger.server.verbs.check import scene_summary
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+Make = Callable[..., schema.Scene]
+
+R, K, HEIGHT, DEPTH = 0.01, 1000.0, 2e-4, 1e-3
+SIZE = 0.02
+SPEED = 0.5
+CUTOFF = SPEED / FREQUENCY_MAX_HZ
+EPS = float(np.finfo(float).eps)
+ROUNDING = 1e-11
+"""N, or a share of 1 N: cancellation in a depth of 1 mm of coordinates of 20 mm and slopes of some hundred cells."""
+OBLIQUE = Wave(48, 40, SIZE, 1.5 * SIZE, (3, -2))
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Make:
+    """A scene with one textured object of a grid; changes are merged into its table."""
+
+    def made(grid: Array, shape: dict[str, Any] | None = None, others: tuple[Any, ...] = (), **changes: Any) -> Any:
+        file = tmp_path / f"{len(list(tmp_path.iterdir()))}.npy"
+        np.save(file, grid)
+        texture = {"file": str(file), "size_m": [SIZE, SIZE], "height_m": HEIGHT, "speed_m_per_s": SPEED}
+        table = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": K}, "texture": texture}
+        thing = merged(merged(table, shape or {}), changes)
+        tables = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}}
+        return build(schema.Scene, {**tables, "object": [thing, *others]}, "test")
+
+    return made
+
+
+def poses_at(points: Array) -> Array:
+    """Poses (n, 7) of an unturned fingertip."""
+    return np.hstack([points, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))])
+
+
+def over_plane(count: int, depth: float = DEPTH, seed: int = 0) -> Array:
+    """Points (count, 3) all over several periods, `depth` below where an even plane is touched."""
+    points = np.random.default_rng(seed).uniform(-2.2 * SIZE, 2.2 * SIZE, (count, 3))
+    points[:, 2] = R - depth
+    return points
+
+
+def forces(engine: Engine, points: Array) -> Array:
+    return engine.run(poses_at(points))[:, AT.force : AT.force + 3]
+
+
+def extent(wave: Wave) -> dict[str, Any]:
+    return {"texture": {"size_m": [wave.width, wave.depth]}}
+
+
+# --- heights --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wave", [OBLIQUE, Wave(64, 1, SIZE, SIZE, (4, 0)), Wave(3, 31, SIZE, SIZE, (0, 9))])
+def test_force_on_a_wave_is_that_of_the_potential_in_closed_form(scene: Make, wave: Wave) -> None:
+    """F = K (delta + h) (n - grad h), h = -H (1 - z): z the sampled wave behind filter and spline."""
+    points = over_plane(60)
+    z, by_u, by_v = wave.texture(CUTOFF, points[:, 0], points[:, 1])
+    load = K * (DEPTH - HEIGHT * (1.0 - z))
+    expected = load[:, None] * np.stack([-HEIGHT * by_u, -HEIGHT * by_v, np.ones(60)], axis=1)
+    got = forces(Engine(scene(wave.samples(), extent(wave))), points)
+    samples = max(tail(t, n) for t, n in zip(wave.turns, (wave.columns, wave.rows), strict=True) if t)
+    steepest = 2.0 * np.pi * wave.frequency() * HEIGHT * load.max()
+    np.testing.assert_allclose(got, expected, rtol=0.0, atol=samples * steepest + ROUNDING)
+    assert np.abs(got[:, :2]).max() > 1e3 * (samples * steepest + ROUNDING)
+
+
+@pytest.mark.parametrize("speed", [0.5, 0.75, 1.0, 1.5])
+def test_ripple_above_the_cutoff_is_gone(scene: Make, speed: float) -> None:
+    """A wave of 2 mm: as strokes get faster it fades as the filter says, to a hundredth at the cutoff, and on."""
+    wave = Wave(100, 1, SIZE, SIZE, (10, 0))
+    cutoff = speed / FREQUENCY_MAX_HZ
+    points = over_plane(400)
+    load = forces(Engine(scene(wave.samples(), texture={"speed_m_per_s": speed})), points)[:, 2]
+    ripple = 0.5 * np.ptp(load) / (0.5 * K * HEIGHT)
+    # Ten samples a wave: none on its crest, and the spline keeps sinc^4 of a tenth, with an image of 1 / 9^4 of that.
+    sampled = np.sinc(0.1) ** 4 / np.cos(np.pi / 10.0)
+    assert ripple == pytest.approx(sampled * REST ** ((cutoff / 2e-3) ** 2), rel=1e-3)
+    assert ripple < REST or cutoff < 2e-3
+
+
+@settings(max_examples=200, deadline=None)
+@given(pitch=st.floats(0.02, 3.0), turns=st.floats(0.0, 1.0), image=st.integers(-3, 3))
+def test_nothing_above_the_cutoff_keeps_more_than_a_hundredth(pitch: float, turns: float, image: int) -> None:
+    """However coarse the array: of a wave of `turns` / 2 of a turn a sample, and of its images in the spline.
+
+    In units of the cutoff. An image at f + k / pitch has what the filter keeps at f, times sinc^4 there.
+    """
+    f = 0.5 * turns / pitch
+    felt = abs(f + image / pitch)
+    if felt >= 1.0:
+        assert REST ** (f * f) * np.sinc(f * pitch + image) ** 4 <= REST * (1.0 + 4.0 * EPS)
+
+
+@pytest.mark.parametrize(("border", "rows"), [("period", 24), ("clamp", 24), ("period", 1), ("clamp", 1)])
+def test_filter_is_the_gaussian_mean_of_the_array_as_it_goes_on(border: str, rows: int) -> None:
+    """Against the sum itself: neighbours weighed by a Gaussian, over the array repeated or mirrored."""
+    grid = np.random.default_rng(1).uniform(0.0, 1.0, (rows, 18))
+    pitch, cutoff = (1.0e-3, 0.8e-3), 6.0e-3
+    repeats = border == "period"
+    # The Gaussian whose transform is REST^((cutoff f)^2) = exp(-2 (pi sigma f)^2).
+    sigma = cutoff * np.sqrt(-np.log(REST) / 2.0) / np.pi
+    expected = grid
+    for axis, step in ((1, pitch[0]), (0, pitch[1])):
+        reach = int(np.ceil(9.0 * sigma / step))  # exp(-40) is below rounding
+        weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / sigma) ** 2)
+        pads = [(reach, reach) if axis == k else (0, 0) for k in (0, 1)]
+        wide = np.pad(expected, pads, mode="wrap" if repeats else "symmetric")
+        lines = [np.convolve(line, weights / weights.sum(), "valid") for line in (wide if axis else wide.T)]
+        expected = np.array(lines) if axis else np.array(lines).T
+    # Sampled at 2.9 and 3.6 spacings for sigma, a Gaussian has the transform of the whole one to less than rounding
+    # wherever the filter keeps anything: exp(-2 (pi sigma / spacing)^2) is 1e-72, and exp(-20) at the array's limit.
+    np.testing.assert_allclose(filtered(grid, pitch, cutoff, (repeats, repeats)), expected, rtol=0.0, atol=1e-13)
+
+
+def gauss(begin: Array, end: Array, pitch: float) -> tuple[Array, Array]:
+    """Points and steps (n, 3) of a quadrature along an edge of a box, exact for what is of degree 7 in each cell."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    (axis,) = np.flatnonzero(end - begin)
+    low, high = sorted((begin[axis], end[axis]))
+    borders = np.arange(np.ceil(low / pitch), high / pitch) * pitch
+    cuts = np.concatenate([[low], borders[(borders > low) & (borders < high)], [high]])
+    middle, half = 0.5 * (cuts[1:] + cuts[:-1]), 0.5 * np.diff(cuts)
+    at = (middle[:, None] + half[:, None] * nodes).ravel()
+    points, steps = np.tile(begin, (len(at), 1)), np.zeros((len(at), 3))
+    points[:, axis] = at
+    steps[:, axis] = np.sign(end[axis] - begin[axis]) * (half[:, None] * weights).ravel()
+    return points, steps
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_closed_way_over_a_frictionless_texture_gives_and_takes_nothing(scene: Make, seed: int) -> None:
+    """Work along the edges of a box, in and out between: the force is a polynomial in each cell, so it is exact."""
+    rng = np.random.default_rng(seed)
+    count = 15  # odd: the pieces of the spline end at whole cells from the middle
+    engine = Engine(scene(rng.uniform(size=(count, count))))
+    (x0, x1), (y0, y1), (z0, z1) = (*rng.uniform(-SIZE, SIZE, (2, 2)), R - rng.uniform(HEIGHT, 2e-3, 2))
+    way = [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1), (x0, y0, z1), (x0, y0, z0)]
+    pairs = [gauss(np.array(a), np.array(b), SIZE / count) for a, b in pairwise(way)]
+    points, steps = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    work = (forces(engine, points) * steps).sum(axis=1)
+    # A force is right to the rounding of coordinates of 20 mm in a depth of 0.2 mm, a hundred times that of a number.
+    assert abs(work.sum()) < 100.0 * EPS * np.abs(work).sum()
+    upright = work[steps[:, 2] != 0.0].sum()
+    assert abs(upright) > 1e6 * 100.0 * EPS * np.abs(work).sum()  # what going in and out alone would give
+
+
+def test_valleys_are_not_felt_until_the_press_reaches_them(scene: Make) -> None:
+    """Less deep than a valley the force is zero there, in contact all the same, and never pulls."""
+    wave = Wave(64, 1, SIZE, SIZE, (2, 0))
+    depth = 0.3 * HEIGHT
+    points = over_plane(200, depth)
+    z, _, _ = wave.texture(CUTOFF, points[:, 0], points[:, 1])
+    rows = Engine(scene(wave.samples())).run(poses_at(points))
+    expected = K * np.maximum(depth - HEIGHT * (1.0 - z), 0.0)
+    np.testing.assert_allclose(rows[:, AT.force + 2], expected, rtol=0.0, atol=ROUNDING)
+    assert (expected == 0.0).any() and (expected > 0.0).any() and (rows[:, AT.contact_mode] != FREE).all()
+    np.testing.assert_array_equal(rows[expected == 0.0][:, AT.force : AT.force + 3], 0.0)
+
+
+def test_damping_takes_its_energy_along_the_slope(scene: Make) -> None:
+    """With damping B the force is less by B (m . v) m, m = n - grad h: it takes B (m . v)^2 and gives none."""
+    damping, dt = 2.0, 1e-3
+    grid = OBLIQUE.samples()
+    engines = [Engine(scene(grid, extent(OBLIQUE), material={"damping_ns_per_m": b})) for b in (0.0, damping)]
+    points = over_plane(30)
+    steps = np.random.default_rng(3).uniform(-2e-4, 2e-4, (30, 3))  # up to 0.2 m/s: the spring stays the stronger
+    for point, step in zip(points, steps, strict=True):
+        without, having = (engine.run(poses_at(np.stack([point - step, point])))[1] for engine in engines)
+        elastic = without[AT.force : AT.force + 3]
+        m = elastic / elastic[2]
+        expected = elastic - damping * (m @ step) / dt * m
+        np.testing.assert_allclose(having[AT.force : AT.force + 3], expected, rtol=0.0, atol=ROUNDING)
+
+
+SHAPES: dict[str, dict[str, Any]] = {
+    "box": {"shape": "box", "size_m": [0.05, 0.06, 0.07]},
+    "cylinder": {"shape": "cylinder", "radius_m": 0.03},
+    "cylinder with ends": {"shape": "cylinder", "radius_m": 0.03, "length_m": 0.08},
+    "hollow cylinder": {"shape": "cylinder", "radius_m": 0.03, "inside": True},
+}
+AROUND = 2.0 * np.pi * 0.03 / 8.0
+
+
+@pytest.mark.parametrize("name", list(SHAPES))
+def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, name: str) -> None:
+    """F = -grad (f_N^2 / 2K) by central differences, on faces, sides and ends, near edges and over them."""
+    wave = Wave(24, 24, AROUND, SIZE, (3, 2))
+    engine = Engine(scene(wave.samples(), SHAPES[name] | extent(wave)))
+    bare = Engine(scene(wave.samples(), SHAPES[name] | {"texture": None}))
+
+    def felt(of: Engine, x: Array) -> Any:
+        of.reset()
+        return of.step(x, [1.0, 0.0, 0.0, 0.0])
+
+    rng, step, checked, textured = np.random.default_rng(5), 2e-7, 0, 0
+    while checked < 150:
+        x = rng.uniform(-0.05, 0.05, 3)
+        even = felt(bare, x)
+        if not 3e-4 < even.penetration < 1.2e-3:
+            continue
+        here = felt(engine, x)
+        sides = [(felt(engine, x + step * e), felt(engine, x - step * e)) for e in np.eye(3)]
+        slope = [(up.normal_force**2 - down.normal_force**2) / (2.0 * K) / (2.0 * step) for up, down in sides]
+        # Truncation: step^2 / 6 times K d h''' of waves of 5 mm and of the fade of 1 mm, 3e-7 N; rounding of an energy
+        # of 1e-3 J over the step, 1e-12 N.
+        np.testing.assert_allclose(here.force, -np.array(slope), rtol=0.0, atol=1e-6)
+        checked += 1
+        textured += np.linalg.norm(here.force - even.force) > 0.02
+    assert textured > 20
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_wave_round_a_cylinder(scene: Make, inside: bool) -> None:
+    """u is the arc length on the cylinder from x on; under a probe at rho from the axis it changes R / rho as fast."""
+    radius, wave = 0.03, Wave(32, 4, AROUND, SIZE, (2, 0))
+    engine = Engine(scene(wave.samples(), SHAPES["hollow cylinder" if inside else "cylinder"] | extent(wave)))
+    angle = np.linspace(-np.pi, np.pi, 41)
+    rho = radius - R + DEPTH if inside else radius + R - DEPTH
+    out = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    around = np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle], axis=1)
+    z, by_u, _ = wave.texture(CUTOFF, radius * angle, 0.0 * angle)
+    load = K * (DEPTH - HEIGHT * (1.0 - z))[:, None]
+    expected = load * ((-out if inside else out) - (HEIGHT * by_u * radius / rho)[:, None] * around)
+    atol = tail(2, 32) * 2.0 * np.pi * wave.frequency() * HEIGHT * load.max() * radius / rho + ROUNDING
+    np.testing.assert_allclose(forces(engine, rho * out), expected, rtol=0.0, atol=atol)
+
+
+@pytest.mark.parametrize(
+    ("face", "u", "v"), [((1, 0, 0), 1, 2), ((0, -1, 0), 0, 2), ((0, 0, 1), 0, 1), ((0, 0, -1), 0, 1)]
+)
+@pytest.mark.parametrize("inside", [False, True])
+def test_each_face_of_a_box_has_the_two_other_coordinates(
+    scene: Make, face: tuple[int, int, int], u: int, v: int, inside: bool
+) -> None:
+    """In the order x, y, z, from the middle of the face, from outside and inside."""
+    wave = OBLIQUE
+    box = SHAPES["box"] | extent(wave) | {"inside": inside}
+    engine = Engine(scene(wave.samples(), box))
+    normal = -np.array(face, float) if inside else np.array(face, float)
+    half = 0.5 * abs(np.array(SHAPES["box"]["size_m"]) @ face)
+    at = np.zeros((20, 3))
+    at[:, [u, v]] = np.random.default_rng(7).uniform(-0.01, 0.01, (20, 2))  # clear of the fade, and of other walls
+    z, by_u, by_v = wave.texture(CUTOFF, at[:, u], at[:, v])
+    expected = np.tile(normal, (20, 1))
+    expected[:, u], expected[:, v] = -HEIGHT * by_u, -HEIGHT * by_v
+    expected *= K * (DEPTH - HEIGHT * (1.0 - z))[:, None]
+    got = forces(engine, at + half * np.array(face) + (R - DEPTH) * normal)
+    atol = tail(2, 48) * 2.0 * np.pi * wave.frequency() * HEIGHT + ROUNDING
+    np.testing.assert_allclose(got, expected, rtol=0.0, atol=atol)
+
+
+TURN = np.array([0.5, -0.1, 0.7, 0.5]) / np.linalg.norm([0.5, -0.1, 0.7, 0.5])
+
+
+def test_texture_goes_with_the_pose_of_its_object(scene: Make) -> None:
+    """Turned and moved together, hand and object feel the turned force."""
+    grid, place, points = OBLIQUE.samples(), np.array([0.02, -0.03, 0.01]), over_plane(40)
+    there = {"position_m": place.tolist(), "orientation_wxyz": TURN.tolist()}
+    at_rest = forces(Engine(scene(grid, extent(OBLIQUE))), points)
+    moved = forces(Engine(scene(grid, extent(OBLIQUE), **there)), points @ matrix(TURN).T + place)
+    np.testing.assert_allclose(moved, at_rest @ matrix(TURN).T, rtol=0.0, atol=ROUNDING)
+
+
+def test_object_that_moves_takes_its_texture_along(scene: Make) -> None:
+    """A finger that rides on the object feels the same place of it in every tick."""
+    motion = {"kind": "sinusoid", "translation_m": [0.02, 0.01, 0.0], "frequency_hz": 1.5}
+    engine = Engine(scene(OBLIQUE.samples(), extent(OBLIQUE), motion=motion))
+    point, count = np.array([0.003, 0.001, R - DEPTH]), 700
+    away = np.sin(2.0 * np.pi * 1.5 * 1e-3 * np.arange(1, count + 1))[:, None] * [0.02, 0.01, 0.0]
+    riding = forces(engine, point + away)
+    z, by_u, by_v = (float(part[0]) for part in OBLIQUE.texture(CUTOFF, point[0], point[1]))
+    expected = K * (DEPTH - HEIGHT * (1.0 - z)) * np.array([-HEIGHT * by_u, -HEIGHT * by_v, 1.0])
+    atol = tail(2, 48) * 2.0 * np.pi * OBLIQUE.frequency() * HEIGHT + 10.0 * ROUNDING  # the time is a sum of 700 ticks
+    np.testing.assert_allclose(riding, np.tile(expected, (count, 1)), rtol=0.0, atol=atol)
+
+
+def test_walls_of_a_corner_have_their_own_textures_or_none(scene: Make) -> None:
+    """Floor with a wave, a bare wall and another textured one, pressed at once: the sum of each alone."""
+    grid = OBLIQUE.samples()
+    stuff = {"material": {"stiffness_n_per_m": 2.0 * K}}
+    wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]} | stuff
+    other = msgspec.to_builtins(scene(grid, extent(OBLIQUE), texture={"height_m": 0.5 * HEIGHT}).object[0])
+    other = {key: value for key, value in other.items() if value not in (None, [])}
+    other |= {"name": "back", "orientation_wxyz": [1.0, -1.0, 0.0, 0.0], "material": {"stiffness_n_per_m": K}}
+    other["texture"] = {key: value for key, value in other["texture"].items() if value is not None}
+    at = np.array([[R - 1e-3, R - 0.8e-3, R - 1.2e-3], [R - 0.7e-3, R - 1.1e-3, R - 0.9e-3]])
+    together = Engine(scene(grid, extent(OBLIQUE), others=(wall, other)))
+    alone = [
+        Engine(scene(grid, extent(OBLIQUE))),
+        Engine(build(schema.Scene, {"fingertip": {"radius_m": R}, "object": [wall]}, "wall")),
+        Engine(build(schema.Scene, {"fingertip": {"radius_m": R}, "object": [other]}, "back")),
+    ]
+    for x in at:
+        # From the free: a first pose inside several objects meets the deepest alone.
+        way = np.stack([x + 2e-3, x, x])
+        got = together.run(poses_at(way))[-1, AT.force : AT.force + 3]
+        expected = sum(engine.run(poses_at(way))[-1, AT.force : AT.force + 3] for engine in alone)
+        np.testing.assert_allclose(got, expected, rtol=0.0, atol=ROUNDING)
+        together.reset()
+
+
+def test_clamped_border_goes_on_level(scene: Make) -> None:
+    """Beyond the array there is the value of its border, and no force along the surface across it."""
+    grid = np.random.default_rng(2).uniform(size=(9, 12))
+    engine = Engine(scene(grid, texture={"border": "clamp"}))
+    y = np.linspace(-0.4 * SIZE, 0.4 * SIZE, 15)
+    near, far = (forces(engine, np.stack([x + 0.0 * y, y, R - DEPTH + 0.0 * y], axis=1)) for x in (0.7 * SIZE, 90.0))
+    # Ninety metres out a cell's coordinate is known to 1e-11 of a cell.
+    np.testing.assert_allclose(far, near, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(near[:, 0], 0.0, atol=ROUNDING)
+    assert np.ptp(near[:, 2]) > 1e-3
+
+
+# --- friction -------------------------------------------------------------------------------------
+
+FRICTION = {"static": 0.6, "kinetic": 0.5}
+LAWS: dict[str, dict[str, Any]] = {
+    "coulomb": {},
+    "viscous": {"viscous_s_per_m": 2.0},
+    "alike in all directions": {"direction_x": [1.0, 0.0, 0.0]},
+}
+
+
+@pytest.mark.parametrize("law", list(LAWS))
+def test_sliding_friction_is_that_of_the_point_that_slides(scene: Make, law: str) -> None:
+    """mu(u, v) f_N at the contact point that a tick begins with, mu = mu_d times low + (high - low) z."""
+    low, high = 0.4, 1.6
+    texture = {"height_m": None, "friction_scale": [low, high], "size_m": [OBLIQUE.width, OBLIQUE.depth]}
+    friction = {"stiffness_n_per_m": K, "friction": FRICTION | LAWS[law]}
+    engine = Engine(scene(OBLIQUE.samples(), texture=texture, material=friction))
+    x = np.linspace(0.0, 0.03, 400)
+    rows = engine.run(poses_at(np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)))
+    slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]  # the first 20 fall from static friction
+    before = rows[slides - 1, AT.proxy_position : AT.proxy_position + 3]
+    z, _, _ = OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])
+    got = rows[slides, AT.contact_tangential_force]
+    if law == "viscous":  # the slip speed is low-passed in the machine: 3 % of the speed of the stroke is its ripple
+        speed = np.hypot(1.0, 0.4) * 0.03 / 399 * 1e3
+        coefficient, rtol = FRICTION["kinetic"] + 2.0 * speed, 0.1
+        assert coefficient > 1.3 * FRICTION["kinetic"]
+    else:
+        coefficient, rtol = FRICTION["kinetic"], 1e-9  # tail of the closed form's series
+    np.testing.assert_allclose(got, coefficient * (low + (high - low) * z) * K * DEPTH, rtol=rtol)
+    assert len(slides) > 200 and np.ptp(got) > 0.3
+    np.testing.assert_allclose(rows[:, AT.force + 2], K * DEPTH, atol=ROUNDING)  # no heights
+
+
+@pytest.mark.parametrize(("x0", "value"), [(-0.25, 1.0 / 3.0), (0.25, 2.0 / 3.0)])
+def test_static_friction_is_scaled_too(scene: Make, x0: float, value: float) -> None:
+    """The drag at which a finger breaks away is mu_s times the factor of where it sticks: of a spline of 0, 1, 0, 1."""
+    texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
+    engine = Engine(scene(np.array([[0.0, 1.0]]), texture=texture, material={"friction": FRICTION}))
+    x = x0 + np.linspace(0.0, 3e-3, 600)
+    rows = engine.run(poses_at(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1)))
+    breaks = int(np.argmax(rows[:, AT.contact_mode] == SLIDING))
+    # On the level crest and floor of a wave of 1 m: a filter of 1 mm takes 5e-6 of it away.
+    limit = FRICTION["static"] * (0.5 + 1.5 * value) * K * DEPTH
+    assert rows[breaks, AT.contact_tangential_force] == pytest.approx(limit, rel=1e-5)
+
+
+@pytest.mark.parametrize("patch", [None, {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.0}])
+def test_the_torsional_limit_is_scaled_as_friction_is(scene: Make, patch: dict[str, float] | None) -> None:
+    """Where the factor is 0.5 + 1.5 2/3 a spin slips at 1.5 times mu_t f_N, or mu_s 3 pi / 16 a f_N of a patch."""
+    texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
+    material = {"friction": FRICTION, "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}}
+    made = scene(np.array([[0.0, 1.0]]), texture=texture, material=material)
+    made = build(schema.Scene, describe(made) | {"fingertip": {"radius_m": R, "patch": patch}}, "scaled")
+    x = np.full(100, 0.25)
+    poses = poses_at(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1))
+    half = np.linspace(0.0, 1.0, 100)  # 2 rad: both springs have slipped by then
+    poses[:, 3], poses[:, 6] = np.cos(half), np.sin(half)
+    rows = Engine(made).run(poses)
+    length = 0.004 if patch is None else FRICTION["static"] * 3.0 * np.pi / 16.0 * 0.004
+    # As above, 5e-6 of the wave is filtered away.
+    assert rows[-1, AT.contact_torsion] == pytest.approx(-1.5 * length * K * DEPTH, rel=1e-5)
+
+
+def test_friction_and_heights_from_one_texture(scene: Make) -> None:
+    """Sliding over hills: friction is mu_d factor f_N, of the normal force that the heights leave."""
+    texture = {"friction_scale": [0.5, 1.5], "size_m": [OBLIQUE.width, OBLIQUE.depth]}
+    engine = Engine(scene(OBLIQUE.samples(), texture=texture, material={"friction": FRICTION}))
+    x = np.linspace(0.0, 0.03, 400)
+    points = np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)
+    rows = engine.run(poses_at(points))
+    slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]
+    z, by_u, by_v = OBLIQUE.texture(CUTOFF, points[slides, 0], points[slides, 1])
+    load = K * (DEPTH - HEIGHT * (1.0 - z))
+    np.testing.assert_allclose(rows[slides, AT.contact_normal_force], load, rtol=1e-9)
+    before = rows[slides - 1, AT.proxy_position : AT.proxy_position + 3]
+    factor = 0.5 + OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])[0]
+    drag = 0.5 * factor * load
+    np.testing.assert_allclose(rows[slides, AT.contact_tangential_force], drag, rtol=1e-9)
+    # What is not friction is the slope's.
+    rest = rows[slides, AT.force : AT.force + 2] + (load * HEIGHT)[:, None] * np.stack([by_u, by_v], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(rest, axis=1), drag, rtol=1e-8)
+
+
+# --- the array ------------------------------------------------------------------------------------
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    grid=arrays.arrays(np.float64, st.tuples(st.integers(1, 7), st.integers(2, 7)), elements=st.floats(-1e3, 1e3)),
+    u=st.floats(-1e200, 1e200),
+    v=st.floats(-1.0, 1.0),
+    border=st.sampled_from(["period", "clamp"]),
+)
+def test_texture_stays_between_its_lowest_and_highest_value(
+    tmp_path_factory: Any, grid: Array, u: float, v: float, border: str
+) -> None:
+    """Whatever the array, and however far out."""
+    if grid.min() == grid.max():
+        grid.flat[0] += 1.0
+    file = tmp_path_factory.mktemp("grid") / "grid.npy"
+    np.save(file, grid)
+    table = {"file": str(file), "size_m": [SIZE, SIZE], "height_m": HEIGHT, "border": border}
+    thing = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": K}, "texture": table}
+    built = build_scene(build(schema.Scene, {"fingertip": {"radius_m": R}, "object": [thing]}, "test"))
+    value = sample(built.objects[0].texture, u, v).value
+    assert -4.0 * EPS <= value <= 1.0 + 4.0 * EPS  # weights sum to 1 but for rounding
+
+
+def test_array_is_reached_by_its_address_and_may_be_exchanged(scene: Make) -> None:
+    """A scene's parameters are as few for any array; another one is another number for the same code."""
+    small, large = (build_scene(scene(np.random.default_rng(0).uniform(size=shape))) for shape in ((2, 2), (300, 200)))
+    assert len(flatten(small)) == len(flatten(large)) and numba.typeof(small) == numba.typeof(large)
+    first, second = scene(OBLIQUE.samples(), extent(OBLIQUE)), scene(-OBLIQUE.samples(), extent(OBLIQUE))
+    engine, points = Engine(first), over_plane(10)
+    before = forces(engine, points)
+    engine.tune(second)
+    np.testing.assert_array_equal(forces(engine, points), forces(Engine(second), points))
+    engine.tune(first)
+    np.testing.assert_array_equal(forces(engine, points), before)
+
+
+# --- what a scene may say -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"texture": {"height_m": None}}, "object[0].texture.height_m: give height_m or friction_scale"),
+        ({"texture": {"friction_scale": [0.5, 1.5]}}, "needs friction to scale in the material"),
+        ({"texture": {"height_m": 1.0}}, "object[0].texture.height_m = 1.0: must be a number from 1e-07 to 0.01 m"),
+        ({"texture": {"border": "mirror"}}, "object[0].texture.border = 'mirror': must be"),
+        ({"shape": "sphere", "radius_m": 0.05}, "object[0].texture is not a key here"),
+        ({"shape": "cylinder", "radius_m": 0.05}, "goes 15.708 times round the cylinder, must be a whole number"),
+        ({"shape": "cylinder", "radius_m": 0.05}, "make it 0.0196350 m wide".replace("0.0196350", "0.019635")),
+        ({"texture": {"file": "/no/such.npy"}}, "object 'table': texture.file: /no/such.npy: cannot be read: No such"),
+    ],
+)
+def test_faults_are_said(scene: Make, changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        build_scene(scene(OBLIQUE.samples(), changes))
+    assert said in str(caught.value)
+
+
+def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's array and scene, saved in one folder, load from another, and are what `check` says."""
+    page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")
+    blocks = [dedent(match[0]) for match in re.finditer(r"(?:^    .*\n|^\n(?=    ))+", page, re.MULTILINE)]
+    program, table = blocks[:2]
+    monkeypatch.chdir(tmp_path)
+    exec(program, {})
+    assert len([line for line in program.splitlines() if line]) <= 5
+    (tmp_path / "trunk.toml").write_text(table)
+    monkeypatch.chdir("/")
+    loaded = load_scene(tmp_path / "trunk.toml")
+    texture = build_scene(loaded).objects[0].texture
+    assert (texture.columns, texture.rows, texture.period_u) == (128.0, 128.0, 1.0)
+    assert texture.per_u == pytest.approx(10 * 128 / (2.0 * np.pi * 0.05), rel=1e-15)  # ten times round, to rounding
+    assert build(schema.Scene, describe(loaded), "again") == loaded
+    summary = dict(scene_summary(loaded))
+    assert summary["    filter"].startswith("Gaussian, 0.01 left at a wavelength of 0.0004 m: 0.2 m/s at 500 Hz")
+    left = texture.values.array
+    assert f"{3e-4 * np.ptp(left):.3g} m after the filter" in summary["    height"]
+    # What the summary calls the steepest is above every slope, and of their size.
+    places = np.random.default_rng(0).uniform(-0.1, 0.1, (2000, 2))
+    steepest = max(math.hypot(s.by_u, s.by_v) for s in (sample(texture, u, v) for u, v in places)) * 3e-4
+    _, slope, bend = bounds(loaded.object[0])  # type: ignore[arg-type]
+    assert 0.3 * slope < steepest < slope
+    step = 1e-6
+    bends = [abs(sample(texture, u + step, v).by_u - sample(texture, u - step, v).by_u) for u, v in places]
+    assert 0.1 * bend < max(bends) * 3e-4 / (2.0 * step) < bend
+
+
+def test_shipped_ribs_are_the_cosine_that_their_file_says() -> None:
+    grid = read_grid(FOLDERS[schema.Scene] / "ribs.csv")
+    expected = 0.5 + 0.5 * np.cos(2.0 * np.pi * (np.arange(16) + 0.5) / 16.0)
+    np.testing.assert_allclose(grid, expected[None], rtol=0.0, atol=5.1e-7)  # six places

@@ -1,0 +1,110 @@
+"""A fingertip in a hollow that it nearly fills, and in a slot: friction in closed form, and no event without a cause.
+
+In a round hollow of radius R the centre moves on a sphere of radius h = R - r. With the probe held at the distance d
+from the middle, and the contact a radians beside it, the depth is d cos a - h and the tangential deflection d sin a:
+what a slide keeps is d sin a = mu (d cos a - h). On a ball h = -(R + r) and d = depth + h; on a plane both grow without
+bound, and what is left is mu times the depth.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SceneFactory
+from numpy.typing import NDArray
+from references.laws import column
+from scipy.optimize import brentq
+from test_several_objects import engine, go, wall
+
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import CAUSE_NAMES
+
+Array = NDArray[np.float64]
+R, K, DEPTH, MU_S, MU_D = 0.01, 1000.0, 0.001, 0.6, 0.5
+
+
+def held_aside(h: float, d: float, mu: float) -> float:
+    """The angle a, rad, from zero to where the depth is none."""
+    sign = np.sign(h)
+    return float(brentq(lambda a: d * np.sin(a) - mu * sign * (d * np.cos(a) - h), 0.0, np.arccos(min(h / d, d / h))))
+
+
+def causes(records: Array) -> list[str]:
+    return [CAUSE_NAMES[int(cause)] for cause in column(records, "contact.cause") if cause != 0]
+
+
+def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: int) -> Array:
+    """Records of a finger pressed 1 mm, held, and rolled by `turn` rad about x, from the tick after touch on."""
+    table = {"shape": "sphere", "radius_m": radius, "inside": inside}
+    running = Engine(make(table=table, rolling={"method": "rotation_vector"}))
+    angles = np.concatenate([[0.0], np.linspace(0.0, turn, ticks + 1)])
+    poses = np.zeros((len(angles), 7))
+    poses[:, 2] = -(radius - R + DEPTH) if inside else radius + R - DEPTH
+    poses[:, 3], poses[:, 4] = np.cos(0.5 * angles), np.sin(0.5 * angles)
+    return running.run(poses, 1e-3)
+
+
+@pytest.mark.parametrize("ticks", [30, 100, 2000], ids=lambda n: f"{n} ticks")
+@pytest.mark.parametrize("clearance", [1e-7, 1e-5, 1e-4, 2e-3, 1e-2], ids=lambda h: f"{1e3 * h:g} mm")
+def test_a_roll_in_a_hollow_slides_where_the_cone_holds_it(
+    plane_scene: SceneFactory, clearance: float, ticks: int
+) -> None:
+    """Rolled 1 rad about x the finger slides aside by a: force, normal force and cause; the torque turns it back.
+
+    A tick turns the contact by up to 0.2 rad, and the normal force of the friction limit is that before it slid back:
+    a share of mu tan a times that turn is missed.
+    """
+    records = rolled(plane_scene, R + clearance, True, 1.0, ticks)
+    h, d = clearance, clearance + DEPTH
+    a = held_aside(h, d, MU_D)
+    turn = R / clearance / ticks
+    missed = 2.0 * MU_D * turn if turn <= 0.2 else 0.0
+    tangential, normal = K * d * np.sin(a), K * (d * np.cos(a) - h)
+    assert column(records, "contact.tangential_force")[-1] == pytest.approx(tangential, rel=1e-3 + missed)
+    assert column(records, "contact.normal_force")[-1] == pytest.approx(normal, rel=1e-3 + missed)
+    # The roll carries the centre to -y over the floor of the hollow, as on a plane; the hand is drawn after it.
+    y = column(records, "proxy.position", 3)[-1, 1]
+    assert y == pytest.approx(-h * np.sin(a), rel=1e-3 + 2.0 * missed)
+    assert column(records, "torque", 3)[-1, 0] == pytest.approx(-R * tangential, rel=1e-3 + missed)
+    assert causes(records) == ["touch", "theta_max"]
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_wide_hollow_and_a_large_ball_are_planes(plane_scene: SceneFactory, inside: bool) -> None:
+    """R = 100 m: mu_d times 1 N, to the share of depth over R."""
+    records = rolled(plane_scene, 100.0, inside, 1.0, 1000)
+    assert column(records, "contact.tangential_force")[-1] == pytest.approx(0.5, rel=1e-4)
+    assert column(records, "force", 3)[-1] == pytest.approx([0.0, -0.5, 1.0], abs=2e-4)
+
+
+@pytest.mark.parametrize("clearance", [1e-4, 2e-3])
+def test_a_stuck_roll_winds_what_the_turning_normal_makes_of_the_depth(
+    plane_scene: SceneFactory, clearance: float
+) -> None:
+    """Before it slides, rolled by theta, a = r theta / h and the force is K d sin a: more than K r theta by d / h."""
+    h, d = clearance, clearance + DEPTH
+    turn = 0.8 * held_aside(h, d, MU_S) * h / R
+    records = rolled(plane_scene, R + clearance, True, turn, 200)
+    angle = np.linspace(0.0, turn, 201) * R / h
+    np.testing.assert_allclose(column(records, "contact.tangential_force")[1:], K * d * np.sin(angle), atol=1e-9)
+    assert causes(records) == ["touch"]
+
+
+GRIP: dict[str, Any] = {"friction": {"static": 0.6, "kinetic": 0.5}}
+TABLES: dict[str, Any] = {"rolling": {"method": "rotation_vector"}, "coupling": {"damping_ns_per_m": 0.0}}
+
+
+@pytest.mark.parametrize("clearance", [1e-7, 1e-5, 1e-4])
+@pytest.mark.parametrize("aslant", [0.0, 0.1])
+def test_a_finger_that_crosses_a_slot_touches_the_other_wall(clearance: float, aslant: float) -> None:
+    """From one wall to the other within a tick: a new touch with nothing wound up, no drag and no reversal."""
+    offset = -R - clearance
+    slot = engine(wall("left", (1, 0, 0), offset, **GRIP), wall("right", (-1, 0, 0), offset, **GRIP), **TABLES)
+    x = np.concatenate([[0.0], np.linspace(-0.0005, 0.0005, 4)])
+    records = go(slot, np.column_stack([x, aslant * x, np.zeros(5)]))
+    force = column(records, "force", 3)
+    assert force[3, 0] == pytest.approx(-K * (x[3] - clearance), rel=1e-9)
+    assert np.abs(force[3, 1:]).max() < 1e-12
+    assert [CAUSE_NAMES[int(c)] for c in column(records, "contact.cause")] == ["none", "touch", "none", "touch", "none"]

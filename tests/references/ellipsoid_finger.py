@@ -1,0 +1,75 @@
+"""An ellipsoid that rolls without slip on a surface F(p) = 0, integrated to the eighth order.
+
+Both points of contact are followed, p on the object and s on the ellipsoid (in its own frame):
+
+    (W_o + R W_f R^T) p' = w x n        s' = R^T p'
+
+with the shape operators of both from the second derivatives of their equations: Montana's equations, without
+coordinates. Nothing is shared with the kernels, which move the ellipsoid's centre by nearest points and know no
+curvature. W_f is taken where the ellipsoid has the normal opposite to the object's, since errors of s would grow by
+themselves; that s arrives there too, by its own equation, tells whether the path is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from references.rotation import matrix
+from softfinger.proxy.kernels import model
+from softfinger.tools.accuracy.reference import integrate, normal_and_curvature
+
+Array = NDArray[np.float64]
+
+
+class Rolled(NamedTuple):
+    """Where a roll ends: centre (3,) m, normal (3,), orientation (4,) of the ellipsoid, spin rad, and how far, m, s has
+    come from where the normals are opposite."""
+
+    center: Array
+    normal: Array
+    orientation: Array
+    spin: float
+    apart: float
+
+
+def touching_at(semi_axes: ArrayLike, orientation: Array, normal: Array) -> Array:
+    """Point (3,) of the ellipsoid, in its frame, with the outward normal opposite to `normal` (3,) of the world."""
+    a = np.asarray(semi_axes, float)
+    inward = -matrix(orientation).T @ normal
+    return np.asarray(a**2 * inward / np.linalg.norm(a * inward))
+
+
+def roll_ellipsoid(
+    shape: Any,
+    semi_axes: model.Vec3,
+    orientation: ArrayLike,
+    point: ArrayLike,
+    rate: Callable[[float], ArrayLike],
+    duration: float = 1.0,
+) -> Rolled:
+    """Roll from a contact at `point` (3,) m of the object at the angular velocity `rate` (3,) rad/s, of a time."""
+    body = model.Ellipsoid(semi_axes, 1.0)
+
+    def derivative(t: float, state: Array) -> Array:
+        p, q, w = state[:3], state[6:10], np.asarray(rate(t), float)
+        turned = matrix(q)
+        n, bend = normal_and_curvature(p, shape)
+        _, own = normal_and_curvature(touching_at(semi_axes, q, n), body)
+        # Both operators are those of the tangent plane; along n there is nothing to solve for.
+        moved = np.linalg.solve(bend + turned @ own @ turned.T + np.outer(n, n), np.cross(w, n))
+        turning = 0.5 * np.array([-w @ q[1:], *(q[0] * w + np.cross(w, q[1:]))])
+        return np.concatenate([moved, turned.T @ moved, turning, [w @ n]])
+
+    q = np.asarray(orientation, float)
+    p = np.asarray(point, float)
+    n, _ = normal_and_curvature(p, shape)
+    begin = np.concatenate([p, touching_at(semi_axes, q, n), q, [0.0]])
+    end = integrate(derivative, 0.0, duration, begin, duration / 40).y[:, -1]
+    p, s, q = end[:3], end[3:6], end[6:10]
+    n, _ = normal_and_curvature(p, shape)
+    apart = float(np.linalg.norm(s - touching_at(semi_axes, q, n)))
+    return Rolled(p - matrix(q) @ s, n, q, float(end[10]), apart)

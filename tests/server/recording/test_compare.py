@@ -1,0 +1,248 @@
+"""A recording as a test: equal where nothing has changed, told to the tick where it has, and honest about the rest."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.recorded import EPOCH_S, about, event, printed, recorded, run
+
+from softfinger.config.errors import Different
+from softfinger.config.load import describe, load_rig, load_scene, overridden
+from softfinger.drivers.base import HELD
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
+from softfinger.proxy.kernels.native.pack import packed
+from softfinger.proxy.record import AT, CAUSE_TOUCH, FREE
+from softfinger.server import cli
+from softfinger.server.loop.guard import POSE_REFUSED
+from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.results import read_results
+from softfinger.server.offline.simulate import poses_of, simulate, tick_many
+from softfinger.server.recording.compare import FORGOTTEN, Outcome, compare, replay
+from softfinger.server.recording.run import load_run
+from softfinger.server.recording.verbs.replay import FIELDS, TOLERANCE, _recorded
+from softfinger.server.recording.writer import RecordingFile
+
+STIFFNESS = "object.0.material.stiffness_n_per_m"
+SETTLE_TICKS = 499
+"""Half a second of ramp at 1 kHz, whose 500th tick has the whole force; the filter has forgotten long before."""
+
+
+def replayed(path: Path, **changes: float) -> Outcome:
+    scene = load_scene("paper-plane")
+    past = load_run(path, FIELDS)
+    scene = overridden(scene, changes, "test") if changes else scene
+    return compare(past, replay(past, scene, load_rig("replay")), _recorded(past), TOLERANCE)
+
+
+def touches() -> list[int]:
+    """Rows of the run in which a contact begins."""
+    return np.flatnonzero(run()[:, AT.contact_cause] == CAUSE_TOUCH).tolist()
+
+
+def test_what_was_recorded_comes_again(tmp_path: Path) -> None:
+    """A run from its first tick on: every tick is compared, and is equal."""
+    outcome = replayed(recorded(tmp_path / "a.mcap", run()))
+    assert outcome.ticks == outcome.compared == len(run())
+    assert (outcome.different, outcome.first, outcome.left_out) == (0, None, [])
+
+
+def test_a_change_is_told_where_it_begins(tmp_path: Path) -> None:
+    """A plane of another stiffness gives another force from the first touch on, in proportion to it."""
+    outcome = replayed(recorded(tmp_path / "a.mcap", run()), **{STIFFNESS: 1100.0})
+    first = outcome.first
+    assert first is not None and (first.tick, first.key) == (touches()[0], "force[2]")
+    assert first.seconds == pytest.approx(touches()[0] * 1e-3, abs=1e-9)  # a sum of a thousand periods
+    # Normal force is stiffness times depth: f' / f = k' / k, to the rounding of a few products.
+    assert first.now / first.recorded == pytest.approx(1.1, rel=1e-9)
+    peak = np.abs(run()[:, AT.force + 2]).max()
+    assert outcome.largest["force"] == pytest.approx(0.1 * peak, rel=1e-6)
+    in_contact = np.count_nonzero(run()[:, AT.contact_mode] != FREE)
+    assert (
+        0.9 * in_contact <= outcome.different <= in_contact + 3
+    )  # slides where forces differ, and not a tick in the air
+
+
+def test_missing_ticks_are_left_out_until_nothing_is_remembered(tmp_path: Path) -> None:
+    """A gap in a contact: what follows is compared from free space on, once filter and ramp are done; a gap that loses
+    nothing but free space does the same. All else is compared, and all of it is equal."""
+    middle = touches()[1] + 20
+    holed = np.delete(run(), [middle, middle + 1], axis=0)
+    outcome = replayed(recorded(tmp_path / "a.mcap", holed))
+    assert outcome.first is None
+    (span,) = outcome.left_out
+    assert span.first == middle + 2 and span.why == "2 ticks before it are missing"
+    assert span.last - span.first + 1 >= SETTLE_TICKS
+    assert run()[span.last + 1, AT.contact_mode] == FREE
+    assert outcome.compared == len(holed) - (span.last - span.first + 1)
+    assert outcome.compared > middle
+
+
+def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
+    """It begins in contact: nothing of that contact is compared, everything behind it is."""
+    part = run()[touches()[0] + 30 :]
+    outcome = replayed(recorded(tmp_path / "a.mcap", part))
+    (span,) = outcome.left_out
+    assert span.first == part[0, AT.tick] and span.why == "the recording begins in the middle of a run"
+    assert outcome.first is None and outcome.compared == part[-1, AT.tick] - span.last > 0
+
+
+def changed_at(tick: int, stiffness: float) -> np.ndarray:
+    """A run whose stiffness changes with a tick, in the air."""
+    poses = resample(load_poses("tap"), 1000.0)
+    scene = load_scene("paper-plane")
+    softer = overridden(scene, {STIFFNESS: stiffness}, "test")
+    parts = [simulate(make_tuning(each, load_rig("replay").guard), poses, 1000.0) for each in (scene, softer)]
+    assert parts[0][tick, AT.contact_mode] == FREE
+    return np.vstack([parts[0][:tick], parts[1][tick:]])
+
+
+def test_commands_are_done_again(tmp_path: Path) -> None:
+    """Behind `set_params` the forces are those of the new parameter; without its event they would differ. Around the
+    command, whose tick nobody knows, nothing is compared. Behind another scene nothing is, however equal."""
+    tick = (touches()[1] + touches()[2]) // 2
+    while run()[tick, AT.contact_mode] != FREE:
+        tick += 1
+    records = changed_at(tick, 700.0)
+    what = {"object.table.material.stiffness_n_per_m": {"from": 1000.0, "to": 700.0}}
+    told = event("command", "set_params", tick, command_id="a", what=what)
+    quiet = replayed(recorded(tmp_path / "quiet.mcap", records))
+    assert quiet.first is not None and quiet.first.tick > tick
+    outcome = replayed(recorded(tmp_path / "told.mcap", records, [told]))
+    assert outcome.first is None and outcome.compared > 0
+    assert {span.why for span in outcome.left_out} >= {"when the command after them was done is not recorded"}
+    other = event("command", "set_scene", tick, command_id="a", what={"scene": "sphere", "tick": tick})
+    outcome = replayed(recorded(tmp_path / "other.mcap", records, [other]))
+    assert outcome.first is None
+    assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, "another scene was set")
+
+
+def test_what_the_driver_withheld_is_not_blamed(tmp_path: Path) -> None:
+    """A tick whose force the device did not take is told, not compared; nor is what follows before it rests. A pose
+    that was refused is refused again, which gives the zeros and the ramp of then."""
+    records = run().copy()
+    at = touches()[0] + 10
+    records[at, AT.servo_device] = HELD
+    records[at, AT.force : AT.force + 3] = 0.0
+    outcome = replayed(recorded(tmp_path / "held.mcap", records))
+    assert outcome.first is None and outcome.compared < len(records)
+    assert "withheld" in outcome.left_out[-1].why
+
+    poses = resample(load_poses("tap"), 1000.0)
+    poses[at] = np.nan
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    refused, dts = np.zeros_like(run()), np.full(len(poses), 1e-3)
+    tick_many(packed(tuning), packed(begin(tuning.scene)), poses[:, None], dts, 1e-3, 0, refused[:, None])
+    assert int(refused[at, AT.servo_guard]) & POSE_REFUSED
+    outcome = replayed(recorded(tmp_path / "refused.mcap", refused))
+    assert (outcome.first, outcome.compared) == (None, len(refused))
+
+
+def test_several_fingers(tmp_path: Path) -> None:
+    """Each has a topic of its own; all are compared, a change is told with the finger's name, and each finger's poses
+    can be played by themselves."""
+    scene, names = load_scene("pinch"), ["thumb", "index"]
+    played = [resample(load_poses(f"pinch-{name}"), 1000.0)[:1500] for name in names]
+    records = simulate(make_tuning(scene, load_rig("replay").guard), np.stack(played, axis=1), 1000.0)
+    records[:, :, AT.timestamp] += EPOCH_S
+    path = tmp_path / "pinch.mcap"
+    with path.open("wb", buffering=0) as file:
+        recording = RecordingFile(file, names, about(scene=describe(scene), fingers=[{"name": name} for name in names]))
+        for place, name in enumerate(names):
+            recording.ticks(records[:, place], name)
+        recording.close()
+    past = load_run(path, FIELDS)
+    again = replay(past, scene, load_rig("replay"))
+    outcome = compare(past, again, _recorded(past), TOLERANCE)
+    assert (outcome.compared, outcome.first) == (1500, None)
+    other = _recorded(past)
+    other["index"]["force"] = other["index"]["force"] + [0.0, 0.1, 0.0]
+    first = compare(past, again, other, TOLERANCE).first
+    assert first is not None and (first.finger, first.key, first.tick) == ("index", "force[1]", 0)
+    for place, name in enumerate(names):
+        assert resample(load_poses(path, name), 1000.0).tobytes() == played[place].tobytes()
+    assert poses_of(names, {"": str(path)}, 1000.0).tobytes() == np.stack(played, axis=1).tobytes()
+
+
+def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its exit code is 0 or its own, its first difference is in words and as JSON, its picture drawn; a recording cut
+    short is said to be; poses alone are compared with results."""
+    path = recorded(tmp_path / "a.mcap", run())
+    assert cli.main(["replay", str(path)]) == 0
+    assert f"{len(run())} of {len(run())} ticks compared, 0 differ" in capsys.readouterr().out
+    path.write_bytes(path.read_bytes()[:-2000])
+    assert cli.main(["replay", str(path), "--json"]) == 0
+    assert printed(capsys.readouterr().out)["equal"] is True
+
+    softer = describe(overridden(load_scene("paper-plane"), {STIFFNESS: 700.0}, "test"))
+    other = recorded(tmp_path / "b.mcap", run(), scene=softer)
+    picture = tmp_path / "b.svg"
+    assert cli.main(["replay", str(other), "--json", "--plot", str(picture)]) == Different.exit_code
+    told = capsys.readouterr()
+    found = printed(told.out)
+    assert found["equal"] is False and found["first"]["tick"] == touches()[0]
+    assert f"softfinger: tick {touches()[0]} (" in told.err and "force[2]" in told.err
+    assert "difference [N]" in picture.read_text()
+
+    results = tmp_path / "golden.npz"
+    assert cli.main(["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(results)]) == 0
+    assert cli.main(["replay", "tap", "--scene", "paper-plane", "--against", str(results)]) == 0
+    assert cli.main(["replay", "tap", "--scene", "sphere", "--against", str(results)]) == Different.exit_code
+    assert cli.main(["replay", "tap", "--scene", "paper-plane"]) == 2
+
+
+def test_against_the_forces_that_a_device_was_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file that `run --forces` keeps, whichever of its endings, is what the poses give."""
+    for ending in ("csv", "npz"):
+        forces = tmp_path / f"forces.{ending}"
+        words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", str(forces)]
+        assert cli.main([*words, "--endpoint", f"ipc://{tmp_path}/t"]) == 0
+        assert cli.main(["replay", "tap", "--scene", "paper-plane", "--against", str(forces), "--json"]) == 0
+        found = printed(capsys.readouterr().out)
+        assert found["compared"] == len(run()) and set(found["largest"]) == {"force", "torque"}
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
+def test_exports_have_every_bit(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What other programs read is what was recorded; results are read back as such."""
+    path, out = recorded(tmp_path / "a.mcap", run()), tmp_path / f"out{ending}"
+    if ending == ".parquet":
+        from pyarrow import parquet
+
+        assert cli.main(["export", str(path), "--out", str(out)]) == 0
+        table = parquet.read_table(out)
+        assert str(table.schema.field("tick").type) == "int64"
+        assert np.column_stack([column.to_numpy() for column in table.columns]).tobytes() == run().tobytes()
+    else:
+        assert cli.main(["export", str(path), "--out", str(out)]) == 0
+        assert read_results(out).tobytes() == run().tobytes()
+    assert f"{len(run())} ticks" in capsys.readouterr().out
+    assert cli.main(["export", str(path), "--out", str(out), "--finger", "thumb"]) == 3
+    assert cli.main(["export", str(path), "--out", str(tmp_path / "out.txt")]) == 2
+
+
+def test_info_tells_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Times, ticks, gaps, modes, peaks, marks and what it was made with, for people and for programs."""
+    holed = np.delete(run(), slice(100, 110), axis=0)
+    mark = event("mark", "mark", 9, command_id="a", label="trial 7", data={})
+    path = recorded(tmp_path / "a.mcap", holed, [mark], versions={"softfinger": "0.0"})
+    assert cli.main(["info", str(path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["ticks"], found["missing"], found["gaps"], found["whole"]) == (len(holed), 10, 1, True)
+    force = np.linalg.norm(holed[:, AT.force : AT.force + 3], axis=1).max()
+    assert found["fingers"][""]["force_max_n"] == force
+    assert sum(found["fingers"][""]["modes"].values()) == len(holed)
+    assert found["duration_s"] == pytest.approx((len(run()) - 1) * 1e-3, abs=1e-6)  # of clock readings
+    assert found["scene"] == about()["scene"] and found["marks"] == [{"tick": 9, "label": "trial 7"}]
+    assert cli.main(["info", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "10 ticks are missing in 1 gaps" in said and "scene paper-plane" in said and "softfinger 0.0" in said
+
+
+def test_forgotten_means_forgotten() -> None:
+    """What the filter remembers after so many time constants is below the last bit of what it holds."""
+    assert np.exp(-FORGOTTEN) < np.finfo(np.float64).eps

@@ -1,0 +1,293 @@
+"""The command line: exit codes, what is printed where, and that bad input gives one clear error."""
+
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+
+import numpy as np
+import pytest
+import zmq
+
+from softfinger.proxy.record import columns
+from softfinger.server.cli import VERBS, make_parser
+from softfinger.server.offline.results import read_results
+
+COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+SIMULATE = ["simulate", "--scene", "paper-plane", "--poses", "tap"]
+
+
+def run(*words, timeout=300):
+    return subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=timeout)
+
+
+def test_version():
+    """`--version` prints the installed version."""
+    assert run("--version").stdout == f"softfinger {version('softfinger')}\n"
+
+
+BEGIN = """
+import gc, os, sys
+from softfinger.server import cli
+early = "numpy" in sys.modules
+sys.argv = ["softfinger", "scenes"]
+cli.main()
+print(early, os.environ["OPENBLAS_NUM_THREADS"], gc.isenabled(), gc.get_freeze_count() > 0)
+"""
+
+
+def test_a_start_leaves_the_garbage_collector_on():
+    """It is off while modules are imported, and on when a verb runs; numpy comes after its number of threads is set."""
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run([sys.executable, "-c", BEGIN], capture_output=True, text=True, timeout=300, env=environment)
+    assert done.stdout.splitlines()[-1:] == ["False 1 True True"], done.stderr
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help(verb):
+    """Each verb explains itself."""
+    done = run(verb, "--help")
+    assert done.returncode == 0 and f"softfinger {verb}" in done.stdout and len(done.stdout) > 150
+
+
+def test_unknown_verb_lists_the_verbs():
+    """A verb that does not exist is a usage error that names those that do."""
+    done = run("fly")
+    assert done.returncode == 2 and "simulate" in done.stderr
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion_knows_every_verb(shell):
+    """The completion script names every verb and the options of `run`."""
+    script = run("--print-completion", shell).stdout
+    assert all(verb in script for verb in VERBS) and "--realtime" in script
+
+
+def test_completion_offers_what_is_shipped(tmp_path):
+    """bash completes `--scene sph` to the shipped scene, and a file beside."""
+    (tmp_path / "spherical.toml").touch()
+    script = run("--print-completion", "bash").stdout
+    ask = "COMP_WORDS=(softfinger run --scene sph); COMP_CWORD=3; _shtab_softfinger; echo ${COMPREPLY[@]}"
+    done = subprocess.run(
+        ["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.split() == ["sphere", "spherical.toml"]
+
+
+def test_parser_without_a_verb_imports_no_verb():
+    """A list of verbs costs no import: only the verb asked for delays the first tick."""
+    code = (
+        "import sys\nfrom softfinger.server.cli import make_parser\nmake_parser([])\n"
+        "assert 'numba' not in sys.modules and 'zmq' not in sys.modules and 'rich' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert "run" in make_parser([]).format_help()
+
+
+def test_run_for_a_duration_logs_plain_lines():
+    """Off a terminal `run` logs what it uses, every real-time setting, and a clean end; nothing on stdout."""
+    done = run("run", "--duration", "0.2", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "auto")
+    assert done.returncode == 0 and done.stdout == ""
+    for piece in (
+        "paper-plane",
+        "replay",
+        "tcp://127.0.0.1:",
+        "monitor --endpoint",
+        "real time:",
+        "stopped after 200 ticks",
+    ):
+        assert piece in done.stderr
+    assert "\r" not in done.stderr and "\x1b" not in done.stderr
+
+
+def test_bad_config_reports_all_errors_at_once(tmp_path):
+    """Several faults in one rig come out together: file, key, value, range, suggestion; exit code 2."""
+    rig = tmp_path / "bench.toml"
+    rig.write_text(
+        '[device]\ndriver = "replay"\nrecording = "tap"\n'
+        '[servo]\nrate_hz = 20000\nrealtime = "always"\n[guard]\nforce_max = 5.0\n'
+    )
+    done = run("run", "--rig", str(rig))
+    assert done.returncode == 2 and done.stdout == ""
+    for piece in ("bench.toml", "servo.rate_hz", "20000", "8000", "servo.realtime", "always", "force_max_n"):
+        assert piece in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "pieces"),
+    [
+        (["run", "--rate", "7"], 2, ["command line --rate", "7", "100"]),
+        (["run", "--scene", "moon"], 2, ["moon", "paper-plane"]),
+        (["run", "--recording", "nothing"], 3, ["nothing", "tap"]),
+        (["run", "--device", "omega"], 4, ["omega", "replay"]),
+        (["run", "--endpoint", "tcp://0.0.0.0:5555"], 2, ["0.0.0.0", "127.0.0.1"]),
+        (["run", "--duration", "-1"], 2, ["duration"]),
+        ([*SIMULATE, "--out", "x.doc"], 3, ["x.doc", ".csv", ".mcap"]),
+        ([*SIMULATE, "--out", "x.csv", "--method", "zxy"], 2, ["zxy", "euler_zxz"]),
+    ],
+)  # fmt: skip
+def test_bad_words_give_one_clear_error(words, code, pieces):
+    """A wrong value on the command line says what, where and what is allowed, without a traceback."""
+    done = run(*words)
+    assert done.returncode == code, done.stderr
+    assert all(piece in done.stderr for piece in pieces), done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_endpoint_in_use_has_its_own_exit_code():
+    """A second daemon on the same endpoint says so and ends with code 7."""
+    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
+        port = socket.bind_to_random_port("tcp://127.0.0.1")
+        done = run("run", "--endpoint", f"tcp://127.0.0.1:{port}", "--duration", "1")
+    assert done.returncode == 7 and str(port) in done.stderr
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
+def test_simulate_writes_every_format(ending, tmp_path):
+    """The same run reads back from every results format, column by column the same."""
+    out = tmp_path / f"out{ending}"
+    done = run(*SIMULATE, "--out", str(out))
+    assert done.returncode == 0 and "3 touch" in done.stdout and "3 release" in done.stdout
+    records = read_results(out)
+    assert records.shape == (2281, len(columns()))  # 228 intervals of 10 ms, and the first sample
+    np.testing.assert_array_equal(records[:, 1], np.arange(2281))
+
+
+def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
+    """Two runs give the same bytes; another rate gives another number of ticks."""
+    for name in ("a.csv", "b.csv"):
+        assert run(*SIMULATE, "--out", str(tmp_path / name)).returncode == 0
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    out = tmp_path / "fast.npz"
+    run(*SIMULATE, "--out", str(out), "--rate", "4000")
+    assert len(read_results(out)) == 4 * 2280 + 1
+
+
+def test_output_into_a_closed_pipe_is_no_error():
+    """`softfinger schema | head -1` ends quietly."""
+    reader, writer = os.pipe()
+    process = subprocess.Popen([*COMMAND, "schema", "telemetry"], stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    os.close(reader)
+    assert process.wait(60) == 0 and process.stderr.read() == ""
+    process.stderr.close()
+
+
+LONG = "x" * 300
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "said"),
+    [
+        ("check paper-plane >&-", 0, ""),
+        ("check paper-plane 2>&-", 0, ""),
+        ("schema telemetry >/dev/full", 11, "No space left on device"),
+        ("run --duration 0.2 --realtime off --endpoint tcp://127.0.0.1:* <&- >&- 2>&-", 0, ""),
+        ("run --duration 0.2 --realtime off --endpoint tcp://127.0.0.1:* 2>&1 | head -1", 0, "scene"),
+        (f"check {LONG}", 2, "no scene or rig is called"),
+        (f"check {LONG}.toml", 2, "File name too long"),
+        (f"run --endpoint tcp://127.0.0.1:* --recording {LONG}.csv", 3, "File name too long"),
+        (f"record --poses {LONG}.csv --timeout 0.1 --endpoint ipc:///nowhere/x", 9, "no telemetry"),
+    ],
+)
+def test_streams_and_names_that_cannot_be_used(line, code, said):
+    """A closed or full output, a reader that has left and a name too long: one line says so, or nothing needs to."""
+    words = ["bash", "-c", f"set -o pipefail; {' '.join(COMMAND)} {line}"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr and said in done.stdout + done.stderr
+    assert len([row for row in done.stderr.splitlines() if row.startswith("softfinger:")]) <= 1
+
+
+def test_closed_streams_do_not_become_a_device(tmp_path):
+    """With the standard streams closed, no file that the program opens is taken for one of them."""
+    code = (
+        "import os, sys\nfor fd in (0, 1, 2): os.close(fd)\nsys.stdout = sys.stderr = None\n"
+        "from softfinger.server.cli import open_streams\nopen_streams()\n"
+        "fd = os.open(sys.argv[1], os.O_WRONLY | os.O_CREAT)\n"
+        "os.write(fd, b'%d' % fd); os.write(1, b'out'); os.write(2, b'err'); print('out')\n"
+    )
+    node = tmp_path / "node"
+    subprocess.run([sys.executable, "-c", code, str(node)], check=True)
+    assert int(node.read_text()) > 2
+
+
+@pytest.mark.parametrize("words", [["check", "paper-plane"], ["run"]])
+def test_too_few_files_are_said(words):
+    """Where a process may open eight files, one line says how many it needs; ZeroMQ would abort."""
+    command = f"ulimit -n 8; exec {' '.join([*COMMAND, *words])}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 11, done.stderr
+    assert done.stderr == "softfinger: this process may open 8 files, and needs 64: raise `ulimit -n`\n"
+
+
+def test_warmup_leaves_nothing_to_compile(tmp_path):
+    """After `warmup SCENE` the kernels for that scene are in the cache directory it names."""
+    environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path)}
+    words = [*COMMAND, "warmup", "frictionless-plane"]
+    first = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    kernels = sorted(path for path in tmp_path.rglob("*.kernel"))
+    assert kernels and str(tmp_path) in first.stdout
+    subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    assert sorted(path for path in tmp_path.rglob("*.kernel")) == kernels
+
+
+@pytest.mark.parametrize("kind", ["step", "loop", "telemetry"])
+def test_bench_prints_json(kind, tmp_path):
+    """Every measurement can be read by a machine and drawn; the numbers are those of real runs."""
+    import json
+
+    words = {
+        "step": ["--blocks", "3", "--features", "torsion linear"],  # compiled for the variants already
+        "loop": ["--seconds", "0.3", "--realtime", "off"],
+        "telemetry": ["--seconds", "0.5", "--subscribers", "2"],
+    }[kind]
+    plot = tmp_path / "plot.png"
+    done = run("bench", kind, "--json", "--plot", str(plot), *words)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    if kind == "step":
+        assert len(result["variants"]) == 5 and all(row["ns_per_step"] > 0 for row in result["variants"])
+        assert all(row["in_contact"] == 1.0 for row in result["variants"])
+        (feature,) = result["features"]
+        assert feature["feature"] == "torsion linear" and feature["in_contact"] == 1.0
+        assert feature["reference_ns"] > 0.0 and {"ns_per_step", "marginal_ns"} <= feature.keys()
+    elif kind == "loop":
+        assert result["servo"]["ticks"] == 299 and set(result["servo"]["late"]["blocks"]) == {
+            "p50",
+            "p99",
+            "p999",
+            "max",
+        }
+    else:
+        assert result["daemon"]["lost"] == 0 and result["daemon"]["messages"] > 0
+
+
+@pytest.mark.parametrize(
+    ("plot", "why"),
+    [("out.txt", "a figure is .png or .svg by its file name"), ("no/such/out.png", "there is no folder no/such")],
+)
+def test_plot_is_refused_before_the_work(plot, why):
+    """A figure that could not be saved is refused on the command line, with what is wrong and what to do."""
+    done = run("bench", "loop", "--seconds", "600", "--plot", plot)
+    assert done.returncode == 2 and f"--plot: {plot}: {why}" in done.stderr
+
+
+def test_run_is_drawn(tmp_path):
+    """`simulate --plot` draws the run: an SVG with every curve and mode named, and the same twice."""
+    drawn = []
+    for name in ("one.svg", "two.svg"):
+        done = run(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
+        assert done.returncode == 0, done.stderr
+        drawn.append((tmp_path / name).read_text())
+    assert drawn[0] == drawn[1]
+    assert all(f">{word}</text>" in drawn[0] for word in ("penetration", "norm", "torsion", "rolling", "time [s]"))
+
+
+def test_bench_refuses_a_feature_there_is_not():
+    """A pattern that no feature matches is answered with the names there are, before anything is compiled."""
+    done = run("bench", "step", "--features", "tosion*")
+    assert done.returncode == 2
+    assert "--features 'tosion*': no feature has such a name" in done.stderr and "torsion linear" in done.stderr

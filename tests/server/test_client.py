@@ -1,0 +1,320 @@
+"""The client against a real publisher, and against peers that send what they should not."""
+
+import copy
+import gc
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from helpers.encoder import contact_map
+from helpers.telemetry_records import put, synthetic
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.record import AT, FIELDS
+from softfinger.server.wire.client import NoTelemetry, Window, subscribe
+from softfinger.server.wire.protocol import MAX_BYTES, TOPICS, ProtocolError, encode
+from softfinger.server.wire.publisher import Publisher
+
+
+@pytest.fixture
+def publisher():
+    with Publisher("tcp://127.0.0.1:*") as made:
+        yield made
+
+
+def joined(publisher, topics=("contact",), timeout_s=5.0):
+    """A subscription that is known to receive: a late one misses what was published before it."""
+    subscription = subscribe(publisher.endpoint, (*topics, "event"), timeout_s)
+    while (sample := subscription.receive(0.02)) is None or sample.topic != "event":
+        publisher.event("test", "joined")
+    publisher.event("test", "all here")
+    while (sample := next(subscription)).topic != "event" or sample["name"] != "all here":
+        pass
+    return subscription
+
+
+def test_iterator_gives_typed_samples_in_order(publisher):
+    """Each sample has the record's values as attributes and as items, ints as int, vectors as tuples."""
+    records = synthetic(300)
+    with joined(publisher) as samples:
+        publisher.publish(records)
+        for record, sample in zip(records, samples, strict=False):
+            assert sample.topic == "contact"
+            assert sample.lost == 0
+            for field in FIELDS:
+                expected = tuple(record[field.at : field.at + field.size].tolist())
+                place, _, key = field.name.partition(".")
+                if place.startswith("contacts"):  # a list with a message for each patch
+                    value = getattr(sample["contacts"][int(place.removeprefix("contacts"))], key)
+                else:
+                    value = sample[field.name]
+                assert value == (expected if field.size > 1 else expected[0])
+            assert sample.contact.mode == sample["contact.mode"] == sample["contact"].mode
+            assert type(sample.tick) is int
+
+
+def test_other_topics_and_plain_maps(publisher):
+    """Events and health come through the same iterator, and as_map gives back what was sent."""
+    with joined(publisher, ("contact", "health")) as samples:
+        publisher.publish(synthetic(1001))
+        publisher.event("fault", "device lost", message="unplugged", detail={"code": -1})
+        got = [next(samples) for _ in range(1003)]
+    health, event = got[-2], got[-1]
+    assert health.topic == "health"
+    assert health.modes.free == health["modes.free"] == 1000
+    assert health.as_map()["late"]["p50"] == health.late.p50
+    assert event.topic == "event"
+    assert event["message"] == event.message == "unplugged"
+    assert event["detail.code"] == -1
+    assert event.as_map()["kind"] == "fault"
+    assert msgpack.unpackb(encode(got[0].as_map())) == contact_map(synthetic(1)[0])
+
+
+def test_unknown_key_is_an_error_of_the_usual_type(publisher):
+    """A wrong key raises KeyError as an item and AttributeError as an attribute."""
+    with joined(publisher) as samples:
+        publisher.publish(synthetic(1))
+        sample = next(samples)
+    with pytest.raises(KeyError, match=r"contact\.colour"):
+        sample["contact.colour"]
+    with pytest.raises(AttributeError, match="no key 'colour'"):
+        _ = sample.colour
+
+
+def test_sample_can_be_copied(publisher):
+    """A sample is plain data: its attribute access does not get in the way of a deep copy."""
+    with joined(publisher) as samples:
+        publisher.publish(synthetic(1))
+        sample = next(samples)
+    assert copy.deepcopy(sample) == sample
+
+
+def test_lost_counts_the_gap_before_a_sample(publisher):
+    """Ticks 10 to 14 and 20 are left out: the samples behind them say 5 and 1, all others 0."""
+    records = synthetic(30)
+    kept = np.delete(records, [10, 11, 12, 13, 14, 20], axis=0)
+    with joined(publisher) as samples:
+        publisher.publish(kept)
+        lost = {sample.tick: sample.lost for _, sample in zip(kept, samples, strict=False)}
+    assert {tick: n for tick, n in lost.items() if n} == {15: 5, 21: 1}
+
+
+def test_lost_counts_published_ticks_only():
+    """With every = 5 a step of 5 is no loss and a step of 20 is three messages."""
+    records = synthetic(101)
+    with Publisher("tcp://127.0.0.1:*", every=5) as publisher, joined(publisher) as samples:
+        publisher.publish(records[:41])
+        publisher.publish(records[56:])
+        got = [next(samples) for _ in range(18)]
+    assert [(s.tick, s.lost) for s in got if s.lost] == [(60, 3)]
+
+
+def test_server_that_starts_again_is_no_loss(publisher):
+    """A tick that goes back to 0 counts nothing as lost."""
+    with joined(publisher) as samples:
+        publisher.publish(synthetic(5, first_tick=1000))
+        publisher.publish(synthetic(5))
+        assert [next(samples).lost for _ in range(10)] == [0] * 10
+
+
+def test_stalled_client_is_told_exactly_what_it_lost(tmp_path):
+    """What a client that stops reading gets, plus what `lost` tells, is what was published; the publisher counts the
+    same."""
+    count = 60_000  # more than the publisher, the kernel and the client together keep
+    with Publisher(f"ipc://{tmp_path}/telemetry", backlog=1000) as publisher, joined(publisher) as samples:
+        records = synthetic(5000)
+        for first in range(0, count, len(records)):
+            put(records, "tick", first + np.arange(len(records)))
+            publisher.publish(records)
+        got = [next(samples) for _ in range(500)]
+        publisher.publish(synthetic(1, first_tick=count))
+        while got[-1].tick < count:
+            got.append(next(samples))
+        assert publisher.fanout.lost == sum(s.lost for s in got)
+    assert got[0].tick == 0
+    assert got[-1].tick == count
+    assert sum(s.lost for s in got) > 0
+    assert len(got) + sum(s.lost for s in got) == count + 1
+
+
+def test_silence_is_named_with_endpoint_and_remedy(publisher):
+    """If nothing comes within the time-out, iteration raises with where it listened and what to do."""
+    with (
+        subscribe(publisher.endpoint, timeout_s=0.05) as samples,
+        pytest.raises(NoTelemetry, match=rf"no telemetry from {publisher.endpoint} within 0\.05 s: .*softfinger run"),
+    ):
+        next(samples)
+
+
+def test_receive_returns_none_when_nothing_comes(publisher):
+    """receive with a time-out of zero does not wait and does not raise."""
+    with subscribe(publisher.endpoint) as samples:
+        assert samples.receive(0.0) is None
+
+
+def test_closed_subscription_ends_the_loop(publisher):
+    """Iterating after close ends at once instead of raising a socket error."""
+    samples = subscribe(publisher.endpoint)
+    samples.close()
+    samples.close()
+    assert list(samples) == []
+
+
+def test_loop_left_by_break_leaks_no_socket(publisher):
+    """A subscription that goes out of use closes its socket; the unclosed-socket warning would fail this."""
+    samples = joined(publisher)
+    publisher.publish(synthetic(2))
+    for _ in samples:
+        break
+    del samples
+    gc.collect()
+
+
+@pytest.mark.parametrize("endpoint", ["", "5555", "tcp://", "tcp:/127.0.0.1:5555", "carrier://pigeon"])
+def test_malformed_endpoint_is_refused(endpoint):
+    """An endpoint that ZeroMQ cannot use is a ConfigError with an example."""
+    with pytest.raises(ConfigError, match=r"cannot connect to endpoint .*tcp://127\.0\.0\.1:5555"):
+        subscribe(endpoint)
+
+
+@pytest.mark.parametrize("topics", [(), ("contact", "contacts")])
+def test_unknown_topics_are_refused(topics):
+    """A topic that is never sent is refused with the list of those that are."""
+    with pytest.raises(ConfigError, match="choose from contact, event, health"):
+        subscribe(topics=topics)
+
+
+GOOD = contact_map(synthetic(1)[0])
+EVENT = {"schema": 1, "timestamp": 1.0, "tick": 1, "kind": "test", "name": "x"}
+
+
+def without(key):
+    return {k: v for k, v in GOOD.items() if k != key}
+
+
+@pytest.mark.parametrize(
+    ("frames", "says"),
+    [
+        ([b"contact"], "1 frames"),
+        ([b"contact", encode(GOOD), b"more"], "3 frames"),
+        ([b"contacts", encode(GOOD)], "unknown topic 'contacts'"),
+        ([b"contact\xff", encode(GOOD)], "unknown topic"),
+        ([b"contact", b""], "does not follow"),
+        ([b"contact", b"\xc1"], "does not follow"),
+        ([b"contact", b"hello"], "does not follow"),
+        ([b"contact", encode(GOOD)[:-1]], "truncated"),
+        ([b"contact", encode(GOOD) + b"\x00"], "trailing"),
+        ([b"contact", b"\xdf\xff\xff\xff\xff"], "truncated"),
+        ([b"contact", b"\x81\xa1x" + b"\x91" * 60000], "recursion"),
+        ([b"contact", msgpack.packb(without("timestamp"))], "timestamp"),
+        ([b"contact", msgpack.packb(GOOD | {"force": [1.0, 2.0]})], "force"),
+        ([b"contact", msgpack.packb(GOOD | {"force": [1.0, 2.0, "3"]})], "force"),
+        ([b"contact", msgpack.packb(GOOD | {"tick": 1.5})], "tick"),
+        ([b"contact", msgpack.packb(GOOD | {"contact": 1})], "contact"),
+        ([b"contact", msgpack.packb(GOOD | {"schema": 2})], "schema 2, this client understands 1"),
+        ([b"contact", msgpack.packb({"schema": 2})], "schema 2, this client understands 1"),
+        ([b"contact", b"\xc0" * (MAX_BYTES + 1)], "longer than the limit"),
+        ([b"event", msgpack.packb(EVENT | {"kind": 3})], "kind"),
+        ([b"event", b"\x86" + msgpack.packb(EVENT)[1:] + b"\xa1x\xdd\xff\xff\xff\xff"], "truncated"),
+        ([b"event", b"\x86" + msgpack.packb(EVENT)[1:] + b"\x01\x02"], "does not follow"),
+        ([b"event", b"\x86" + msgpack.packb(EVENT)[1:] + b"\xa1x" + b"\x91" * 60000 + b"\xc0"], "recursion"),
+        ([b"health", msgpack.packb({"schema": 1, "timestamp": 1.0, "tick": 1})], "rate"),
+    ],
+)
+def test_hostile_message_is_a_protocol_error_and_the_next_is_read(frames, says):
+    """Garbage from a peer raises ProtocolError saying what is wrong, and reading goes on behind it."""
+    with zmq.Context() as context, context.socket(zmq.XPUB) as peer:
+        peer.linger = 0
+        port = peer.bind_to_random_port("tcp://127.0.0.1")
+        with subscribe(f"tcp://127.0.0.1:{port}", TOPICS, timeout_s=5.0) as samples:
+            for _ in TOPICS:
+                peer.recv()  # a subscription has arrived
+            peer.send_multipart(frames)
+            peer.send_multipart([b"contact", msgpack.packb(GOOD | {"tick": 77})])
+            with pytest.raises(ProtocolError, match=says):
+                next(samples)
+            assert next(samples).tick == 77
+
+
+def test_other_encoders_and_new_keys_are_understood():
+    """Whole numbers sent as integers and keys of a later server are no reason to refuse a message."""
+    message = GOOD | {"dt": 1, "force": [0, 0, 2], "colour": {"red": [1, 2]}}
+    with zmq.Context() as context, context.socket(zmq.XPUB) as peer:
+        peer.linger = 0
+        port = peer.bind_to_random_port("tcp://127.0.0.1")
+        with subscribe(f"tcp://127.0.0.1:{port}", timeout_s=5.0) as samples:
+            peer.recv()
+            peer.send_multipart([b"contact", msgpack.packb(message)])
+            sample = next(samples)
+    assert sample.force == (0.0, 0.0, 2.0)
+    assert type(sample.force[2]) is float
+
+
+def filled(publisher, window):
+    """Publish tick 0 until the window receives: a window hears contact messages only."""
+    while not window.update(0.02):
+        publisher.publish(synthetic(1))
+    while window.update(0.05):
+        pass
+
+
+def test_window_shows_what_has_arrived(publisher):
+    """Before it is full the window holds all ticks, each field with its shape and type."""
+    records = synthetic(40)
+    with Window(publisher.endpoint, 100) as window:
+        assert len(window) == 0
+        assert window["force"].shape == (0, 3)
+        filled(publisher, window)
+        publisher.publish(records[1:])
+        while len(window) < 40:
+            assert window.update(5.0) > 0
+        for field in FIELDS:
+            at = field.at
+            expected = records[:, at : at + field.size] if field.size > 1 else records[:, at]
+            np.testing.assert_array_equal(window[field.name], expected)
+        assert window["tick"].dtype == np.int64
+        assert window["force"].base is not None
+        assert window.lost == 0
+
+
+def test_window_keeps_the_newest_in_order(publisher):
+    """After many times its length the window holds exactly the last ticks, at every step on the way."""
+    records = synthetic(1000)
+    with Window(publisher.endpoint, 64) as window:
+        filled(publisher, window)
+        last = 0
+        for at in range(1, 1000, 37):
+            batch = records[at : at + 37]
+            publisher.publish(batch)
+            last += len(batch)
+            while window["tick"][-1] < last:
+                assert window.update(5.0) > 0
+            newest = records[max(0, last - 63) : last + 1]
+            np.testing.assert_array_equal(window["tick"], newest[:, AT.tick].astype(int))
+            np.testing.assert_array_equal(window["force"], newest[:, AT.force : AT.force + 3])
+        assert last == 999
+
+
+def test_window_counts_losses_and_starts_anew_with_the_server(publisher):
+    """Gaps add up in `lost`; a tick that goes back empties the window of the run before."""
+    records = synthetic(50)
+    with Window(publisher.endpoint, 100) as window:
+        filled(publisher, window)
+        publisher.publish(records[11:20])
+        publisher.publish(records[25:])
+        while len(window) < 35:
+            assert window.update(5.0) > 0
+        assert window.lost == 15
+        publisher.publish(records[:3])
+        while window["tick"][-1] != 2:
+            assert window.update(5.0) > 0
+        assert window["tick"].tolist() == [0, 1, 2]
+
+
+def test_window_refuses_what_it_cannot_show(publisher):
+    """An unknown field is a KeyError with the names there are, a length below one a ConfigError."""
+    with Window(publisher.endpoint, 1) as window, pytest.raises(KeyError, match=r"choose from timestamp, tick"):
+        window["colour"]
+    with pytest.raises(ConfigError, match="0 samples"):
+        Window(publisher.endpoint, 0)

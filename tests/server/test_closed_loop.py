@@ -1,0 +1,180 @@
+"""Scene and simulated device in one loop: the daemon's bits, the linear sampled system, and the figures kept."""
+
+from __future__ import annotations
+
+import json
+from math import inf
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import paper_mapping
+from scipy.signal import cont2discrete
+
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.config.schema import Scene
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
+from softfinger.drivers.simulated.device import open_device
+from softfinger.drivers.simulated.options import Options, Simulation, simulation
+from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Handle, Impedance, Intention, at_rest, make_plant
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.native.pack import Packed, flatten
+from softfinger.proxy.record import AT
+from softfinger.proxy.scene import build_scene
+from softfinger.server import cli
+from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.servo import FINISHED, Servo
+from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.closed_loop import FIGURES, Run, close_loop, close_many, run_closed_loop
+from softfinger.tools.bench import closed_loop as bench_closed_loop
+
+OPEN_GUARD = Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0)
+ALOFT = Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+FORCE = slice(AT.force, AT.force + 3)
+POSITION = slice(AT.probe_position, AT.probe_position + 3)
+
+
+def ice(stiffness: float = 1000.0, damping: float = 0.0, time_constant: float = 0.0) -> Tuning:
+    """A frictionless plane, and a guard that limits nothing."""
+    material = {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping, "friction": None, "torsion": None}
+    mapping = paper_mapping(material=material, rolling=None, probe={"velocity_time_constant_s": time_constant})
+    return Tuning(build_scene(build(Scene, mapping, "test scene")), (OPEN_GUARD,))
+
+
+def resting_at(z: float) -> np.ndarray:
+    return np.array([0.0, 0.0, z, 1.0, 0.0, 0.0, 0.0])
+
+
+def test_servo_and_closed_loop_are_bit_identical() -> None:
+    """The forces that a servo writes to the device are those of the offline loop to the last bit, and end with zero."""
+    ticks = 3000
+    options = Options(preset="omega.6", delay_ticks=2, sway_m=(0.0, 0.0, 1e-4), sway_hz=7.0)
+    with open_device(options, 1000.0) as device:
+        tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
+        servo = Servo([device], tuning, 1000.0, ticks)
+        servo.compile()
+        servo.start()
+        assert servo.join(60.0).ending == FINISHED
+        servo.close()
+        written = device.written()
+    records = run_closed_loop(tuning, simulation(options, 1000.0), 1000.0, ticks)
+    assert np.abs(records[:, FORCE]).max() > 0.1
+    assert written.read[:ticks].tolist() == list(range(ticks))
+    assert written.wrench[:ticks, :3].tobytes() == records[:, FORCE].tobytes()
+    assert not written.wrench[ticks:].any() and len(written.wrench) > ticks
+
+
+def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`simulate --device simulated` writes the records of the rig's device; a recording played once ends the run."""
+    words = ["simulate", "--scene", "paper-plane", "--device", "simulated", "--out", str(tmp_path / "out.npz")]
+    assert cli.main([*words, "--duration", "2"]) == 0
+    assert "2000 ticks at 1000 Hz" in capsys.readouterr().out
+    options = build(Options, load_rig("simulated").device.options, "rig")
+    with open_device(options, 1000.0) as device:
+        tuning = make_tuning(load_scene("paper-plane"), load_rig("simulated").guard, [device.info])
+        records = run_closed_loop(tuning, device.simulation, 1000.0, 2000)
+    with np.load(tmp_path / "out.npz") as saved:
+        np.testing.assert_array_equal(saved["force"], records[:, FORCE])
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[device]\ndriver = "simulated"\nrecording = "tap"\nloop = false\n')
+    assert cli.main([*words, "--duration", "60", "--rig", str(rig)]) == 0
+    assert f"{len(resample(load_poses('tap'), 1000.0))} ticks" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--device", "replay", "--rig", "replay"], "'replay' cannot be run without a clock"),
+        (["--poses", "tap", "--duration", "1"], "--duration goes with --device"),
+    ],
+)
+def test_simulate_verb_says_what_cannot_be(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A device that is not computed, and a duration for poses, are refused with the way out."""
+    assert cli.main(["simulate", "--scene", "paper-plane", "--out", str(tmp_path / "o.csv"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each plant presses, and its cost, rate and ratio are numbers that belong together."""
+    assert cli.main(["bench", "closed-loop", "--blocks", "3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [row["plant"] for row in result["plants"]] == list(bench_closed_loop.HANDLES)
+    for row in result["plants"]:
+        assert row["largest_force_n"] > 0.1
+        assert row["ticks_per_s"] == pytest.approx(1e9 / row["ns_per_tick"])
+        assert row["ratio"] == pytest.approx(row["ns_per_tick"] / row["reference_ns"])
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2])
+@pytest.mark.parametrize("damping", [0.0, 2.0])
+def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -> None:
+    """m x'' + b x' = F, F = -K x[k-d] - B (x[k-d] - x[k-d-1]) / T held over a tick: the same x at every tick."""
+    m, b, k, period, count = 0.2, 1.0, 1000.0, 0.001, 18
+    tuning = ice(k, damping)
+    plant = make_plant(period, Handle((m,) * 3, (b,) * 3, delay=delay))
+    device = Simulation(plant, at_rest((0.0, 0.0, 0.008)), ALOFT, resting_at(0.008))
+    records = run_closed_loop(tuning, device, 1.0 / period, count)
+
+    a, g, *_ = cont2discrete(
+        (np.array([[0.0, 1.0], [0.0, -b / m]]), np.array([[0.0], [1.0 / m]]), np.eye(2), 0), period
+    )
+    x, seen, under_way, expected = np.array([-0.002, 0.0]), -0.002, [0.0] * delay, []
+    for _ in range(count):
+        expected.append(x[0])
+        under_way.append(-k * x[0] - damping * (x[0] - seen) / period)
+        seen, x = x[0], a @ x + g[:, 0] * under_way.pop(0)
+    assert min(expected) < -0.001 and max(expected) < 0.0  # pressed all the time, and moving
+    # Places are of 10 mm and forces of 2 N: a few roundings of 1e-18 m in each of 18 ticks.
+    np.testing.assert_allclose(records[:, POSITION][:, 2] - 0.01, expected, atol=1e-15)
+
+
+@entry
+def go_on(tuning, start, plant, state, drive, run, bound):
+    return close_loop(tuning, start, start, plant, state, drive, run, bound)
+
+
+def test_figures_are_those_of_the_records() -> None:
+    """The loop without records goes the same way: ticks, excursion, force and work, all to the bit or to rounding."""
+    tuning, ticks = ice(2000.0, 1.0, 0.002), 2000
+    plant = make_plant(0.001, Handle((0.2,) * 3, (1.0,) * 3), Impedance(mass=0.1, damping=2.0, stiffness=300.0))
+    poses = resting_at(0.008)
+    device = Simulation(plant, at_rest((0.0, 0.0, 0.02))._replace(goal=(0.0, 0.0, 0.008)), ALOFT, poses)
+    records = run_closed_loop(tuning, device, 1000.0, ticks + 1)
+    drive = Drive(ALOFT, poses, np.zeros(LINE_SIZE))
+    end = go_on(tuning, begin(tuning.scene), plant, device.state, drive, Run(0, ticks, 0.001), inf)
+    x, force = records[:, POSITION], records[:-1, FORCE]
+    assert end.state.position == tuple(x[ticks])
+    assert end.memory.fingers[0].guarded.force == tuple(force[-1])
+    assert (end.ticks, end.left) == (ticks, -1.0)
+    assert end.excursion == pytest.approx(np.linalg.norm(x[1:] - x[0], axis=1).max(), rel=1e-15)
+    assert end.force == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-15) and end.force > 1.0
+    assert end.energy == pytest.approx(np.sum(force * np.diff(x, axis=0)), rel=1e-12)
+
+
+def test_many_cases_are_each_on_its_own() -> None:
+    """Rows of parameters: a soft wall stays, one far too stiff for the rate leaves its bound, in any order."""
+    stiffness = np.array([500.0, 40000.0, 1000.0, 40000.0, 500.0])
+    tuning = ice()
+    plant = make_plant(0.001, Handle((0.1,) * 3, (1.0,) * 3), Impedance(damping=1.0, stiffness=100.0))
+    state = at_rest((0.0, 0.0, 0.009))
+    figures = np.zeros((5, len(FIGURES)))
+    close_many(
+        Packed(tuning, np.array([flatten(ice(k)) for k in stiffness])),
+        begin(tuning.scene),
+        Packed(plant, flatten(plant)[None]),
+        Packed(state, flatten(state)[None]),
+        Drive(ALOFT, resting_at(0.009), np.zeros(LINE_SIZE)),
+        5000,
+        0.005,
+        figures,
+    )
+    left = figures[:, FIGURES.index("left")]
+    assert (left[[0, 2, 4]] == -1.0).all() and (left[[1, 3]] > 0.0).all()
+    assert figures[0].tolist() == figures[4].tolist() and figures[1].tolist() == figures[3].tolist()
+    assert (figures[[0, 2], FIGURES.index("ticks")] == 5000.0).all()
+    assert figures[1, FIGURES.index("ticks")] == figures[1, FIGURES.index("left")]
+    assert figures[1, FIGURES.index("excursion")] > 0.005

@@ -1,0 +1,836 @@
+"""Commands to a real daemon over real sockets: what each does to the force, and what it leaves alone."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import os
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from helpers.faulty_device import FaultyDevice, Options
+from helpers.hapticore_client import Client
+from helpers.two_fingers import two_devices
+
+from softfinger.config.errors import AddressInUse, CommandRefused
+from softfinger.config.load import build, describe, load_rig, load_scene
+from softfinger.config.schema import Scene
+from softfinger.drivers import registry
+from softfinger.proxy.record import AT
+from softfinger.server.app import Daemon
+from softfinger.server.loop.guard import PAUSE_MAX_S
+from softfinger.server.services import compilation
+from softfinger.server.services.commands import EVENT_BYTES_MAX
+from softfinger.server.services.records import Sink
+from softfinger.server.wire.commands import METHODS
+from softfinger.server.wire.control import AsyncControl, Control, NoAnswer
+from softfinger.server.wire.router import BURST, PEERS_MAX
+from softfinger.server.wire.zmtp import REQUEST_MAX
+
+pytestmark = pytest.mark.real_time
+
+COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+RAMP_S, SLEW = 0.05, 200.0
+WAIT_S = 120.0
+"""A generous bound: a compile, on a machine that does much else."""
+DEPTH_M = 0.001
+"""How deep the device of these tests presses into the plane z = 0."""
+ROUNDING = 1e-12
+"""Relative: a force is the result of some ten operations on numbers of one size."""
+
+
+def pressed_scene(**material: float) -> Scene:
+    """A plane that only pushes back, that can be driven, and a constant force beside: F_z = k d + f."""
+    return build(
+        Scene,
+        {
+            "fingertip": {"radius_m": 0.01},
+            "probe": {"velocity_time_constant_s": 0.0},
+            "object": [
+                {
+                    "name": "lid.top",
+                    "shape": "plane",
+                    "motion": {"kind": "driven"},
+                    "material": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0} | material,
+                }
+            ],
+            "effect": [{"kind": "constant_force", "force_n": [0.0, 0.0, 1.0]}],
+        },
+        "test scene",
+    )
+
+
+def pressed_by_two() -> Scene:
+    """The same plane, for a finger that is pressed 1 mm into it and one that is half as deep."""
+    scene = describe(pressed_scene())
+    del scene["fingertip"]
+    fingers = [{"name": "thumb", "radius_m": 0.01}, {"name": "index", "radius_m": 0.0095}]
+    return build(Scene, scene | {"finger": fingers}, "test scene")
+
+
+STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
+PUSH = "effect.0.force_n"
+
+
+class Driver:
+    """Opens devices that press for ever."""
+
+    Options = Options
+
+    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
+        return FaultyDevice(options)
+
+
+class Kept:
+    """A sink that keeps every record."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.ndarray] = []
+        self.sink = Sink("kept", lambda records, drops: self.rows.append(records.copy()))
+
+    def since(self, tick: int) -> np.ndarray:
+        rows = np.concatenate(self.rows)
+        return rows[rows[:, AT.tick] >= tick]
+
+    def whole(self) -> bool:
+        """Whether the hand feels what the scene says, unchanged by the guard."""
+        return self.force_n > 0.0 and self.rows[-1][-1, AT.servo_guard] == 0.0
+
+    @property
+    def megabytes(self) -> float:
+        return sum(rows.nbytes for rows in self.rows) / 1e6
+
+    @property
+    def force_n(self) -> float:
+        return float(self.rows[-1][-1, AT.force + 2]) if self.rows else 0.0
+
+
+def eventually(what, seconds=WAIT_S):
+    until = time.monotonic() + seconds
+    while not (done := what()) and time.monotonic() < until:
+        time.sleep(0.002)
+    return done
+
+
+@pytest.fixture
+def rig(monkeypatch):
+    """Makes rigs of a device that presses; the slew limit is such that a step of its force in one tick is above it."""
+    load = registry.load
+    monkeypatch.setattr(registry, "load", lambda name: Driver() if name == "faulty" else load(name))
+    quiet = {
+        "device.driver": "faulty", "telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off",
+        "guard.ramp_s": RAMP_S, "guard.force_slew_n_per_s": SLEW, "guard.force_max_n": 5.0,
+    }  # fmt: skip
+    return lambda **changes: load_rig("replay", quiet | changes)
+
+
+@contextlib.contextmanager
+def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, Kept]]:
+    """A daemon that presses with full force, a client, and what was recorded."""
+    kept = Kept()
+    with Daemon(rig, scene or pressed_scene(), sinks=[kept.sink], scene_name="pressed") as daemon:
+        daemon.start()
+        with Control(daemon.commands_endpoint, WAIT_S) as control:
+            assert eventually(kept.whole)
+            yield daemon, control, kept
+            daemon.stop()
+            assert daemon.wait(60.0)
+
+
+@contextlib.contextmanager
+def events(daemon: Daemon) -> Iterator[Any]:
+    """Returns the next event of a kind."""
+    with zmq.Context() as context, context.socket(zmq.SUB) as subscriber:
+        subscriber.linger, subscriber.rcvtimeo = 0, 60_000
+        subscriber.subscribe("event")
+        subscriber.connect(daemon.publisher.endpoint)
+        assert eventually(lambda: daemon.publisher.fanout.subscribers == 1)
+
+        def following(kind: str) -> dict[str, Any]:
+            while (event := msgpack.unpackb(subscriber.recv_multipart()[1]))["kind"] != kind:
+                pass
+            return event
+
+        yield following
+
+
+def largest_step(rows: np.ndarray) -> float:
+    """Of the force, from tick to tick; but where this machine stalled for so long that the guard began anew."""
+    steps = np.linalg.norm(np.diff(rows[:, AT.force : AT.force + 3], axis=0), axis=1)
+    return float(steps[rows[1:, AT.dt] <= PAUSE_MAX_S].max())
+
+
+def unchanged(rows: np.ndarray) -> bool:
+    """Whether the scene gave the same force in every tick, and the hand felt it; but where the guard began anew."""
+    felt = rows[rows[:, AT.servo_guard] == 0.0, AT.force + 2]
+    return len(felt) > 0 and np.ptp(felt) == 0.0 and np.ptp(rows[:, AT.contact_normal_force]) == 0.0
+
+
+def test_every_method_answers(rig):
+    """One of each, in a row, with what it says in return and the event that tells of it."""
+    with running(rig()) as (daemon, control, kept), events(daemon) as following:
+        state = control.get_state()
+        assert state.active_field == "pressed" and state.position[2] == 0.009
+        assert state.force[2] == pytest.approx(1000.0 * DEPTH_M + 1.0, rel=ROUNDING)
+        assert 0.0 <= time.monotonic() - state.timestamp < 60.0
+        assert control.heartbeat().timeout_ms == 0
+        changed = control.set_params({STIFFNESS: 500.0, PUSH: [0.0, 0.0, 1.0]})
+        assert {key: (c.before, c.after) for key, c in changed.changed.items()} == {STIFFNESS: (1000.0, 500.0)}
+        told = following("command")
+        assert told["name"] == "set_params" and told["what"] == {STIFFNESS: {"from": 1000.0, "to": 500.0}}
+        assert control.mark("trial 7", {"hand": "left"}).tick > 0
+        told = following("mark")
+        assert (told["label"], told["data"]) == ("trial 7", {"hand": "left"}) and told["command_id"]
+        assert control.disarm().armed is False and following("command")["name"] == "disarm"
+        assert control.arm().armed is True and following("command")["what"] == {"armed": True}
+        moved = control.drive("lid.top", (0.0, 0.0, 0.0005))
+        told = following("command")
+        assert told["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and told["name"] == "drive"
+        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > moved.tick + 2)
+        # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
+        normal = kept.since(moved.tick + 2)[0, AT.contact_normal_force]
+        assert normal == pytest.approx(500.0 * (DEPTH_M + 0.0005), rel=ROUNDING)
+        said = control.describe()
+        assert said["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and said["scene_name"] == "pressed"
+        assert said["rig"]["guard"]["force_slew_n_per_s"] == SLEW and set(said["commands"]["methods"]) == set(METHODS)
+        assert said["wire"]["schema"] == 1 and said["versions"]["numba"] and said["compiled"]["model"]
+        assert json.dumps(said)
+        assert control.set_scene("frictionless-plane").active_field == "frictionless-plane"
+        assert following("lifecycle")["name"] == "replaced"
+        assert following("command")["what"]["scene"] == "frictionless-plane"
+        assert control.get_state().active_field == "frictionless-plane"
+        assert control.stop().shutting_down is True
+        assert daemon.wait(60.0)
+
+
+def test_several_fingers_are_commanded_together(rig):
+    """F_z = k d + f of each finger: what is set for the scene or for one, armed or driven; what would change whose
+    device is whose is refused."""
+    device, scene = {"driver": "faulty"}, pressed_by_two()
+    swapped = describe(scene)
+    swapped["finger"].reverse()
+    refused = [
+        ("set_params", {"finger.0.device": "ring"}, "add [devices.ring]"),
+        ("set_params", {"finger.0.name": "ring", "finger.0.device": "thumb"}, "name and device are no parameters"),
+        ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "given twice"),
+        ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
+        ("set_scene", {"scene": swapped}, "(index, thumb) are not those of the running one (thumb, index)"),
+    ]
+    with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, kept):
+
+        def felt(*wanted: float) -> bool:
+            return eventually(
+                lambda: kept.rows[-1][-1].reshape(2, -1)[:, AT.force + 2] == pytest.approx(wanted, rel=ROUNDING)
+            )
+
+        assert felt(2.0, 1.5)
+        assert control.get_state().force[2] == pytest.approx(2.0, rel=ROUNDING)
+        said = control.describe()
+        assert [finger["name"] for finger in said["fingers"]] == ["thumb", "index"]
+        assert all(finger["device"] == said["device"] for finger in said["fingers"]) and said["device"]["name"]
+        control.set_params({STIFFNESS: 500.0})
+        assert felt(1.5, 1.25)
+        assert set(control.set_params({"finger.index.radius_m": 0.0105}).changed) == {"finger.index.radius_m"}
+        assert felt(1.5, 1.75)
+        control.drive("lid.top", (0.0, 0.0, 0.0005))
+        assert felt(1.75, 2.0)
+        control.disarm()
+        assert felt(0.0, 0.0)
+        control.arm()
+        assert felt(1.75, 2.0)
+        for method, params, words in refused:
+            with pytest.raises(CommandRefused, match=r"^bad_params: ") as answer:
+                control.ask(method, params)
+            assert words in str(answer.value), answer.value
+        assert felt(1.75, 2.0)
+        control.set_scene(describe(scene))
+        assert felt(2.0, 1.5)
+
+
+REFUSED = [
+    ("set_params", {"object.0.material.stiffness_n_per_m": -1.0}, "bad_params", "must be a number from 0.001"),
+    ("set_params", {"object.0.material.stiffness_n_per_m": math.nan}, "bad_params", "must be a number"),
+    ("set_params", {STIFFNESS: 800.0, "object.0.material.stifness": 1.0}, "bad_params", "did you mean 'stiffness"),
+    ("set_params", {STIFFNESS: 800.0, "object.lid.colour": 1.0}, "bad_params", "object.lid"),
+    ("set_params", {STIFFNESS: 800.0, "object.0.material.stiffness_n_per_m": 700.0}, "bad_params", "given twice"),
+    ("set_params", {STIFFNESS: 800.0, "object.0.material.friction": {"static": 0.6, "kinetic": 0.5}}, "bad_params",
+     "another model"),
+    ("set_params", {STIFFNESS: 800.0, PUSH: [0.0, 0.0, 1e9]}, "bad_params", "effect[0].force_n"),
+    ("set_params", {}, "bad_params", "length >= 1"),
+    ("set_params", {"a" * 257: 1}, "bad_params", "length <= 256"),
+    ("set_scene", {"scene": "sphre"}, "bad_params", "did you mean 'sphere'"),
+    ("set_scene", {"scene": "/etc/passwd"}, "bad_params", "given whole"),
+    ("set_scene", {"scene": {"object": []}}, "bad_params", "fingertip: is missing"),
+    ("set_scene", {"scene": "sphere", "overrides": {"object.7.name": "x"}}, "bad_params", "none of the 1 entries"),
+    ("drive", {"object": "table", "position_m": [0, 0, 0]}, "bad_params", "there are lid.top"),
+    ("drive", {"object": 1, "position_m": [0, 0, 0]}, "bad_params", "there are lid.top"),
+    ("drive", {"object": -1, "position_m": [0, 0, 0]}, "bad_params", ">= 0"),
+    ("drive", {"object": 0, "position_m": [0, 0]}, "bad_params", "length 3"),
+    ("drive", {"object": 0, "position_m": [0, 0, 1e9]}, "bad_params", "object[0].position_m"),
+    ("drive", {"object": 0, "position_m": [0, 0, 0], "orientation_wxyz": [0, 0, 0, 0]}, "bad_params", "all zero"),
+    ("arm", {"now": True}, "bad_params", "unknown field"),
+    ("mark", {"label": ""}, "bad_params", "length >= 1"),
+    ("mark", {"label": "x", "data": {"text": "y" * EVENT_BYTES_MAX}}, "bad_params", "more than 1024 bytes"),
+    ("zero", {}, "refused", "disarm first"),
+    ("zero", {"position_m": [0, 0, math.nan]}, "bad_params", "position_m"),
+    ("zero", {"finger": "thumb"}, "bad_params", "no finger is 'thumb'"),
+    ("tare", {}, "unknown_method", "there are get_state"),
+]  # fmt: skip
+
+
+def test_what_cannot_be_done_is_said_by_name_and_changes_nothing(rig):
+    """Each error has its name and what is wrong; scene, force and arming are what they were."""
+    with running(rig()) as (daemon, control, kept):
+        before, first = control.describe(), daemon.servo.ticks
+        for method, params, name, words in REFUSED:
+            with pytest.raises(CommandRefused, match=f"^{name}: ") as refused:
+                control.ask(method, params)
+            assert words in str(refused.value), refused.value
+        after = control.describe()
+        assert all(before[key] == after[key] for key in ("scene", "scene_name", "rig", "armed"))
+        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > first + 20)
+        assert unchanged(kept.since(first))
+
+
+def test_the_law_of_the_normal_force_and_the_patch_are_parameters(rig):
+    """f = K d (delta / d)^p and a = c (f / 1 N)^gamma with the numbers of the moment; with other parts it is another
+    model, which is said."""
+    patch = {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.25}
+    described = describe(pressed_scene(normal={"exponent": 1.5, "depth_m": 4.0 * DEPTH_M}))
+    described["fingertip"]["patch"] = patch
+    normal = "object.0.material.normal"
+    with running(rig(), build(Scene, described, "soft")) as (_, control, kept):
+        for changes, force, radius in (
+            ({"effect.0.force_n": [0.0, 0.0, 0.5]}, 4.0 * 0.25**1.5, 0.004),
+            ({f"{normal}.exponent": 2.0, f"{normal}.depth_m": 2.0 * DEPTH_M}, 2.0 * 0.5**2.0, 0.004),
+            ({"fingertip.patch.radius_m": 0.003, STIFFNESS: 500.0}, 0.5 * 2.0 * 0.5**2.0, 0.003),
+        ):
+            tick = control.set_params(changes).tick
+            assert eventually(lambda: kept.rows[-1][-1, AT.tick] > tick + 2)  # noqa: B023
+            last = kept.rows[-1][-1]
+            assert last[AT.contact_normal_force] == pytest.approx(force, rel=ROUNDING)
+            assert last[AT.contact_patch_radius] == pytest.approx(radius * force**0.25, rel=ROUNDING)
+        for changes, words in (
+            ({f"{normal}.exponent": 0.5}, "from 1 to 3"),
+            ({"fingertip.patch.exponent": 0.5}, "from 0 to 0.333333"),
+            ({f"{normal}.exponent": 1.0}, "another model, to be compiled: set the whole scene"),
+            ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: set the whole scene"),
+        ):
+            with pytest.raises(CommandRefused, match=r"^bad_params: ") as refused:
+                control.ask("set_params", changes)
+            assert words in str(refused.value), refused.value
+
+
+def test_parameters_set_together_are_never_torn(rig):
+    """Two parameters whose forces add up to the same: k d + f is the same in every tick while both change, as fast as
+    a client may ask, and each pair is seen in many ticks."""
+    pairs = [(1000.0, 1.0), (500.0, 1.5), (250.0, 1.75), (1500.0, 0.5)]
+    with running(rig()) as (daemon, control, kept):
+        first, asked = daemon.servo.ticks, 0
+        until = time.monotonic() + 3.0
+        while time.monotonic() < until:
+            stiffness, push = pairs[asked % 4]
+            control.set_params({STIFFNESS: stiffness, PUSH: [0.0, 0.0, push]})
+            asked += 1
+        rows = kept.since(first)
+    rows = rows[rows[:, AT.servo_guard] == 0.0]
+    normal = rows[:, AT.contact_normal_force]
+    np.testing.assert_allclose(rows[:, AT.force + 2], 2.0, rtol=ROUNDING)
+    assert np.isin(np.round(normal, 9), [k * DEPTH_M for k, _ in pairs]).all()
+    assert np.count_nonzero(np.diff(normal)) > 0.5 * asked > 100
+
+
+def test_scenes_back_and_forth_are_never_a_step_of_force(rig):
+    """Eight times, pressed: no force changes faster than the slew limit, and what was set stays with its scene."""
+    own = {"fingertip": {"radius_m": 0.01}, "object": [{"name": "a", "shape": "plane",
+           "material": {"stiffness_n_per_m": 700.0}}]}  # fmt: skip
+    with running(rig(), load_scene("frictionless-plane")) as (daemon, control, kept):
+        first = daemon.servo.ticks
+        for number in range(8):
+            scene = "paper-plane" if number % 2 else own
+            done = control.set_scene(scene, {"object.0.material.stiffness_n_per_m": 900.0}, f"number {number}")
+            assert done.active_field == f"number {number}"
+            assert eventually(lambda: kept.force_n > 0.85)
+            begun = kept.since(done.tick - 1)
+            assert not begun[0, AT.force : AT.force + 3].any() and begun[1, AT.tick] == done.tick
+        rows = kept.since(first)
+    assert (np.diff(rows[:, AT.tick]) == 1.0).all()
+    assert largest_step(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)  # but the last zero, of a stop in contact
+
+
+def test_disarm_fades_to_zero_and_arm_fades_in_anew(rig):
+    """Along the slew limit to exactly zero, which stays; then along the ramp from zero; a new scene stays without."""
+    with running(rig()) as (daemon, control, kept):
+        first = daemon.servo.ticks
+        assert control.disarm().armed is False
+        assert eventually(lambda: kept.rows[-1][-1, AT.servo_guard] == 64)  # `disarmed`, the guard's own word
+        silent = daemon.servo.ticks
+        control.set_params({STIFFNESS: 2000.0})
+        tick = control.set_scene("frictionless-plane").tick
+        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > tick + 100)
+        assert not kept.since(silent)[:, AT.force : AT.force + 3].any()
+        armed = daemon.servo.ticks
+        assert control.arm().armed is True
+        assert eventually(lambda: kept.force_n > 0.99)
+        rows = kept.since(first)
+        assert largest_step(rows) <= SLEW / 1000.0 * (1.0 + ROUNDING)
+        fading = rows[(rows[:, AT.tick] >= armed) & (rows[:, AT.force + 2] > 0.0) & (rows[:, AT.force + 2] < 0.999)]
+        # The ramp, in as many ticks as it has; one of them is the full force.
+        assert len(fading) >= RAMP_S * 1000.0 - 1
+
+
+def test_arming_at_once_is_no_step_either(rig):
+    """Disarm and arm, faster than the force can fade: never above the slew limit, and armed at last."""
+    with running(rig()) as (daemon, control, kept):
+        first = daemon.servo.ticks
+        for _ in range(20):
+            control.disarm()
+            control.arm()
+        assert eventually(lambda: kept.force_n > 1.99)
+        assert largest_step(kept.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
+
+
+def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
+    """No command for so long: the force fades out, with an event; the next heartbeat, and no other, brings it back;
+    what was disarmed by command stays so."""
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
+        assert control.heartbeat().timeout_ms == 500
+        lost = following("command")
+        assert lost["name"] == "heartbeat_missed" and lost["what"] == {"after_s": 0.5}
+        assert eventually(lambda: kept.force_n == 0.0)
+        assert control.describe()["armed"] is False and kept.force_n == 0.0
+        control.heartbeat()
+        assert following("command")["what"] == {"armed": True}
+        alive = threading.Event()
+
+        def beat() -> None:
+            with Control(daemon.commands_endpoint) as other:
+                while not alive.wait(0.05):
+                    other.heartbeat()
+
+        beating = threading.Thread(target=beat)
+        beating.start()
+        try:
+            assert eventually(lambda: kept.force_n > 1.9)
+            control.disarm()
+            assert eventually(lambda: kept.force_n == 0.0)
+            control.heartbeat()
+            time.sleep(0.2)
+            assert kept.force_n == 0.0 and control.describe()["armed"] is False
+        finally:
+            alive.set()
+            beating.join()
+
+
+def test_a_client_of_hapticores_protocol_works_unchanged(rig):
+    """State with exactly its keys, heartbeats beside commands, an error for a method that is not there, stop."""
+    with running(rig(**{"commands.heartbeat_s": 1.0})) as (daemon, _, kept):
+        client = Client(daemon.commands_endpoint)
+        try:
+            states = [client.state() for _ in range(20)]
+            assert states[-1].sequence > states[0].sequence and states[0].active_field == "pressed"
+            unknown = client.command("set_force_field", type="null", params={})
+            assert not unknown.success and unknown.error.startswith("unknown_method") and unknown.result == {}
+            assert eventually(lambda: len(client.beats) > 10)
+            assert all(beat.success and beat.result == {"timeout_ms": 1000} for beat in client.beats)
+            assert client.command("stop").result == {"shutting_down": True}
+            assert daemon.wait(60.0)
+        finally:
+            client._shutdown.set()  # before the daemon is closed: nobody answers then
+            client.close()
+        assert kept.force_n >= 0.0
+
+
+def test_two_clients_and_one_that_leaves(rig):
+    """Each gets its own answers; answers to one that has gone are dropped, and another who waits is answered
+    meanwhile."""
+    with running(rig()) as (daemon, control, _):
+        for number in range(50):
+            with Control(daemon.commands_endpoint) as other:
+                assert other.set_params({STIFFNESS: 600.0 + number}).changed[STIFFNESS].after == 600.0 + number
+                assert control.describe()["scene"]["object"][0]["material"]["stiffness_n_per_m"] == 600.0 + number
+        request = msgpack.packb({"command_id": "h", "method": "set_scene", "params": {"scene": "frictionless-plane"}})
+        with zmq.Context() as context, context.socket(zmq.DEALER) as hasty:
+            hasty.linger = 10_000
+            hasty.connect(daemon.commands_endpoint)
+            hasty.send_multipart([b"", request])
+        assert eventually(lambda: control.get_state().active_field == "frictionless-plane")
+
+
+def test_asyncio_client(rig):
+    """Requests side by side: heartbeats are answered while a scene is on its way."""
+
+    async def talk(endpoint: str) -> None:
+        async with AsyncControl(endpoint, WAIT_S) as control:
+            scene = asyncio.create_task(control.set_scene("frictionless-plane"))
+            assert (await control.heartbeat()).timeout_ms == 0
+            states = await asyncio.gather(*(control.get_state() for _ in range(20)))
+            assert len(states) == 20
+            assert (await scene).active_field == "frictionless-plane"
+            changed = await control.set_params({"object.ice.material.stiffness_n_per_m": 900.0})
+            assert changed.changed["object.ice.material.stiffness_n_per_m"].before == 1000.0
+            with pytest.raises(CommandRefused, match=r"^refused: object ice is not driven"):
+                await control.drive("ice", (0.0, 0.0, 0.0))
+            with pytest.raises(CommandRefused, match=r"^unknown_method"):
+                await control.ask("nosuch")
+            assert (await control.disarm()).armed is False
+            assert (await control.arm()).armed is True
+            assert (await control.mark("x")).tick > 0
+            assert (await control.describe())["scene_name"] == "frictionless-plane"
+            assert (await control.stop()).shutting_down
+
+    with running(rig()) as (daemon, _, _):
+        asyncio.run(talk(daemon.commands_endpoint))
+        assert daemon.wait(60.0)
+
+
+@pytest.fixture
+def slow_compiler(monkeypatch, tmp_path):
+    """A compiler that says that it began, and takes for ever."""
+    program = tmp_path / "slow.py"
+    program.write_text(
+        "import os, sys, time\nsys.stdin.readline()\n"
+        f"open(r'{tmp_path}/' + str(os.getpid()), 'w').close()\ntime.sleep(1000)\n"
+    )
+    popen = subprocess.Popen
+    monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen([*words[:1], program], **rest))
+    monkeypatch.setattr(compilation.Servo, "compiled_for", staticmethod(lambda tuning: False))
+    return lambda: [int(path.name) for path in tmp_path.glob("[0-9]*")]
+
+
+def alive(pid: int) -> bool:
+    return Path(f"/proc/{pid}").exists()
+
+
+def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
+    """Heartbeat, disarm and others are answered while one compiles; a later scene ends that compiler, and so does the
+    daemon's end, within two seconds."""
+    with (
+        running(rig()) as (daemon, control, kept),
+        Control(daemon.commands_endpoint) as first,
+        Control(daemon.commands_endpoint) as second,
+    ):
+        ends = []
+
+        def ask(who: Control) -> None:
+            try:
+                ends.append(who.set_scene("sphere"))
+            except (CommandRefused, NoAnswer) as error:
+                ends.append(error)
+
+        threads = [threading.Thread(target=ask, args=(who,)) for who in (first, second)]
+        threads[0].start()
+        assert eventually(lambda: len(slow_compiler()) == 1)
+        control.timeout_s = 5.0
+        assert control.heartbeat().timeout_ms == 0
+        assert control.disarm().armed is False
+        assert eventually(lambda: kept.force_n == 0.0)
+        threads[1].start()
+        assert eventually(lambda: len(ends) == 1) and str(ends[0]).startswith("superseded: ")
+        assert eventually(lambda: len(slow_compiler()) == 2 and sum(map(alive, slow_compiler())) == 1)
+        control.stop()
+        assert daemon.wait(60.0)
+        begun = time.monotonic()
+        daemon.close()
+        assert time.monotonic() - begun < 10.0  # a bound for a busy machine; it waits for nothing
+        assert not any(map(alive, slow_compiler()))
+        threads[1].join(60.0)
+        assert len(ends) == 2 and isinstance(ends[1], CommandRefused)
+
+
+def test_a_compiler_that_fails_is_told(rig, monkeypatch):
+    """The error says where to look, and the old scene goes on."""
+    popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
+    monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
+    monkeypatch.setattr(compilation.Servo, "compiled_for", staticmethod(lambda tuning: False))
+    with running(rig()) as (_, control, kept):
+        with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):
+            control.set_scene("sphere")
+        assert control.get_state().active_field == "pressed" and kept.force_n > 1.9
+
+
+def test_the_compiler_fills_the_cache(tmp_path):
+    """What the process of its own compiles is kept where the daemon looks: its loop is there when it has ended."""
+    environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path / "kernels")}
+    words = [sys.executable, "-P", "-m", "softfinger.server.services.compilation"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as compiler:
+        compiler.stdin.write(json.dumps(describe(load_scene("frictionless-plane"))) + "\n")
+        compiler.stdin.flush()
+        assert compiler.wait(280) == 0, compiler.stderr.read()
+    assert list(tmp_path.rglob("servo_loop-*.kernel"))
+
+
+def test_the_compiler_leaves_with_the_daemon():
+    """Its input ends with the daemon, and it does not go on for nobody; long before it could have compiled anything."""
+    words = [sys.executable, "-P", "-m", "softfinger.server.services.compilation"]
+    given = json.dumps(describe(pressed_scene())) + "\n"
+    done = subprocess.run(words, input=given, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+
+
+def test_a_second_daemon_and_none_at_all(rig, tmp_path):
+    """The endpoint of another daemon is in use; off is off; ipc follows the telemetry's, with its mode."""
+    in_use = pytest.raises(AddressInUse, match=r"\[commands\] endpoint .* is in use: stop the softfinger")
+    with running(rig()) as (daemon, _, _), in_use:
+        Daemon(rig(**{"commands.endpoint": daemon.commands_endpoint}), pressed_scene())
+    threads = threading.active_count()
+    with Daemon(rig(**{"commands.endpoint": "off"}), pressed_scene()) as daemon:
+        daemon.start()
+        assert daemon.commands_endpoint is None
+        assert not {"commands", "scenes"} & {thread.name for thread in threading.enumerate()}
+    assert eventually(lambda: threading.active_count() == threads)
+    path = tmp_path / "t"
+    with running(rig(**{"telemetry.endpoint": f"ipc://{path}"})) as (daemon, control, _):
+        assert daemon.commands_endpoint == f"ipc://{path}.commands"
+        assert Path(f"{path}.commands").stat().st_mode & 0o777 == 0o660
+        assert control.heartbeat().timeout_ms == 0
+    assert not Path(f"{path}.commands").exists()
+
+
+def test_a_flood_gets_busy_and_others_are_answered(rig):
+    """One client sends without waiting: it is told to slow down, and another is answered all the while."""
+    with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as flood:
+        flood.linger = 0
+        flood.connect(daemon.commands_endpoint)
+        stop, sent = threading.Event(), 0
+
+        def pour() -> None:
+            nonlocal sent
+            request = msgpack.packb({"command_id": "x", "method": "get_state", "params": {}})
+            while not stop.is_set():
+                with contextlib.suppress(zmq.Again):
+                    flood.send_multipart([b"", request], zmq.NOBLOCK)
+                    sent += 1
+
+        pouring = threading.Thread(target=pour)
+        pouring.start()
+        try:
+            first, answered = daemon.servo.ticks, 0
+            while daemon.servo.ticks < first + 1000:
+                control.heartbeat()
+                answered += 1
+                time.sleep(0.002)
+        finally:
+            stop.set()
+            pouring.join()
+        errors = {}
+        while flood.poll(200):
+            error = msgpack.unpackb(flood.recv_multipart()[1])["error"]
+            errors[error and error.partition(":")[0]] = errors.get(error and error.partition(":")[0], 0) + 1
+            if set(errors) == {None, "busy"}:
+                break
+    assert set(errors) == {None, "busy"} and sent > BURST and answered > 10
+
+
+QUIET = {"telemetry.every": 1000}
+"""The publisher keeps its newest messages, which are 40 MB after as many seconds."""
+
+
+def resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 1e6
+
+
+def deep(levels: int, inner: bytes = b"\x90") -> bytes:
+    return b"\x91" * levels + inner
+
+
+def request_bytes(random: np.random.Generator) -> list[bytes]:
+    """The frames of a message that is no good request, of one kind or another."""
+    kind = random.integers(9)
+    noise = random.bytes(int(random.integers(0, 60)))
+    good = {"command_id": "f", "method": "set_params", "params": {STIFFNESS: -1.0}}
+    match kind:
+        case 0:
+            return [b"", noise]
+        case 1:
+            return [b"", deep(int(random.integers(1, 3000)))]
+        case 2:  # claims of sizes up to 4 GiB
+            return [b"", bytes(random.choice([0xDD, 0xDF, 0xDB, 0xC6, 0xC9]).astype(np.uint8).tobytes()) + b"\xff" * 4]
+        case 3:
+            return [noise] * int(random.integers(1, 5))
+        case 4:
+            return [b"", msgpack.packb(good | {"params": {random.bytes(9).hex(): noise}})]
+        case 5:
+            return [b"", msgpack.packb(good | {"method": noise.hex()})]
+        case 6:
+            packed = bytearray(msgpack.packb(good))
+            packed[random.integers(len(packed))] = random.integers(256)
+            return [b"", bytes(packed)]
+        case 7:
+            method = str(random.choice(["drive", "mark", "set_scene", "set_params"]))
+            inside = msgpack.unpackb(deep(30))
+            return [b"", msgpack.packb({"command_id": noise.hex(), "method": method, "params": {"scene": inside}})]
+    return [b"", msgpack.packb(good)]
+
+
+@pytest.mark.timeout(900)
+def test_a_hundred_thousand_bad_messages_change_nothing(rig):
+    """Noise, depth, claims, wrong frames, wrong types: the force is the same in every tick, memory does not grow, every
+    message has an answer, and a good client is answered in between."""
+    clients, each = 20, 5000
+    with running(rig(**QUIET)) as (daemon, control, kept), zmq.Context() as context:
+        before, first = control.describe()["scene"], daemon.servo.ticks
+        # The clients are in this process, with what their threads keep: measured once they are all at work.
+        at_work = threading.Barrier(clients + 1)
+        failures: list[str] = []
+
+        def attack(seed: int) -> None:
+            random = np.random.default_rng(seed)
+            with context.socket(zmq.DEALER) as dealer:
+                dealer.linger = 0
+                dealer.connect(daemon.commands_endpoint)
+                answers = 0
+                for number in range(each):
+                    if number == each // 10:
+                        at_work.wait()
+                    dealer.send_multipart(request_bytes(random))
+                    while number - answers > 50 or (number == each - 1 and answers < each):
+                        if not dealer.poll(60_000):
+                            failures.append(f"{seed}: {answers} answers to {number} messages")
+                            return
+                        answer = msgpack.unpackb(dealer.recv_multipart()[1])
+                        if answer["success"]:
+                            failures.append(str(answer))
+                        answers += 1
+
+        threads = [threading.Thread(target=attack, args=(seed,)) for seed in range(clients)]
+        for thread in threads:
+            thread.start()
+        at_work.wait()
+        memory_mb, recorded_mb = resident_mb(), kept.megabytes
+        while any(thread.is_alive() for thread in threads):
+            control.heartbeat()
+            time.sleep(0.05)
+        grown_mb = resident_mb() - memory_mb - (kept.megabytes - recorded_mb)
+        assert not failures, failures[:3]
+        assert control.describe()["scene"] == before
+        assert unchanged(kept.since(first))
+    # 90,000 messages: a leak of 200 bytes for each would be 18 MB.
+    print("grown", grown_mb)
+    assert grown_mb < 18.0, grown_mb
+
+
+GREETING = b"\xff" + bytes(8) + b"\x7f\x03\0NULL" + bytes(48)
+
+
+def frame(body: bytes, flags: int = 0) -> bytes:
+    long = len(body) > 255
+    return bytes((flags | 2 * long,)) + (struct.pack(">Q", len(body)) if long else bytes((len(body),))) + body
+
+
+READY = frame(b"\x05READY\x0bSocket-Type\0\0\0\x06DEALER", 4)
+ASKED = frame(b"", 1) + frame(msgpack.packb({"command_id": "r", "method": "describe"}))
+
+ATTACKS = {
+    "frames without end": lambda n: frame(bytes(60_000), 1) if n else GREETING + READY,
+    "a frame of 2^63 bytes": lambda n: GREETING + READY + b"\x02" + struct.pack(">Q", 1 << 62),
+    "a request too long": lambda n: GREETING + READY + frame(bytes(REQUEST_MAX + 1)),
+    "answers that are not read": lambda n: ASKED * 50 if n else GREETING + READY,
+    "pings": lambda n: frame(b"\x04PING\0\0" + bytes(16), 4) * 500 if n else GREETING + READY,
+    "another mechanism": lambda n: GREETING.replace(b"NULL", b"CURV"),
+    "a subscriber": lambda n: GREETING + frame(b"\x05READY\x0bSocket-Type\0\0\0\x03SUB", 4),
+    "no ZMTP": lambda n: b"GET / HTTP/1.1\r\n\r\n" * 100,
+    "nothing": lambda n: b"",
+}
+
+
+def test_raw_peers_take_neither_memory_nor_others_answers(rig):
+    """Bytes below ZeroMQ, from more connections than there may be: memory is bounded, a client is answered."""
+    with running(rig(**QUIET)) as (daemon, control, kept):
+        port = int(daemon.commands_endpoint.rpartition(":")[2])
+        control.describe()
+        first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), kept.megabytes
+        until = time.monotonic() + 4.0
+
+        def attack(name: str) -> None:
+            while time.monotonic() < until:
+                with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 5.0) as peer:
+                    peer.settimeout(0.2)
+                    for number in range(400):
+                        if time.monotonic() > until:
+                            return
+                        if data := ATTACKS[name](number):
+                            peer.sendall(data)
+                        else:
+                            time.sleep(0.02)
+
+        threads = [threading.Thread(target=attack, args=(name,)) for name in ATTACKS for _ in range(PEERS_MAX // 6)]
+        for thread in threads:
+            thread.start()
+        answered = 0
+        while time.monotonic() < until:
+            with contextlib.suppress(CommandRefused):  # busy
+                control.heartbeat()
+                answered += 1
+        for thread in threads:
+            thread.join()
+        grown_mb = resident_mb() - memory_mb - (kept.megabytes - recorded_mb)
+        assert unchanged(kept.since(first))
+    assert answered > 5
+    # For each peer a frame, an answer of 40 KB and what was read at once; the rest is the clients', in this process.
+    assert grown_mb < 40.0, grown_mb
+
+
+def test_a_daemon_of_its_own_ends_by_stop(tmp_path):
+    """`run` names its endpoint, `ctl` commands it from the shell, and `stop` ends it in order."""
+    words = [
+        *COMMAND,
+        "run",
+        "--endpoint",
+        "tcp://127.0.0.1:*",
+        "--commands",
+        f"ipc://{tmp_path}/c",
+        "--realtime",
+        "off",
+    ]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as daemon:
+        try:
+            lines = []
+            while not any(f"commands on ipc://{tmp_path}/c" in line for line in lines):
+                lines.append(daemon.stderr.readline())
+                assert lines[-1]
+
+            def ctl(*given: str) -> subprocess.CompletedProcess[str]:
+                return subprocess.run(
+                    [*COMMAND, "ctl", *given, "--endpoint", f"ipc://{tmp_path}/c", "--timeout", "240"],
+                    capture_output=True, text=True, timeout=300, check=False,
+                )  # fmt: skip
+
+            state = ctl("get_state", "--json")
+            while "no tick yet" in state.stderr:
+                state = ctl("get_state", "--json")
+            assert json.loads(state.stdout)["active_field"] == "paper-plane", state.stderr
+            done = ctl("set_params", "object.table.material.stiffness_n_per_m=800")
+            assert done.returncode == 0 and '"to": 800' in done.stdout
+            refused = ctl("set_params", "object.table.material.stiffness_n_per_m=hard")
+            assert refused.returncode == 12 and "bad_params: " in refused.stderr
+            (tmp_path / "mine.toml").write_text(
+                '[fingertip]\nradius_m = 0.01\n[[object]]\nname = "a"\nshape = "plane"\nmaterial = "rubber"\n'
+            )
+            assert "no such file" in ctl("set_scene", "scene=nosuch.toml").stderr
+            assert ctl("mark", "label=go").returncode == 0
+            assert "no method 'get_sate' (did you mean 'get_state'?)" in ctl("get_sate").stderr
+            assert "write key=value" in ctl("mark", "label").stderr
+            assert ctl("stop").stdout == "shutting_down: true\n"
+            assert daemon.wait(60) == 0
+        finally:
+            daemon.kill()
+    silent = subprocess.run(
+        [*COMMAND, "ctl", "heartbeat", "--endpoint", f"ipc://{tmp_path}/c", "--timeout", "0.2"],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert silent.returncode == 9 and "softfinger run" in silent.stderr

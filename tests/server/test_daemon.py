@@ -1,0 +1,487 @@
+"""The daemon as its users run it: a process of its own, plain ZeroMQ clients, signals."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from helpers.faulty_device import FaultyDevice, Options
+
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, RealtimeError, SafetyStop
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers import registry
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
+from softfinger.proxy.record import AT
+from softfinger.server.app import Daemon
+from softfinger.server.loop.realtime import lift
+from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.simulate import simulate
+from softfinger.server.services import base
+from softfinger.server.services.records import Sink
+
+pytestmark = pytest.mark.real_time
+
+COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+
+
+@contextmanager
+def daemon(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`softfinger run` on an endpoint of its own, killed in the end if it still runs."""
+    with zmq.Context() as context, context.socket(zmq.PUB) as probe:
+        # Below the ports that the system gives to clients: there, one that connects early may meet itself.
+        port = probe.bind_to_random_port("tcp://127.0.0.1", min_port=20_000, max_port=32_000)
+        endpoint = f"tcp://127.0.0.1:{port}"
+    process = subprocess.Popen([*COMMAND, "run", "--endpoint", endpoint, *words], stderr=subprocess.PIPE, text=True)
+    try:
+        yield process, endpoint
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@contextmanager
+def subscribed(endpoint: str, *topics: str) -> Iterator[zmq.Socket[bytes]]:
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, 120_000  # a cold start compiles first
+        for topic in topics:
+            socket.subscribe(topic)
+        socket.connect(endpoint)
+        yield socket
+
+
+def test_plain_client_gets_every_tick_and_all_modes():
+    """pyzmq and msgpack alone receive consecutive ticks from the shipped recording, in all three modes."""
+    with daemon() as (_, endpoint), subscribed(endpoint, "contact") as socket:
+        ticks, modes = [], set()
+        while len(modes) < 3 or len(ticks) < 2000:
+            frames = socket.recv_multipart()
+            assert len(frames) == 2 and frames[0] == b"contact"
+            message = msgpack.unpackb(frames[1])
+            ticks.append(message["tick"])
+            modes.add(message["contact"]["mode"])
+            assert len(ticks) < 30_000
+    assert np.array_equal(np.diff(ticks), np.ones(len(ticks) - 1))
+
+
+def saved_forces(path: Path) -> np.ndarray:
+    with np.load(path) as saved:
+        return np.hstack([saved["force"], saved["torque"]])
+
+
+def test_two_replays_and_simulate_are_bit_identical(tmp_path):
+    """Two daemons and the offline run command the same forces to the last bit, and end with zero."""
+    runs = []
+    for name in ("a.npz", "b.npz"):
+        words = ["--recording", "tap", "--once", "--forces", str(tmp_path / name), "--realtime", "off"]
+        with daemon(*words) as (process, _):
+            assert process.wait(180) == 0
+        runs.append(saved_forces(tmp_path / name))
+    assert runs[0].tobytes() == runs[1].tobytes()
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    records = simulate(tuning, resample(load_poses("tap"), 1000.0), 1000.0)
+    offline = np.hstack([records[:, at : at + 3] for at in (AT.force, AT.torque)])
+    assert np.abs(offline).max() > 0.5
+    assert runs[0][: len(offline)].tobytes() == offline.tobytes()
+    assert not runs[0][len(offline) :].any() and len(runs[0]) > len(offline)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_stops_in_order_with_zero_force(number, tmp_path):
+    """Either signal ends the daemon with exit code 0, and the last wrench written is zero."""
+    forces = tmp_path / "forces.npz"
+    with daemon("--forces", str(forces)) as (process, endpoint):
+        with subscribed(endpoint, "contact") as socket:
+            while np.linalg.norm(msgpack.unpackb(socket.recv_multipart()[1])["force"]) < 0.5:
+                pass
+        process.send_signal(number)
+        assert process.wait(30) == 0
+    written = saved_forces(forces)
+    assert np.linalg.norm(written[-20:-2, :3], axis=1).max() > 0.1
+    assert not written[-1].any()
+
+
+def test_events_tell_every_transition(tmp_path):
+    """Each mode change that simulate finds on the same poses arrives as an event with tick, cause and forces."""
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 1000.0), 1000.0)
+    expected = [int(row[AT.tick]) for row in records if row[AT.contact_cause]]
+    seen = []
+    with daemon("--once", "--realtime", "off") as (process, endpoint), subscribed(endpoint, "event") as socket:
+        while True:
+            event = msgpack.unpackb(socket.recv_multipart()[1])
+            if event["kind"] == "contact":
+                seen.append(event)
+            elif event["kind"] == "lifecycle" and event["name"] == "stopped":
+                break
+        assert process.wait(30) == 0
+    assert [event["tick"] for event in seen] == expected
+    assert seen[0]["cause"] == "touch" and seen[-1]["cause"] == "release"
+    assert all(len(event["force"]) == 3 and event["normal_force"] >= 0.0 for event in seen)
+
+
+def test_stopped_is_told_however_late_the_close():
+    """The last event leaves even when the publisher thread ended long before the daemon is closed."""
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with (
+        Daemon(rig, load_scene("paper-plane"), 2000) as running,
+        subscribed(running.publisher.endpoint, "event", "contact") as socket,
+    ):
+        running.start()
+        assert socket.recv_multipart()  # subscribed
+        running.wait(60.0)
+        while any(thread.name == "records" for thread in threading.enumerate()):
+            time.sleep(0.01)
+        running.close()
+        socket.rcvtimeo = 5000
+        last = None
+        while last != "stopped":
+            last = msgpack.unpackb(socket.recv_multipart()[1]).get("name")
+
+
+class Failure(Exception):
+    """What a sink raises."""
+
+
+def test_every_sink_takes_every_record_and_one_that_fails_is_left_out():
+    """A second sink gets the publisher's records, all and in order; a third that raises is dropped with an event, and
+    the run goes on without it."""
+    ticks, fragile = [], []
+
+    def breaks(records, drops):
+        fragile.append(len(records))
+        raise Failure("no space left")
+
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    sinks = [
+        Sink("fragile", breaks),
+        Sink("box", lambda records, drops: ticks.extend(records[:, AT.tick])),
+    ]
+    with (
+        Daemon(rig, load_scene("paper-plane"), 1500, sinks=sinks) as running,
+        subscribed(running.publisher.endpoint, "event") as socket,
+    ):
+        assert eventually(lambda: running.publisher.fanout.subscribers == 1)
+        running.start()
+        assert running.wait(60.0)
+        running.close()
+        assert ticks == list(range(1500)) and len(fragile) == 1
+        socket.rcvtimeo = 5000
+        events = []
+        while not events or events[-1]["name"] != "stopped":
+            events.append(msgpack.unpackb(socket.recv_multipart()[1]))
+    (dropped,) = [event for event in events if event["kind"] == "fault"]
+    assert (dropped["name"], dropped["sink"], dropped["message"]) == ("sink", "fragile", "no space left")
+
+
+def test_a_vital_sink_ends_the_run_and_the_others_still_get_the_rest():
+    """The error is the sink's own, and what another sink has holds every tick up to the end."""
+    ticks = []
+
+    def breaks(records, drops):
+        if records[-1, AT.tick] >= 200:
+            raise Failure("gone")
+
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    sinks = [
+        Sink("vital", breaks, lambda error: SafetyStop(f"nobody sees it: {error}")),
+        Sink("box", lambda records, drops: ticks.extend(records[:, AT.tick])),
+    ]
+    with Daemon(rig, load_scene("paper-plane"), sinks=sinks) as running:
+        running.start()
+        with pytest.raises(SafetyStop, match="nobody sees it: gone"):
+            running.wait(60.0)
+        running.close()
+        assert ticks == list(range(running.servo.ticks)) and len(ticks) > 200
+
+
+def test_a_reader_that_takes_too_long_is_left_behind_unhurt(monkeypatch, caplog):
+    """The end waits for it no longer than for any other thread, and what it reads stays open until it has done."""
+    monkeypatch.setattr(base, "JOIN_S", 0.01)
+    began, let_go, ticks = threading.Event(), threading.Event(), []
+
+    def slow(records, drops):
+        ticks.extend(records[:, AT.tick])
+        began.set()
+        assert let_go.wait(60.0)
+
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane"), 300, sinks=[Sink("slow", slow)]) as running:
+        running.start()
+        assert began.wait(60.0) and running.wait(60.0)
+        running.close()
+        let_go.set()
+        assert eventually(lambda: len(ticks) == 300)
+        assert eventually(lambda: "records" not in {thread.name for thread in threading.enumerate()})
+    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
+
+
+class FaultyDriver:
+    """A driver module as the registry gives it, for a device that breaks."""
+
+    Options = Options
+
+    def __init__(self) -> None:
+        self.device: FaultyDevice | None = None
+
+    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
+        self.device = FaultyDevice(options)
+        return self.device
+
+
+@pytest.fixture
+def faulty(monkeypatch):
+    driver = FaultyDriver()
+    load = registry.load
+    monkeypatch.setattr(registry, "load", lambda name: driver if name == "faulty" else load(name))
+    return driver
+
+
+def faulty_rig(realtime="off", **options):
+    changes = {"device.driver": "faulty", "telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": realtime}
+    return load_rig("replay", changes | {f"device.{key}": value for key, value in options.items()})
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [("lost", DeviceLost), ("timeout", DeviceTimeout), ("protocol", DeviceLost), ("write_lost", DeviceLost)],
+)
+def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
+    """Each way a device fails gives its own error, after the device was told zero."""
+    with Daemon(faulty_rig(fault=fault, at=200), load_scene("paper-plane"), 1000) as running:
+        running.start()
+        with pytest.raises(error, match="faulty"):
+            running.wait(60.0)
+    assert not faulty.device.wrenches[-1].any()
+
+
+def test_stalled_servo_is_stopped_and_zeroed(faulty):
+    """When the device's exchange hangs, the supervisor zeroes the device from outside and says so."""
+    with Daemon(faulty_rig(fault="stall", at=200, stall_us=900_000), load_scene("paper-plane")) as running:
+        running.start()
+        with pytest.raises(SafetyStop, match="no tick for"):
+            running.wait(60.0)
+    assert not faulty.device.wrenches[-1].any()
+
+
+def eventually(what, seconds=20.0):
+    """Whether something becomes true within so many seconds."""
+    until = time.monotonic() + seconds
+    while not (done := what()) and time.monotonic() < until:
+        time.sleep(0.01)
+    return done
+
+
+@pytest.mark.parametrize("stop_fails", [False, True])
+def test_a_hung_exchange_is_zeroed_from_outside_and_given_up(stop_fails, faulty, caplog):
+    """A read that does not return: the hand is without force while it still hangs, and the daemon ends without it,
+    also where the driver's own stop fails."""
+    rig = faulty_rig(fault="hang", at=700, stop_fails=stop_fails)
+    running = Daemon(rig, load_scene("paper-plane"))
+    try:
+        running.start()
+        assert eventually(lambda: running.servo.ticks == 700 and len(faulty.device.wrenches) == 701)
+        assert np.linalg.norm(faulty.device.wrenches[699]) > 0.9
+        assert not faulty.device.wrenches[-1].any()
+        begun = time.monotonic()
+        with pytest.raises(SafetyStop, match="no tick for"), running:
+            running.wait(60.0)
+        assert time.monotonic() - begun < 20.0  # it waits 1 s for the servo, and 2 s for each thread
+        assert running.servo.running  # still in the read
+        assert ("could not be stopped (OSError: the port has gone)" in caplog.text) == stop_fails
+    finally:
+        faulty.device.release()  # the memory that it reads must outlive the read
+        assert eventually(lambda: not running.servo.running)
+
+
+def test_a_stop_that_fails_is_told_and_skips_nothing(faulty, caplog):
+    """Telemetry is closed, the servo released and the device closed although stop raises each time; the error says that
+    the device may still push, and comes once."""
+    running = Daemon(faulty_rig(stop_fails=True), load_scene("paper-plane"), 300)
+    running.start()
+    with (
+        pytest.raises(DeviceError, match=r"could not be stopped \(OSError: the port has gone\).*switch it off"),
+        running,
+    ):
+        running.wait(60.0)
+    assert [act for act, *_ in faulty.device.acts] == ["arm", "stop", "close", "stop"]
+    assert not faulty.device.wrenches[-1].any() and faulty.device.wrenches.any()
+    assert running.publisher.fanout._listener.fileno() == -1
+    assert not running.servo.running and running.servo._wake_fd == -1
+    assert "could not be closed" in caplog.text
+
+
+def test_a_device_that_refuses_to_be_armed_ends_the_daemon(faulty):
+    """The error of arming is what the daemon ends with, after the device was stopped."""
+    with Daemon(faulty_rig(refuses_to_arm=True), load_scene("paper-plane")) as running:
+        running.start()
+        with pytest.raises(DeviceError, match="force button"):
+            running.wait(60.0)
+    assert [act for act, *_ in faulty.device.acts][:2] == ["arm", "stop"]
+    assert DeviceError.exit_code == 4
+
+
+def test_the_device_is_armed_when_everything_slow_is_done(faulty):
+    """Settings are reported, the services run, before the device is armed."""
+    seen = []
+
+    def report(settings):
+        seen.append((len(faulty.device.acts), {thread.name for thread in threading.enumerate()}))
+
+    with Daemon(faulty_rig(), load_scene("paper-plane"), 50, report) as running:
+        running.start()
+        running.wait(60.0)
+    assert seen[0][0] == 0 and {"records", "supervisor", "hotplug", "servo"} <= seen[0][1]
+    assert faulty.device.acts[0][0] == "arm" and faulty.device.acts[0][2] == 0
+
+
+def test_a_pose_that_stays_unusable_ends_the_run_as_a_fault_of_the_device(faulty):
+    """Poses of NaN for good: zero force and an error of the device, not a run that ends well."""
+    with Daemon(faulty_rig(fault="nan", at=200, count=100_000), load_scene("paper-plane"), 5000) as running:
+        running.start()
+        with pytest.raises(DeviceError, match=r"faulty: no usable pose for 0\.5 s"):
+            running.wait(60.0)
+    assert not faulty.device.wrenches[-1].any()
+
+
+def test_repeated_stalls_end_the_run(faulty):
+    """Reads that hang for 0.24 s, each too short for the supervisor: a safety stop that says where the time went."""
+    rig = faulty_rig(fault="stall", at=200, count=20, stall_us=240_000)
+    with Daemon(rig, load_scene("paper-plane"), 5000) as running:
+        running.start()
+        with pytest.raises(SafetyStop, match=r"lost more than 50% .* in the device's exchange|no tick for"):
+            running.wait(60.0)
+    assert not faulty.device.wrenches[-1].any()
+
+
+HOG = """
+import os, sys, time
+os.sched_setaffinity(0, {int(sys.argv[1])})
+sys.stdin.readline()
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(int(sys.argv[2])))
+until = time.monotonic() + 2.0
+while time.monotonic() < until:
+    pass
+"""
+
+
+def granted_fifo() -> bool:
+    """Whether this process may use SCHED_FIFO, asked in a thread that ends with the answer."""
+    asked = []
+    thread = threading.Thread(target=lambda: asked.append(lift("any", threading.get_native_id(), 80).ok))
+    thread.start()
+    thread.join()
+    return asked[0]
+
+
+@pytest.mark.skipif(not granted_fifo(), reason="needs the right to SCHED_FIFO")
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs a processor for the hog alone")
+def test_a_real_time_hog_does_not_keep_the_supervisor_from_zeroing(faulty):
+    """Beside a process of the servo's own priority that never sleeps, on its processor, the supervisor is in time."""
+    rig = faulty_rig(fault="hang", at=700, realtime="auto")
+    cpu, told = max(os.sched_getaffinity(0)), []
+    hog = subprocess.Popen([sys.executable, "-c", HOG, str(cpu), str(rig.servo.priority)], stdin=subprocess.PIPE)
+    with Daemon(rig, load_scene("paper-plane"), None, told.extend) as running:
+        try:
+            running.start()
+            os.sched_setaffinity(running.supervisor.native_id, {cpu})
+            assert eventually(lambda: running.servo.ticks == 700)
+            hog.stdin.close()  # it begins
+            begun = time.monotonic()
+            assert eventually(lambda: len(faulty.device.wrenches) == 701)
+            took = time.monotonic() - begun
+            with pytest.raises(SafetyStop, match="no tick for"):
+                running.wait(60.0)
+        finally:
+            faulty.device.release()
+            hog.kill()
+            hog.wait()
+    assert [(s.ok, s.detail) for s in told if s.name == "sched_fifo_supervisor"] == [(True, "priority 81")]
+    # A quarter of a second until it knows; any other thread waits 0.95 s, until the kernel holds back the hog.
+    assert took < 0.7
+
+
+def test_real_time_off_leaves_the_supervisor_alone(faulty):
+    """With `off` the supervisor's scheduler is not touched, nor said to be."""
+    told = []
+    with Daemon(faulty_rig(), load_scene("paper-plane"), 300, told.extend) as running:
+        running.start()
+        assert eventually(lambda: bool(told))
+        assert os.sched_getscheduler(running.supervisor.native_id) == os.SCHED_OTHER
+        running.wait(60.0)
+    assert [setting.name for setting in told] == ["off"]
+
+
+def test_failing_publisher_stops_the_servo(faulty):
+    """If telemetry cannot be published, the servo stops with zero force instead of running unseen."""
+    with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
+        running.start()
+        running.publisher.fanout.failed = True  # as when the thread that sends has broken
+        with pytest.raises(SafetyStop, match="telemetry"):
+            running.wait(60.0)
+    assert not faulty.device.wrenches[-1].any()
+
+
+def test_failing_sender_stops_the_servo(faulty, monkeypatch):
+    """If the thread that sends fails, so that nobody has records any more, the servo stops with zero force."""
+    monkeypatch.setattr(Servo, "feeds", lambda self: iter([None]))  # nothing that it could take records from
+    with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
+        running.start()
+        with pytest.raises(SafetyStop, match="records cannot be taken"):
+            running.wait(60.0)
+    assert not faulty.device.wrenches[-1].any()
+
+
+LEFT_BEHIND = """
+import os, threading
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+from softfinger.server.loop.realtime import lift
+from softfinger.server.loop.servo import Servo
+rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+scene = load_scene("paper-plane")
+def once():
+    with Daemon(rig, scene, 50) as running:
+        running.start()
+        running.wait(60.0)
+    return threading.active_count(), len(os.listdir("/proc/self/fd"))
+print(once() == once() == once())
+"""
+
+
+def test_nothing_is_left_behind():
+    """After a daemon has closed, its threads and file descriptors are gone; asked of a process without others."""
+    done = subprocess.run([sys.executable, "-c", LEFT_BEHIND], capture_output=True, text=True, timeout=300)
+    assert done.stdout == "True\n", done.stderr
+
+
+def test_required_realtime_that_is_refused_does_not_start(tmp_path):
+    """Without the right to real time, `--realtime require` ends with its exit code and what to do, at zero force."""
+    forces = tmp_path / "forces.csv"
+    code = (
+        "import ctypes, resource, sys\n"
+        "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
+        "header, no_capabilities = (ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()\n"
+        "assert ctypes.CDLL(None).capset(header, no_capabilities) == 0\n"
+        "from softfinger.server import cli\n"
+        "sys.exit(cli.main(['run', '--endpoint', 'tcp://127.0.0.1:*', '--realtime', 'require', '--duration', '1',\n"
+        "                   '--forces', sys.argv[1]]))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(forces)], capture_output=True, text=True, timeout=300)
+    assert done.returncode == RealtimeError.exit_code, done.stderr
+    assert "sched_fifo" in done.stderr and "rtprio" in done.stderr
+    rows = np.loadtxt(forces, delimiter=",", skiprows=1, ndmin=2)
+    assert len(rows) and not rows[:, 1:].any()

@@ -1,0 +1,322 @@
+"""Several fingers in one servo: each with its own guard and contact, and zero for all on every way out."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.compiled_code import called_in, functions
+from helpers.faulty_device import FaultyDevice, Options
+from helpers.two_fingers import NAMES, SCENE, two_fingers
+
+from softfinger.config.errors import DeviceError, RecordingError
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import Scene
+from softfinger.drivers import opened
+from softfinger.drivers.base import HELD, WITHHELD
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.replay.device import Options as ReplayOptions
+from softfinger.drivers.replay.device import Replay
+from softfinger.drivers.resample import resample
+from softfinger.proxy.kernels.native.pack import packed
+from softfinger.proxy.record import AT, FREE, RECORD_SIZE, columns
+from softfinger.server import cli
+from softfinger.server.loop import servo as s
+from softfinger.server.loop import wayout
+from softfinger.server.loop.guard import POSE_REFUSED
+from softfinger.server.loop.health import NO_POSE
+from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.results import read_results
+from softfinger.server.offline.simulate import simulate, tick_many
+
+GUARD = load_rig("replay", {"guard.ramp_s": 0.01}).guard
+CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo_busy]
+"""Columns that tell of the machine."""
+
+
+def run(*devices: Any, ticks: int | None = None) -> tuple[s.Ended, np.ndarray]:
+    """A servo over two devices to its end, and its records (n, fingers, RECORD_SIZE)."""
+    servo = s.Servo(devices, make_tuning(two_fingers(), GUARD), 1000.0, ticks)
+    servo.compile()
+    servo.start()
+    ended = servo.join(60.0)
+    assert ended is not None
+    out = np.empty((8192, servo.width))
+    records = out[: servo.take(out)].reshape(-1, len(devices), RECORD_SIZE)
+    servo.close()
+    return ended, records
+
+
+def two(**of_index: Any) -> tuple[FaultyDevice, FaultyDevice]:
+    """Two devices that press, the second with a fault; both keep their own clock."""
+    return FaultyDevice(Options(own_clock=True)), FaultyDevice(Options(own_clock=True, **of_index))
+
+
+def told(records: np.ndarray) -> np.ndarray:
+    """Records without what tells of the machine."""
+    return np.delete(records, CLOCKED, axis=-1)
+
+
+def test_two_replays_are_what_simulate_makes_of_their_recordings() -> None:
+    """Tick by tick to the bit, until the shorter of the recordings ends; then both are at zero."""
+    recordings = ("press-roll-spin-drag", "tap")
+    devices = [Replay(ReplayOptions(recording=name, loop=False), 1000.0) for name in recordings]
+    ended, records = run(*devices)
+    poses = [resample(load_poses(name), 1000.0) for name in recordings]
+    count = min(map(len, poses))
+    assert (ended.ending, ended.finger, len(records)) == (s.FINISHED, 1, count)
+    simulated = simulate(make_tuning(two_fingers(), GUARD), np.stack([each[:count] for each in poses], axis=1), 1000.0)
+    np.testing.assert_array_equal(told(records), told(simulated))
+    for place, device in enumerate(devices):
+        assert np.linalg.norm(records[:, place, AT.force : AT.force + 3], axis=1).max() > 0.4
+        np.testing.assert_array_equal(device.forces()[:count], records[:, place, AT.force : AT.force + 6])
+        assert not device.forces()[-1].any()
+        device.close()
+
+
+@pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.parametrize(
+    ("fault", "ending", "status"),
+    [("lost", s.READ_FAILED, -1), ("timeout", s.READ_FAILED, -2), ("write_lost", s.WRITE_FAILED, -1)],
+)
+def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, status: int) -> None:
+    """Whichever it is: force was on both, the last wrench of both is zero, and it is known whose device it was."""
+    devices = [FaultyDevice(Options(fault=fault if k == place else "none", at=300)) for k in range(2)]
+    ended, _ = run(*devices, ticks=400)
+    assert (ended.ending, ended.status, ended.finger) == (ending, status, place)
+    for device in devices:
+        assert np.abs(device.wrenches[-10:-2]).max() > 0.1 and not device.wrenches[-1].any()
+        assert [act for act, *_ in device.acts] == ["arm", "stop"]
+    failure = wayout.device_failure(devices[ended.finger], ended, NAMES[ended.finger])
+    assert failure is not None and f"faulty, finger '{NAMES[place]}'" in str(failure)
+
+
+def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
+    """Both by the servo's thread, neither read before both are."""
+    devices = two()
+    run(*devices, ticks=20)
+    threads = {thread for device in devices for act, thread, _ in device.acts if act == "arm"}
+    assert len(threads) == 1
+    assert [device.acts[0][::2] for device in devices] == [("arm", 0)] * 2
+
+
+def test_a_second_device_that_refuses_to_be_armed_leaves_the_first_at_zero() -> None:
+    """No tick is run; what was armed is stopped, and the error is the other device's own."""
+    first, second = two(refuses_to_arm=True)
+    ended, records = run(first, second, ticks=100)
+    assert ended.ending == s.CRASHED and "force button" in str(ended.error) and len(records) == 0
+    assert [act for act, *_ in first.acts] == ["arm", "stop"] and not first.wrenches.any()
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_stop_that_fails_keeps_no_other_device_from_its_zero(place: int) -> None:
+    """Both last wrenches are zero, both were told to stop, and the error is told."""
+    devices = [FaultyDevice(Options(stop_fails=k == place)) for k in range(2)]
+    ended, _ = run(*devices, ticks=200)
+    assert ended.ending == s.CRASHED and "could not be stopped" in str(ended.error)
+    for device in devices:
+        assert device.acts[-1][0] == "stop"
+        assert device.wrenches[:-1].any() and not device.wrenches[-1].any()
+
+
+def test_a_signal_stops_every_open_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a signal does to devices that nobody runs: each is stopped though the one before fails, which is told."""
+    devices = [FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options())]
+    monkeypatch.setattr(opened, "devices", devices)
+    with pytest.raises(OSError, match="the port has gone"):
+        opened.stop_all()
+    assert [[act for act, *_ in device.acts] for device in devices] == [["stop"]] * 3
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_stop_that_hangs_keeps_no_other_device_from_its_zero(place: int) -> None:
+    """The other one has stopped while the first still hangs."""
+    go_on = threading.Event()
+
+    class Hanging(FaultyDevice):
+        def stop(self) -> None:
+            go_on.wait(60.0)
+
+    devices = [Hanging(Options()) if k == place else FaultyDevice(Options()) for k in range(2)]
+    thread = threading.Thread(target=lambda: wayout.stop_all(devices))
+    thread.start()
+    other = devices[1 - place]
+    for _ in range(6000):
+        if other.acts:
+            break
+        threading.Event().wait(0.01)
+    assert thread.is_alive() and [act for act, *_ in other.acts] == ["stop"]
+    go_on.set()
+    thread.join(60.0)
+    assert not thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> np.ndarray:
+    """Records of two fingers that press all the time."""
+    return run(*two(), ticks=600)[1]
+
+
+@pytest.mark.parametrize("fault", ["nan", "withheld_read", "withheld_write", "held"])
+def test_what_one_device_says_acts_on_its_finger_alone(fault: Any, undisturbed: np.ndarray) -> None:
+    """A refused pose, a force withheld or not taken: the other finger has the bits that it has undisturbed."""
+    devices = two(fault=fault, at=300, count=20)
+    ended, records = run(*devices, ticks=600)
+    assert ended.ending == s.FINISHED
+    np.testing.assert_array_equal(told(records[:, 0]), told(undisturbed[:, 0]))
+    index = records[:, 1]
+    np.testing.assert_array_equal(told(index[:300]), told(undisturbed[:300, 1]))
+    force, during = AT.force + 2, slice(300, 320)
+    assert undisturbed[during, 1, force].min() > 0.4
+    if fault == "nan":
+        assert (index[during, AT.servo_guard] == POSE_REFUSED).all() and (index[during, AT.contact_mode] == FREE).all()
+    else:
+        wanted = HELD if fault == "held" else WITHHELD
+        assert (index[:, AT.servo_device] == wanted).nonzero()[0].tolist() == list(range(300, 320))
+    if fault == "held":
+        assert (index[during, force] == index[299, force]).all()
+    elif fault == "withheld_read":  # the read leaves the first tick of the ramp, a tenth, to the write
+        assert index[during, force].max() <= 0.1 * undisturbed[during, 1, force].max() * (1.0 + 1e-12)  # its rounding
+    else:
+        assert not index[during, force].any()
+    np.testing.assert_array_equal(devices[1].wrenches[:600], index[:, AT.force : AT.force + 6])
+    if fault != "held":  # that device has gone deeper meanwhile
+        assert index[-1, force] == undisturbed[-1, 1, force]
+
+
+def test_a_pose_that_stays_unusable_ends_the_run_of_all_and_names_its_finger() -> None:
+    """Half a second of NaN on one device: both at zero, and the fault is that of the second."""
+    devices = two(fault="nan", at=100, count=100_000)
+    ended, _ = run(*devices, ticks=3000)
+    assert (ended.ending, ended.finger) == (NO_POSE, 1)
+    assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any()
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_time_is_nominal_where_every_device_keeps_its_own_clock(both: bool) -> None:
+    """After a stall a tick of the wall clock is longer, for both fingers alike; one of two recordings it is not."""
+    devices = [
+        FaultyDevice(Options(own_clock=True, fault="stall", at=100, stall_us=5_500)),
+        FaultyDevice(Options(own_clock=both)),
+    ]
+    _, records = run(*devices, ticks=200)
+    dt = records[:, :, AT.dt]
+    assert (dt[:, 0] == dt[:, 1]).all()
+    assert (dt == 0.001).all() if both else dt.max() >= 0.005  # a stall of 5.5 periods skips five deadlines
+
+
+def test_the_world_goes_on_over_a_refused_pose_and_is_not_felt_as_a_blow() -> None:
+    """A table that tilts about x is met again after poses that were none: f_N = K d + B v with the velocity of the
+    table where the finger is, not of where it never was."""
+    turn, hertz, y, period = 0.05, 2.0, 0.02, 0.001
+    tilts = {"kind": "sinusoid", "rotation_rad": turn, "axis": [1.0, 0.0, 0.0], "frequency_hz": hertz}
+    material = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 2.0}
+    table = {"name": "table", "shape": "plane", "motion": tilts, "material": material}
+    tables = {"fingertip": {"radius_m": 0.01}, "object": [table]}
+    tuning = make_tuning(build(Scene, tables, "tilting"), GUARD)
+    # Half a cycle after the start it is level, and as fast as it gets.
+    back = round(0.5 / hertz / period) - 1  # the first tick is one period after the start
+    poses = np.tile([0.0, y, 0.009, 1.0, 0.0, 0.0, 0.0], (back + 1, 1))
+    poses[back - 20 : back, 0] = np.nan
+    start = begin(tuning.scene)
+    records = np.zeros((len(poses), 1, RECORD_SIZE))
+    dts = np.full(len(poses), period)
+    tick_many(packed(tuning), packed(start), poses[:, None], dts, period, 0, records)
+    speed = -turn * 2.0 * np.pi * hertz * y  # of the table there, downwards
+    normal_force = records[back, 0, AT.contact_normal_force]
+    # The velocity is a difference over a tick: off by (2 pi f dt)^2 / 6 of it, 1e-4 of 0.025 N; the tilt at y by less.
+    assert normal_force == pytest.approx(1000.0 * 0.001 + 2.0 * speed, abs=1e-5)
+    assert abs(2.0 * speed) > 0.02
+
+
+def test_a_close_that_fails_keeps_no_other_device_open() -> None:
+    """Every one is closed, and the error is told."""
+    first = FaultyDevice(Options())
+    wayout.close_all([first])
+    assert [act for act, *_ in first.acts] == ["close", "stop"]
+    with pytest.raises(DeviceError, match="could not be closed"):
+        wayout.close_all([FaultyDevice(Options(stop_fails=True)), first])
+    assert [act for act, *_ in first.acts][-2:] == ["close", "stop"]
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
+def test_simulate_takes_a_recording_and_gives_results_of_each(
+    ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every format has both fingers under their names, to the bit; the shorter recording ends it."""
+    (tmp_path / "scene.toml").write_text(SCENE)
+    out = tmp_path / f"out{ending}"
+    words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(out), "--plot", str(tmp_path / "p.png")]
+    assert cli.main([*words, "--poses", "thumb=press-roll-spin-drag", "--poses", "index=tap"]) == 0
+    assert "thumb: 2281 ticks" in (said := capsys.readouterr().out) and "index: 2281 ticks" in said
+    names = ("press-roll-spin-drag", "tap")
+    poses = np.stack([resample(load_poses(name), 1000.0)[:2281] for name in names], axis=1)
+    records = simulate(make_tuning(two_fingers(), load_rig("replay").guard), poses, 1000.0)
+    for place, name in enumerate(NAMES):
+        np.testing.assert_array_equal(read_results(out, name), records[:, place])
+        assert (tmp_path / f"p-{name}.png").stat().st_size > 1000
+    for other in ("", "ring"):
+        with pytest.raises(RecordingError):
+            read_results(out, other)
+    if ending == ".csv":
+        header = out.read_text("ascii").partition("\n")[0].split(",")
+        assert header == [f"{name}.{column}" for name in NAMES for column in columns()]
+    elif ending == ".npz":
+        with np.load(out) as saved:
+            np.testing.assert_array_equal(saved["index.force"], records[:, 1, AT.force : AT.force + 3])
+
+
+@pytest.mark.parametrize(
+    ("poses", "said"),
+    [
+        (["tap"], "not the scene's fingers: give poses of thumb, index"),
+        (["thumb=tap"], "poses of thumb: not the scene's fingers"),
+        (["thumb=tap", "thumb=tap"], "--poses thumb=tap: give it once, or --poses NAME=FILE for each"),
+        (["tap", "index=tap"], "--poses index=tap: give it once, or"),
+    ],
+)
+def test_simulate_says_which_recordings_it_wants(
+    poses: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A command line with too few, too many or nameless recordings, before anything is compiled."""
+    (tmp_path / "scene.toml").write_text(SCENE)
+    words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o.csv")]
+    assert cli.main([*words, *(word for each in poses for word in ("--poses", each))]) == 2
+    assert said in capsys.readouterr().err
+
+
+AUDIT = """
+import sys
+from helpers.faulty_device import FaultyDevice, Options
+from helpers.two_fingers import two_fingers
+from softfinger.config.load import load_rig
+from softfinger.server.loop.servo import Servo, servo_loop
+from softfinger.server.loop.tuning import make_tuning
+devices = [FaultyDevice(Options()), FaultyDevice(Options())]
+Servo(devices, make_tuning(two_fingers(), load_rig("replay").guard), 1000.0).compile()
+print(*servo_loop.inspect_llvm().values())
+"""
+
+
+def test_a_loop_of_two_devices_calls_what_that_of_one_does(tmp_path: Path) -> None:
+    """Compiled afresh it names no allocator, no reference count, no interpreter, and calls each device's addresses."""
+    environment = os.environ | {
+        "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", AUDIT], env=environment, capture_output=True, text=True, check=True, timeout=300
+    )
+    bodies = functions(done.stdout)
+    called = {name for body in bodies.values() for name in called_in(body)}
+    outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
+    assert outside <= {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2"} and "eventfd_write" in outside
+    loop = next(body for name, body in bodies.items() if "servo_loop" in name)
+    assert len(re.findall(r"call [\w ]*%[\w.]+\(", loop)) == 6  # read, write and the last zero, of each

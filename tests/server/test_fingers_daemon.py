@@ -1,0 +1,349 @@
+"""Two fingers end to end: devices opened and closed together, signals, losses, and what is on the wire of each."""
+
+from __future__ import annotations
+
+import io
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from emulators.serialboard import Board, Cable
+from helpers.faulty_device import FaultyDevice, Options
+from helpers.serial_devices import PLACE, RIG
+from helpers.telemetry_records import join, put, synthetic
+from helpers.two_fingers import NAMES, SCENE, two_devices, two_fingers
+from rich.console import Console
+
+from softfinger.config.errors import ConfigError, DeviceNotFound, SafetyStop
+from softfinger.config.load import find
+from softfinger.config.schema import Rig
+from softfinger.drivers import registry
+from softfinger.drivers.poses import load_poses
+from softfinger.proxy.record import AT, CAUSE_NAMES, RECORD_SIZE
+from softfinger.server.app import Daemon
+from softfinger.server.services.records import Sink
+from softfinger.server.verbs import monitor
+from softfinger.server.verbs.record import record
+from softfinger.server.wire.client import Window, subscribe
+from softfinger.server.wire.publisher import Publisher
+
+pytestmark = pytest.mark.real_time
+
+FAULTY = {"driver": "faulty"}
+WAIT_S = 120.0
+"""A generous bound: a compile, on a machine that does much else."""
+END_S = 20.0
+FORCE_N = 0.5
+ZERO = (0.0, 0.0, 0.0)
+
+
+def until(met: Callable[[], bool], seconds: float = WAIT_S) -> None:
+    end = time.monotonic() + seconds
+    while not met():
+        assert time.monotonic() < end, f"not within {seconds} s"
+        time.sleep(0.002)
+
+
+class Driver:
+    """Opens devices that press for ever, and keeps them; `refuses` from one on."""
+
+    Options = Options
+
+    def __init__(self) -> None:
+        self.devices: list[FaultyDevice] = []
+        self.refuses = 1000
+
+    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
+        if len(self.devices) >= self.refuses:
+            raise DeviceNotFound("faulty: not plugged in: plug it in")
+        self.devices.append(FaultyDevice(options))
+        return self.devices[-1]
+
+    @property
+    def pressed(self) -> bool:
+        """Whether every device displays a force now."""
+        return all(len(device.wrenches) and device.wrenches[-1].any() for device in self.devices[-2:])
+
+
+@pytest.fixture
+def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
+    made, load = Driver(), registry.load
+    monkeypatch.setattr(registry, "load", lambda name: made if name == "faulty" else load(name))
+    return made
+
+
+def acts(device: FaultyDevice) -> list[str]:
+    return [act for act, *_ in device.acts]
+
+
+def test_a_second_device_that_cannot_be_opened_closes_the_first(driver: Driver) -> None:
+    """Neither stays open, nothing is armed, and the error is that of opening."""
+    driver.refuses = 1
+    with pytest.raises(DeviceNotFound, match="plug it in"):
+        Daemon(two_devices(FAULTY, FAULTY), two_fingers())
+    assert acts(driver.devices[0]) == ["close", "stop"]
+
+
+def test_a_read_that_hangs_is_seen_and_both_are_zeroed(driver: Driver) -> None:
+    """The supervisor zeroes the device that hangs, and the other, which the servo does not come to any more."""
+    rig = two_devices(FAULTY, FAULTY | {"fault": "hang", "at": 300})
+    with Daemon(rig, two_fingers()) as running:
+        try:
+            running.start()
+            with pytest.raises(SafetyStop, match="no tick for"):
+                running.wait(WAIT_S)
+            for device in driver.devices:
+                until(lambda device=device: not device.wrenches[-1].any())
+                assert device.wrenches.any() and "stop" in acts(device)
+        finally:
+            driver.devices[1].release()
+
+
+def test_a_pause_takes_the_force_off_both(driver: Driver) -> None:
+    """Ctrl-Z: zero on both until it is over, then both fade in anew."""
+    with Daemon(two_devices(FAULTY, FAULTY), two_fingers()) as running:
+        running.start()
+        until(lambda: len(driver.devices) == 2 and driver.pressed)
+        go_on = running.pause()
+        before = running.servo.ticks
+        until(lambda: running.servo.ticks > before + 10)
+        assert not any(device.wrenches[-8:].any() for device in driver.devices)
+        go_on()
+        until(lambda: driver.pressed)
+        running.stop()
+        assert running.wait(WAIT_S)
+    assert not any(device.wrenches[-1].any() for device in driver.devices)
+
+
+def test_fingers_are_replaced_together(driver: Driver) -> None:
+    """The same devices stay open and armed; others are opened once both of before are closed; fingers of other names
+    are refused, since telemetry is named after them."""
+    rig, kept = two_devices(FAULTY, FAULTY), list[int]()
+    sink = Sink("kept", lambda records, drops: kept.extend(records[:, AT.tick].astype(int)))
+    with Daemon(rig, two_fingers(), sinks=[sink]) as running:
+        running.start()
+        until(lambda: len(driver.devices) == 2 and driver.pressed)
+        running.replace(two_fingers())
+        assert [acts(device) for device in driver.devices] == [["arm"]] * 2
+        until(lambda: driver.pressed)
+        other = two_devices(FAULTY, FAULTY | {"at": 7}, telemetry={"endpoint": rig.telemetry.endpoint})
+        running.replace(rig=other)
+        assert [acts(device)[:3] for device in driver.devices[:2]] == [["arm", "stop", "close"]] * 2
+        assert not any(device.wrenches[-1].any() for device in driver.devices[:2])
+        until(lambda: len(driver.devices) == 4 and driver.pressed)
+        with pytest.raises(ConfigError, match=r"\(index, thumb\) are not those of the running one \(thumb, index\)"):
+            running.replace(two_fingers(finger=[{"name": name, "radius_m": 0.01} for name in reversed(NAMES)]))
+        running.stop()
+        assert running.wait(WAIT_S)
+    assert kept == list(range(len(kept))) and not any(device.wrenches[-1].any() for device in driver.devices)
+
+
+def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> None:
+    """Both topics bring every tick in the order of the scene, what `contact` would, and none is called so; events name
+    the finger; what each was recorded as is what its device played."""
+    rig = two_devices(
+        {"driver": "replay", "recording": "tap", "loop": False},
+        {"driver": "replay", "recording": "press-roll-spin-drag", "loop": False},
+    )
+    rows: list[np.ndarray] = []
+    sink = Sink("kept", lambda records, drops: rows.append(records.copy()))
+    recorded: list[Any] = []
+    files = {name: tmp_path / f"{name}.csv" for name in NAMES}
+
+    def take(endpoint: str) -> None:
+        with subscribe(endpoint, ("contact", "finger/", "event")) as wire:
+            recorded.append(record(wire, files, timeout_s=WAIT_S))
+
+    with (
+        Daemon(rig, two_fingers(), sinks=[sink]) as running,
+        zmq.Context() as context,
+        context.socket(zmq.SUB) as socket,
+    ):
+        socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, int(WAIT_S * 1000)
+        socket.subscribe("")
+        socket.connect(running.publisher.endpoint)
+        recorder = threading.Thread(target=take, args=(running.publisher.endpoint,))
+        recorder.start()
+        until(lambda: running.publisher.fanout.subscribers == 2)
+        running.start()
+        assert running.wait(WAIT_S)
+        played = [device.samples for device in running.devices]  # type: ignore[attr-defined]
+        running.close()
+        messages = []
+        while not messages or messages[-1][1].get("name") != "stopped":
+            topic, body = socket.recv_multipart()
+            messages.append((topic.decode(), msgpack.unpackb(body)))
+        recorder.join(WAIT_S)
+    records = np.concatenate(rows).reshape(-1, 2, RECORD_SIZE)
+    ticks = [(topic, message) for topic, message in messages if topic.startswith("finger/")]
+    assert [topic for topic, _ in ticks] == ["finger/thumb", "finger/index"] * len(records)
+    assert {topic for topic, _ in messages} == {"finger/thumb", "finger/index", "state", "event", "health", "schema"}
+    for (_, message), row in zip(ticks, records.reshape(-1, RECORD_SIZE), strict=True):
+        assert message["tick"] == row[AT.tick] and message["force"] == row[AT.force : AT.force + 3].tolist()
+    assert ticks[0][1]["timestamp"] == ticks[1][1]["timestamp"]
+    touched = [(m["finger"], m["tick"]) for topic, m in messages if topic == "event" and m["name"] == "touch"]
+    causes = records[:, :, AT.contact_cause] == CAUSE_NAMES.index("touch")
+    assert touched == [(NAMES[place], tick) for tick, place in np.argwhere(causes).tolist()] and len(touched) >= 4
+    modes = next(message["modes"] for topic, message in messages if topic == "health")
+    assert sum(modes.values()) % 2 == 0  # a tick of each finger
+    for name, samples in zip(NAMES, played, strict=True):
+        poses = load_poses(files[name])
+        assert recorded[0][name].lost == 0
+        first = recorded[0][name].first_tick
+        np.testing.assert_array_equal(poses.position, samples[first : len(records), :3])
+    assert recorded[0]["thumb"].first_tick == recorded[0]["index"].first_tick
+
+
+def two_records(count: int, first: int = 0) -> np.ndarray:
+    """Rows (count, 2 x RECORD_SIZE) of a thumb that slides and an index finger that is free."""
+    thumb, index = synthetic(count, first), synthetic(count, first, seed=2)
+    put(thumb, "contact.mode", 2)
+    put(thumb, "servo.guard", 1)
+    for rows in (thumb, index):
+        put(rows, "servo.missed", 5)
+    return np.concatenate([thumb, index], axis=1)
+
+
+def test_clients_tell_fingers_apart() -> None:
+    """Ticks lost are counted for each topic, a window keeps one finger, the board of `monitor` has both."""
+    with Publisher("tcp://127.0.0.1:*", fingers=NAMES, guard_names=("clamped",)) as publisher:
+        board = monitor.Board(publisher.endpoint)
+        with (
+            subscribe(publisher.endpoint, ("finger/", "event", "health"), timeout_s=WAIT_S) as samples,
+            Window(publisher.endpoint, 100, "index") as window,
+            zmq.Context() as context,
+            context.socket(zmq.SUB) as plain,
+        ):
+            plain.linger = 0
+            plain.subscribe("event")
+            plain.connect(publisher.endpoint)
+            until(lambda: publisher.fanout.subscribers == 3)
+            join(publisher, plain)
+            publisher.publish(two_records(1001))
+            publisher.publish(two_records(10, 1011))
+            lost, guards, seen = dict.fromkeys(NAMES, 0), [], 0
+            while seen < 2 * 1011:
+                sample = next(samples)
+                board.take(sample)
+                if sample.topic.startswith("finger/"):
+                    seen += 1
+                    lost[sample.topic.removeprefix("finger/")] += sample.lost
+                elif sample.topic == "event" and sample.kind == "guard":
+                    guards.append((sample.finger, sample.name))
+            assert lost == {"thumb": 10, "index": 10}
+            assert guards == [("thumb", "clamped")]
+            until(lambda: window.update(0.1) == 0 and len(window) == 100)
+            assert window["contact.mode"].max() == 0 and window.lost == 10
+            health = board.health
+            assert health is not None and health.guarded == 1000
+            assert health.as_map()["modes"] == {"free": 1000, "rolling": 0, "sliding": 1000}
+            assert health.missed == 5
+    line = monitor.line(board)
+    assert line.index("index: tick 1020 free") < line.index("thumb: tick 1020 sliding")
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(monitor.render(board, 100, 60))
+    drawn = console.export_text()
+    assert re.search(r"finger +index(.|\n)*mode +free(.|\n)*finger +thumb(.|\n)*mode +sliding", drawn)
+    told = board.summary()
+    assert told["contact"] is None and [each["mode"] for each in told["fingers"].values()] == ["sliding", "free"]
+
+
+def test_recording_names_the_fingers_that_there_are(tmp_path: Path) -> None:
+    """One file for two fingers, or names of others: an error that says what to give."""
+    stop = threading.Event()
+
+    def publish() -> None:
+        for first in range(0, 100_000, 10):
+            if stop.wait(0.01):
+                return
+            publisher.publish(two_records(10, first))
+
+    with (
+        Publisher("tcp://127.0.0.1:*", fingers=NAMES) as publisher,
+        subscribe(publisher.endpoint, ("contact", "finger/", "event")) as wire,
+    ):
+        thread = threading.Thread(target=publish)
+        thread.start()
+        try:
+            with pytest.raises(ConfigError, match=r"several fingers, such as \w+: --poses \w+=FILE"):
+                record(wire, {"": tmp_path / "one.csv"})
+        finally:
+            stop.set()
+            thread.join()
+
+
+# --- two boards on two lines, and the daemon of the command line ------------------------------------
+
+
+@contextmanager
+def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Cable], subprocess.Popen[str]]]:
+    """Two boards whose hands press into the plane, and the daemon that holds against both."""
+    boards = [Board(lambda _: (*PLACE[:2], 0.006)) for _ in NAMES]
+    with ExitStack() as lines:
+        cables = [lines.enter_context(Cable(board)) for board in boards]
+        text = find(RIG, Rig).read_text()
+        head, device, rest = re.split(r"(?=^\[device\]\n|^\[servo\]\n)", text, flags=re.MULTILINE)
+        for name, cable in zip(NAMES, cables, strict=True):
+            named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
+            head += device.replace("[device]", f"[devices.{name}]").replace('driver = "serial"\n', named)
+        (tmp_path / "rig.toml").write_text(head + rest)
+        (tmp_path / "scene.toml").write_text(SCENE)
+        command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off"]
+        command += ["--rig", str(tmp_path / "rig.toml"), "--scene", str(tmp_path / "scene.toml")]
+        process = subprocess.Popen(
+            [*command, "--endpoint", f"ipc://{tmp_path}/t", *words], stderr=subprocess.PIPE, text=True
+        )
+        timer = threading.Timer(WAIT_S, process.kill)
+        timer.start()
+        try:
+            until(lambda: all(board.force[2] > FORCE_N for board in boards) or process.poll() is not None)
+            assert process.poll() is None, process.communicate()[1]
+            yield boards, cables, process
+        finally:
+            timer.cancel()
+            process.kill()
+            process.wait()
+            process.stderr.close()  # type: ignore[union-attr]
+
+
+def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
+    """Asked to end, the daemon leaves neither a force."""
+    with pressing(tmp_path) as (boards, _, process):
+        process.send_signal(signal.SIGTERM)
+        said = process.communicate(timeout=END_S)[1]
+        assert process.returncode == 0 and "force is zero" in said, said
+        for board in boards:
+            until(lambda board=board: board.force == ZERO, 1.0)
+            assert board.faults == []
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_board_that_falls_silent_zeroes_the_other(place: int, tmp_path: Path) -> None:
+    """The run ends with the fault of that finger's device, and the other board is at zero on its own line."""
+    with pressing(tmp_path) as (boards, cables, process):
+        cables[place].mute.set()
+        said = process.communicate(timeout=END_S)[1]
+        assert process.returncode == 4, said
+        assert f"finger '{NAMES[place]}'" in said and "Traceback" not in said
+        until(lambda: boards[1 - place].force == ZERO, 1.0)
+
+
+def test_watchers_take_the_force_off_both_boards_of_a_killed_daemon(tmp_path: Path) -> None:
+    """`run --watcher`: killed outright, the daemon leaves two forces, and a process for each device takes it off."""
+    with pressing(tmp_path, "--watcher") as (boards, _, process):
+        process.kill()
+        said = process.communicate(timeout=END_S)[1]
+        assert said.count("the daemon has died: zero force was written to /dev/pts/") == 2
+        for board in boards:
+            until(lambda board=board: board.force == ZERO, 1.0)

@@ -1,0 +1,350 @@
+"""The gateway: a daemon for other machines, by key, as its clients see it, and those who are none."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+from helpers.encoder import contact_map
+from helpers.telemetry_records import synthetic
+from zmq.utils.monitor import recv_monitor_message
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+from softfinger.server.gateway.streams import SUBSCRIPTIONS_PER_S
+from softfinger.server.keys import ClientKeys, client_keys, make_pair
+from softfinger.server.wire.control import Control
+from softfinger.server.wire.publisher import Publisher
+
+pytestmark = pytest.mark.real_time
+
+COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+WAIT_S = 60.0
+"""A generous bound: a compile, on a machine that does much else."""
+
+
+def eventually(what, seconds=WAIT_S):
+    until = time.monotonic() + seconds
+    while not (done := what()) and time.monotonic() < until:
+        time.sleep(0.005)
+    return done
+
+
+class Ring:
+    """Keys of a server, of a reader, of a commander and of a stranger, and the folders of those who may."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in ("server", "stranger"):
+            make_pair(folder / "keys", name)
+        for name, may in (("reader", "readers"), ("commander", "commanders")):
+            public, _ = make_pair(folder / "keys", name)
+            (folder / may).mkdir()
+            (folder / may / public.name).write_bytes(public.read_bytes())
+        (folder / "rig.toml").write_text(
+            '[device]\ndriver = "replay"\nrecording = "press-roll-spin-drag"\n[servo]\nrealtime = "off"\n'
+            '[telemetry]\nendpoint = "tcp://0.0.0.0:*"\n'
+            '[security]\nkey = "keys/server.key_secret"\nreaders = "readers"\ncommanders = "commanders"\n'
+        )
+
+    @property
+    def rig(self) -> Path:
+        return self.folder / "rig.toml"
+
+    def of(self, name: str) -> ClientKeys:
+        return client_keys(self.folder / "keys" / f"{name}.key_secret", self.folder / "keys" / "server.key")
+
+    def options(self, name: str) -> list[str]:
+        own = self.folder / "keys" / f"{name}.key_secret"
+        return ["--keys", str(own), "--server-key", str(self.folder / "keys" / "server.key")]
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Ring:
+    return Ring(tmp_path)
+
+
+_AWAY = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+"""After either libzmq does not try again."""
+
+
+class Listener:
+    """A subscriber, or a client that asks, which counts what comes, and how often it was let in or turned away."""
+
+    def __init__(self, context: zmq.Context, endpoint: str, keys: ClientKeys | None = None, asks: bool = False) -> None:
+        self.socket = context.socket(zmq.DEALER if asks else zmq.SUB)
+        self.socket.linger, self.socket.reconnect_ivl, self.socket.rcvhwm = 0, 20, 0
+        self.monitor = self.socket.get_monitor_socket(_AWAY | zmq.EVENT_HANDSHAKE_SUCCEEDED)
+        if not asks:
+            self.socket.subscribe(b"")
+        if keys is not None:
+            keys.put_on(self.socket)
+        self.socket.connect(endpoint.replace("0.0.0.0", "127.0.0.1"))
+        self.messages = self.away = self.let_in = 0
+        self.events: list[dict[str, Any]] = []
+        if asks:
+            request = {"command_id": "1", "method": "stop", "params": {}}
+            self.socket.send_multipart([b"", msgpack.packb(request)])
+
+    def look(self) -> Listener:
+        while self.socket.poll(0):
+            topic, body = self.socket.recv_multipart()
+            self.messages += 1
+            if topic == b"event":
+                self.events.append(msgpack.unpackb(body))
+        while self.monitor.poll(0):
+            event = recv_monitor_message(self.monitor)["event"]
+            self.away += bool(event & _AWAY)
+            self.let_in += event == zmq.EVENT_HANDSHAKE_SUCCEEDED
+        return self
+
+
+@contextlib.contextmanager
+def serving(ring: Ring) -> Iterator[tuple[Daemon, zmq.Context]]:
+    """A daemon for other machines, and a context for its clients."""
+    with Daemon(load_rig(ring.rig), load_scene("paper-plane")) as daemon, zmq.Context() as context:
+        try:
+            daemon.start()
+            yield daemon, context
+        finally:
+            context.destroy(0)
+
+
+def gateway_of(daemon: Daemon) -> subprocess.Popen:
+    return daemon.services[0]._process
+
+
+def test_without_a_key_nothing_is_read_and_nothing_commanded(ring: Ring) -> None:
+    """A reader reads, a commander commands; neither does the other's, nor a stranger or one without a key anything. A
+    key that is taken out of the folder is cut off, the others stay; and what the daemon says last arrives."""
+    with serving(ring) as (daemon, context):
+        telemetry, commands = daemon.public["telemetry"], daemon.public["commands"]
+        assert telemetry.startswith("tcp://0.0.0.0:") and not commands.endswith(":0")
+        nobodies = [
+            Listener(context, endpoint, keys, asks)
+            for endpoint, asks, wrong in ((telemetry, False, "commander"), (commands, True, "reader"))
+            for keys in (None, ring.of("stranger"), ring.of(wrong))
+        ]
+        reader = Listener(context, telemetry, ring.of("reader"))
+        assert eventually(lambda: reader.look().messages > 500)
+        assert eventually(lambda: all(nobody.look().away for nobody in nobodies))
+        assert not any(nobody.messages or nobody.let_in for nobody in nobodies)
+        with Control(commands.replace("0.0.0.0", "127.0.0.1"), WAIT_S, ring.of("commander")) as control:
+            assert control.get_state().active_field == "unnamed" and control.mark("a").tick > 0
+        for words in (
+            ["monitor", "--once", "--json", "--endpoint", telemetry.replace("0.0.0.0", "127.0.0.1")],
+            ["ctl", "heartbeat", "--json", "--endpoint", commands.replace("0.0.0.0", "127.0.0.1")],
+        ):
+            who = "reader" if words[0] == "monitor" else "commander"
+            whole = [*COMMAND, *words, *ring.options(who)]
+            assert json.loads(subprocess.run(whole, capture_output=True, check=True, timeout=WAIT_S).stdout)
+        # A second reader, whose key is then taken away.
+        public, _ = make_pair(ring.folder / "keys", "second")
+        (ring.folder / "readers" / "second.key").write_bytes(public.read_bytes())
+        second = Listener(context, telemetry, ring.of("second"))
+        assert eventually(lambda: second.look().messages > 100)
+        (ring.folder / "readers" / "second.key").unlink()
+        before = second.look().let_in
+        assert eventually(lambda: second.look().away)
+        heard, reader_heard = second.messages, reader.look().messages
+        assert second.let_in == before and eventually(lambda: reader.look().messages > reader_heard + 500)
+        assert second.look().messages == heard
+        daemon.stop()
+        assert daemon.wait(60.0)
+        process = gateway_of(daemon)
+        daemon.close()
+        assert process.returncode == 0
+        assert eventually(lambda: [event for event in reader.look().events if event["name"] == "stopped"])
+        assert any(event["kind"] == "mark" for event in reader.events)
+
+
+def test_the_end_of_the_gateway_is_told_and_ends_nothing_else(ring: Ring) -> None:
+    """Killed, it is gone: an event on the daemon's own stream, and ticks go on; nobody else listens on its ports."""
+    with serving(ring) as (daemon, context):
+        own = Listener(context, daemon.publisher.endpoint)
+        assert eventually(lambda: own.look().messages > 10)
+        gateway_of(daemon).kill()
+        assert eventually(lambda: [event for event in own.look().events if event["name"] == "gateway"])
+        ticks = daemon.servo.ticks
+        assert eventually(lambda: daemon.servo.ticks > ticks + 100)
+        Publisher(daemon.public["telemetry"].replace("0.0.0.0", "127.0.0.1")).close()
+
+
+def test_the_gateway_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
+    """SIGKILL of the daemon: the process beside it leaves by itself."""
+    words = [*COMMAND, "run", "--rig", str(ring.rig)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as daemon:
+        try:
+            assert next(line for line in daemon.stderr if "telemetry forwarded on" in line)
+            children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
+            gateway = next(child for child in children if b"forward" in Path(f"/proc/{child}/cmdline").read_bytes())
+        finally:
+            daemon.kill()
+        daemon.stderr.close()
+    assert eventually(lambda: not Path(f"/proc/{gateway}/cmdline").exists())
+
+
+@contextlib.contextmanager
+def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
+    """`softfinger forward`, and the endpoint that it says first."""
+    process = subprocess.Popen(
+        [*COMMAND, "forward", "--json", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    with process:
+        try:
+            said = next((line for line in process.stderr if "forwarded on" in line), "")
+            yield process, said.partition("forwarded on ")[2].partition(",")[0]
+        finally:
+            process.kill()
+
+
+@contextlib.contextmanager
+def ticking(publisher: Publisher) -> Iterator[None]:
+    """Publishes 50 ticks at a time while the block runs."""
+    stop = threading.Event()
+
+    def publish() -> None:
+        first = 0
+        while not stop.wait(0.02):
+            publisher.publish(synthetic(50, first_tick=first))
+            first += 50
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_what_is_forwarded_is_what_was_published() -> None:
+    """The same frames, to two subscribers; the server sees one. At the end it says how many, and that none was lost."""
+    records = synthetic(3000)
+    with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context:
+        with forwarding("--from", publisher.endpoint, "--to", "tcp://127.0.0.1:*") as (process, endpoint):
+            subscribers = [context.socket(zmq.SUB) for _ in range(2)]
+            for socket in subscribers:
+                socket.rcvtimeo, socket.rcvhwm, socket.linger = round(WAIT_S * 1000), 0, 0
+                socket.subscribe(b"")
+                socket.connect(endpoint)
+            for socket in subscribers:  # until it is known that messages come through to each
+                while not socket.poll(10):
+                    publisher.event("mark", "mark", label="are you there")
+            publisher.publish(records)
+            assert publisher.fanout.subscribers == 1
+            for socket in subscribers:
+                frames = [socket.recv_multipart()]
+                while len(contacts := [body for topic, body in frames if topic == b"contact"]) < len(records):
+                    frames.append(socket.recv_multipart())
+                assert [msgpack.unpackb(body) for body in contacts] == [contact_map(record) for record in records]
+            process.send_signal(signal.SIGINT)
+            found = json.loads(process.stdout.read())
+            assert process.wait(WAIT_S) == 0
+        context.destroy(0)
+    assert found["messages"] >= len(records) and found["lost"] == 0
+    assert found["telemetry"]["connections_max"] == 2 and found["telemetry"]["refused"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "give --to, --commands-to or --lsl"),
+        (["--to", "tcp://0.0.0.0:*"], "is open to the network: say who may come in"),
+        (["--commands-to", "tcp://0.0.0.0:*", "--keys", "keys/server.key_secret"], "--commanders DIR"),
+        (["--to", "tcp://127.0.0.1:*", "--readers", "readers"], "add --keys FILE"),
+        (["--to", "tcp://127.0.0.1:*", "--server-key", "keys/server.key"], "goes with --keys FILE"),
+        (["--to", "nowhere"], "is not an endpoint"),
+        (["--to", "tcp://127.0.0.1:*", "--from", "nowhere"], "nothing is forwarded"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_forwarded_is_said(ring: Ring, words: list[str], said: str) -> None:
+    """Exit code 2 and one sentence."""
+    done = subprocess.run(
+        [*COMMAND, "forward", *words], capture_output=True, text=True, cwd=ring.folder, timeout=WAIT_S
+    )
+    assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
+
+
+def test_a_key_that_floods_is_barred(ring: Ring) -> None:
+    """One that subscribes to thousands of topics is cut off and stays out; another reader goes on."""
+    other, _ = make_pair(ring.folder / "keys", "second")
+    (ring.folder / "readers" / "second.key").write_bytes(other.read_bytes())
+    locked = ["--keys", str(ring.folder / "keys" / "server.key_secret"), "--readers", str(ring.folder / "readers")]
+    with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context, ticking(publisher):
+        with forwarding("--from", publisher.endpoint, "--to", "tcp://0.0.0.0:*", *locked) as (process, endpoint):
+            reader = Listener(context, endpoint, ring.of("reader"))
+            flood = Listener(context, endpoint, ring.of("second"))
+            assert eventually(lambda: reader.look().messages > 100 and flood.look().messages > 100)
+            topics = itertools.count()
+
+            def flooded() -> bool:
+                for number in itertools.islice(topics, 2 * SUBSCRIPTIONS_PER_S):
+                    flood.socket.subscribe(f"topic {number}")
+                return process.poll() is not None or bool(flood.look().away)
+
+            assert eventually(flooded) and process.poll() is None
+            assert "second is barred" in next(line for line in process.stderr if "barred" in line)
+            heard, reader_heard = flood.messages, reader.look().messages
+            assert eventually(lambda: reader.look().messages > reader_heard + 500)
+            assert flood.look().messages == heard
+        context.destroy(0)
+
+
+INLET = """
+import json, sys
+import pylsl
+(found,) = pylsl.resolve_byprop("source_id", sys.argv[1], timeout=60.0)
+inlet = pylsl.StreamInlet(found)
+info = inlet.info(60.0)
+values, stamp = inlet.pull_sample(60.0)
+channel, names, units = info.desc().child("channels").child("channel"), [], []
+while not channel.empty():
+    names.append(channel.child_value("label"))
+    units.append(channel.child_value("unit"))
+    channel = channel.next_sibling()
+print(json.dumps([info.name(), info.nominal_srate(), names, units, values, stamp - pylsl.local_clock()]))
+"""
+
+
+def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
+    """A real inlet finds the stream, its channels by name and unit, and a tick's values as they were published."""
+    pytest.importorskip("pylsl", reason="pylsl is not installed: pip install 'softfinger[lsl]'", exc_type=ImportError)
+    from softfinger.proxy.record import AT, FIELDS, columns
+
+    settings = tmp_path / "lsl.cfg"
+    settings.write_text("[multicast]\nResolveScope = machine\n")
+    env = os.environ | {"LSLAPICFG": str(settings)}
+    words = [*COMMAND, "forward", "--json", "--lsl"]
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        ticking(publisher),
+        subprocess.Popen([*words, "--from", publisher.endpoint], env=env, stdout=subprocess.PIPE) as process,
+    ):
+        try:
+            source = f"softfinger {publisher.endpoint}"
+            done = subprocess.run(
+                [sys.executable, "-c", INLET, source], env=env, capture_output=True, text=True, timeout=WAIT_S
+            )
+            assert done.returncode == 0, done.stderr
+            process.send_signal(signal.SIGINT)
+            assert json.loads(process.stdout.read())["lsl"]["streams"] == ["softfinger"]
+        finally:
+            process.kill()
+    name, rate, names, units, values, _ = json.loads(done.stdout.splitlines()[-1])
+    assert (name, rate, names) == ("softfinger", 0.0, columns())
+    assert units == [field.unit for field in FIELDS for _ in range(field.size)]
+    assert values == synthetic(1, first_tick=int(values[AT.tick]))[0].tolist()

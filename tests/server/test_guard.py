@@ -1,0 +1,157 @@
+"""The guard: what it lets through is finite, bounded in norm and in change, whatever comes in."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.server.loop import guard as g
+
+DT = 0.001
+LIMITS = g.Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0)
+ENGAGED = g.Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+OPEN = g.Guard(12.0, 0.3, 1e9, 1e9, 0.0, 1.0)
+
+any_vector = st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3)
+
+
+@entry
+def compiled(guard, guarded, force, torque, dt, period=DT):
+    return g.guard_wrench(guard, guarded, force, torque, dt, period)
+
+
+def norm(v):
+    return math.hypot(*v)
+
+
+@given(st.lists(st.tuples(any_vector, any_vector), min_size=1, max_size=30))
+@example([((0.0, 0.0, 0.0), (0.0, 0.0, 2.2e-313))])  # the inverse of a subnormal number overflows
+@settings(max_examples=300, deadline=None)
+def test_output_is_always_finite_bounded_and_slow(wrenches):
+    """For any sequence of wrenches, NaN and infinities among them, the output keeps every limit."""
+    before = g.DISENGAGED
+    for force, torque in wrenches:
+        after, bits = compiled(LIMITS, before, force, torque, DT)
+        assert all(map(math.isfinite, (*after.force, *after.torque)))
+        # One part in 1e12: the scalings round a few times.
+        assert norm(after.force) <= LIMITS.force_max * (1 + 1e-12)
+        assert norm(after.torque) <= LIMITS.torque_max * (1 + 1e-12)
+        if not bits & g.NOT_FINITE:  # a refused wrench goes to zero at once
+            assert norm(np.subtract(after.force, before.force)) <= LIMITS.force_slew * DT * (1 + 1e-9)
+            assert norm(np.subtract(after.torque, before.torque)) <= LIMITS.torque_slew * DT * (1 + 1e-9)
+        before = after
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("axis", range(6))
+def test_what_is_not_finite_becomes_zero_and_ramps_anew(bad, axis):
+    """One component that is not finite zeroes force and torque in that tick, and the ramp restarts."""
+    wrench = [1.0] * 6
+    wrench[axis] = bad
+    after, bits = compiled(LIMITS, ENGAGED, tuple(wrench[:3]), tuple(wrench[3:]), DT)
+    assert (after, bits) == (g.DISENGAGED, g.NOT_FINITE)
+
+
+def test_clamp_keeps_the_direction():
+    """A force beyond the limit comes out at the limit, pointing where it pointed."""
+    after, bits = compiled(OPEN, ENGAGED, (30.0, 0.0, 40.0), (0.0, 0.0, 3.0), DT)
+    assert bits == g.FORCE_CLAMPED | g.TORQUE_CLAMPED
+    np.testing.assert_allclose(after.force, (7.2, 0.0, 9.6), rtol=1e-14)  # 12 N along (3, 0, 4) / 5
+    np.testing.assert_allclose(after.torque, (0.0, 0.0, 0.3), rtol=1e-14)
+
+
+def test_clamp_survives_forces_whose_square_overflows():
+    """A force of 1e300 N is clamped like any other."""
+    after, _ = compiled(OPEN, ENGAGED, (1e300, 1e300, 0.0), (0.0, 0.0, 0.0), DT)
+    np.testing.assert_allclose(after.force, (12 / math.sqrt(2), 12 / math.sqrt(2), 0.0), rtol=1e-14)
+
+
+def test_slew_limits_each_tick_along_the_way():
+    """A step to 10 N is reached in ticks of force_slew * dt, straight towards the goal."""
+    after, bits = compiled(LIMITS, ENGAGED, (6.0, 0.0, 8.0), (0.0, 0.0, 0.0), DT)
+    assert bits == g.SLEW_LIMITED
+    np.testing.assert_allclose(after.force, (1.2, 0.0, 1.6), rtol=1e-14)  # 2 N along (3, 0, 4) / 5
+
+
+@pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
+def test_slew_limit_is_a_speed(period):
+    """A tick of any nominal length gets that much of the limit: force by N/s, torque by N m/s."""
+    after, bits = compiled(
+        LIMITS._replace(force_max=1e3, torque_max=1e3), ENGAGED, (1e3, 0, 0), (0, 1e3, 0), period, period
+    )
+    assert bits & g.SLEW_LIMITED
+    assert after.force[0] == pytest.approx(LIMITS.force_slew * period, rel=1e-12)  # roundings of a norm
+    assert after.torque[1] == pytest.approx(LIMITS.torque_slew * period, rel=1e-12)
+
+
+@pytest.mark.parametrize("pause", [0.002, 0.005, 0.02, 0.1])
+def test_a_pause_widens_neither_slew_nor_ramp(pause):
+    """After ticks that were missed the force changes, and the ramp goes on, by what one tick allows."""
+    force, torque = (10.0, 0.0, 0.0), (0.0, 0.2, 0.0)
+    assert compiled(LIMITS, ENGAGED, force, torque, pause) == compiled(LIMITS, ENGAGED, force, torque, DT)
+    ramping = g.Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.2)
+    assert compiled(LIMITS, ramping, force, torque, pause)[0].gain == pytest.approx(0.2 + DT / LIMITS.ramp)
+
+
+@pytest.mark.parametrize("pause", [0.1001, 1.0, math.inf, math.nan])
+def test_a_long_pause_means_fading_in_anew(pause):
+    """After a pause in which the hand has moved on, the force begins from zero, as after engaging."""
+    held = g.Guarded((5.0, 0.0, 0.0), (0.0, 0.1, 0.0), 1.0)
+    force, torque = (5.0, 0.0, 0.0), (0.0, 0.1, 0.0)
+    assert compiled(LIMITS, held, force, torque, pause) == compiled(LIMITS, g.DISENGAGED, force, torque, DT)
+    assert norm(compiled(LIMITS, held, force, torque, pause)[0].force) <= 5.0 * DT / LIMITS.ramp
+
+
+def test_force_within_all_limits_passes_unchanged():
+    """What needs no guarding keeps its bits."""
+    force, torque = (0.1, -0.2, 0.3), (0.001, 0.002, -0.003)
+    after, bits = compiled(LIMITS, ENGAGED, force, torque, DT)
+    assert (after.force, after.torque, bits) == (force, torque, 0)
+
+
+def test_ramp_grows_linearly_from_engaging():
+    """After ramp_s the full force is there, half way half of it."""
+    before, forces = g.DISENGAGED, []
+    for _ in range(600):
+        before, _ = compiled(LIMITS, before, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
+        forces.append(before.force[0])
+    # 500 additions of 0.002 round to within 1e-12 of the exact share.
+    np.testing.assert_allclose(forces[:500], np.arange(1, 501) / 500.0, atol=1e-12)
+    assert forces[501:] == [1.0] * 99
+
+
+def test_the_moment_ramps_with_the_force():
+    """At each tick of the ramp force and moment have the same share of what they are to be."""
+    before = g.DISENGAGED
+    for n in range(1, 500):
+        before, bits = compiled(LIMITS, before, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), DT)
+        assert bits == g.RAMPING
+        # Up to 500 additions of 0.002.
+        assert (before.force[0], before.torque[2]) == pytest.approx((n / 500.0, 0.1 * n / 500.0), abs=1e-12)
+
+
+def test_disarmed_commands_zero():
+    """Nothing passes while disarmed, and arming begins with the ramp."""
+    off = LIMITS._replace(armed=0.0)
+    after, bits = compiled(off, ENGAGED, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), DT)
+    assert (after, bits) == (g.DISENGAGED, g.DISARMED)
+
+
+def test_every_bit_has_a_name():
+    """The names published for `servo.guard` cover exactly the bits the guard sets."""
+    bits = (g.POSE_REFUSED, g.NOT_FINITE, g.RAMPING, g.FORCE_CLAMPED, g.TORQUE_CLAMPED, g.SLEW_LIMITED, g.DISARMED)
+    assert bits == tuple(1 << n for n in range(len(g.GUARD_NAMES)))
+
+
+def test_plain_python_agrees_with_the_compiled_guard():
+    """The same kernel interpreted gives the same bits, so coverage and debuggers see what runs."""
+    rng = np.random.default_rng(3)
+    before = g.DISENGAGED
+    for _ in range(200):
+        force, torque = tuple(rng.normal(0, 10, 3).tolist()), tuple(rng.normal(0, 0.3, 3).tolist())
+        after, bits = compiled(LIMITS, before, force, torque, DT)
+        assert g.guard_wrench.py_func(LIMITS, before, force, torque, DT, DT) == (after, bits)
+        before = after

@@ -1,0 +1,72 @@
+"""The loop's own troubles: what ends a run, and what must not."""
+
+import pytest
+
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.server.loop import health as h
+from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED, RAMPING
+
+T = 0.001
+
+
+@entry
+def examined(health, bits, late, dt, period):
+    return h.examine(health, bits, late, dt, period)
+
+
+def after(ticks, health=h.HEALTHY):
+    """Health after (bits, late, dt) of some ticks, the first fault, and the ticks and the time it took."""
+    gone = 0.0
+    for number, (bits, late, dt) in enumerate(ticks):
+        health, fault = examined(health, bits, late, dt, T)
+        gone += dt
+        if fault:
+            return health, fault, number + 1, gone
+    return health, 0, len(ticks), gone
+
+
+GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (NOT_FINITE, 0.0, T)
+
+
+@pytest.mark.parametrize(("tick", "fault"), [(NO_POSE, h.NO_POSE), (NO_FORCE, h.NO_FORCE)])
+def test_half_a_second_without_a_force_is_a_fault(tick, fault):
+    """Poses or forces that cannot be used, one after the other, end the run after SILENCE_MAX_S, and not before."""
+    _, found, count, _ = after([tick] * 2000)
+    assert (found, abs(count - h.SILENCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions, and above, not at
+
+
+def test_what_flickers_without_end_is_a_fault_and_what_happens_at_times_is_none():
+    """Two bad poses of three end it; one of two, and 0.4 s now and then, do not."""
+    assert after([NO_POSE, NO_POSE, GOOD] * 2000)[1] == h.NO_POSE
+    assert after([NO_POSE, GOOD] * 5000)[1] == 0
+    assert after(([NO_POSE] * 400 + [GOOD] * 600) * 20)[1] == 0
+
+
+def test_repeated_stalls_are_a_fault():
+    """Reads of 0.24 s, one after the other: the loop ends within seconds, long before the twentieth."""
+    _, fault, count, gone = after([(0, 0.0, 0.241)] * 20)
+    assert fault == h.STARVED
+    assert count == 5
+    assert gone < 2.0
+
+
+def test_stalls_of_a_host_and_one_sleep_of_the_process_are_none():
+    """20 ms five times a second without end, and a process that slept for an hour once: the run goes on."""
+    assert after(([(0, 0.02, 0.021)] + [GOOD] * 180) * 300)[1] == 0
+    health, fault, _, _ = after([(0, 3600.0, 3600.0)] + [GOOD] * 1000)
+    assert (fault, health) == (0, h.HEALTHY)
+
+
+@pytest.mark.parametrize(("late", "woken"), [(0.24, True), (0.0, False)])
+def test_the_cause_is_where_most_was_lost(late, woken):
+    """Time lost before the thread was woken is told from time lost in the device's exchange."""
+    health, fault, _, _ = after([(0, late, 0.241)] * 20)
+    assert fault == h.STARVED
+    assert (health.late > 0.5 * health.lost) == woken
+
+
+def test_plain_python_agrees_with_the_compiled_kernel():
+    """The same kernel interpreted gives the same numbers."""
+    for tick in (GOOD, NO_POSE, NO_FORCE, (0, 0.1, 0.2)):
+        some = h.Health(0.4996, 0.45, 0.2)
+        assert h.examine.py_func(some, *tick, T) == examined(some, *tick, T)

@@ -1,0 +1,342 @@
+"""Peers that mean harm, each a process of its own that speaks raw bytes, against a publisher in another.
+
+The publisher sends ticks at 1 kHz for as long as the peer attacks. Afterwards its own memory is read from the
+system, a healthy subscriber has missed nothing, and the publisher ends in time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softfinger.server.wire.client import Subscription
+from softfinger.server.wire.fanout import READ_BYTES
+from softfinger.server.wire.native.backlog import CHUNK_BYTES, PEERS_MAX
+from softfinger.server.wire.publisher import BACKLOG
+from softfinger.server.wire.zmtp import FRAME_MAX, TOPICS_MAX
+
+pytestmark = pytest.mark.real_time
+
+SERVER = """
+import json, sys, threading, time
+sys.path.insert(0, sys.argv[2])
+from helpers.telemetry_records import put, synthetic
+from softfinger.server.wire.publisher import Publisher
+
+ended = threading.Event()
+threading.Thread(target=lambda: (sys.stdin.readline(), ended.set()), daemon=True).start()
+publisher = Publisher(sys.argv[1])
+print(json.dumps(publisher.endpoint), flush=True)
+record, tick, longest = synthetic(10), 0, 0.0
+due = time.monotonic()
+while not ended.is_set():
+    put(record, "tick", range(tick, tick + 10))
+    tick += 10
+    begun = time.monotonic()
+    publisher.publish(record)
+    longest = max(longest, time.monotonic() - begun)
+    due += float(sys.argv[3])
+    time.sleep(max(0.0, due - time.monotonic()))
+fanout = publisher.fanout
+found = {"ticks": tick, "longest": longest, "lost": fanout.lost, "refused": fanout.refused}
+begun = time.monotonic()
+publisher.close()
+print(json.dumps(found | {"close": time.monotonic() - begun}), flush=True)
+"""
+
+PEER = """
+import os, socket, struct, sys, time
+
+def dial():
+    where = sys.argv[1]
+    if where.startswith("ipc://"):
+        made = socket.socket(socket.AF_UNIX)
+        made.connect(where[6:])
+    else:
+        made = socket.create_connection(("127.0.0.1", int(where.rpartition(":")[2])))
+    made.settimeout(20.0)
+    return made
+
+def frame(body, flags=0):
+    long = len(body) > 255
+    return bytes((flags | 2 * long,)) + (struct.pack(">Q", len(body)) if long else bytes((len(body),))) + body
+
+READY = frame(b"\\x05READY\\x0bSocket-Type\\0\\0\\0\\x03SUB", 4)
+GREETING = b"\\xff" + bytes(8) + b"\\x7f\\x03\\0NULL" + bytes(48)
+
+def greeted():
+    made = dial()
+    made.sendall(GREETING + READY)
+    return made
+
+def subscriptions(size):
+    return b"".join(frame(b"\\1" + os.urandom(size)) for _ in range(2000))
+
+def attack(step):
+    'With a connection each, again and again; being cut off is no reason to stop.'
+    while time.monotonic() < END:
+        try:
+            step()
+        except OSError:
+            pass
+
+END = time.monotonic() + float(sys.argv[2])
+kept = []
+"""
+
+ATTACKS = {
+    # as filed: long topics, many of them
+    "a megabyte of topic": """
+def step():
+    with greeted() as made:
+        for _ in range(200):
+            made.sendall(frame(b"\\1" + os.urandom(1 << 20)))
+attack(step)""",
+    # under any limit of size: what fills is their number
+    "thousands of topics": """
+data = subscriptions(200)
+def step():
+    with greeted() as made:
+        while time.monotonic() < END:
+            made.sendall(data)
+attack(step)""",
+    "one topic again and again": """
+data = frame(b"\\1contact") * 5000
+def step():
+    with greeted() as made:
+        while time.monotonic() < END:
+            made.sendall(data)
+attack(step)""",
+    "a frame that claims 2**63 bytes": """
+def step():
+    with greeted() as made:
+        made.sendall(b"\\2" + struct.pack(">Q", 1 << 63) + bytes(4096))
+        made.recv(1 << 16)
+        while made.recv(1 << 16) and time.monotonic() < END:
+            pass
+attack(step)""",
+    "no ZMTP": """
+def step():
+    with dial() as made:
+        while time.monotonic() < END:
+            made.sendall(os.urandom(1 << 16))
+attack(step)""",
+    "connections that say nothing": """
+def step():
+    if len(kept) < 900:
+        kept.append(dial())
+    time.sleep(0.001)
+attack(step)""",
+    "subscribers to nothing": """
+def step():
+    if len(kept) < 900:
+        kept.append(greeted())
+    time.sleep(0.001)
+attack(step)""",
+    "connect and go": """
+def step():
+    dial().close()
+attack(step)""",
+    "pings, and never reading": """
+def step():
+    with greeted() as made:
+        made.sendall(frame(b"\\1"))
+        while time.monotonic() < END:
+            made.sendall(frame(b"\\4PING\\0\\1" + bytes(16), 4))
+            time.sleep(0.001)
+attack(step)""",
+    "a handshake byte by byte": """
+def step():
+    with dial() as made:
+        for byte in GREETING:
+            made.sendall(bytes((byte,)))
+            time.sleep(0.1)
+attack(step)""",
+    "subscribers who never read": """
+def step():
+    if len(kept) < 40:
+        kept.append(greeted())
+        kept[-1].sendall(frame(b"\\1"))
+    time.sleep(0.01)
+attack(step)""",
+}
+
+SECONDS = 4.0
+"""An attack fills gigabytes in this where nothing stops it."""
+
+LONGEST_MESSAGE = 1408
+"""A finger's message with three patches has 1.32 kB at the most, its frames and the object that holds them 0.08 kB."""
+MEMORY_BYTES = 1.25 * (BACKLOG * LONGEST_MESSAGE + PEERS_MAX * (CHUNK_BYTES + 2 * READ_BYTES + TOPICS_MAX * FRAME_MAX))
+"""What `fanout` promises. The allocator leaves holes between messages of different lengths: a quarter."""
+
+
+def memory_bytes(pid: int, field: str) -> int:
+    """A line of the system's account of a process."""
+    (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith(field)]
+    return int(line.split()[1]) * 1024
+
+
+def answer(process: subprocess.Popen[str]) -> Any:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line, "the publisher has ended"
+    return json.loads(line)
+
+
+@contextmanager
+def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A process that publishes ten ticks a period until it is told to end, and its endpoint."""
+    words = [sys.executable, "-W", "error", "-c", SERVER, endpoint, str(Path(__file__).parents[1]), str(period_s)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process, answer(process)
+        finally:
+            process.kill()
+
+
+def told_to_end(process: subprocess.Popen[str]) -> Any:
+    assert process.stdin is not None
+    process.stdin.write("\n")
+    process.stdin.flush()
+    found = answer(process)
+    assert process.wait(10.0) == 0
+    return found
+
+
+def read_on(healthy: Subscription, seconds: float) -> int:
+    """Read for so long; the number of ticks, of which none may be missing."""
+    ticks, end = 0, time.monotonic() + seconds
+    while time.monotonic() < end:
+        sample = healthy.receive(5.0)
+        assert sample is not None, "a healthy subscriber is starved"
+        assert sample.lost == 0
+        ticks += 1
+    return ticks
+
+
+def endpoint_of(transport: str, folder: Path) -> str:
+    return "tcp://127.0.0.1:*" if transport == "tcp" else f"ipc://{folder}/telemetry"
+
+
+# What a peer sends is read alike from both; how connections come and go is the transport's.
+OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and go")
+
+
+@pytest.mark.parametrize(
+    ("name", "transport"), [*((name, "tcp") for name in ATTACKS), *((name, "ipc") for name in OVER_IPC)]
+)
+def test_a_hostile_peer_costs_nobody_anything(name: str, transport: str, tmp_path: Path) -> None:
+    """Memory stays within what is promised, a healthy subscriber loses nothing, a new one is served, and the end is
+    quick, while a peer attacks and afterwards."""
+    with publishing(endpoint_of(transport, tmp_path)) as (process, bound):
+        with Subscription(bound, ("contact",)) as healthy:
+            assert healthy.receive(10.0) is not None
+            before = memory_bytes(process.pid, "VmHWM")
+            words = [sys.executable, "-c", PEER + ATTACKS[name], bound, "120"]
+            with subprocess.Popen(words) as peer:
+                try:
+                    assert read_on(healthy, SECONDS) > 0
+                    if name != "connect and go":  # who connects without end may keep others from connecting
+                        assert served(bound)
+                    assert read_on(healthy, 0.2) > 0
+                    assert peer.poll() is None, "the attack was over"
+                finally:
+                    peer.kill()
+                assert served(bound)
+            grown = memory_bytes(process.pid, "VmHWM") - before
+            files = len(os.listdir(f"/proc/{process.pid}/fd"))
+        found = told_to_end(process)
+    assert grown < MEMORY_BYTES
+    assert files < PEERS_MAX + 32  # the interpreter's own, the listener, and those of peers
+    assert found["close"] < 2.0
+    if name not in ("connect and go", "subscribers who never read"):
+        assert found["refused"] > 0
+
+
+STOPPED = """
+import sys
+from softfinger.server.wire.client import subscribe
+with subscribe(sys.argv[1], ("contact", "event", "health")) as samples:
+    for sample in samples:
+        print(sample.tick, flush=True)
+"""
+
+
+def served(endpoint: str) -> bool:
+    """Whether a new subscriber gets a message."""
+    with Subscription(endpoint, ("contact",)) as late:
+        return late.receive(60.0) is not None
+
+
+@pytest.mark.parametrize("transport", ["tcp", "ipc"])
+def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Path) -> None:
+    """With 40 connections that never read and a subscriber that was stopped (SIGSTOP), while twice the backlog is
+    published as fast as can be: memory is bounded, what they lose is counted, and the end does not wait for them."""
+    with publishing(endpoint_of(transport, tmp_path), period_s=0.0) as (process, bound):
+        words = [sys.executable, "-c", STOPPED, bound]
+        never_read = [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"]
+        with (
+            subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as stopped,
+            subprocess.Popen(never_read, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as silent,
+            Subscription(bound, ("contact",)) as watching,
+        ):
+            try:
+                assert stopped.stdout is not None
+                first = int(stopped.stdout.readline())
+                stopped.send_signal(signal.SIGSTOP)
+                before = memory_bytes(process.pid, "VmRSS")
+                tick = first
+                while tick < first + 2 * BACKLOG:
+                    sample = watching.receive(10.0)  # with gaps, for nobody reads that fast: how far it is
+                    assert sample is not None
+                    tick = sample.tick
+                grown = memory_bytes(process.pid, "VmHWM") - before
+                found = told_to_end(process)
+            finally:
+                stopped.kill()
+                silent.kill()
+    assert found["lost"] > 0
+    assert grown < MEMORY_BYTES
+    assert found["close"] < 2.0
+
+
+def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
+    """SIGTERM ends `softfinger run` within 2 s though a subscriber is stopped and another never reads."""
+    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stderr is not None
+        bound = next(line for line in daemon.stderr if "telemetry on" in line).split("telemetry on ")[1].strip()
+        rest = threading.Thread(target=daemon.stderr.read)  # it must not wait for this process either
+        rest.start()
+        with (
+            subprocess.Popen([sys.executable, "-c", STOPPED, bound], stdout=subprocess.PIPE, text=True) as stopped,
+            subprocess.Popen(
+                [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"],
+                stderr=subprocess.DEVNULL,
+            ) as silent,
+        ):
+            try:
+                assert stopped.stdout is not None
+                assert stopped.stdout.readline()  # ticks come: it runs
+                stopped.send_signal(signal.SIGSTOP)
+                time.sleep(1.0)
+                begun = time.monotonic()
+                daemon.terminate()
+                assert daemon.wait(20.0) == 0
+                assert time.monotonic() - begun < 2.0
+            finally:
+                stopped.kill()
+                silent.kill()
+                daemon.kill()
+        rest.join()

@@ -1,0 +1,127 @@
+"""Plugging in and pulling out: noticed from the system's tables, and published by a running daemon."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_devices_verb import plug_hid, plug_serial, plug_usb, root  # noqa: F401  (a fixture)
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.discovery import Attached
+from softfinger.server import app
+from softfinger.server.app import Daemon
+from softfinger.server.services import hotplug
+from softfinger.server.services.hotplug import Hotplug
+from softfinger.server.wire.client import subscribe
+
+pytestmark = pytest.mark.real_time
+
+PUCK = Attached("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw3")
+TEENSY = Attached("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0")
+OMEGA = Attached("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/007")
+
+
+def test_changes_are_told_once(root: Path) -> None:  # noqa: F811
+    """What was there at the start is present; what comes is attached, what goes detached, each once."""
+    plug_usb(root, "1-1", "1451", "0402")
+    seen = Hotplug(root)
+    assert seen.present == [OMEGA]
+    assert seen.changes() == []
+    name = plug_hid(root, 3, "0003:0000046D:0000C626")
+    assert seen.changes() == [("attached", PUCK)]
+    assert seen.changes() == []
+    shutil.rmtree(root / name)
+    shutil.rmtree(root / discovery.USB / "1-1")
+    assert seen.changes() == [("detached", OMEGA), ("detached", PUCK)]
+    name = plug_serial(root, "ttyACM0", "16c0", "0483", "SN42")
+    assert seen.changes() == [("attached", TEENSY)]
+    shutil.rmtree(root / name)
+    assert seen.changes() == [("detached", TEENSY)]
+    assert seen.changes() == []
+    plug_serial(root, "ttyACM5", "16c0", "0483", "SN42", product="Haply inverse3")
+    ((what, haply),) = seen.changes()
+    assert (what, hotplug.described(haply)["driver"]) == ("attached", "")
+    assert hotplug.described(TEENSY)["driver"] == "serial"
+
+
+def test_a_device_is_told_when_its_ids_can_be_read(root: Path) -> None:  # noqa: F811
+    """Listed before the kernel has filled its entry in, it is reported by a later look; a hub never is."""
+    seen = Hotplug(root)
+    (root / discovery.USB / "1-1").mkdir()
+    plug_usb(root, "1-2", "2109", "2813", bDeviceClass="09")
+    assert seen.changes() == []
+    plug_usb(root, "1-1", "1451", "0402")
+    assert seen.changes() == [("attached", OMEGA)]
+
+
+def test_a_device_that_is_not_readable_at_the_start_is_told_later(root: Path) -> None:  # noqa: F811
+    """Listed when the watcher starts, but not filled in yet: neither present nor forgotten."""
+    (root / discovery.USB / "1-1").mkdir()
+    seen = Hotplug(root)
+    assert seen.present == []
+    plug_usb(root, "1-1", "1451", "0402")
+    assert seen.changes() == [("attached", OMEGA)]
+
+
+def test_what_comes_before_the_first_look_is_told(root: Path) -> None:  # noqa: F811
+    """Plugged in after the watcher was made and before its thread runs: attached, behind what was present."""
+    plug_usb(root, "1-1", "1451", "0402")
+    seen = Hotplug(root)
+    plug_hid(root, 3, "0003:0000046D:0000C626")
+    told: list[tuple[str, Any]] = []
+    closing = threading.Event()
+
+    def event(kind: str, name: str, **fields: Any) -> None:
+        assert kind == "device"
+        told.append((name, fields["device"]))
+        if len(told) == 2:
+            closing.set()
+
+    hotplug.watch(seen, event, closing)
+    assert told == [("present", OMEGA.name), ("attached", PUCK.name)]
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noqa: F811
+    """A daemon that looks at the folder, often."""
+    monkeypatch.setattr(hotplug, "PERIOD_S", 0.02)
+    monkeypatch.setattr(app, "Hotplug", lambda: Hotplug(root))
+    return root
+
+
+def test_a_running_daemon_publishes_them(quick: Path) -> None:
+    """A puck plugged in and pulled out while the servo runs is two events with its name, ids, node and driver, however
+    late the watcher looks; the servo is not disturbed and the thread ends with the daemon."""
+    events: list[dict[str, Any]] = []
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        with subscribe(daemon.publisher.endpoint, ("event",), timeout_s=20.0) as samples:
+            while samples.receive(0.01) is None:  # until the subscription has taken effect
+                daemon.publisher.event("test", "joined")
+            name = plug_hid(quick, 3, "0003:0000046D:0000C626")  # the daemon's threads have yet to start
+            daemon.start()
+            until = time.monotonic() + 20.0  # other events keep coming
+            for sample in samples:
+                assert time.monotonic() < until, events
+                if sample["kind"] == "device":
+                    events.append(sample.as_map())
+                    if len(events) == 2:
+                        break
+                    shutil.rmtree(quick / name)
+        assert daemon.servo.running
+    attached, detached = events
+    assert attached["name"] == "attached" and detached["name"] == "detached"
+    for event in events:
+        told = {key: event[key] for key in ("device", "bus", "ids", "serial", "node", "driver")}
+        assert told == {
+            "device": "Puck", "bus": "hid", "ids": "046d:c626", "serial": "SN7", "node": "/dev/hidraw3",
+            "driver": "spacemouse",
+        }  # fmt: skip
+    assert not [thread for thread in threading.enumerate() if thread.name == "hotplug"]

@@ -1,0 +1,159 @@
+"""Key files: who may read them, what is never overwritten, what is refused, and who else can read their format."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import zmq
+import zmq.auth
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import Rig
+from softfinger.server.gateway.allowed import Allowed
+from softfinger.server.keys import make_pair, read_pair, read_public
+
+COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o777])
+def test_the_secret_is_for_its_owner_alone(tmp_path: Path, mask: int) -> None:
+    """Mode 600 whatever the umask; what pyzmq reads of both files is one pair."""
+    before = os.umask(mask)
+    try:
+        public, secret = make_pair(tmp_path, "rig")
+    finally:
+        os.umask(before)
+    assert (mode(secret), mode(public)) == (0o600, 0o644)
+    assert zmq.auth.load_certificate(secret) == tuple(read_pair(secret))
+    assert zmq.auth.load_certificate(public) == (read_public(public), None)
+    assert zmq.curve_public(read_pair(secret).secret) == read_public(public)
+
+
+def test_no_key_is_overwritten(tmp_path: Path) -> None:
+    """Neither file, though the other one is missing; links are not followed."""
+    public, secret = make_pair(tmp_path, "rig")
+    kept = public.read_bytes(), secret.read_bytes()
+    for gone in (None, public):
+        if gone is not None:
+            gone.unlink()
+        with pytest.raises(ConfigError, match="no key is overwritten"):
+            make_pair(tmp_path, "rig")
+    assert secret.read_bytes() == kept[1] and not public.exists()
+    (tmp_path / "link.key_secret").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ConfigError, match="no key is overwritten"):
+        make_pair(tmp_path, "link")
+    for name in ("", "../rig", ".hidden", "a/b", "a\n", "x" * 65):
+        with pytest.raises(ConfigError, match="is no name of a key"):
+            make_pair(tmp_path, name)
+
+
+def test_the_verb_makes_pairs(tmp_path: Path) -> None:
+    """A pair for each name, as JSON too; the second time nothing, and exit code 2."""
+    words = [*COMMAND, "keys", str(tmp_path / "new" / "keys"), "rig", "anna", "--json"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    made = json.loads(done.stdout)
+    assert set(made) == {"rig", "anna"} and all(read_pair(files["secret"]) for files in made.values())
+    assert subprocess.run(words, capture_output=True, check=False).returncode == 2
+
+
+def test_a_file_that_is_no_good_key_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    """Open to others, missing, public, of two pairs, of another kind, a pipe."""
+    public, secret = make_pair(tmp_path, "rig")
+    _, other = make_pair(tmp_path, "other")
+    public.chmod(0o600)
+    with pytest.raises(ConfigError, match="a public key"):
+        read_pair(public)
+    text = secret.read_text()
+    mixed = tmp_path / "mixed"
+    mixed.touch(0o600)
+    mixed.write_text(text.replace(text.split('"')[3], other.read_text().split('"')[3]))
+    with pytest.raises(ConfigError, match="not that of the secret one"):
+        read_pair(mixed)
+    with pytest.raises(ConfigError, match="no line public-key"):
+        read_public(Path(__file__).parents[2] / "LICENSE")
+    with pytest.raises(ConfigError, match="No such file"):
+        read_public(tmp_path / "none")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ConfigError, match="is a pipe"):
+        read_public(tmp_path / "pipe")
+    for bits in (0o640, 0o604, 0o601):
+        secret.chmod(bits)
+        with pytest.raises(ConfigError, match=r"others may read .*chmod 600"):
+            read_pair(secret)
+
+
+def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
+    """Keys come and go; one that is barred stays out; a folder that others may write to lets nobody in."""
+    allowed = Allowed(tmp_path)
+    public, _ = make_pair(tmp_path, "anna")
+    key = read_public(public)
+    assert not allowed.refresh() and allowed.callback("", key) and allowed.name(key) == "anna"
+    public.unlink()
+    assert allowed.refresh() and not allowed.callback("", key)
+    other, _ = make_pair(tmp_path, "eve")
+    allowed.bar(read_public(other))
+    assert not allowed.refresh() and not allowed.callback("", read_public(other))
+    make_pair(tmp_path, "bob")
+    assert not allowed.refresh() and allowed.callback("", read_public(tmp_path / "bob.key"))
+    tmp_path.chmod(0o777)
+    assert allowed.refresh() and not allowed.callback("", read_public(tmp_path / "bob.key"))
+    with pytest.raises(ConfigError, match="others may write to it"):
+        Allowed(tmp_path)
+    with pytest.raises(ConfigError, match="No such file"):
+        Allowed(tmp_path / "none")
+
+
+RIG = {"device": {"driver": "replay", "recording": "tap"}}
+ALL = {"key": "k", "readers": "r", "commanders": "c"}
+READERS = {"key": "k", "readers": "r"}
+
+
+@pytest.mark.parametrize(
+    ("tables", "fault"),
+    [
+        ({"telemetry": {"endpoint": "tcp://0.0.0.0:1"}}, "may read: add [security] with key and readers"),
+        ({"telemetry": {"endpoint": "tcp://0.0.0.0:1"}, "security": {"key": "k"}}, "may read"),
+        ({"telemetry": {"endpoint": "tcp://0.0.0.0:1"}, "security": READERS}, "may command"),
+        ({"commands": {"endpoint": "tcp://eth0:1"}, "security": READERS}, "may command"),
+        ({"metrics": {"endpoint": "0.0.0.0:9464"}}, "anybody could read it"),
+        ({"metrics": {"endpoint": "127.0.0.1"}}, "must be HOST:PORT"),
+        ({"telemetry": {"endpoint": "tcp://[::]:1"}, "commands": {"endpoint": "off"}, "security": READERS}, ""),
+        ({"telemetry": {"endpoint": "tcp://*:1"}, "security": ALL}, ""),
+    ],
+)  # fmt: skip
+def test_what_is_open_to_the_network_needs_keys(tables: dict, fault: str) -> None:
+    """Reading and commanding each their own; without, one fault that says what to do."""
+    if fault:
+        with pytest.raises(ConfigError) as caught:
+            build(Rig, RIG | tables, "rig.toml")
+        assert fault in str(caught.value) and "faults" not in str(caught.value)
+    else:
+        assert build(Rig, RIG | tables, "rig.toml").security is not None
+
+
+def test_the_keys_are_beside_the_rigs_file(tmp_path: Path) -> None:
+    """A relative path begins in the rig's folder; an absolute one stays."""
+    (tmp_path / "rig.toml").write_text(
+        '[device]\ndriver = "replay"\nrecording = "tap"\n[security]\nkey = "k"\nreaders = "/r"\n'
+    )
+    security = load_rig(tmp_path / "rig.toml").security
+    assert (security.key, security.readers, security.commanders) == (str(tmp_path / "k"), "/r", None)
+
+
+def test_half_of_a_clients_keys_is_a_mistake(tmp_path: Path) -> None:
+    """Its own without the server's, or the other way round: said, and nothing is sent in the clear."""
+    public, secret = make_pair(tmp_path, "rig")
+    for words in (["--keys", str(secret)], ["--server-key", str(public)]):
+        done = subprocess.run([*COMMAND, "ctl", "heartbeat", *words], capture_output=True, text=True, check=False)
+        assert done.returncode == 2 and "goes with --" in done.stderr

@@ -1,0 +1,224 @@
+"""Every tick as memory: the reader in Python and the one in C, slow readers and killed ones, and what a killed daemon
+leaves."""
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.telemetry_records import synthetic
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.record import AT, RECORD_SIZE, columns
+from softfinger.server.app import Daemon
+from softfinger.server.wire.control import Control
+from softfinger.server.wire.native import memory
+from softfinger.server.wire.native.memory import Local, make_memory, remove
+from softfinger.server.wire.native.sender import HANDED_ON
+from softfinger.server.wire.publisher import Publisher
+
+pytestmark = pytest.mark.real_time
+
+WAIT_S = 60.0
+PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+INCLUDE = Path(memory.__file__).parent
+
+READER = """
+#include "softfinger_ring.h"
+#include <stdlib.h>
+
+int main(int argc, char **argv)
+{
+    struct softfinger_ring ring;
+    if (softfinger_open(&ring, argv[1])) return 1;
+    double *row = malloc(ring.width * sizeof *row);
+    long rows = 0, wrong = 0;
+    double before = -1.0;
+    puts("open"), fflush(stdout);
+    if (argc > 2) getchar(); /* a reader that is slow */
+    while (softfinger_wait(&ring, 1000))
+        while (softfinger_read(&ring, row)) {
+            double tick = row[TICK];
+            wrong += rows && tick != before + 1 && !ring.lost;
+            wrong += row[LAST] != tick * 0.5; /* a row that is torn */
+            before = tick, rows++;
+        }
+    printf("%ld %ld %ld %.0f\\n", rows, (long)ring.lost, wrong, before);
+    softfinger_close(&ring);
+    return 0;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    """The reader in C, compiled with the header that is shipped, without a warning."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    folder = tmp_path_factory.mktemp("ring")
+    (folder / "reader.c").write_text(READER)
+    words = [compiler, "-O2", "-Wall", "-Wextra", "-Werror", f"-DTICK={AT.tick}", f"-DLAST={RECORD_SIZE - 1}"]
+    subprocess.run([*words, f"-I{INCLUDE}", "-o", "reader", "reader.c"], cwd=folder, check=True)
+    return str(folder / "reader")
+
+
+def numbered(count, first=0):
+    """Ticks whose last column tells whether a row is whole."""
+    records = synthetic(count, first)
+    records[:, -1] = 0.5 * records[:, AT.tick]
+    return records
+
+
+def opened(program, name, *more):
+    process = subprocess.Popen([program, name, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "open\n"
+    return process
+
+
+def test_readers_in_c_get_every_tick_and_count_gaps(program):
+    """One that reads on gets all; one that slept through twice the ring goes on from half of it and knows what it
+    missed; one that is killed and one that is stopped change nothing for the others."""
+    count = 2 * HANDED_ON
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        name = publisher.ring()["name"]
+        assert (memory.FOLDER / name).stat().st_mode & 0o777 == 0o600
+        slow, killed, stopped = (opened(program, name, "slow") for _ in range(3))
+        stopped.send_signal(signal.SIGSTOP)
+        with Local(name) as witness:
+            reading = opened(program, name)
+            for at in range(0, count, 1000):
+                publisher.publish(numbered(min(1000, count - at), at))
+                if at == 3000:
+                    killed.kill()
+                rows = 0
+                while rows < min(1000, count - at):  # which goes as fast as this one reads
+                    rows += len(witness.take(WAIT_S))
+            assert witness.lost == 0
+            slow.stdin.write("\n")
+            slow.stdin.flush()
+    said, _ = reading.communicate(timeout=WAIT_S)
+    rows, lost, wrong, last = map(int, said.split())
+    assert (rows + lost, wrong, last) == (count, 0, count - 1)
+    said, _ = slow.communicate(timeout=WAIT_S)
+    assert list(map(int, said.split())) == [HANDED_ON // 2, count - HANDED_ON // 2, 0, count - 1]
+    killed.communicate()
+    stopped.kill()
+    stopped.communicate()
+
+
+def test_the_daemon_says_where_its_ticks_are():
+    """By `describe`, with the columns; each tick of a run arrives, and after the last one the end is known; the name
+    is gone then."""
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    taken = []
+    with Daemon(rig, load_scene("paper-plane"), 500) as daemon:
+        ring = daemon.publisher.ring()
+        with Local(ring["name"]) as ticks:
+            daemon.start()
+            with Control(daemon.commands_endpoint) as control:
+                assert control.describe()["ring"] == ring
+            daemon.wait(WAIT_S)
+            daemon.close()
+            assert not (memory.FOLDER / ring["name"]).exists()
+            while len(rows := ticks.take(WAIT_S)):
+                taken.append(rows.copy())
+            assert ticks.ended and ticks.lost == 0
+    found = np.concatenate(taken)
+    assert ring["columns"] == columns() and found.shape == (500, ring["records_in_a_row"] * RECORD_SIZE)
+    assert found[:, AT.tick].tolist() == list(range(500))
+
+
+def test_program_on_the_page_runs():
+    """That of docs/protocol.md, with the endpoint put in, prints forces of every tick until the daemon ends."""
+    (program,) = [each for each in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "Local" in each]
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        code = program.replace("tcp://127.0.0.1:5556", daemon.commands_endpoint)
+        daemon.start()
+        process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+        rows, _, lost = process.stdout.readline().split()
+        assert int(rows) > 0 and lost == "0"
+    process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0
+
+
+def test_a_reader_that_sleeps_is_woken_by_the_end_and_by_a_tick():
+    """Without a time-out having to pass: it is longer than the test may take."""
+    forever_s = 1e6
+    made = make_memory(16, 4)
+    code = (
+        "import sys\n"
+        "from softfinger.server.wire.native.memory import Local\n"
+        "ticks = Local(sys.argv[1])\n"
+        "print('open', flush=True)\n"
+        f"while len(rows := ticks.take({forever_s})):\n"
+        "    print(rows.tolist(), flush=True)\n"
+    )
+    words = [sys.executable, "-c", code, made.name]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "open\n"
+        made.broadcast.slots[0] = 7.0
+        made.broadcast.head[0] = 1
+        memory.ring_readers(made.broadcast)
+        assert process.stdout.readline() == "[[7.0, 7.0, 7.0, 7.0]]\n"
+        remove(made)
+        assert process.wait(WAIT_S) == 0
+
+
+KILLED = """
+import sys, time
+from softfinger.server.wire.native.memory import make_memory
+print(make_memory(16, 4).name, flush=True)
+time.sleep(1000)
+"""
+
+
+def test_what_a_killed_daemon_leaves_is_known_to_be_dead_and_cleared_away():
+    """Its readers see the end; the next daemon removes it, and not that of one that lives."""
+    living = make_memory(16, 4)
+    with subprocess.Popen([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True) as process:
+        name = process.stdout.readline().strip()
+        with Local(name) as ticks:
+            assert not ticks.ended
+            process.kill()
+            process.wait()
+            assert len(ticks.take(WAIT_S)) == 0 and ticks.ended
+    left = memory.FOLDER / name
+    assert left.exists()
+    other = make_memory(16, 4)
+    assert not left.exists() and (memory.FOLDER / living.name).exists()
+    for each in (living, other):
+        remove(each)
+        assert not (memory.FOLDER / each.name).exists()
+
+
+def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
+    """No such name, a path, another layout, a file that is empty."""
+    monkeypatch.setattr(memory, "FOLDER", tmp_path)
+    with pytest.raises(ConfigError, match="ask it for one"):
+        Local("../etc/passwd")
+    with pytest.raises(ConfigError, match="does the daemon still run"):
+        Local("softfinger-none")
+    (tmp_path / "softfinger-empty").touch()
+    with pytest.raises(ConfigError, match="cannot be read"):
+        Local("softfinger-empty")
+    (tmp_path / "softfinger-other").write_bytes(bytes(8192))
+    with pytest.raises(ConfigError, match="layout 1"):
+        Local("softfinger-other")
+
+
+def test_without_shared_memory_the_daemon_runs_all_the_same(tmp_path, monkeypatch, caplog):
+    """As in a container that has none: it says so, and the readers in the process have theirs."""
+    monkeypatch.setattr(memory, "FOLDER", tmp_path / "none")
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        assert publisher.ring()["name"] == ""
+        publisher.publish(synthetic(10))
+        out = np.empty((16, RECORD_SIZE))
+        assert publisher.tap.take(out) == 10
+    assert "local readers" in caplog.text

@@ -1,0 +1,166 @@
+"""Metrics: counted as by hand, named as Prometheus wants, on the dashboard as they are at the endpoint."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.telemetry_records import put, synthetic
+from prometheus_client.core import HistogramMetricFamily
+from prometheus_client.parser import text_string_to_metric_families
+
+from softfinger.config.errors import AddressInUse
+from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.record import AT, MODE_NAMES
+from softfinger.server.app import Daemon
+from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.metrics.counts import FORCE_N, LATENESS_S, ROWS, STATUSES, Counts, Histogram, Wire
+from softfinger.server.metrics.service import DASHBOARD
+
+pytestmark = pytest.mark.real_time
+
+UNITS = ("seconds", "newtons", "info", "total")
+COUNTED = re.compile(r"softfinger_[a-z_]+")
+
+
+def samples(families) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+    return {
+        (sample.name, tuple(sorted(sample.labels.items()))): sample.value
+        for family in families
+        for sample in family.samples
+    }
+
+
+def test_a_histogram_counts_as_prometheus_does() -> None:
+    """Each bucket holds what is not above its end, the last one everything; a value on an end is below it."""
+    values = np.random.default_rng(3).choice([0.0, 0.5, 1.0, 1.5, 2.0, 7.0], 1000)
+    histogram = Histogram([0.5, 1.0, 2.0])
+    for part in np.array_split(values, 7):
+        histogram.add(part)
+    family = HistogramMetricFamily("h", "h")
+    histogram.put_into(family)
+    found = samples([family])
+    for end in (0.5, 1.0, 2.0):
+        assert found["h_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(values <= end)
+    assert found["h_bucket", (("le", "+Inf"),)] == found["h_count", ()] == len(values)
+    assert found["h_sum", ()] == values.sum()  # multiples of a half add up exactly
+
+
+@pytest.mark.parametrize("batch", [1, 300, 5000])
+def test_figures_are_those_of_the_records(batch: int) -> None:
+    """Two fingers, batches of any size: ticks, modes, forces, the guard, devices, lateness."""
+    count, random = 2 * ROWS + 77, np.random.default_rng(5)
+    fingers = [synthetic(count, seed=seed) for seed in (1, 2)]
+    for rows in fingers:
+        put(rows, "contact.mode", random.integers(0, 3, count))
+        put(rows, "servo.guard", random.integers(0, 1 << len(GUARD_NAMES), count))
+        put(rows, "servo.device", random.choice([0, *STATUSES], count))
+        put(rows, "dt", 0.125)
+    late = random.exponential(1e-4, count)
+    put(fingers[0], "servo.late", late)
+    put(fingers[0], "servo.missed", np.arange(count))
+    counts = Counts(["thumb", "index"], lambda: Wire(3, 4, 5))
+    together = np.concatenate(fingers, axis=1)
+    for start in range(0, count, batch):
+        counts.take(together[start : start + batch], 9)
+    found = samples(counts.collect())
+    assert found["softfinger_ticks_total", ()] == count
+    assert found["softfinger_deadlines_missed_total", ()] == count - 1
+    assert found["softfinger_records_dropped_total", ()] == 9
+    assert [found[f"softfinger_{name}", ()] for name in
+            ("subscribers", "messages_lost_total", "connections_refused_total")] == [3, 4, 5]  # fmt: skip
+    for end in LATENESS_S:
+        assert found["softfinger_lateness_seconds_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(late <= end)
+    for name, rows in zip(("thumb", "index"), fingers, strict=True):
+        label, norm = ("finger", name), np.linalg.norm(rows[:, AT.force : AT.force + 3], axis=1)
+        for end in FORCE_N:
+            key = (label, ("le", f"{end:g}"))
+            assert found["softfinger_force_newtons_bucket", key] == np.count_nonzero(norm <= end)
+        for number, mode in enumerate(MODE_NAMES):
+            spent = 0.125 * np.count_nonzero(rows[:, AT.contact_mode] == number)
+            assert found["softfinger_mode_seconds_total", (label, ("mode", mode))] == spent
+        for bit, cause in enumerate(GUARD_NAMES):
+            ticks = np.count_nonzero(rows[:, AT.servo_guard].astype(int) >> bit & 1)
+            assert found["softfinger_guarded_ticks_total", (("cause", cause), label)] == ticks
+        for status, text in STATUSES.items():
+            ticks = np.count_nonzero(rows[:, AT.servo_device] == status)
+            assert found["softfinger_device_errors_total", (label, ("status", text))] == ticks
+
+
+def scraped(daemon: Daemon) -> dict:
+    with urllib.request.urlopen(f"{daemon.metrics_endpoint}/metrics", timeout=60.0) as answer:
+        return samples(text_string_to_metric_families(answer.read().decode()))
+
+
+@pytest.fixture
+def daemon() -> Iterator[Daemon]:
+    rig = load_rig(
+        "replay",
+        {"telemetry.endpoint": "tcp://127.0.0.1:*", "metrics.endpoint": "127.0.0.1:0", "servo.realtime": "off"},
+    )
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        daemon.start()
+        yield daemon
+
+
+def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
+    """Ticks grow from one scrape to the next, through Prometheus' own parser; a client that says nothing holds up
+    neither the next one for long, nor the servo."""
+    host, port = daemon.metrics_endpoint.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port))):
+        until, found = time.monotonic() + 60.0, scraped(daemon)
+        first = found["softfinger_ticks_total", ()]
+        while scraped(daemon)["softfinger_ticks_total", ()] <= first:
+            assert time.monotonic() < until
+    found = scraped(daemon)
+    assert found["softfinger_execution_seconds_count", ()] == found["softfinger_ticks_total", ()]
+    modes = sum(value for (name, _), value in found.items() if name == "softfinger_mode_seconds_total")
+    # Ticks of a recording are a period each; rounding of sums of thousands.
+    assert modes == pytest.approx(1e-3 * found["softfinger_ticks_total", ()], rel=1e-9)
+    rig = load_rig(
+        "replay",
+        {"telemetry.endpoint": "tcp://127.0.0.1:*", "metrics.endpoint": f"{host}:{port}", "servo.realtime": "off"},
+    )
+    with pytest.raises(AddressInUse, match=r"\[metrics\] endpoint"):
+        Daemon(rig, load_scene("paper-plane"))
+
+
+def test_the_dashboard_shows_what_there_is(daemon: Daemon) -> None:
+    """Every name in its queries is one of the endpoint's, and every one of those is on it; it is served as it is."""
+    with urllib.request.urlopen(f"{daemon.metrics_endpoint}/dashboard.json", timeout=60.0) as answer:
+        board = json.load(answer)
+    assert board == json.loads(DASHBOARD.read_text())
+    queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
+    asked = {name for query in queries for name in COUNTED.findall(query)}
+    there = {name for name, _ in scraped(daemon)}
+    assert asked <= there
+    assert {re.sub("_(bucket|sum|count)$", "", name) for name in there} == {
+        re.sub("_(bucket|sum|count)$", "", name) for name in asked
+    }
+
+
+def test_names_are_prometheus_own_way() -> None:
+    """A unit or `_total` at the end, but for what is neither measured nor counted up."""
+    for family in Counts([""], lambda: Wire(0, 0, 0)).collect():
+        for sample in family.samples:
+            name = re.sub("_(bucket|sum|count)$", "", sample.name)
+            assert name.endswith(UNITS) or name == "softfinger_subscribers", name
+
+
+def test_the_page_lists_every_name() -> None:
+    """The table of docs/operate/metrics.md has the names and labels that are scraped."""
+    page = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text("utf-8")
+    rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
+    found: dict[str, set[str]] = {}
+    for family in Counts([""], lambda: Wire(0, 0, 0)).collect():
+        for sample in family.samples:
+            name = re.sub("_(bucket|sum|count)$", "", sample.name)
+            found.setdefault(name, set()).update(sample.labels.keys() - {"le"})
+    assert rows == found

@@ -1,0 +1,339 @@
+"""`monitor` against a real publisher: in a terminal, through pipes, and with nothing to show."""
+
+import argparse
+import fcntl
+import json
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+
+import numpy as np
+import pytest
+from helpers.telemetry_records import put, synthetic
+from rich.console import Console
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.record import CAUSE_NAMES
+from softfinger.server.verbs import monitor
+from softfinger.server.wire.client import NoTelemetry, subscribe
+from softfinger.server.wire.protocol import TOPICS
+from softfinger.server.wire.publisher import Publisher
+
+pytestmark = pytest.mark.real_time
+
+PROGRAM = """
+import argparse, sys
+from softfinger.config.errors import HapticError
+from softfinger.server.verbs import monitor
+parser = argparse.ArgumentParser("monitor")
+monitor.configure(parser)
+try:
+    sys.exit(monitor.run(parser.parse_args()))
+except HapticError as error:
+    print(error, file=sys.stderr)
+    sys.exit(error.exit_code)
+"""
+
+
+@pytest.fixture
+def endpoint():
+    """A server that renders sliding at 1 kHz: 20 ticks every 20 ms, and a slip event each."""
+    stop = threading.Event()
+
+    def publish(publisher):
+        first = 0
+        while not stop.wait(0.02):
+            records = synthetic(20, first_tick=first, start_s=time.time() - first / 1000.0)
+            put(records, "contact.mode", 2)
+            put(records, "contact.object", 3)
+            put(records, "contact.normal_force", 1.25)
+            put(records, "contact.tangential_force", 0.625)
+            put(records, "contact.penetration", 0.0015)
+            put(records, "contact.spin", np.pi / 4)
+            put(records, "force", [0.5, -0.25, 1.25])
+            put(records, "torque", [0.0, 0.0, 0.002])
+            put(records, "servo.late", 12e-6)
+            put(records, "servo.exec", 1e-6)
+            put(records, "servo.missed", 7)
+            put(records[:1], "contact.cause", CAUSE_NAMES.index("drag"))
+            publisher.publish(records, drops=4)
+            first += 20
+
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        thread = threading.Thread(target=publish, args=(publisher,))
+        thread.start()
+        yield publisher.endpoint
+        stop.set()
+        thread.join()
+
+
+def command(*arguments):
+    return [sys.executable, "-W", "error", "-c", PROGRAM, *arguments]
+
+
+def piped(*arguments):
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_once_writes_one_line_with_everything(endpoint):
+    """Through a pipe, --once waits for a health message and writes a single plain line."""
+    done = piped("--endpoint", endpoint, "--once")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("\n") == 1
+    for part in (
+        "sliding object 3",
+        "normal 1.250 N tangential 0.625 N",
+        "depth 1.500 mm",
+        "late p99 12.0 us",
+        "exec p99 1.0 us",
+        "missed 7 drops 4",
+        "lost 0",
+        "contact slip",
+    ):
+        assert part in done.stdout
+    assert "\x1b" not in done.stdout
+
+
+def test_json_writes_one_object_a_second(endpoint):
+    """--json --duration gives JSON objects, one a line, that hold the newest messages whole."""
+    done = piped("--endpoint", endpoint, "--json", "--duration", "2.5")
+    assert done.returncode == 0, done.stderr
+    objects = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(objects) >= 2
+    last = objects[-1]
+    assert last["mode"] == "sliding"
+    assert last["endpoint"] == endpoint
+    assert last["contact"]["force"] == [0.5, -0.25, 1.25]
+    assert last["health"]["missed"] == 7
+    assert last["lost"] == 0
+    assert last["events"][-1]["name"] == "slip"
+    assert objects[0]["contact"]["tick"] < last["contact"]["tick"]
+
+
+def test_json_once_is_one_object(endpoint):
+    """--json --once is a single JSON document for scripts."""
+    done = piped("--endpoint", endpoint, "--json", "--once")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["contact"]["contact"]["mode"] == 2
+
+
+def test_not_a_number_becomes_null():
+    """A nan in a message does not make the JSON unreadable."""
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        subprocess.Popen(
+            command("--endpoint", publisher.endpoint, "--json", "--once"), stdout=subprocess.PIPE, text=True
+        ) as process,
+    ):
+        records = synthetic(1)
+        put(records, "force", [np.nan, 0.0, np.inf])
+        while process.poll() is None:
+            publisher.publish(records)
+            time.sleep(0.02)
+        assert json.loads(process.stdout.read())["contact"]["force"] == [None, 0.0, None]
+
+
+def test_reader_that_has_enough_ends_it_quietly(endpoint):
+    """A closed pipe (head) ends the monitor with code 0 and no traceback."""
+    with subprocess.Popen(
+        command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert "sliding" in process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait(30) == 0
+
+
+def test_interrupt_ends_it_quietly(endpoint):
+    """SIGINT is the usual way out: code 0, no traceback."""
+    with subprocess.Popen(
+        command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert "sliding" in process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.stderr.read() == ""
+        assert process.wait(30) == 0
+
+
+def test_nothing_arriving_is_said_with_endpoint_and_exit_code(tmp_path):
+    """Without a server the monitor fails after --timeout and says where it listened and what to start."""
+    nowhere = f"ipc://{tmp_path}/nobody"
+    done = piped("--endpoint", nowhere, "--timeout", "0.2")
+    assert done.returncode == NoTelemetry.exit_code
+    assert done.stdout == ""
+    assert done.stderr.strip() == (
+        f"no telemetry from {nowhere} within 0.2 s: is the server running (softfinger run), "
+        "and is this its [telemetry] endpoint?"
+    )
+
+
+def test_stream_that_stops_is_said_and_waited_for():
+    """After the server falls silent the lines say for how long, and the last tick stays."""
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        subprocess.Popen(
+            command("--endpoint", publisher.endpoint, "--timeout", "30"), stdout=subprocess.PIPE, text=True
+        ) as process,
+    ):
+        stop = threading.Event()
+
+        def publish():
+            while not stop.wait(0.02):
+                publisher.publish(synthetic(1, first_tick=41))
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        first = process.stdout.readline()
+        stop.set()
+        thread.join()
+        assert "no data" not in first
+        while "no data" not in (line := process.stdout.readline()):
+            assert "tick 41 free object -1" in line
+        assert re.search(r"no data for [1-9]\.\d s; tick 41 free", line)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+
+
+def in_terminal(arguments, rows=40, columns=100):
+    """Run on a pseudo-terminal; returns the exit code and all that was written to it."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+    environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
+    with subprocess.Popen(
+        command(*arguments), stdin=theirs, stdout=theirs, stderr=theirs, env=environment | {"TERM": "xterm-256color"}
+    ) as process:
+        os.close(theirs)
+        written = b""
+        while True:
+            try:
+                chunk = os.read(ours, 65536)
+            except OSError:  # Linux: the other side is closed
+                break
+            if not chunk:
+                break
+            written += chunk
+        process.wait(30)
+    os.close(ours)
+    return process.returncode, written.decode()
+
+
+def test_terminal_shows_the_dashboard(endpoint):
+    """On a terminal: mode in colour, bars, vectors, percentiles and events, redrawn in place."""
+    code, written = in_terminal(["--endpoint", endpoint, "--duration", "2.6"])
+    assert code == 0, written
+    assert re.search(r"\x1b\[1;31msliding", written)
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)
+    screen = plain[plain.rindex("softfinger  tcp") :]
+    for words in (
+        r"mode +sliding",
+        r"object +number 3 of the scene",
+        r"normal +█{32} +1\.250 N",
+        r"tangential +█{16}·{16} +0\.625 N",
+        r"force +0\.500 +-0\.250 +1\.250  N",
+        r"torque +0\.000 +0\.000 +2\.000  N mm",
+        r"penetration +1\.500  mm",
+        r"spin +45\.00  deg",
+        r"late +p50 +12\.00 +p99 +12\.00 +max +12\.00  us",
+        r"exec +p50 +1\.00 +p99 +1\.00 +max +1\.00  us",
+        r"missed 7 +drops 4",
+        r"lost here +0",
+        r"contact slip cause=drag from=1 to=2",
+    ):
+        assert re.search(words, screen), f"{words}\n{screen}"
+    assert "\x1b[1A" in written
+    assert all(len(line) <= 100 for line in screen.splitlines())
+
+
+def test_terminal_too_small_does_not_break(endpoint):
+    """A window of 10 x 30 characters shows what fits."""
+    code, written = in_terminal(["--endpoint", endpoint, "--duration", "0.8"], rows=10, columns=30)
+    assert code == 0, written
+    assert "Traceback" not in written
+
+
+def test_wire_cannot_steer_the_terminal():
+    """Escape sequences in an event are shown as text."""
+    board = monitor.Board("tcp://[::1]:5555")
+    sample = monitor.Sample("event", {"schema": 1, "timestamp": 0.0, "tick": 1, "kind": "\x1b[2J", "name": "x"})
+    board.take(sample)
+    assert "\x1b" not in monitor.line(board)
+    assert r"\x1b[2J" in monitor.line(board)
+
+
+def board_with(*records, health=True):
+    """A board that has taken the messages of some ticks, as the wire brings them."""
+    with Publisher("tcp://127.0.0.1:*") as publisher, subscribe(publisher.endpoint, TOPICS) as samples:
+        while samples.receive(0.02) is None:  # a subscription takes effect a while after connect
+            publisher.event("test", "joined")
+        for some in records:
+            publisher.publish(some)
+        board = monitor.Board("tcp://127.0.0.1:5555")
+        while (sample := samples.receive(0.3)) is not None:
+            board.take(sample)
+    return board
+
+
+def drawn(board, width=80, height=24):
+    """The lines of the dashboard, as a terminal of this size shows them."""
+    console = Console(width=width, height=height, force_terminal=True, color_system=None, legacy_windows=False)
+    with console.capture() as capture:
+        console.print(monitor.render(board, width, height))
+    return capture.get().splitlines()
+
+
+def pressed(count=1500):
+    records = synthetic(count)
+    put(records, "contact.mode", 2)
+    put(records, "contact.object", 0)
+    put(records, "contact.normal_force", 1.25)
+    put(records, "contact.tangential_force", 0.5)
+    put(records, "force", [0.5, -1e-9, -1.46e-31])
+    for tick in range(0, count, 100):
+        put(records[tick : tick + 1], "contact.cause", CAUSE_NAMES.index("drag"))
+    return records
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (120, 30), (200, 60)])
+def test_what_is_shown_fits_and_is_whole(width, height):
+    """At any usual size: the newest event is there to its last key, nothing is cut off, no rounding error is shown."""
+    lines = drawn(board_with(pressed()), width, height)
+    text = "\n".join(lines)
+    assert len(lines) < height and all(len(line) <= width for line in lines)
+    assert "e-31" not in text and "-0.000" not in text and "…" not in text
+    events = " ".join(text[text.index("events") :].replace("│", " ").split())
+    assert re.search(
+        r"1400 contact slip cause=drag from=1 to=2 object=0 force=\[0\.5, -?\S+, 0\] .* point=\[.*\]", events
+    )
+    assert "number 0 of the scene" in text
+
+
+def test_bars_fall_when_the_server_has_gone():
+    """After the server's last word, and after silence, no bar shows a force; with new ticks they do again."""
+    board = board_with(pressed())
+    assert any("█" in line for line in drawn(board))
+    stopped = {"schema": 1, "timestamp": 0.0, "tick": 1500, "kind": "lifecycle", "name": "stopped", "ticks": 1500}
+    board.take(monitor.Sample("event", stopped))
+    lines = drawn(board)
+    assert "the server has stopped" in lines[0] and not any("█" in line for line in lines)
+    assert "the server has stopped;" in monitor.line(board)
+    board.take(board.contact)
+    assert any("█" in line for line in drawn(board))
+    board._arrived_s -= 2.0
+    lines = drawn(board)
+    assert "no data for 2.0 s" in lines[0] and not any("█" in line for line in lines)
+
+
+@pytest.mark.parametrize(("option", "value"), [("duration", "0"), ("duration", "nan"), ("timeout", "-1")])
+def test_times_that_are_none_are_refused(option, value):
+    """A duration or time-out that is not above zero is a ConfigError with the option's name."""
+    parser = argparse.ArgumentParser()
+    monitor.configure(parser)
+    with pytest.raises(ConfigError, match=f"--{option} = "):
+        monitor.run(parser.parse_args([f"--{option}", value]))

@@ -1,0 +1,252 @@
+"""docs/protocol.md against the code and against messages as they arrive."""
+
+import re
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import msgpack
+import pytest
+import zmq
+from helpers.telemetry_records import join, put, synthetic
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.system.discovery import Attached
+from softfinger.proxy.record import CAUSE_NAMES
+from softfinger.server.app import Daemon
+from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.services.commands import EVENT_BYTES_MAX
+from softfinger.server.services.hotplug import described
+from softfinger.server.wire import commands, router
+from softfinger.server.wire.fanout import FRAMES_PER_S, HANDSHAKE_S, LOG_PERIOD_S
+from softfinger.server.wire.native import memory
+from softfinger.server.wire.native.backlog import PEERS_MAX
+from softfinger.server.wire.native.sender import BELL_MS, HANDED_ON
+from softfinger.server.wire.protocol import (
+    CONTACT_KEYS,
+    EVENT_EXTRA_KEYS,
+    EVENT_KEYS,
+    HEALTH_KEYS,
+    SCHEMA,
+    SCHEMA_KEYS,
+    SCHEMA_TOPIC,
+    STATE_HZ,
+    STATE_KEYS,
+    TOPICS,
+    wire_schema,
+)
+from softfinger.server.wire.publisher import BACKLOG, LINGER_S, Publisher
+from softfinger.server.wire.router import BURST, BURST_S
+from softfinger.server.wire.zmtp import FRAME_MAX, REQUEST_MAX, TOPICS_MAX
+
+DOC = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+HEADER = ["key", "type", "unit", "frame", "meaning"]
+CODE_TABLES = {
+    "contact": CONTACT_KEYS,
+    "event": EVENT_KEYS,
+    "health": HEALTH_KEYS,
+    "state": STATE_KEYS,
+    "schema": SCHEMA_KEYS,
+    **{f"event {kind}": keys for kind, keys in EVENT_EXTRA_KEYS.items()},
+}
+
+
+def cells(line):
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def doc_tables():
+    """Rows of each table of the page, by the heading it stands under: `contact`, `event`, `event guard`, ..."""
+    tables, topic, title = {}, "", ""
+    for line in DOC.splitlines():
+        if heading := re.match(r"## `(\w+)`", line):
+            topic = title = heading[1]
+        elif line.startswith("## "):
+            title = ""
+        elif heading := re.match(r"### Kinds? `(\w+)`", line):
+            title = f"{topic} {heading[1]}"
+        elif line.startswith("|") and title:
+            tables.setdefault(title, []).append(cells(line))
+    return tables
+
+
+def test_tables_have_the_agreed_columns():
+    """Each table has the header key, type, unit, frame, meaning, so that the other tests read what they think."""
+    tables = doc_tables()
+    assert set(tables) == set(CODE_TABLES)
+    for rows in tables.values():
+        assert rows[0] == HEADER
+        assert all(len(row) == len(HEADER) for row in rows)
+
+
+@pytest.mark.parametrize("title", CODE_TABLES)
+def test_table_is_the_codes_table(title):
+    """Keys, types, units, frames and meanings of the page are those of the code, in its order."""
+    documented = ["| " + " | ".join(row) + " |" for row in doc_tables()[title][2:]]
+    expected = [f"| `{k.name}` | {k.type} | {k.unit} | {k.frame} | {k.meaning} |" for k in CODE_TABLES[title]]
+    assert documented == expected, "the table should read:\n" + "\n".join(expected)
+
+
+def flatten(message, maps=(), prefix=""):
+    """Values by dotted key; those of `maps` hold what a client gave, and stay whole."""
+    flat = {}
+    for key, value in message.items():
+        if isinstance(value, dict) and f"{prefix}{key}" not in maps:
+            flat |= flatten(value, maps, f"{prefix}{key}.")
+        elif value and isinstance(value, list) and isinstance(value[0], dict):
+            flat |= flatten(value[0], maps, f"{prefix}{key}[].")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def type_name(value):
+    if isinstance(value, list):
+        (kind,) = {type(item).__name__ for item in value}
+        return f"{kind}[{len(value) if kind != 'str' else ''}]"
+    if isinstance(value, dict):
+        return "map"
+    return type(value).__name__
+
+
+def real_messages():
+    """At least one message of each table, as a plain subscriber receives it, with the table's name."""
+    records = synthetic(1500)
+    put(records[10:], "contact.mode", 1)
+    put(records[10:11], "contact.cause", CAUSE_NAMES.index("touch"))
+    put(records[20:], "servo.guard", 1)
+    put(records[30:], "servo.missed", 2)
+    found = []
+    context = zmq.Context.instance()
+    with Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES) as publisher, context.socket(zmq.SUB) as socket:
+        socket.rcvhwm = 10_000
+        for topic in TOPICS[:-1]:
+            socket.subscribe(topic)
+        socket.connect(publisher.endpoint)
+        join(publisher, socket)
+        socket.subscribe(SCHEMA_TOPIC)
+        publisher.publish(records)
+        puck = Attached("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
+        publisher.event("device", "attached", **described(puck))
+        publisher.event("command", "arm", command_id="a1", what={"armed": True})
+        publisher.event("mark", "mark", command_id="a2", label="x", data={"a": {"b": 1}})
+        publisher.event("lifecycle", "stopped")
+        while not {"schema", "event lifecycle"} <= {title for title, _ in found}:
+            assert socket.poll(5000)
+            topic, body = socket.recv_multipart()
+            message = msgpack.unpackb(body)
+            found.append((f"event {message['kind']}" if topic == b"event" else topic.decode(), message))
+    return found
+
+
+def test_real_messages_have_the_documented_keys_and_types():
+    """Every message has exactly the keys of its tables, each with a value of the type written there."""
+    tables = {title: {row[0].strip("`"): row[1] for row in rows[2:]} for title, rows in doc_tables().items()}
+    seen = set()
+    for title, message in real_messages():
+        documented = tables["event"] | tables.get(title, {}) if title.startswith("event") else tables[title]
+        maps = [key for key, kind in documented.items() if kind == "map"]
+        assert {key: type_name(value) for key, value in flatten(message, maps).items()} == documented
+        seen.add(title)
+    assert seen >= set(CODE_TABLES) - {"event"}
+
+
+def test_lists_and_numbers_in_the_text_are_the_codes():
+    """Schema, backlog, bounds of peers, causes and guard bits are those of the code."""
+    assert f"`schema` is {SCHEMA}." in DOC
+    assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{HANDED_ON} ticks behind" in DOC
+    assert f"some {BELL_MS} ms of their tick" in DOC
+    assert f"newest {HANDED_ON} rows are there" in DOC and f"| 1 | layout, {memory.LAYOUT}: another" in DOC
+    assert f"newest {BACKLOG} messages are kept" in DOC
+    assert f"a frame of {FRAME_MAX} bytes, {TOPICS_MAX} subscriptions, {FRAMES_PER_S} frames a second" in DOC
+    assert f"{HANDSHAKE_S:g} s for the handshake" in DOC and f"There are {PEERS_MAX} connections" in DOC
+    assert f"ends within {LINGER_S:g} s" in DOC and f"once in {LOG_PERIOD_S:g} s" in DOC
+    causes = ", ".join(f"{value} `{name}`" for value, name in enumerate(CAUSE_NAMES))
+    assert f"`contact.cause`: {causes}." in DOC
+    bits = ", ".join(f"{1 << bit} `{name}`" for bit, name in enumerate(GUARD_NAMES))
+    assert f"lowest first: {bits}." in DOC
+
+
+def part(heading):
+    """Rows of the first table below a heading of the third level, without its head."""
+    lines = DOC.split(f"### {heading}\n", 1)[1].split("\n#", 1)[0].splitlines()
+    return [cells(line) for line in lines if line.startswith("|")][2:]
+
+
+def test_methods_and_errors_are_the_codes():
+    """The tables of methods and errors, and the bounds in the text, are those of the code."""
+    assert part("Methods") == [[f"`{name}`", *words] for name, words in commands.table().items()]
+    assert part("Errors") == [[f"`{name}`", meaning] for name, meaning in commands.ERRORS.items()]
+    assert f"{REQUEST_MAX} bytes, {commands.NODES_MAX} values and a depth of {commands.DEPTH_MAX}" in DOC
+    assert f"may ask {BURST} times in {BURST_S:g} s" in DOC and f"There are {router.PEERS_MAX} connections" in DOC
+    assert f"A frame of more than {REQUEST_MAX} bytes" in DOC and f"more than\n{EVENT_BYTES_MAX} bytes" in DOC
+
+
+def test_schema_of_the_commands_has_every_method():
+    """As data: each method with the keys that its parameters may have."""
+    listed = commands.schema()["methods"]
+    assert list(listed) == list(commands.METHODS)
+    drive = listed["drive"]["params"]["$defs"]["Drive"]
+    assert set(drive["properties"]) == {"object", "position_m", "orientation_wxyz"}
+    assert drive["required"] == ["object", "position_m"] and drive["additionalProperties"] is False
+
+
+def test_command_program_on_the_page_runs():
+    """The program that commands, with the endpoint put in, changes a parameter of a real daemon."""
+    (program,) = [each for each in re.findall(r"```python\n(.*?)```", DOC, re.DOTALL) if "set_params" in each]
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        daemon.start()
+        assert "tcp://127.0.0.1:5556" in program
+        code = program.replace("tcp://127.0.0.1:5556", daemon.commands_endpoint)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+        assert daemon.rendering.scene.object[0].material.stiffness_n_per_m == 800.0, done.stderr
+    assert "'success': True" in done.stdout
+
+
+def test_wire_schema_holds_every_table():
+    """The schema that the program prints lists the same messages and keys."""
+    schema = wire_schema()
+    assert schema["schema"] == SCHEMA
+    listed = {name.replace(" of kind", ""): [key["name"] for key in keys] for name, keys in schema["messages"].items()}
+    assert listed == {title: [key.name for key in keys] for title, keys in CODE_TABLES.items()}
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_program_on_the_page_runs(index):
+    """Both client programs, with the endpoint put in, receive ticks from a real publisher and end."""
+    program = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)[index]
+    assert "tcp://127.0.0.1:5555" in program
+    stop = threading.Event()
+
+    def publish(publisher):
+        # Until the program has what it wants: when it connects is up to the machine.
+        first = 0
+        while not stop.wait(0.01):
+            publisher.publish(synthetic(50, first_tick=first))
+            first += 50
+
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        thread = threading.Thread(target=publish, args=(publisher,))
+        thread.start()
+        try:
+            done = subprocess.run(
+                [sys.executable, "-W", "error", "-c", program.replace("tcp://127.0.0.1:5555", publisher.endpoint)],
+                capture_output=True,
+                text=True,
+                timeout=60,
+                check=False,
+            )
+        finally:
+            stop.set()
+            thread.join()
+    assert done.returncode == 0, done.stderr
+    ticks = [int(line.split()[0]) for line in done.stdout.splitlines()]
+    assert len(ticks) > 0
+    assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
+
+
+def test_no_topic_begins_another():
+    """ZeroMQ filters by prefix, so a topic that begins another would bring both."""
+    assert not [(a, b) for a in TOPICS for b in TOPICS if a != b and b.startswith(a)]

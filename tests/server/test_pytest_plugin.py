@@ -1,0 +1,66 @@
+"""The fixtures for tests of other projects: in a pytest of its own, as it finds them installed."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.real_time
+
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "pytest"
+LIGHT = """
+import sys
+before = set(sys.modules)
+import softfinger.server.pytest_plugin
+heavy = {"numpy", "numba", "zmq", "msgspec", "msgpack", "google", "mcap"} & (set(sys.modules) - before)
+sys.exit(f"imported: {heavy}" if heavy else 0)
+"""
+
+DIES = """
+def test_dies(softfinger_daemon):
+    softfinger_daemon(recording="no-such-recording")
+
+def test_is_killed(softfinger_daemon):
+    daemon = softfinger_daemon(scene="frictionless-plane", recording="tap")
+    daemon.process.kill()
+    daemon.process.wait()
+
+def test_asserts(softfinger_daemon):
+    daemon = softfinger_daemon(scene="frictionless-plane", recording="tap")
+    assert daemon.control.get_state().sequence < 0
+"""
+
+
+def pytest_in(folder: Path) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rA", str(folder)]
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+
+
+def test_it_costs_others_nothing() -> None:
+    """Loaded, as by every pytest beside the package, it has imported neither a compiler nor numpy."""
+    done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_example_project_passes(tmp_path: Path) -> None:
+    """All of its tests, in a folder of their own with nothing of this project's configuration."""
+    project = tmp_path / "project"
+    shutil.copytree(EXAMPLE, project, ignore=shutil.ignore_patterns("__pycache__"))
+    done = pytest_in(project)
+    assert done.returncode == 0, done.stdout
+    assert "3 passed" in done.stdout
+
+
+def test_a_daemon_that_fails_fails_the_test_and_says_why(tmp_path: Path) -> None:
+    """One that never gets ready, one that dies meanwhile, and one of a test that fails: its log is in the report."""
+    (tmp_path / "test_bad.py").write_text(DIES)
+    done = pytest_in(tmp_path)
+    assert done.returncode == 1
+    assert "ended with exit code 3" in done.stdout and "'no-such-recording' is neither a file" in done.stdout
+    assert "ERROR test_bad.py::test_is_killed - Failed: the daemon ended with exit code -9" in done.stdout
+    assert "FAILED test_bad.py::test_asserts" in done.stdout
+    assert "softfinger's log" in done.stdout and "INFO scene frictionless-plane" in done.stdout

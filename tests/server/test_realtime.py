@@ -1,0 +1,325 @@
+"""Real-time settings, asked of the real kernel in processes of their own, with and without privilege."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED, apply, refused_elsewhere
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(sys.platform != "linux", reason="Linux calls")]
+
+# Runs in a child: lowers what argv[1] says, then makes the settings in a thread and tells what the kernel shows.
+CHILD = """
+import ctypes, json, mmap, os, resource, sys, threading
+from softfinger.config.errors import RealtimeError
+from softfinger.server.loop import realtime
+
+wish = json.loads(sys.argv[1])
+for name, value in wish["limits"].items():
+    resource.setrlimit(getattr(resource, name), (value, value))
+libc = ctypes.CDLL(None)
+if wish["drop"] and wish["root"]:
+    os.setgroups([])
+    os.setgid(65534)
+    libc.prctl(8, 1, 0, 0, 0)  # PR_SET_KEEPCAPS: permitted, though no longer effective
+    os.setuid(65534)
+    kept = sum(1 << bit for bit in wish["keep"])
+    header = (ctypes.c_uint32 * 2)(0x20080522, 0)  # _LINUX_CAPABILITY_VERSION_3, this thread
+    libc.capset(header, (ctypes.c_uint32 * 6)(kept, kept, 0, 0, 0, 0))
+    libc.prctl(4, 1, 0, 0, 0)  # PR_SET_DUMPABLE, lost with the user: without it /proc/self/fd is closed to us
+told = {"latency_device": os.access(realtime.LATENCY_DEVICE, os.W_OK)}
+
+def status(key):
+    lines = open("/proc/thread-self/status").read().splitlines()
+    return int(next(line for line in lines if line.startswith(key + ":")).split()[1])
+
+def faults():
+    return resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+
+def look():
+    links = [os.path.join("/proc/self/fd", fd) for fd in os.listdir("/proc/self/fd")]
+    held = sum(os.path.lexists(link) and os.readlink(link) == realtime.LATENCY_DEVICE for link in links)
+    return {
+        "policy": os.sched_getscheduler(0), "priority": os.sched_getparam(0).sched_priority,
+        "slack": libc.prctl(30, 0, 0, 0, 0), "cpus": sorted(os.sched_getaffinity(0)), "locked": status("VmLck"),
+        "held": held,
+    }
+
+def touch(area):
+    before = faults()
+    for at in range(0, len(area), 4096):
+        area[at] = 1
+    return faults() - before
+
+def nested():
+    inner = []
+    for _ in range(800):
+        inner = [inner]
+    return inner
+
+def servo():
+    early, large = mmap.mmap(-1, 2 << 20), mmap.mmap(-1, 64 << 20)
+    one, other = nested(), nested()
+    told["before"] = look()
+    try:
+        applied = realtime.apply(wish["mode"], wish["priority"], wish["cpu"])
+    except RealtimeError as error:
+        told["error"] = str(error)
+        told["after"] = look()
+        return
+    told["settings"] = [s._asdict() for s in applied.settings]
+    told["during"] = look()
+    if told["during"]["held"]:
+        with open(realtime.LATENCY_DEVICE, "rb") as device:
+            told["latency_us"] = int.from_bytes(device.read(4), sys.byteorder, signed=True)
+    before = faults()
+    assert one == other  # goes down the stack, and nowhere else
+    told["stack_faults"] = faults() - before
+    told["early_faults"] = touch(early)
+    told["large_faults"] = touch(memoryview(large)[: 1 << 20])
+    resident = status("VmRSS")
+    late = mmap.mmap(-1, 64 << 20)
+    told["late_locked"] = status("VmLck") - told["during"]["locked"]
+    told["late_resident"] = status("VmRSS") - resident
+    told["late_faults"] = touch(memoryview(late)[: 1 << 20])
+    applied.undo()
+    applied.undo()
+    told["after"] = look()
+
+failed = []
+threading.excepthook = failed.append
+thread = threading.Thread(target=servo)
+thread.start()
+thread.join()
+if failed:
+    raise failed[0].exc_value
+told["main_policy"] = os.sched_getscheduler(0)
+print(json.dumps(told))
+"""
+
+UNPRIVILEGED = {"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 65536}
+
+
+def child(
+    mode: str = "auto",
+    priority: int = 80,
+    cpu: int | None = None,
+    drop: bool = False,
+    keep: tuple[int, ...] = (),
+    limits: dict[str, int] | None = None,
+) -> dict[str, Any]:
+    """What the settings did in a fresh process.
+
+    `limits` are lowered first; then `drop` gives up root, except for the capabilities in `keep`.
+    """
+    wish = {"mode": mode, "priority": priority, "cpu": cpu, "limits": limits or {}}
+    wish |= {"drop": drop, "root": capable(SETUID), "keep": keep}
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, json.dumps(wish)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    told: dict[str, Any] = json.loads(done.stdout)
+    told["by_name"] = {s["name"]: s for s in told.get("settings", [])}
+    return told
+
+
+def capable(*bits: int) -> bool:
+    """Whether this process has the capabilities of these numbers."""
+    if sys.platform != "linux":
+        return False
+    with open("/proc/self/status", encoding="ascii") as file:
+        line = next(line for line in file if line.startswith("CapEff:"))
+    return all(int(line.split()[1], 16) >> bit & 1 for bit in bits)
+
+
+SETUID, IPC_LOCK, SYS_NICE, SYS_RESOURCE = 7, 14, 23, 24
+privileged = pytest.mark.skipif(
+    not capable(SETUID, IPC_LOCK, SYS_NICE), reason="needs root with SETUID, SYS_NICE and IPC_LOCK"
+)
+raises_limits = pytest.mark.skipif(
+    not capable(SETUID, SYS_RESOURCE), reason="needs root with SYS_RESOURCE and SETUID, to give a user higher limits"
+)
+
+
+def test_off_touches_nothing() -> None:
+    """Mode off reports one line and leaves scheduler, slack, memory, processor and files as they were."""
+    told = child("off", cpu=0)
+    assert [s["name"] for s in told["settings"]] == ["off"]
+    assert told["by_name"]["off"]["ok"]
+    assert told["during"] == told["before"]
+
+
+@privileged
+def test_everything_is_granted_to_root() -> None:
+    """Root gets every setting, in the calling thread alone, and the kernel shows each of them."""
+    cpu = max(os.sched_getaffinity(0))
+    told = child(priority=71, cpu=cpu)
+    refused = {s["name"] for s in told["settings"] if not s["ok"]}
+    assert refused == (set() if told["latency_device"] else {"cpu_dma_latency"})
+    assert [s["name"] for s in told["settings"]] == [
+        "timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity",
+    ]  # fmt: skip
+    during = told["during"]
+    assert (during["policy"], during["priority"], during["cpus"]) == (os.SCHED_FIFO, 71, [cpu])
+    # The kernel keeps no slack for SCHED_FIFO threads (0), older ones keep what was asked (1).
+    assert during["slack"] in (0, 1)
+    assert during["locked"] > 10_000
+    assert during["held"] == (0 if refused else 1)
+    assert told.get("latency_us", 0) == 0
+    assert told["main_policy"] == os.SCHED_OTHER
+
+
+@privileged
+@pytest.mark.parametrize("drop", [False, True])
+def test_undo_gives_everything_back(drop: bool) -> None:
+    """After undo, called twice, the thread and the process are as before."""
+    told = child(cpu=max(os.sched_getaffinity(0)), drop=drop, keep=(SYS_NICE, IPC_LOCK))
+    assert told["by_name"]["sched_fifo"]["ok"]
+    assert told["during"] != told["before"]
+    assert told["after"] == told["before"]
+
+
+@privileged
+def test_what_a_tick_may_touch_is_brought_in_and_the_rest_locked_on_touch() -> None:
+    """Small areas mapped before and the thread's own stack are there at their first use; a large one, and one that is
+    mapped later, is locked, but not brought in whole."""
+    told, free = child(), child("off")
+    # 2 MB are 512 pages; huge pages may make that few, hence the comparison with the same child unlocked.
+    assert told["early_faults"] == 0 < free["early_faults"]
+    assert told["stack_faults"] == 0 < free["stack_faults"]
+    assert told["during"]["locked"] > 64 * 1024
+    assert told["large_faults"] > 0
+    assert told["late_locked"] == 64 * 1024
+    # A few pages of the interpreter's own may come in meanwhile.
+    assert told["late_resident"] < 4 * 1024
+    assert told["late_faults"] > 0
+
+
+COMPILER = """
+import llvmlite.binding as llvm
+from softfinger.server.loop import realtime
+
+def code():
+    with open("/proc/self/smaps", encoding="ascii") as file:
+        for line in file:
+            if "r-xp" in line and "libllvmlite" in line:
+                return next(int(each.split()[1]) for each in file if each.startswith("Rss:"))
+
+llvm.parse_assembly("define i32 @f() { ret i32 7 }")
+before = code()
+realtime.apply("auto", 80, None)
+after = code()
+llvm.parse_assembly("define i32 @f() { ret i32 7 }").verify()
+print(after < before / 4, code() > after)
+"""
+
+
+@privileged
+def test_the_compiler_is_not_kept_in_memory() -> None:
+    """Its code is let go of when memory is locked, and is there again when it is called."""
+    done = subprocess.run([sys.executable, "-c", COMPILER], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout == "True True\n", done.stderr
+
+
+@raises_limits
+def test_under_a_finite_limit_later_pages_are_not_locked() -> None:
+    """Without privilege and under a limit that suffices now, what comes later is left alone: it could not be mapped."""
+    told = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 30})
+    assert told["by_name"]["mlockall"]["ok"]
+    assert "later is not" in told["by_name"]["mlockall"]["detail"]
+    assert told["early_faults"] == 0
+    assert told["late_locked"] == 0
+
+
+@raises_limits
+def test_limits_grant_without_root() -> None:
+    """An ordinary user with rtprio 50 gets priority 50, and is told the limit when asking for 80."""
+    limits = {"RLIMIT_RTPRIO": 50, "RLIMIT_MEMLOCK": -1}
+    granted = child(priority=50, drop=True, limits=limits)
+    assert granted["by_name"]["sched_fifo"]["ok"]
+    assert (granted["during"]["policy"], granted["during"]["priority"]) == (os.SCHED_FIFO, 50)
+    assert granted["late_locked"] == 64 * 1024
+    refused = child(priority=80, drop=True, limits=limits)["by_name"]["sched_fifo"]
+    assert not refused["ok"]
+    assert "priority is 50" in refused["advice"]
+
+
+def test_refusals_tell_why_and_what_to_do() -> None:
+    """Without privilege each refusal carries the system's reason and the ways to lift it; the rest is set."""
+    told = child(drop=True, limits=UNPRIVILEGED)
+    by_name = told["by_name"]
+    fifo, memory = by_name["sched_fifo"], by_name["mlockall"]
+    assert (fifo["ok"], memory["ok"]) == (False, False)
+    assert "priority 80" in fifo["detail"]
+    assert "EPERM" in fifo["detail"]
+    for part in ("rtprio", "LimitRTPRIO", "--cap-add=SYS_NICE"):
+        assert part in fifo["advice"]
+    assert "ENOMEM" in memory["detail"]
+    assert "limit 64 kB" in memory["detail"]
+    for part in ("memlock unlimited", "ulimit -l", "LimitMEMLOCK", "--cap-add=IPC_LOCK"):
+        assert part in memory["advice"]
+    latency = by_name["cpu_dma_latency"]
+    assert latency["ok"] == told["latency_device"]
+    if not latency["ok"]:
+        assert LATENCY_DEVICE in latency["detail"]
+        assert "udev rule" in latency["advice"]
+    assert by_name["timer_slack"]["ok"]
+    assert (told["during"]["policy"], told["during"]["slack"], told["during"]["locked"]) == (os.SCHED_OTHER, 1, 0)
+    assert told["after"] == told["before"]
+
+
+def test_no_lock_at_all_is_told_apart() -> None:
+    """A limit of zero is refused as not permitted, not as too large."""
+    memory = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 0})["by_name"]["mlockall"]
+    assert not memory["ok"]
+    assert "EPERM" in memory["detail"]
+
+
+def test_require_refuses_to_start_and_leaves_nothing_behind() -> None:
+    """Mode require raises one error with everything refused, and gives back what had been granted."""
+    told = child("require", cpu=1023, drop=True, limits=UNPRIVILEGED)
+    for name in REQUIRED:
+        assert f"\n  {name}: " in told["error"]
+    assert "--realtime auto" in told["error"]
+    if not told["latency_device"]:
+        assert "cpu_dma_latency (not required)" in told["error"]
+    assert told["after"] == told["before"]
+
+
+@privileged
+def test_require_is_content_with_what_is_required() -> None:
+    """Mode require starts without the latency device, which an ordinary user may not open."""
+    told = child("require", drop=True, keep=(SYS_NICE, IPC_LOCK))
+    assert "error" not in told
+    assert [s["name"] for s in told["settings"] if s["ok"] and s["name"] in REQUIRED] == ["sched_fifo", "mlockall"]
+    assert told["by_name"]["cpu_dma_latency"]["ok"] == told["latency_device"]
+
+
+def test_processor_that_is_not_there() -> None:
+    """A processor this machine does not have is refused with the ones it has."""
+    setting = child(cpu=1023)["by_name"]["affinity"]
+    assert not setting["ok"]
+    assert "1023" in setting["detail"]
+    assert str(min(os.sched_getaffinity(0))) in setting["advice"]
+
+
+def test_other_systems_are_refused_by_name() -> None:
+    """On a system without these calls every setting is refused with that reason."""
+    settings = refused_elsewhere("darwin", cpu=0)
+    assert [s.name for s in settings] == ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity"]
+    assert not any(s.ok for s in settings)
+    assert all("darwin" in s.detail and s.advice for s in settings)
+    assert "affinity" not in [s.name for s in refused_elsewhere("darwin", cpu=None)]
+
+
+def test_off_in_this_process() -> None:
+    """Mode off needs no system call at all, so it works in any process."""
+    applied = apply("off", 80, 0)
+    applied.undo()
+    assert [s.ok for s in applied.settings] == [True]

@@ -1,0 +1,235 @@
+"""`record --poses`: what a daemon sensed, written from the wire, is what `replay` plays."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, stub, stub_library
+from helpers.telemetry_records import join, put, synthetic
+from test_forcedimension_loop import PRESSING, fd_rig
+
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.replay.device import Options, Replay
+from softfinger.proxy.record import AT
+from softfinger.server import cli
+from softfinger.server.app import Daemon
+from softfinger.server.offline.results import read_results
+from softfinger.server.verbs.record import Kept, record
+from softfinger.server.wire.client import NoTelemetry, record_of, subscribe
+from softfinger.server.wire.protocol import ProtocolError
+from softfinger.server.wire.publisher import Publisher
+
+pytestmark = pytest.mark.real_time
+
+__all__ = ["stub", "stub_library"]  # fixtures
+
+RATE_HZ = 1000.0
+
+
+def follow(daemon: Daemon, path: Path) -> Kept:
+    """Run a daemon to its end, and record it as another program does."""
+    done: list[Kept] = []
+
+    def take() -> None:
+        with subscribe(daemon.publisher.endpoint, ("contact", "event")) as wire:
+            done.append(record(wire, {"": path}, timeout_s=60.0)[""])
+
+    thread = threading.Thread(target=take)
+    thread.start()
+    daemon.start()
+    daemon.wait(60.0)
+    daemon.close()
+    thread.join(30.0)
+    return done[0]
+
+
+def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[Kept, np.ndarray]:
+    """Run the daemon on a shipped recording, record it, and give back what the device played."""
+    changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": rate_hz}
+    changes |= {"device.recording": "tap", "device.loop": False}
+    with Daemon(load_rig("replay", changes), load_scene("paper-plane")) as daemon:
+        return follow(daemon, path), daemon.devices[0].samples
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 700.0])
+def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) -> None:
+    """What the daemon played comes back from its recording to the bit, tick by tick, also where 1/rate is not exact."""
+    file = tmp_path / "again.csv"
+    kept, played = recorded_daemon(file, rate_hz)
+    assert kept.ended == "the server stopped"
+    assert kept.lost == 0
+    assert kept.poses > len(played) - 500, "the recorder was too late for most of it"
+    again = Replay(Options(recording=str(file), loop=False), rate_hz).samples
+    assert len(again) == kept.poses
+    # the last sample is read once more when the recording has come to its end
+    expected = played[np.minimum(np.arange(kept.first_tick, kept.last_tick + 1), len(played) - 1)]
+    assert again.tobytes() == expected.tobytes()
+
+
+def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
+    """An MCAP recording keeps whole ticks; replayed, its poses are those of the ticks within the clock's rounding."""
+    file = tmp_path / "again.mcap"
+    kept, played = recorded_daemon(file)
+    records = read_results(file)
+    assert len(records) == kept.poses
+    np.testing.assert_array_equal(records[:, AT.tick], np.arange(kept.first_tick, kept.last_tick + 1))
+    position = AT.probe_position
+    ticks = np.minimum(np.arange(kept.first_tick, kept.last_tick + 1), len(played) - 1)
+    assert records[:, position : position + 3].tobytes() == played[ticks, :3].tobytes()
+    assert len(load_poses(file).t) == kept.poses
+
+
+@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
+def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path) -> None:
+    """A hand on an omega.6 is recorded twice at once, as poses and as whole ticks; each pose that was sensed comes back
+    from a replay of the poses in the tick that it belongs to, to the bit."""
+    stub.update(**PRESSING)
+    file = tmp_path / "hand.csv"
+    with (
+        Daemon(fd_rig(stub), load_scene("paper-plane"), 1500) as daemon,
+        subscribe(daemon.publisher.endpoint, ("contact",)) as wire,
+    ):
+        kept = follow(daemon, file)
+        sensed = np.array([record_of(sample) for sample in iter(lambda: wire.receive(0.5), None)])
+    assert kept.lost == 0 and kept.poses > 1000
+    sensed = sensed[(sensed[:, AT.tick] >= kept.first_tick) & (sensed[:, AT.tick] <= kept.last_tick)]
+    again = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
+    # A deadline that the loop missed is in the time step of the next pose.
+    periods = np.rint(sensed[:, AT.dt] * RATE_HZ).astype(int)
+    at = np.cumsum(periods) - periods[0] + len(again) - 1 - (np.sum(periods) - periods[0])
+    pose = slice(AT.probe_position, AT.probe_position + 7)
+    assert len(sensed) > 1000 and np.ptp(sensed[:, AT.probe_position]) > 0.005
+    assert again[at].tobytes() == np.ascontiguousarray(sensed[:, pose]).tobytes()
+
+
+def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[Kept, Path]:
+    """Record what a publisher sends, followed by the event that the server stopped."""
+    file = tmp_path / "poses.csv"
+    with (
+        Publisher("tcp://127.0.0.1:*", every=every) as publisher,
+        subscribe(publisher.endpoint, ("contact", "event")) as wire,
+    ):
+        join(publisher, wire._socket)
+        publisher.publish(records)
+        publisher.event("lifecycle", "stopped")
+        return record(wire, {"": file}, **options)[""], file
+
+
+def moving(count: int) -> np.ndarray:
+    """Records at 1 kHz whose first coordinate says which tick they are."""
+    records = synthetic(count)
+    put(records, "dt", 0.001)
+    put(records, "probe.orientation", (1.0, 0.0, 0.0, 0.0))
+    records[:, AT.probe_position] = np.arange(count) * 1e-3
+    return records
+
+
+def test_gaps_are_told_and_keep_their_time(tmp_path: Path) -> None:
+    """Ticks that did not arrive are counted, the longest gap is named, and the rows behind it are not moved up."""
+    kept, file = published(tmp_path, np.delete(moving(400), [50, 51, 52, 300], axis=0))
+    assert (kept.poses, kept.lost, kept.gap_count, kept.worst) == (396, 4, 2, (49, 3))
+    assert "4 ticks in 2 gaps did not arrive, the longest 3 after tick 49" in kept.gaps()
+    poses = load_poses(file)
+    np.testing.assert_allclose(poses.t, poses.position[:, 0], rtol=0, atol=1e-15)  # whole milliseconds, both
+
+
+def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
+    """A tick whose step is three periods long, after missed deadlines, comes three periods after the one before."""
+    records = moving(250)
+    put(records[100:101], "dt", 0.003)
+    put(records[0:1], "dt", 0.002)  # late when the recording begins: not the period
+    _, file = published(tmp_path, records)
+    t = load_poses(file).t
+    steps = np.diff(t)
+    assert steps[99] == pytest.approx(0.003, abs=1e-12)  # rounding of differences of times below 1 s
+    np.testing.assert_allclose(np.delete(steps, 99), 0.001, atol=1e-12)
+
+
+def test_one_tick_in_five_is_no_gap(tmp_path: Path) -> None:
+    """Thinned telemetry makes a thinner recording of the same time, and nothing is called lost."""
+    kept, file = published(tmp_path, moving(501), every=5)
+    assert (kept.poses, kept.lost, kept.every) == (101, 0, 5)
+    np.testing.assert_allclose(load_poses(file).t, np.arange(101) * 0.005, atol=1e-12)
+
+
+def test_duration_ends_the_recording(tmp_path: Path) -> None:
+    """So many seconds of ticks are written, whatever the publisher goes on to send."""
+    kept, file = published(tmp_path, moving(400), duration_s=0.3)
+    assert kept.ended == "0.3 s are over"
+    assert len(load_poses(file).t) == 300
+
+
+def test_a_server_that_starts_again_ends_the_recording(tmp_path: Path) -> None:
+    """Ticks that go back belong to another run: the file ends before them."""
+    kept, file = published(tmp_path, np.vstack([moving(100), moving(50)]))
+    assert kept.ended == "the server started again"
+    assert len(load_poses(file).t) == 100
+
+
+def test_what_is_no_pose_is_left_out(tmp_path: Path) -> None:
+    """A device that senses nan for a tick leaves a hole, told, in a file that replay can play."""
+    records = moving(100)
+    put(records[30:31], "probe.position", np.nan)
+    kept, file = published(tmp_path, records)
+    assert (kept.poses, kept.unusable) == (99, 1)
+    assert "1 left out" in str(kept)
+    assert len(load_poses(file).t) == 99
+
+
+def test_bad_files_and_silence_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A foreign ending, a folder that is not there and a server that is not there each give their error."""
+    with pytest.raises(ConfigError, match=r"poses\.txt: poses are recorded as \.csv or \.mcap"):
+        cli_record(tmp_path / "poses.txt")
+    with pytest.raises(RecordingError, match=r"no/poses\.csv: cannot be written: No such file"):
+        cli_record(tmp_path / "no" / "poses.csv")
+    with subscribe("tcp://127.0.0.1:9") as wire, pytest.raises(NoTelemetry, match="softfinger run"):
+        record(wire, {"": tmp_path / "poses.csv"}, timeout_s=0.2)
+    assert not (tmp_path / "poses.csv").exists(), "no empty file is left behind"
+
+
+def cli_record(path: Path) -> None:
+    with Publisher("tcp://127.0.0.1:*") as publisher, subscribe(publisher.endpoint, ("contact", "event")) as wire:
+        join(publisher, wire._socket)
+        publisher.publish(moving(10))
+        record(wire, {"": path})
+
+
+def test_the_verb_says_what_it_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The command line records a publisher for a while and says ticks, time and losses in one line."""
+    file = tmp_path / "poses.csv"
+    stop = threading.Event()
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+
+        def send() -> None:
+            records = moving(20_000)
+            for first in range(0, 20_000, 100):
+                publisher.publish(records[first : first + 100])
+                if stop.wait(0.01):
+                    return
+
+        thread = threading.Thread(target=send)
+        thread.start()
+        with caplog.at_level(logging.INFO):
+            words = ["record", "--poses", str(file), "--endpoint", publisher.endpoint, "--duration", "0.5"]
+            assert cli.main(words) == 0
+        stop.set()
+        thread.join()
+    assert "500 poses of ticks " in caplog.text
+    assert "no tick lost; 0.5 s are over" in caplog.text
+    assert len(load_poses(file).t) == 500
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.001, 1e300, np.inf, np.nan])
+def test_a_stream_without_a_period_is_refused(dt: float, tmp_path: Path) -> None:
+    """A time step that no loop has ends the recording with one error that shows it, and not with a traceback."""
+    records = synthetic(300)
+    put(records, "dt", dt)
+    with pytest.raises(ProtocolError, match=r"tick \d+ says that it took dt = "):
+        published(tmp_path, records)

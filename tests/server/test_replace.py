@@ -1,0 +1,314 @@
+"""Another scene or rig in a running daemon: from zero force, without an end of the process."""
+
+from __future__ import annotations
+
+import gc
+import math
+import os
+import threading
+import time
+import weakref
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from helpers.faulty_device import FaultyDevice, Options
+
+from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound, SafetyStop
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers import registry
+from softfinger.proxy.record import AT
+from softfinger.server.app import Daemon
+from softfinger.server.services import rendering
+from softfinger.server.services.records import Sink
+
+pytestmark = pytest.mark.real_time
+
+QUIET = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "guard.ramp_s": 0.05}
+FORCE = slice(AT.force, AT.force + 3)
+TIMES = 20
+SLEW = 200.0
+WAIT_S = 120.0
+"""A generous bound: a compile, on a machine that does much else."""
+
+
+class Kept:
+    """A sink that keeps tick, timestamp, misses and force of every record."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.ndarray] = []
+        self.sink = Sink("kept", self._take)
+
+    def _take(self, records: np.ndarray, drops: int) -> None:
+        columns = [AT.tick, AT.timestamp, AT.servo_missed, *range(FORCE.start, FORCE.stop)]
+        self.rows.append(records[:, columns])
+
+    @property
+    def all(self) -> np.ndarray:
+        return np.concatenate(self.rows)
+
+    def pressed(self) -> bool:
+        """Whether the last force seen is one that the hand feels."""
+        return bool(self.rows) and float(np.linalg.norm(self.rows[-1][-1, 3:])) > 0.2
+
+
+def eventually(what, seconds=WAIT_S):
+    until = time.monotonic() + seconds
+    while not (done := what()) and time.monotonic() < until:
+        time.sleep(0.001)
+    return done
+
+
+def scenes():
+    return load_scene("paper-plane"), load_scene("frictionless-plane")
+
+
+def left_open() -> tuple[int, int]:
+    return threading.active_count(), len(os.listdir("/proc/self/fd"))
+
+
+@pytest.mark.parametrize("rig_name", ["replay", "simulated"])
+def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
+    """Twenty times, the hand pressed each time: no force changes faster than the slew limit, the last of each loop is
+    zero, ticks and times go on, and nothing is left of the loops before."""
+    rig, kept, (first, second) = load_rig(rig_name, QUIET), Kept(), scenes()
+    begun, loops, open_before = [], [], None
+    with Daemon(rig, first, sinks=[kept.sink]) as running:
+        running.start()
+        for time_number in range(TIMES):
+            assert eventually(kept.pressed)
+            loops.append(weakref.ref(running.servo.shared.tuning.values))
+            begun.append(running.rendering.replace(first if time_number % 2 else second))
+            if time_number == 1:  # both are compiled
+                open_before = left_open()
+            assert eventually(lambda: running.servo.ticks > begun[-1] + 5)
+        assert left_open() == open_before
+        assert not running.wait(0.0)  # it goes on
+        assert len(running.servo._rings) == 1
+        gc.collect()
+        assert sum(loop() is not None for loop in loops) == 0
+        (device,) = running.devices
+        running.stop()
+        assert running.wait(60.0)
+        ticks = running.servo.ticks
+        written = device._log.written().wrench
+    rows = kept.all
+    assert rows[:, 0].tolist() == list(range(ticks))
+    assert (np.diff(rows[:, 1]) > 0.0).all() and (np.diff(rows[:, 2]) >= 0.0).all()
+    assert not rows[[number - 1 for number in begun], 3:].any()
+    largest = rig.guard.force_slew_n_per_s / rig.servo.rate_hz
+    for forces in (rows[:, 3:], written[:-2, :3]):  # but the last zeros, of a stop in contact
+        steps = np.linalg.norm(np.diff(forces, axis=0), axis=1)
+        assert steps.max() <= largest * (1.0 + 1e-9)  # rounding of the sum that makes a step
+        assert np.linalg.norm(forces, axis=1).max() > 0.2
+
+
+def test_subscribers_stay_and_are_told():
+    """One subscriber hears of the replacement, with the first tick of what is new, and gets every tick."""
+    rig, (first, second) = load_rig("replay", QUIET), scenes()
+    with Daemon(rig, first) as running, zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, 60_000
+        socket.subscribe("contact")
+        socket.subscribe("event")
+        socket.connect(running.publisher.endpoint)
+        assert eventually(lambda: running.publisher.fanout.subscribers == 1)
+        running.start()
+        assert eventually(lambda: running.servo.ticks > 50)
+        running.replace(second)
+        ticks, told = [], None
+        while told is None or ticks[-1] < told["first"] + 50:
+            topic, body = socket.recv_multipart()
+            message = msgpack.unpackb(body)
+            if topic == b"contact":
+                ticks.append(message["tick"])
+            elif message["name"] == "replaced":
+                told = message
+    assert ticks == list(range(len(ticks)))
+    assert (told["kind"], told["device"]) == ("lifecycle", running.devices[0].info.name)
+    assert 50 < told["first"] <= ticks[-1]
+
+
+def test_what_cannot_be_built_changes_nothing(monkeypatch):
+    """Options that no driver knows, another endpoint, a driver that is not there, a scene that cannot be made: each is
+    refused, and the old loop runs on with its force."""
+    rig, kept, (first, second) = load_rig("replay", QUIET), Kept(), scenes()
+    refused = [
+        (ConfigError, "forcse", {"rig": load_rig("replay", QUIET | {"device.forcse": "x.csv"})}),
+        (ConfigError, "another", {"rig": load_rig("replay", QUIET | {"telemetry.every": 10})}),
+        (ConfigError, "another", {"rig": load_rig("replay", QUIET | {"servo.priority": 70})}),
+        (DeviceNotFound, "no driver", {"rig": load_rig("replay", QUIET | {"device.driver": "nosuch"})}),
+    ]
+    with Daemon(rig, first, sinks=[kept.sink]) as running:
+        running.start()
+        shared, devices = running.servo.shared, running.devices
+        for error, words, given in refused:
+            with pytest.raises(error, match=words):
+                running.replace(second, **given)
+        monkeypatch.setattr(rendering, "make_tuning", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            running.replace(second)
+        assert running.servo.shared is shared and running.devices is devices
+        assert eventually(kept.pressed)
+        running.stop()
+        assert running.wait(60.0)
+
+
+class Driver:
+    """Opens devices that press for ever, and keeps them; `refuses` from one on."""
+
+    Options = Options
+
+    def __init__(self) -> None:
+        self.devices: list[FaultyDevice] = []
+        self.refuses = math.inf
+
+    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
+        if len(self.devices) >= self.refuses:
+            raise DeviceNotFound("faulty: not plugged in: plug it in")
+        self.devices.append(FaultyDevice(options))
+        return self.devices[-1]
+
+
+@pytest.fixture
+def driver(monkeypatch):
+    made, load = Driver(), registry.load
+    monkeypatch.setattr(registry, "load", lambda name: made if name == "faulty" else load(name))
+    return made
+
+
+def faulty_rig(**changes):
+    # A slew limit below the force of this device: a step to or from zero in one tick would be above it.
+    return load_rig("replay", QUIET | {"device.driver": "faulty", "guard.force_slew_n_per_s": SLEW} | changes)
+
+
+def acts(device: FaultyDevice) -> list[str]:
+    return [act for act, *_ in device.acts]
+
+
+def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):
+    """The old one is stopped by the servo's thread and closed; the new one is armed there before its first read; the
+    rate may change with it, and no tick is lost or counted twice."""
+    kept, (first, second) = Kept(), scenes()
+    with Daemon(faulty_rig(), first, sinks=[kept.sink]) as running:
+        running.start()
+        assert eventually(kept.pressed)
+        running.replace(second, faulty_rig(**{"servo.rate_hz": 4000.0}))
+        kept.rows.append(np.zeros((1, 6)))
+        kept.rows.pop()
+        assert eventually(
+            lambda: len(driver.devices) == 2 and np.abs(driver.devices[1].wrenches).max(initial=0.0) > 0.2
+        )
+        running.stop()
+        assert running.wait(60.0)
+    old, new = driver.devices
+    assert acts(old) == ["arm", "stop", "close", "stop"] and acts(new)[:2] == ["arm", "stop"]
+    assert new.acts[0][2] == 0
+    for device, rate in ((old, 1000.0), (new, 4000.0)):
+        force = np.linalg.norm(np.diff(device.wrenches[: -1 if device is old else -2, :3], axis=0), axis=1)
+        assert force.max() <= SLEW / rate * (1.0 + 1e-9)
+        assert not device.wrenches[-1].any()
+    assert kept.all[:, 0].tolist() == list(range(running.servo.ticks))
+
+
+def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
+    """The old one is closed by then: the error is that of opening, for who asked and for who waits."""
+    first, second = scenes()
+    with Daemon(faulty_rig(), first) as running:
+        running.start()
+        assert eventually(lambda: running.servo.ticks > 100)
+        driver.refuses = 1
+        with pytest.raises(DeviceNotFound, match="plug it in"):
+            running.replace(second, faulty_rig(**{"device.at": 7}))
+        with pytest.raises(DeviceNotFound, match="plug it in"):
+            running.wait(60.0)
+    assert "close" in acts(driver.devices[0]) and not driver.devices[0].wrenches[-1].any()
+
+
+def test_a_stop_meanwhile_arms_nothing_and_leaves_nothing_open(driver):
+    """Asked to stop while the next device is being opened: it is closed without a force, and nobody waits for ever."""
+    first, second = scenes()
+    with Daemon(faulty_rig(), first) as running:
+        running.start()
+        assert eventually(lambda: running.servo.ticks > 100)
+        opening = driver.open_device
+
+        def stopped_meanwhile(options, rate_hz):
+            running.stop()
+            return opening(options, rate_hz)
+
+        driver.open_device = stopped_meanwhile
+        running.replace(second, faulty_rig(**{"device.at": 7}))
+        assert running.wait(60.0)
+    assert "arm" not in acts(driver.devices[1]) and "close" in acts(driver.devices[1])
+    assert "close" in acts(driver.devices[0])
+
+
+def test_a_pause_meanwhile_ends_the_run(driver):
+    """Ctrl-Z while a loop is handed over finds nobody to take the force off: the servo is stopped, at zero."""
+    first, _ = scenes()
+    with Daemon(faulty_rig(), first) as running:
+        running.start()
+        assert eventually(lambda: running.servo.ticks > 100)
+        with running.rendering._handing_over:
+            running.pause()()
+        assert running.wait(60.0)
+    assert not driver.devices[0].wrenches[-1].any()
+
+
+def test_nothing_is_replaced_where_nothing_runs(driver):
+    """Before the start and after the end it is an error, not a wait."""
+    first, second = scenes()
+    with Daemon(faulty_rig(), first, 50) as running:
+        with pytest.raises(SafetyStop, match="does not run"):
+            running.replace(second)
+        running.start()
+        assert running.wait(60.0)
+        with pytest.raises(SafetyStop, match="does not run"):
+            running.replace(second)
+
+
+def test_the_number_of_ticks_counts_over_all_loops(driver):
+    """A run of so many ticks ends after them, however often its scene was exchanged."""
+    kept, (first, second) = Kept(), scenes()
+    rig = faulty_rig(**{"servo.rate_hz": 200.0})  # slow: a busy machine keeps up too
+    with Daemon(rig, first, 1_000, sinks=[kept.sink]) as running:
+        running.start()
+        assert eventually(lambda: running.servo.ticks > 20)
+        running.replace(second)
+        assert running.wait(120.0)
+        assert running.servo.ticks == 1_000
+    assert kept.all[-1, 0] == 999
+
+
+def test_two_pauses_are_one_pause(driver):
+    """A second Ctrl-Z before the first has stopped the process: no force until both are over, then it fades in anew."""
+    first, _ = scenes()
+    with Daemon(faulty_rig(), first) as running:
+        running.start()
+        device = driver.devices[0]
+        pressed = lambda: np.linalg.norm(device.wrenches[-1]) > 0.2  # noqa: E731
+        assert eventually(lambda: len(device.wrenches) and pressed())
+        outer = running.pause()
+        inner = running.pause()
+        inner()
+        before = running.servo.ticks
+        assert eventually(lambda: running.servo.ticks > before + 20)
+        assert not device.wrenches[-10:].any()
+        outer()
+        assert eventually(pressed)
+        running.stop()
+        assert running.wait(60.0)
+
+
+def test_a_device_that_refuses_to_be_armed_is_told_to_who_asked(driver):
+    """The next device is open, and refuses its force: the error is the device's, and both are closed."""
+    first, second = scenes()
+    with Daemon(faulty_rig(), first) as running:
+        running.start()
+        assert eventually(lambda: running.servo.ticks > 100)
+        with pytest.raises(DeviceError, match="force button"):
+            running.replace(second, faulty_rig(**{"device.refuses_to_arm": True}))
+        with pytest.raises(DeviceError, match="force button"):
+            running.wait(60.0)
+    assert all("close" in acts(device) for device in driver.devices) and len(driver.devices) == 2

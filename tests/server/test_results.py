@@ -1,0 +1,164 @@
+"""Results files: three formats that lose no bit, and a stream that survives being cut off."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softfinger.config.errors import RecordingError
+from softfinger.drivers.poses import decoded_messages
+from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
+from softfinger.server.offline.results import ENDINGS, McapResults, read_results, write_results
+
+
+def some_records(count: int, seed: int = 11) -> np.ndarray:
+    """Random bit patterns of every size of number; whole numbers where the table says so."""
+    rng = np.random.default_rng(seed)
+    records = rng.standard_normal((count, RECORD_SIZE)) * 10.0 ** rng.integers(-300, 300, (count, RECORD_SIZE))
+    for field in FIELDS:
+        if field.kind == "int":
+            records[:, field.at] = rng.integers(-1, 2**53, count)
+    records[:, AT.timestamp] = 1.7e9 + np.arange(count) / 1000.0
+    if count:
+        records[0, 3:9] = [-0.0, 5e-324, 1.7976931348623157e308, np.inf, -np.inf, np.nan]
+    return records
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("count", [1, 2500])
+def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
+    """What is read is what was written, bit for bit, and a second writing gives the same numbers."""
+    path = tmp_path / f"out{ending.upper()}"
+    records = some_records(count)
+    write_results(path, records)
+    assert read_results(path).tobytes() == records.tobytes()
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz"])
+def test_no_records_is_a_valid_file(tmp_path: Path, ending: str) -> None:
+    """A run of no ticks leaves a readable file."""
+    write_results(tmp_path / f"o{ending}", some_records(0))
+    assert read_results(tmp_path / f"o{ending}").shape == (0, RECORD_SIZE)
+
+
+def test_csv_header_names_every_component(tmp_path: Path) -> None:
+    """The first line is the record table's columns."""
+    write_results(tmp_path / "o.csv", some_records(2))
+    assert (tmp_path / "o.csv").read_text().splitlines()[0] == ",".join(columns())
+
+
+def test_npz_has_an_array_for_each_field(tmp_path: Path) -> None:
+    """Each field is an array under its telemetry name, beside the whole record."""
+    records = some_records(5)
+    write_results(tmp_path / "o.npz", records)
+    with np.load(tmp_path / "o.npz") as archive:
+        assert set(archive) == {"records", *(field.name for field in FIELDS)}
+        for field in FIELDS:
+            at = field.at
+            wanted = records[:, at : at + field.size] if field.size > 1 else records[:, at]
+            assert archive[field.name].tobytes() == np.ascontiguousarray(wanted).tobytes()
+
+
+def test_mcap_is_read_by_the_library_alone(tmp_path: Path) -> None:
+    """mcap's indexed reader and its protobuf decoder find topic, times, and the nested names of the table."""
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    records = some_records(1500)
+    write_results(tmp_path / "o.mcap", records)
+    with (tmp_path / "o.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        messages = list(reader.iter_decoded_messages())
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 1500
+    assert summary.statistics.chunk_count > 5  # 64 KiB each
+    for row in (0, 700, 1499):
+        _, channel, message, decoded = messages[row]
+        assert channel.topic == "contact"
+        assert channel.message_encoding == "protobuf"
+        assert message.log_time == round(records[row, 0] * 1e9)
+        for field in FIELDS:
+            value = decoded
+            for name in field.name.split("."):
+                value = getattr(value, name)
+            got = np.array(value, dtype=float).reshape(field.size)
+            np.testing.assert_array_equal(got, records[row, field.at : field.at + field.size])
+            assert field.kind == "float" or isinstance(value, int)
+
+
+def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A writer that never comes to its end leaves all but its last chunk readable."""
+    records = some_records(3000)
+    path = tmp_path / "live.mcap"
+    stream = McapResults(path)
+    for row in records:
+        stream.append(row)
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(path.read_bytes())
+    rows = read_results(copy)
+    assert 3000 - 300 < len(rows) < 3000  # 64 KiB are about 170 messages
+    assert rows.tobytes() == records[: len(rows)].tobytes()
+    assert "cut short" in caplog.text
+    stream.close()
+    stream.close()
+    assert sum(1 for _ in decoded_messages(path)) == 3000
+
+
+def test_unusable_requests_are_refused(tmp_path: Path) -> None:
+    """Unknown endings, wrong shapes, missing folders and broken counts are errors, and leave no file."""
+    records = some_records(3)
+    for name in ("o.txt", "o"):
+        with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):
+            write_results(tmp_path / name, records)
+        with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):
+            read_results(tmp_path / name)
+    with pytest.raises(RecordingError, match=r"\(3, 4\), must be"):
+        write_results(tmp_path / "o.csv", np.zeros((3, 4)))
+    for ending in ENDINGS:
+        with pytest.raises(RecordingError, match="cannot be written"):
+            write_results(tmp_path / "nowhere" / f"o{ending}", records)
+        with pytest.raises(RecordingError, match="cannot be read"):
+            read_results(tmp_path / f"missing{ending}")
+    records[1, AT.contact_mode] = np.nan
+    with pytest.raises(RecordingError, match=r"record 1: contact\.mode = nan"):
+        write_results(tmp_path / "o.mcap", records)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_other_files_are_refused(tmp_path: Path, ending: str) -> None:
+    """A file of something else is an error that names it."""
+    path = tmp_path / f"other{ending}"
+    path.write_bytes(b"timestamp,tick\n1,2\n")
+    with pytest.raises(RecordingError, match=path.name):
+        read_results(path)
+
+
+def test_full_disk_is_reported(tmp_path: Path) -> None:
+    """A device without room gives an error, not a silent loss, as soon as it is written to and again at the end."""
+    with pytest.raises(RecordingError, match="No space left"):
+        McapResults("/dev/full")
+    stream = McapResults(tmp_path / "o.mcap")
+    full = os.open("/dev/full", os.O_WRONLY)
+    os.dup2(full, stream._recording._file.fileno())
+    os.close(full)
+    with pytest.raises(RecordingError, match="No space left"):
+        stream.append(some_records(5000))
+    with pytest.raises(RecordingError, match="No space left"):
+        stream.close()
+    stream.close()
+
+
+def test_link_keeps_pointing_at_its_file(tmp_path: Path) -> None:
+    """Writing through a symbolic link replaces the file behind it, not the link."""
+    (tmp_path / "real.csv").write_text("old")
+    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
+    write_results(tmp_path / "link.csv", some_records(2))
+    assert (tmp_path / "link.csv").is_symlink()
+    assert len(read_results(tmp_path / "real.csv")) == 2

@@ -1,0 +1,306 @@
+"""The sender without Python: its bytes against an encoder in Python, late subscribers, and a held interpreter lock."""
+
+import dataclasses
+import subprocess
+import sys
+import threading
+import time
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from helpers.encoder import contact_map, state_map
+from helpers.hapticore_client import Client, HapticState
+from helpers.plotjuggler import complaints, prefix_complaints
+from helpers.telemetry_records import join, put, synthetic
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.record import PATCHES
+from softfinger.server.app import Daemon
+from softfinger.server.loop.shared.broadcast import make_broadcast, make_place, read_rows, write_row
+from softfinger.server.wire.native.templates import Shown
+from softfinger.server.wire.publisher import Publisher
+
+pytestmark = pytest.mark.real_time
+
+WAIT_MS = 10_000
+FINGERS = ("index", "thumb")
+
+
+@pytest.fixture
+def sockets():
+    """A maker of plain subscribers."""
+    with zmq.Context() as context:
+        made = []
+
+        def plain(endpoint, *topics):
+            socket = context.socket(zmq.SUB)
+            made.append(socket)
+            socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, WAIT_MS
+            for topic in topics:
+                socket.subscribe(topic)
+            socket.connect(endpoint)
+            return socket
+
+        yield plain
+        for socket in made:
+            socket.close()
+
+
+def until_event(socket, name):
+    """Frames of all messages up to the event of that name, which is left out."""
+    found = []
+    while True:
+        frames = socket.recv_multipart()
+        if frames[0] == b"event" and msgpack.unpackb(frames[1])["name"] == name:
+            return found
+        found.append(frames)
+
+
+def same(a, b):
+    """Equal in value and in type, at every depth; nan is nan."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, list):
+        return len(a) == len(b) and all(map(same, a, b))
+    return a == b or (a != a and b != b)
+
+
+def with_every_set_of_patches(records):
+    for i in range(PATCHES):
+        put(records, f"contacts{i}.object", np.where(np.arange(len(records)) >> i & 1, i + 3, -1))
+    return records
+
+
+def odd(records):
+    """Numbers that have tripped an encoder: no numbers, and the ends of what an integer and a float can be."""
+    put(records[1:2], "buttons", np.nan)
+    put(records[2:3], "buttons", -np.inf)
+    put(records[3:4], "buttons", 2.0**53)
+    put(records[4:5], "servo.missed", 2.0**31)
+    put(records[5:6], "contact.penetration", np.nan)
+    put(records[6:7], "force", [np.inf, -0.0, 5e-324])
+    put(records[7:8], "contacts1.object", np.nan)
+    return records
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_messages_equal_those_of_the_encoder(sockets, every):
+    """Of one finger and of two: every key, value and type, for every set of patches and for odd numbers."""
+    rows = odd(with_every_set_of_patches(synthetic(40, seed=4)))
+    other = with_every_set_of_patches(synthetic(40, seed=5))[:, :]
+    with (
+        Publisher("tcp://127.0.0.1:*", every) as single,
+        Publisher("tcp://127.0.0.1:*", every, fingers=FINGERS) as both,
+    ):
+        both.show(Shown("pinch", 1000.0, 1.69e9))
+        for publisher, records, epoch_s, scene in (
+            (single, {b"contact": rows}, 0.0, "unnamed"),
+            (both, {b"finger/index": rows, b"finger/thumb": other}, 1.69e9, "pinch"),
+        ):
+            socket = sockets(publisher.endpoint, *records, b"state", b"event")
+            join(publisher, socket)
+            publisher.publish(np.hstack(list(records.values())))
+            publisher.event("test", "end")
+            found = until_event(socket, "end")
+            for topic, of_finger in records.items():
+                got = [msgpack.unpackb(body) for name, body in found if name == topic]
+                assert same(got, [contact_map(record, every) for record in of_finger[::every]])
+            states = [msgpack.unpackb(body) for name, body in found if name == b"state"]
+            assert same(states, [state_map(record, scene, epoch_s) for record in rows[::5]])
+
+
+def test_state_keeps_its_rate_and_says_the_scenes_name(sockets):
+    """One tick in 40 at 8 kHz; another name, however long, from the message after it was given."""
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        socket = sockets(publisher.endpoint, b"state", b"event")
+        join(publisher, socket)
+        for name, first in (("a", 0), ("b" * 300, 400)):
+            publisher.show(Shown(name, 8000.0))
+            publisher.publish(synthetic(400, first_tick=first))
+            publisher.event("test", name)
+            states = [msgpack.unpackb(body) for topic, body in until_event(socket, name) if topic == b"state"]
+            assert [state["sequence"] for state in states] == list(range(first, first + 400, 40))
+            assert {state["active_field"] for state in states} == {name}
+
+
+def test_a_late_subscriber_gets_schema_and_last_state_at_once(sockets):
+    """Without another message being sent; and again for a topic that is asked for later, or anew. No event comes."""
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        records = synthetic(1103)
+        publisher.publish(records)
+        publisher.event("test", "before")
+        socket = sockets(publisher.endpoint, b"")
+        found = {topic: msgpack.unpackb(body) for topic, body in (socket.recv_multipart() for _ in range(4))}
+        assert found.keys() == {b"schema", b"contact", b"state", b"health"}
+        assert found[b"contact"] == contact_map(records[-1])
+        assert found[b"state"] == state_map(records[1100], "unnamed")
+        assert found[b"health"]["tick"] == 1000
+        assert found[b"schema"]["topics"] == ["contact", "state", "event", "health", "schema"]
+        assert {key["name"] for key in found[b"schema"]["messages"]["state"]} >= {"position", "field_state.mode"}
+
+        later = sockets(publisher.endpoint, b"schema")
+        assert later.recv_multipart()[0] == b"schema"
+        for _ in range(2):
+            later.subscribe(b"state")
+            assert later.recv_multipart()[0] == b"state"
+            later.unsubscribe(b"state")
+            later.subscribe(b"health")
+            assert later.recv_multipart()[0] == b"health"
+            later.unsubscribe(b"health")
+        publisher.event("test", "after")
+        assert [topic for topic, _ in until_event(socket, "after")] == []
+
+
+def test_what_is_no_longer_kept_is_not_sent_late(sockets):
+    """The newest health of long ago is not in the backlog any more; the newest tick is."""
+    with Publisher("tcp://127.0.0.1:*", backlog=100) as publisher:
+        publisher.publish(synthetic(1500))
+        socket = sockets(publisher.endpoint, b"health", b"contact")
+        topic, body = socket.recv_multipart()
+        assert (topic, msgpack.unpackb(body)["tick"]) == (b"contact", 1499)
+
+
+def test_plotjugglers_rules_hold_for_every_topic(sockets):
+    """Each message of each topic; and the checker finds what breaks each rule."""
+    with Publisher("tcp://127.0.0.1:*", fingers=FINGERS) as publisher:
+        socket = sockets(publisher.endpoint, b"")
+        join(publisher, socket)
+        records = [with_every_set_of_patches(synthetic(1200, seed=seed)) for seed in range(2)]
+        put(records[0][700:701], "contact.cause", 1)
+        publisher.show(Shown(epoch_s=1.69e9))
+        publisher.publish(np.hstack(records))
+        publisher.event("command", "set_params", command_id="1", what={"a": {"from": 1.0, "to": 2.0}})
+        publisher.event("test", "end")
+        found = until_event(socket, "end")
+    late = {b"schema", b"finger/index", b"finger/thumb", b"state", b"health", b"event"}
+    assert {frames[0] for frames in found} | {b"schema"} == late
+    assert [each for frames in found if (each := complaints(frames, ("state",)))] == []
+    assert prefix_complaints([topic.decode() for topic in late]) == []
+
+    good = {"timestamp": 1.7e9, "a": {"b": [1.0, True, "text"]}}
+    assert complaints([b"contact", msgpack.packb(good)]) == []
+    for wrong, says in (
+        ({"a": 1.0}, "no timestamp"),
+        (good | {"timestamp": 17}, "no timestamp"),
+        (good | {"timestamp": 17.0}, "another clock"),
+        (good | {3: 1.0}, "no text"),
+        (good | {"a/b[0]": 1.0}, "two values"),
+        (good | {"c": float("nan")}, "empty series"),
+        (good | {"c": None}, "NoneType"),
+        (good | {"c": b"1"}, "bytes"),
+    ):
+        (complaint,) = complaints([b"contact", msgpack.packb(wrong)])
+        assert says in complaint
+    assert "3 frames" in complaints([b"contact", b"", msgpack.packb(good)])[0]
+    assert prefix_complaints(["event", "events"]) == [("event", "events")]
+
+
+def test_hapticores_client_reads_state_and_commands(sockets):
+    """Into a record of exactly its keys, of the types it documents, on its clock, while its heartbeats are answered."""
+    before = time.monotonic()
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
+        socket = sockets(daemon.publisher.endpoint, b"state")
+        daemon.start()
+        client = Client(daemon.commands_endpoint)
+        states = []
+        for _ in range(300):
+            topic, body = socket.recv_multipart()
+            assert topic == b"state"
+            states.append(HapticState(**msgpack.unpackb(body, raw=False)))
+        asked = client.state()
+        refused = client.command("no_such_method")
+        client.close()
+    assert asked.sequence >= states[0].sequence and asked.active_field == "paper-plane"
+    assert not refused.success and refused.error and client.beats and all(beat.success for beat in client.beats)
+    times = [state.timestamp for state in states]
+    assert before < times[0] and times[-1] < time.monotonic()
+    assert {state.sequence % 5 for state in states} == {0}
+    assert (np.diff(times) > 0.0).all()
+    for state in states:
+        assert [type(value) for value in dataclasses.astuple(state)] == [float, int, list, list, list, str, dict]
+        for vector in (state.position, state.velocity, state.force):
+            assert [type(number) for number in vector] == [float] * 3
+
+
+HELD = """
+import ctypes, sys, time
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+with Daemon(rig, load_scene("paper-plane")) as daemon:
+    print(daemon.publisher.endpoint, flush=True)
+    daemon.start()
+    sys.stdin.readline()
+    begun = time.monotonic()
+    ctypes.PyDLL(None).usleep(900_000)  # with the interpreter lock
+    print(begun, time.monotonic(), flush=True)
+    sys.stdin.readline()
+"""
+
+
+def test_a_thread_that_keeps_the_interpreter_does_not_hold_up_ticks(sockets):
+    """While one thread of the daemon holds the interpreter lock for 0.9 s, ticks and states go on arriving."""
+    with subprocess.Popen(
+        [sys.executable, "-c", HELD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            socket = sockets(process.stdout.readline().strip(), b"contact", b"state")
+            socket.rcvtimeo = 120_000  # kernels may have to be compiled
+            while socket.recv_multipart()[0] != b"state":
+                pass
+            times, told = [], []
+            reader = threading.Thread(target=lambda: told.append(process.stdout.readline()))
+            reader.start()
+            process.stdin.write("\n")
+            process.stdin.flush()
+            while reader.is_alive():
+                if socket.poll(20):
+                    topic, _ = socket.recv_multipart()
+                    times.append((topic, time.monotonic()))
+        finally:
+            process.kill()
+    begun, ended = map(float, told[0].split())
+    held = [topic for topic, at in times if begun < at < ended]
+    # 900 and 180 were sent; a machine that stands still for a while delivers fewer within that time
+    assert held.count(b"contact") > 100 and held.count(b"state") > 20
+
+
+@entry
+def write_numbered(broadcast, row, count):
+    """Write rows whose every column is their number."""
+    for number in range(count):
+        for i in range(row.shape[1]):
+            row[0, i] = number
+        write_row(broadcast, row, 0)
+
+
+def test_readers_of_a_broadcast_see_no_torn_row_and_count_what_they_miss():
+    """Two million rows through 16 slots past two readers: each row read is whole and newer than the one before, and
+    with those counted as lost they are all."""
+    count = 2_000_000
+    broadcast = make_broadcast(16, 24)
+    places = [make_place(broadcast) for _ in range(2)]
+    write_numbered(broadcast, np.zeros((1, 24)), 0)  # compiled before it is raced
+    out = np.empty((8, 24))
+    for place in places:
+        assert read_rows(broadcast, place, out) == 0
+    writer = threading.Thread(target=write_numbered, args=(broadcast, np.zeros((1, 24)), count))
+    writer.start()
+    taken, last = [0, 0], [-1.0, -1.0]
+    while any(place.next[0] < count for place in places):
+        for i, place in enumerate(places):
+            n = read_rows(broadcast, place, out)
+            rows = out[:n]
+            assert (rows == rows[:, :1]).all()
+            assert (np.diff(rows[:, 0], prepend=last[i]) > 0.0).all()
+            last[i] = rows[-1, 0] if n else last[i]
+            taken[i] += n
+    writer.join()
+    assert [taken[i] + int(place.lost[0]) for i, place in enumerate(places)] == [count, count]
+    assert all(place.lost[0] > 0 for place in places)  # they were overtaken: the test was one

@@ -1,0 +1,493 @@
+"""The servo loop: what it may call, what it must not do, and how it ends."""
+
+import ctypes
+import os
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.compiled_code import called_in, functions
+from helpers.faulty_device import FaultyDevice, Options
+
+from softfinger.config.errors import DeviceError
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.base import HELD, LOST, WITHHELD
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.loop import servo as s
+from softfinger.server.loop.guard import POSE_REFUSED, RAMPING, SLEW_LIMITED
+from softfinger.server.loop.health import NO_POSE, SILENCE_MAX_S, STARVED
+from softfinger.server.loop.tuning import make_tuning
+
+pytestmark = pytest.mark.real_time
+
+FORCE = AT.force
+FULL_N = 1.2
+"""No less than the faulty device is given: 1 N pressed, and 0.6 times that of friction."""
+
+MAY_CALL = {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2"}
+"""Everything outside itself that the loop may name: clock, sleep, wake-up, and libm."""
+
+AUDIT = """
+import sys
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.registry import open_device
+from softfinger.server.loop.servo import Servo, servo_loop
+from softfinger.server.loop.tuning import make_tuning
+rig = load_rig("replay")
+with open_device(rig.device, 1000.0) as device:
+    servo = Servo([device], make_tuning(load_scene("paper-plane"), rig.guard), 1000.0)
+    cached = servo.compile()
+print("cached" if cached else "fresh", file=sys.stderr)
+if not cached:
+    print(*servo_loop.inspect_llvm().values())
+"""
+
+
+def run_python(code: str, cache: Path, **options: object) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def fresh_cache(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A cache directory filled by a fresh compile in a process of its own, and the IR of that compile."""
+    cache = tmp_path_factory.mktemp("kernels")
+    done = run_python(AUDIT, cache)
+    assert done.stderr.strip().endswith("fresh")
+    return cache, done.stdout
+
+
+def test_loop_calls_only_what_is_listed(fresh_cache):
+    """A fresh compile of the loop and all it calls names no allocator, no reference count, no interpreter."""
+    bodies = functions(fresh_cache[1])
+    assert any("servo_loop" in name for name in bodies)
+    called = {name for body in bodies.values() for name in called_in(body)}
+    outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
+    assert outside == MAY_CALL
+    # Beside the named ones only the device is called, through its two addresses: read, write, and the last zero.
+    through_pointers = {
+        name: len(re.findall(r"call [\w ]*%[\w.]+\(", body)) for name, body in bodies.items() if "call" in body
+    }
+    assert [count for count in through_pointers.values() if count] == [3]
+    assert through_pointers[next(name for name in bodies if "servo_loop" in name)] == 3
+
+
+def test_second_process_starts_from_the_cache(fresh_cache):
+    """What one process compiled, the next one loads."""
+    assert run_python(AUDIT, fresh_cache[0]).stderr.strip().endswith("cached")
+
+
+def test_allocating_kernel_does_not_compile():
+    """The options of every kernel leave the allocator out, so a kernel that allocates is refused by the compiler."""
+    import numba
+
+    from softfinger.proxy.kernels.native.jit import jit
+
+    @jit
+    def allocates(n):
+        return np.zeros(n)[0]
+
+    with pytest.raises(numba.TypingError):
+        allocates(3)
+
+
+def test_changed_source_means_another_cache(tmp_path):
+    """An edit in any source file, also one that kernels only inline, moves the cache to another directory."""
+    package = tmp_path / "softfinger"
+    source = Path(s.__file__).resolve().parents[2]
+    for folder in ("config", "drivers", "proxy", "server", "tools"):
+        shutil.copytree(source / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    code = "from softfinger.proxy.kernels.native.jit import CACHE_DIR; print(CACHE_DIR)"
+    site = os.pathsep.join([str(tmp_path), *[path for path in sys.path if path.endswith("site-packages")]])
+
+    def cache_dir() -> str:
+        environment = os.environ | {"PYTHONPATH": site}
+        command = [sys.executable, "-S", "-c", code]  # without site: the installed package must not come first
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+
+    before = cache_dir()
+    assert cache_dir() == before
+    kernel = package / "proxy" / "kernels" / "friction" / "torsion.py"
+    kernel.write_text(kernel.read_text() + "\nTWICE = 2.0\n")
+    assert cache_dir() != before
+
+
+def make_servo(
+    options: Options, ticks: int | None, prepare: Callable[[], Callable[[], None]] | None = None, rate: float = 1000.0
+) -> tuple[FaultyDevice, s.Servo]:
+    device = FaultyDevice(options)
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    servo = s.Servo([device], tuning, rate, ticks, prepare)
+    servo.compile()
+    return device, servo
+
+
+def finish(servo: s.Servo) -> tuple[s.Ended, np.ndarray]:
+    """Start, wait for the end, and take what the ring still holds."""
+    servo.start()
+    ended = servo.join(30.0)
+    assert ended is not None
+    out = np.empty((16384, RECORD_SIZE))
+    records = out[: servo.take(out)]
+    servo.close()
+    return ended, records
+
+
+@pytest.mark.parametrize(
+    ("fault", "ending", "status"),
+    [
+        ("none", s.FINISHED, 0),
+        ("lost", s.READ_FAILED, -1),
+        ("timeout", s.READ_FAILED, -2),
+        ("protocol", s.READ_FAILED, -3),
+        ("write_lost", s.WRITE_FAILED, -1),
+    ],
+)
+def test_every_end_of_the_loop_writes_zero(fault, ending, status):
+    """However the loop ends, force was on before and the last wrench the device got is zero."""
+    device, servo = make_servo(Options(fault=fault, at=300), 400)
+    ended, _ = finish(servo)
+    assert (ended.ending, ended.status, ended.error) == (ending, status, None)
+    wrenches = device.wrenches
+    assert np.abs(wrenches[-10:-2]).max() > 0.1
+    assert not wrenches[-1].any()
+
+
+def test_stop_word_ends_the_loop_with_zero():
+    """A stop from another thread ends the loop in order, with zero force."""
+    device, servo = make_servo(Options(), None)
+    servo.start()
+    while servo.ticks < 300:
+        servo.wait_record()
+    servo.stop()
+    ended = servo.join(30.0)
+    assert ended == s.Ended(s.STOPPED, 0)
+    assert np.abs(device.wrenches[-3]).max() > 0.1 and not device.wrenches[-1].any()
+    servo.close()
+
+
+def test_exception_in_the_servo_thread_zeroes_the_device():
+    """When the preparation of the thread fails, the device is stopped and the error is handed on."""
+
+    def prepare():
+        raise RuntimeError("refused")
+
+    device, servo = make_servo(Options(), 100, prepare)
+    ended, _ = finish(servo)
+    assert ended.ending == s.CRASHED and str(ended.error) == "refused"
+    assert len(device.wrenches) == 1 and not device.wrenches[-1].any()
+    assert [act for act, *_ in device.acts] == ["stop"]  # never armed
+
+
+def test_arming_is_the_last_act_before_the_first_tick():
+    """The device is armed once, by the servo's thread, after all that is slow, and nothing is compiled after it."""
+    at = []
+
+    def prepare():
+        at.append(("prepare", threading.get_native_id(), len(device.acts)))
+        return lambda: None
+
+    device, servo = make_servo(Options(), 50, prepare)
+    before = len(s.servo_loop.signatures)
+    finish(servo)
+    ((_, thread, acts),) = at
+    assert acts == 0
+    assert device.acts == [("arm", thread, 0), ("stop", thread, 50)]
+    assert len(s.servo_loop.signatures) == before
+
+
+def test_a_device_that_refuses_to_be_armed_ends_the_run_with_its_error():
+    """No tick is run, the device is stopped, and the error is the device's own."""
+    device, servo = make_servo(Options(refuses_to_arm=True), 100)
+    ended, records = finish(servo)
+    assert ended.ending == s.CRASHED and isinstance(ended.error, DeviceError) and "force button" in str(ended.error)
+    assert len(records) == 0 and [act for act, *_ in device.acts] == ["arm", "stop"]
+
+
+def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():
+    """A stop that came while kernels were compiled leaves the device as it was."""
+    device, servo = make_servo(Options(), 100)
+    servo.stop()
+    ended, records = finish(servo)
+    assert (ended.ending, len(records)) == (s.STOPPED, 0)
+    assert [act for act, *_ in device.acts] == ["stop"]
+
+
+@pytest.mark.parametrize("ticks", [50, None])
+def test_a_device_whose_stop_fails_is_told_zero_all_the_same(ticks, caplog):
+    """The last wrench is zero, the end is waited for in vain by nobody, the settings are undone, the error is told."""
+    undone = []
+    device, servo = make_servo(Options(stop_fails=True, fault="lost", at=100), ticks, lambda: lambda: undone.append(1))
+    ended, _ = finish(servo)
+    assert undone == [1] and not device.wrenches[-1].any() and device.wrenches[:-1].any()
+    said = str(ended.error) if ticks else caplog.text  # where the device was lost first, that is the error
+    assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (s.READ_FAILED, LOST))
+    assert "could not be stopped" in said and "the port has gone" in said and "switch it off" in said
+
+
+@pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
+def test_unusable_pose_means_zero_force_at_once(fault):
+    """A pose that is no pose zeroes the force in its tick; afterwards the force ramps in again from nothing."""
+    device, servo = make_servo(Options(fault=fault, at=700), 900)
+    _, records = finish(servo)
+    wrenches = device.wrenches
+    assert np.abs(wrenches[699, 2]) > 0.9 and not wrenches[700].any()
+    assert 0.0 < wrenches[701, 2] < 0.01
+    assert np.isfinite(wrenches).all() and np.isfinite(records).all()
+    assert int(records[700, AT.servo_guard]) == POSE_REFUSED
+    assert records[700, AT.contact_mode] == 0
+
+
+@pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
+def test_a_force_that_the_driver_withholds_fades_in_anew(way):
+    """While the driver commands zero the record says so; afterwards the force is the undisturbed one times the ramp."""
+    _, servo = make_servo(Options(own_clock=True), 900)
+    undisturbed = finish(servo)[1][:, FORCE : FORCE + 6]
+    device, servo = make_servo(Options(fault=way, at=700, count=20, own_clock=True), 900)
+    _, records = finish(servo)
+    force = records[:, FORCE : FORCE + 6]
+    withheld = records[:, AT.servo_device] == WITHHELD
+    assert withheld.nonzero()[0].tolist() == list(range(700, 720))
+    assert (force[:700] == undisturbed[:700]).all()
+    assert np.linalg.norm(force[699, :3]) > 0.9
+    # A read that says so leaves the first tick of the ramp to the write, which took it; a write takes nothing.
+    gain = np.full(200, 0.002) if way == "withheld_read" else np.zeros(200)
+    gain[20:] = gain[0] + 0.002 * np.arange(1, 181)
+    np.testing.assert_allclose(force[700:], gain[:, None] * undisturbed[700:], rtol=1e-12, atol=1e-15)  # sums of 0.002
+    assert (device.wrenches[:900] == force).all()
+
+
+def test_a_write_that_is_not_taken_leaves_the_guard_where_the_hand_is():
+    """While the device keeps the force of before, the record says that one, and the next that is taken is one tick's
+    change from it, wherever the contact has gone meanwhile."""
+    device, servo = make_servo(Options(fault="held", at=700, count=20, own_clock=True), 900)
+    _, records = finish(servo)
+    force = records[:, FORCE : FORCE + 3]
+    assert (records[:, AT.servo_device] == HELD).nonzero()[0].tolist() == list(range(700, 720))
+    assert (force[700:720] == force[699]).all()
+    assert (device.wrenches[:900, :3] == force).all()
+    step = load_rig("replay").guard.force_slew_n_per_s / 1000.0
+    change = np.linalg.norm(np.diff(force, axis=0), axis=1)
+    assert change[719] == pytest.approx(step)  # it is 8 mm deep now, and 1 N is felt
+    assert change.max() <= step * (1 + 1e-9)  # roundings of a norm
+
+
+@pytest.mark.parametrize("stall_us", [5_500, 60_000])
+def test_a_stall_is_no_licence_to_jump(stall_us):
+    """A hand that has moved on while the loop was held up meets the change of one tick at a time."""
+    _, servo = make_servo(Options(fault="stall_and_jump", at=700, stall_us=stall_us), 900)
+    _, records = finish(servo)
+    force = records[:, FORCE : FORCE + 3]
+    assert np.linalg.norm(force[720:], axis=1).min() > 7.0  # it is 8 mm deep now
+    assert int(records[702, AT.servo_guard]) & SLEW_LIMITED
+    step = load_rig("replay").guard.force_slew_n_per_s / 1000.0
+    assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= step * (1 + 1e-9)  # roundings of a norm
+
+
+def test_after_a_long_pause_the_force_fades_in():
+    """After 0.15 s without a tick the force is gone and comes up by the ramp; the record says `ramping`."""
+    _, servo = make_servo(Options(fault="stall", at=700, stall_us=150_000), 900)
+    _, records = finish(servo)
+    force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
+    assert force[699] > 0.9
+    assert force[701] < 0.01
+    assert int(records[701, AT.servo_guard]) & RAMPING
+    assert (force[701:] <= 0.002 * np.arange(1, 200) * FULL_N).all()
+
+
+def test_arming_the_guard_again_fades_in():
+    """A guard disarmed and armed by tuning gives zero at once, and the force back by the ramp."""
+    device, servo = make_servo(Options(), None)
+    armed = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    servo.start()
+
+    def until(ticks):
+        while servo.ticks < ticks:
+            servo.wait_record()
+        return servo.ticks
+
+    until(700)
+    servo.tune(armed._replace(guards=(armed.guards[0]._replace(armed=0.0),)))
+    off = until(servo.ticks + 20)
+    servo.tune(armed)
+    until(off + 200)
+    servo.stop()
+    servo.join(30.0)
+    servo.close()
+    force = np.linalg.norm(device.wrenches[:-2, :3], axis=1)
+    assert force[699] > 0.9
+    assert not force[off - 5 : off].any()
+    assert force[off:].max() > 0.1
+    back = off + int(np.argmax(force[off:] > 0.0))
+    assert (force[back:] <= 0.002 * np.arange(1, len(force) - back + 1) * FULL_N).all()
+
+
+@pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
+def test_a_pose_that_stays_unusable_is_a_fault(fault):
+    """After half a second of it the loop ends, by name, with zero force."""
+    device, servo = make_servo(Options(fault=fault, at=700, count=100_000), 5000)
+    ended, records = finish(servo)
+    assert ended.ending == NO_POSE
+    assert abs(len(records) - 700 - SILENCE_MAX_S * 1000) <= 2  # sums of 0.001
+    assert np.linalg.norm(device.wrenches[699]) > 0.9 and not device.wrenches[700:].any()
+
+
+def test_repeated_stalls_end_the_loop():
+    """Twenty reads of 0.24 s in a row are not borne: the loop ends by name, without force."""
+    device, servo = make_servo(Options(fault="stall", at=300, count=20, stall_us=240_000), 5000)
+    ended, records = finish(servo)
+    assert ended.ending == STARVED
+    assert not servo.woken_late
+    assert 303 <= len(records) < 320
+    assert not device.wrenches[-1].any()
+
+
+def test_one_sleep_of_the_process_ends_nothing():
+    """A read that takes as long as a process that was stopped and went on is borne, once."""
+    _, servo = make_servo(Options(fault="stall", at=100, stall_us=990_000), 300)
+    ended, records = finish(servo)
+    assert (ended.ending, len(records)) == (s.FINISHED, 300)
+
+
+@pytest.mark.parametrize("own_clock", [False, True])
+def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
+    """After a stall the loop goes on along the same grid, one tick each, and the time step tells the truth."""
+    _, servo = make_servo(Options(fault="stall", at=50, stall_us=5500, own_clock=own_clock), 200)
+    _, records = finish(servo)
+    ticks, missed, dt = (records[:, at] for at in (AT.tick, AT.servo_missed, AT.dt))
+    assert ticks.tolist() == list(range(200))
+    assert missed[51] - missed[50] >= 5  # more, if the machine itself stalled in that moment
+    steps = np.ones(200) if own_clock else 1.0 + np.diff(missed, prepend=0.0)
+    assert dt.tolist() == (steps * 0.001).tolist()
+    # Deadlines stay on one grid: wake-up time less lateness is a multiple of the period after the first.
+    deadline = records[:, AT.timestamp] - records[:, AT.servo_late]
+    phase = (deadline - deadline[0]) / 0.001
+    # A float64 of the seconds since the epoch resolves 0.24 us, twice.
+    assert np.abs(phase - np.round(phase)).max() < 1e-3
+    assert np.array_equal(np.round(np.diff(phase)), 1.0 + np.diff(missed))
+
+
+def test_loop_runs_while_python_holds_the_interpreter_lock():
+    """Ticks go on while another thread sits in C code with the interpreter lock held."""
+    _, servo = make_servo(Options(), None)
+    servo.start()
+    while servo.ticks < 10:
+        servo.wait_record()
+    before = int(servo.shared.progress[0])
+    ctypes.PyDLL(None).usleep(300_000)  # PyDLL keeps the lock
+    after = int(servo.shared.progress[0])
+    servo.stop()
+    servo.join(30.0)
+    servo.close()
+    assert after - before > 100  # of 300
+
+
+def test_no_page_fault_in_the_loop():
+    """Five thousand ticks cost no more page faults than fifty do."""
+
+    def faults_of(ticks: int) -> int:
+        seen = []
+
+        def note() -> None:
+            seen.append(resource.getrusage(resource.RUSAGE_THREAD).ru_minflt)
+
+        def prepare() -> Callable[[], None]:
+            note()
+            return note
+
+        _, servo = make_servo(Options(), ticks, prepare, rate=8000.0)
+        finish(servo)
+        return seen[1] - seen[0]
+
+    faults_of(50)
+    # The device keeps its wrenches in fresh memory: 48 bytes a tick, a page every 85 ticks.
+    kept_by_device = 5000 * 48 // 4096 + 1
+    assert faults_of(5000) - faults_of(50) <= kept_by_device + 2
+
+
+SHIM = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <stddef.h>
+static __thread long count;
+long allocations(void) { return count; }
+extern void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t);
+void *malloc(size_t n) { count++; return __libc_malloc(n); }
+void *calloc(size_t n, size_t m) { count++; return __libc_calloc(n, m); }
+void *realloc(void *p, size_t n) { count++; return __libc_realloc(p, n); }
+"""
+
+COUNT = """
+import ctypes, sys
+sys.path[:0] = sys.argv[1:]
+from helpers.faulty_device import Options
+from test_servo import make_servo, finish
+shim = ctypes.CDLL(None)
+shim.allocations.restype = ctypes.c_long
+def count(ticks):
+    seen = []
+    def prepare():
+        seen.append(shim.allocations())
+        return lambda: seen.append(shim.allocations())
+    _, servo = make_servo(Options(), ticks, prepare, rate=8000.0)
+    finish(servo)
+    return seen[1] - seen[0]
+count(10)
+print(count(10), count(8000))
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="counting calls of malloc needs a C compiler to build the shim")
+def test_loop_never_calls_malloc(tmp_path):
+    """A shim that counts every malloc of the servo thread counts the same for ten ticks and for eight thousand."""
+    source, library = tmp_path / "shim.c", tmp_path / "shim.so"
+    source.write_text(SHIM)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT, str(Path(__file__).parents[1]), str(Path(__file__).parent)],
+        env=os.environ | {"LD_PRELOAD": str(library)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    few, many = map(int, done.stdout.split())
+    assert few > 0  # the shim does count: entering the loop from Python allocates
+    assert many == few
+
+
+def test_parameters_change_without_stopping():
+    """A new friction coefficient takes effect at a later tick, in the loop that is already compiled."""
+    device, servo = make_servo(Options(), None)
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
+    thing = tuning.scene.objects[0]
+    friction = thing.material.friction._replace(static=0.1, kinetic=0.1)
+    slippery = thing._replace(material=thing.material._replace(friction=friction))
+    servo.start()
+    while servo.ticks < 1000:
+        servo.wait_record()
+    changed_at = servo.ticks
+    servo.tune(tuning._replace(scene=tuning.scene._replace(objects=(slippery,))))
+    while servo.ticks < changed_at + 500:
+        servo.wait_record()
+    servo.stop()
+    servo.join(30.0)
+    servo.close()
+    tangential = np.linalg.norm(device.wrenches[:, :2], axis=1)
+    assert tangential[600:changed_at].max() > 0.4
+    # The guard's slew limit takes at most a tick; 1 N pressed and mu 0.1 leave 0.1 N, to rounding.
+    assert tangential[changed_at + 5 : -1].max() <= 0.1 * (1 + 1e-9)
+
+
+def test_other_parts_are_refused():
+    """A tuning with other parts than the compiled one would need another loop."""
+    _, servo = make_servo(Options(), 10)
+    tuning = make_tuning(load_scene("frictionless-plane"), load_rig("replay").guard)
+    with pytest.raises(ValueError, match="other parts"):
+        servo.tune(tuning)
+    finish(servo)

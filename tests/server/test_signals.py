@@ -1,0 +1,260 @@
+"""Every way that a signal can end or stop a program that holds a device: no force is left, and the end is in order."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from emulators.serialboard import Board, Cable
+from helpers.serial_devices import PLACE, RIG
+
+from softfinger.config.load import find
+from softfinger.config.schema import Rig
+from softfinger.server import signals
+
+pytestmark = pytest.mark.real_time
+
+COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+ZERO = (0.0, 0.0, 0.0)
+FORCE_N = 0.5
+"""Less than the hand's spring pressed so deep gives, so that it is a force of contact."""
+START_S = 120.0
+"""A cold start compiles."""
+END_S = 20.0
+"""An end takes well below a second; a busy machine more."""
+
+
+def until(met: Callable[[], bool], seconds: float, what: str) -> None:
+    """Wait for a condition; the test fails where it does not come."""
+    end = time.monotonic() + seconds
+    while not met():
+        assert time.monotonic() < end, f"{what}: not within {seconds} s"
+        time.sleep(0.005)
+
+
+@contextmanager
+def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[Board, subprocess.Popen[str]]]:
+    """A board whose hand presses into the plane, and the daemon of the command line that holds against it."""
+    board = Board(lambda _: (*PLACE[:2], 0.006))
+    with Cable(board) as cable:
+        mine = tmp_path / "rig.toml"
+        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
+        mine.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
+        command = [*COMMAND, "run", "--rig", str(mine), "--realtime", "off", "--scene", "paper-plane"]
+        process = subprocess.Popen(
+            [*command, "--endpoint", f"ipc://{tmp_path}/t", *words],
+            stderr=subprocess.PIPE,
+            text=True,
+            process_group=0,  # one without a parent in its session, as a service manager's, is not stopped by Ctrl-Z
+        )
+        timer = threading.Timer(START_S, process.kill)
+        timer.start()
+        try:
+            until(lambda: board.force[2] > FORCE_N or process.poll() is not None, START_S, "a force")
+            assert process.poll() is None, process.communicate()[1]
+            yield board, process
+        finally:
+            timer.cancel()
+            process.kill()
+            process.wait()
+            process.stderr.close()
+
+
+def test_every_signal_that_ends_a_process_is_handled() -> None:
+    """Asked of the system: what kills a process that has no handler is in ENDING, but for what no handler can help."""
+    fatal = set()
+    for number in sorted(signal.valid_signals()):
+        pid = os.fork()
+        if pid == 0:
+            if number not in (signal.SIGKILL, signal.SIGSTOP):
+                signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+            os._exit(0)
+        _, status = os.waitpid(pid, os.WUNTRACED)
+        if os.WIFSTOPPED(status):
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+        elif os.WIFSIGNALED(status):
+            fatal.add(number)
+    helpless = {signal.SIGKILL, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP}
+    assert fatal - helpless == signals.ENDING
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGHUP,
+        signal.SIGQUIT,
+        signal.SIGUSR1,
+        signal.SIGALRM,
+        signal.SIGXCPU,
+        signal.SIGABRT,
+        signal.SIGRTMIN + 3,
+    ],
+)
+def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> None:
+    """A daemon that presses ends in order by any signal, with the number in its exit code, and others that come while
+    it closes change nothing."""
+    with pressing(tmp_path) as (board, process):
+        process.send_signal(number)
+        time.sleep(0.1)  # of signals that wait together Python takes the lowest number first
+        for another in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, number):
+            time.sleep(0.01)
+            process.send_signal(another)
+        said = process.communicate(timeout=END_S)[1]
+        assert process.returncode == 128 + number, said
+        assert "force is zero" in said and "Traceback" not in said
+        until(lambda: board.force == ZERO, 1.0, "the zero")
+        assert board.faults == []
+
+
+def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
+    """Ctrl-Z takes the force off before the process stops; with `fg` it fades in anew, and the daemon goes on."""
+    with pressing(tmp_path) as (board, process):
+        process.send_signal(signal.SIGTSTP)
+        until(lambda: state(process.pid) == "T" or process.poll() is not None, END_S, "the stop")
+        assert process.poll() is None, process.communicate()[1]
+        time.sleep(0.05)  # what was under way to the board has arrived
+        assert board.force == ZERO
+        count = len(board.sent)
+        time.sleep(0.2)
+        assert len(board.sent) == count
+        process.send_signal(signal.SIGCONT)
+        until(lambda: board.force[2] > FORCE_N, END_S, "the force")
+        forces = [frame[2] for frame in board.sent[count:]]
+        first = next(force for force in forces if force > 0)
+        assert first < 0.1 * 1e3 * FORCE_N  # a ramp's beginning
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=END_S)[1]
+        assert process.returncode == 0, said
+        until(lambda: board.force == ZERO, 1.0, "the zero")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
+    """`run --watcher`: killed outright, the daemon leaves its force, and the other process takes it off."""
+    with pressing(tmp_path, "--watcher") as (board, process):
+        process.send_signal(number)
+        said = process.communicate(timeout=END_S)[1]
+        assert process.returncode == -number
+        assert "the daemon has died: zero force was written to /dev/pts/" in said
+        until(lambda: board.force == ZERO, 1.0, "the zero")
+        assert board.sent[-1] == (0, 0, 0, 2, 0, 0, 0)
+
+
+def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> None:
+    """What the watcher is for: the board keeps the last force when nobody tells it otherwise."""
+    with pressing(tmp_path) as (board, process):
+        process.kill()
+        process.wait(END_S)
+        time.sleep(0.5)
+        assert board.force[2] > 0.0
+
+
+def test_watcher_goes_with_a_daemon_that_ends_in_order(tmp_path: Path) -> None:
+    """It ends with the daemon, and survives what ends the daemon; a device that it cannot reach is refused."""
+    with pressing(tmp_path, "--watcher") as (board, process):
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        until(lambda: bool(children.read_text()), END_S, "the watcher")
+        watcher = int(children.read_text().split()[0])
+        os.kill(watcher, signal.SIGTERM)
+        time.sleep(0.1)
+        assert state(watcher) == "S"
+        process.send_signal(signal.SIGTERM)
+        said = process.communicate(timeout=END_S)[1]
+        assert process.returncode == 0 and "has died" not in said
+        assert not Path(f"/proc/{watcher}").exists()
+        assert board.force == ZERO
+    words = [*COMMAND, "run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t"]
+    refused = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
+    assert refused.returncode == 2 and "no other process can take a force off replay" in refused.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("verb", ["run", "warmup", "simulate"])
+def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) -> None:
+    """While kernels are compiled, which takes many seconds without a cache, a signal ends any verb within a few,
+    as interrupted, by one line."""
+    words = {
+        "run": ["run", "--endpoint", f"ipc://{tmp_path}/t", "--realtime", "off"],
+        "warmup": ["warmup"],
+        "simulate": ["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(tmp_path / "out.csv")],
+    }[verb]
+    environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path / "cache")}
+    process = subprocess.Popen(
+        [*COMMAND, *words], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        for line in process.stderr:
+            if line.startswith(("compiling", "simulating")):  # said when it has taken half a second
+                break
+        process.send_signal(number)
+        begun = time.monotonic()
+        said = process.communicate(timeout=END_S)[1]
+        took = time.monotonic() - begun
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 128 + number, said
+    assert said.splitlines()[-1] == f"softfinger: ended by {signal.Signals(number).name}" and "Traceback" not in said
+    assert took < 5.0  # by itself a tenth of a second; a compilation is four times as long on a fast machine
+
+
+STUCK = """
+import ctypes, hashlib, os, signal, sys, threading, time
+from softfinger.drivers import opened
+from softfinger.server import signals
+class Device:
+    def stop(self): pass
+    def close(self): print("closed", flush=True)
+device = Device()
+def soon():
+    time.sleep(0.3)
+    os.kill(os.getpid(), signal.SIGTERM)
+def callback(a, b):
+    signal.raise_signal(signal.SIGTERM)
+    for _ in range(1000): pass
+    return 0
+with signals.handled():
+    signals.imported()
+    opened.devices.add(device)
+    threading.Thread(target=soon if sys.argv[1] != "callback" else time.time).start()
+    try:
+        if sys.argv[1] == "native":
+            hashlib.pbkdf2_hmac("sha512", b"x", b"y", 1 << 30)
+        elif sys.argv[1] == "callback":
+            kind = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+            ctypes.CDLL(None).qsort((ctypes.c_int * 4)(4, 3, 2, 1), 4, 4, kind(callback))
+            time.sleep(60)
+        else:
+            time.sleep(60)
+    except signals.Interrupted as error:
+        device.close()
+        sys.exit(signals.code_of(error.number))
+"""
+
+
+@pytest.mark.parametrize("where", ["python", "native", "callback"])
+def test_end_wherever_the_main_thread_is(where: str) -> None:
+    """In Python, in native code that takes half an hour, and in a callback out of which nothing can be raised: the
+    device is closed and the process ends, with the number in its exit code."""
+    begun = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", STUCK, where], capture_output=True, text=True, timeout=END_S, check=False
+    )
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    assert done.stdout == "closed\n" and "Traceback" not in done.stderr
+    assert time.monotonic() - begun < END_S / 2
+
+
+def state(pid: int) -> str:
+    """State of a process as the kernel lists it: T is stopped."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]

@@ -1,0 +1,506 @@
+"""The publisher over real sockets: frames, values, events, health, endpoints, stalled subscribers."""
+
+import os
+import re
+import socket as unix
+import stat
+import threading
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from helpers.encoder import contact_map
+from helpers.telemetry_records import join, put, synthetic
+
+from softfinger.config.errors import AddressInUse, ConfigError
+from softfinger.proxy.record import AT, CAUSE_NAMES, FIELDS, NAMED, columns
+from softfinger.server.wire.client import Sample, record_of
+from softfinger.server.wire.health import work_of_hand
+from softfinger.server.wire.protocol import MAX_BYTES, decode, encode
+from softfinger.server.wire.publisher import BACKLOG, Publisher
+
+pytestmark = pytest.mark.real_time
+
+WAIT_MS = 5000
+OPENED = []
+
+
+@pytest.fixture(autouse=True)
+def _close_subscribers():
+    yield
+    while OPENED:
+        OPENED.pop().close()
+
+
+@pytest.fixture
+def publisher():
+    with Publisher("tcp://127.0.0.1:*", guard_names=("clamped", "slew")) as made:
+        yield made
+
+
+def plain(endpoint, *topics, high_water=100_000):
+    """A subscriber with nothing of ours in it."""
+    socket = zmq.Context.instance().socket(zmq.SUB)
+    socket.linger = 0
+    socket.rcvhwm = high_water
+    for topic in topics:
+        socket.subscribe(topic)
+    socket.connect(endpoint)
+    OPENED.append(socket)
+    return socket
+
+
+def receive(socket, count, topic=None):
+    """The maps of the next `count` messages (of one topic), received as any client would."""
+    maps = []
+    while len(maps) < count:
+        assert socket.poll(WAIT_MS), f"{len(maps)} of {count} messages arrived"
+        frames = socket.recv_multipart()
+        assert len(frames) == 2
+        if topic is None or frames[0] == topic:
+            maps.append(msgpack.unpackb(frames[1]))
+    return maps
+
+
+def published(records, topic, count, **options):
+    """What a plain subscriber to `topic` receives when `records` are published in batches of 100."""
+    with Publisher("tcp://127.0.0.1:*", **options) as publisher:
+        socket = plain(publisher.endpoint, "contact", "event", "health")
+        join(publisher, socket)
+        for at in range(0, len(records), 100):
+            publisher.publish(records[at : at + 100], drops=7)
+        publisher.event("test", "end")
+        got = []
+        while not got or got[-1][0] != b"event" or got[-1][1]["kind"] != "test":
+            assert socket.poll(WAIT_MS)
+            frames = socket.recv_multipart()
+            got.append((frames[0], msgpack.unpackb(frames[1])))
+    maps = [message for name, message in got[:-1] if name == topic.encode()]
+    assert len(maps) == count
+    return maps
+
+
+def test_plain_client_receives_every_tick_in_two_frames(publisher):
+    """A pyzmq and msgpack client gets each of 3000 ticks, published one by one, once and in order."""
+    records = synthetic(3000)
+    socket = plain(publisher.endpoint, "contact", "event")
+    join(publisher, socket)
+    for record in records:
+        publisher.publish(record[None])
+    ticks = [message["tick"] for message in receive(socket, 3000, b"contact")]
+    assert ticks == list(range(3000))
+
+
+def test_contact_message_carries_the_record_bit_for_bit():
+    """Every column of a record is found, unchanged, under its name in the message."""
+    record = synthetic(1)[0]
+    message = msgpack.unpackb(encode(contact_map(record)))
+    flat = {}
+
+    def flatten(prefix, value):
+        if isinstance(value, dict):
+            for key, child in value.items():
+                flatten(f"{prefix}.{key}" if prefix else key, child)
+        elif isinstance(value, list):
+            for i, child in enumerate(value):
+                flatten(f"{prefix}[{i}]", child)
+        else:
+            flat[prefix] = value
+
+    flatten("", message)
+    assert (flat.pop("schema"), flat.pop("every")) == (1, 1)
+    named = [re.sub(r"^contacts(\d)", r"contacts[\1]", name) for name in columns()]
+    assert set(flat) == set(named)
+    assert [flat[name] for name in named] == record.tolist()
+
+
+def test_patches_that_are_not_there_are_left_out_and_come_back():
+    """The list `contacts` has the patches there are; as a record again it is the one that was sent."""
+    record = synthetic(1)[0]
+    for i, number in enumerate((4, 2, -1)):
+        record[NAMED[f"contacts{i}.object"].at] = number
+    record[NAMED["contacts2.object"].at + 1 : NAMED["contact.torsion"].at] = 0.0
+    body = encode(contact_map(record))
+    assert [patch["object"] for patch in msgpack.unpackb(body)["contacts"]] == [4, 2]
+    sample = Sample("contact", decode(b"contact", body), 0)
+    assert record_of(sample) == record.tolist()
+    assert [patch.object for patch in sample["contacts"]] == [4, 2]
+
+
+def test_integers_are_integers_on_the_wire():
+    """Integer fields arrive as int and all others as float, also where a float has no fraction."""
+    record = np.ones(len(columns()))
+    message = msgpack.unpackb(encode(contact_map(record)))
+    for field in FIELDS:
+        value = message
+        for part in field.name.split("."):
+            patch = re.fullmatch(r"contacts(\d)", part)
+            value = value["contacts"][int(patch[1])] if patch else value[part]
+        expected = int if field.kind == "int" else float
+        assert all(type(v) is expected for v in (value if field.size > 1 else [value])), field.name
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_unusable_integer_is_sent_as_zero(bad):
+    """Buttons that a device reports as no number do not stop the stream."""
+    record = synthetic(1)[0]
+    record[AT.buttons] = bad
+    message = contact_map(record)
+    assert message["buttons"] == 0
+    assert message["tick"] == 0
+
+
+def test_messages_are_far_below_the_size_limit():
+    """The longest possible contact message is below the 1.5 KiB of `protocol.MAX_BYTES`, a small part of the limit."""
+    record = np.full(len(columns()), 2.0**53)
+    assert len(encode(contact_map(record))) < 1536 < MAX_BYTES // 16
+
+
+def test_backlog_holds_five_seconds_at_the_highest_rate():
+    """The backlog of a stalled subscriber is at least 5 s of ticks at 8 kHz."""
+    assert BACKLOG >= 5 * 8000
+
+
+def test_every_sends_multiples_only_and_says_so():
+    """With every = 4 the ticks sent are the multiples of 4, and each message carries the 4."""
+    maps = published(synthetic(47, first_tick=3), "contact", 12, every=4)
+    assert [m["tick"] for m in maps] == list(range(4, 50, 4))
+    assert {m["every"] for m in maps} == {4}
+
+
+def test_transitions_become_events_with_cause_and_modes():
+    """Touch, slip and stick by either cause, and release give one event each, whatever `every` is."""
+    story = [
+        # tick, mode, cause, name, mode before
+        (3, 1, "touch", "touch", 0),
+        (5, 2, "drag", "slip", 1),
+        (8, 1, "stop", "stick", 2),
+        (9, 2, "theta_max", "slip", 1),
+        (20, 1, "reverse", "stick", 2),
+        (130, 0, "release", "release", 1),
+    ]
+    records = synthetic(150)
+    for tick, mode, cause, _, _ in story:
+        put(records[tick:], "contact.mode", mode)
+        put(records[tick:], "contact.object", 4 if mode else -1)
+        put(records[tick : tick + 1], "contact.cause", CAUSE_NAMES.index(cause))
+    events = published(records, "event", len(story), every=50)
+    for event, (tick, mode, cause, name, before) in zip(events, story, strict=True):
+        record = records[tick]
+        assert event == {
+            "schema": 1,
+            "timestamp": record[AT.timestamp],
+            "tick": tick,
+            "kind": "contact",
+            "name": name,
+            "cause": cause,
+            "from": before,
+            "to": mode,
+            "object": 4,
+            "force": record[AT.force : AT.force + 3].tolist(),
+            "normal_force": record[AT.contact_normal_force],
+            "tangential_force": record[AT.contact_tangential_force],
+            "point": record[AT.contact_point : AT.contact_point + 3].tolist(),
+            "finger": "",
+        }
+
+
+def test_guard_event_when_a_bit_rises_and_not_while_it_stays():
+    """A bit that rises twice gives two events, one that stays gives one, an unnamed bit goes by number."""
+    records = synthetic(1000)
+    guard = np.zeros(1000, int)
+    guard[100:200] |= 1
+    guard[400:410] |= 1
+    guard[150:] |= 2
+    guard[700] |= 8
+    put(records, "servo.guard", guard)
+    events = published(records, "event", 4, guard_names=("clamped", "slew"))
+    assert [(e["tick"], e["kind"], e["name"], e["count"]) for e in events] == [
+        (100, "guard", "clamped", 1),
+        (150, "guard", "slew", 1),
+        (400, "guard", "clamped", 1),
+        (700, "guard", "bit 3", 1),
+    ]
+
+
+def test_guard_that_chatters_is_limited_and_counted():
+    """A bit that rises every other tick for 0.3 s gives an event in 0.1 s, and the counts add up."""
+    records = synthetic(500)
+    guard = np.zeros(500, int)
+    guard[100:400:2] = 1
+    put(records, "servo.guard", guard)
+    events = published(records, "event", 4, guard_names=("clamped",))
+    assert [e["tick"] for e in events] == [100, 200, 300, 400]
+    assert sum(e["count"] for e in events) == 150
+
+
+def test_missed_deadlines_are_told_with_count_and_total():
+    """Each increase of the missed counter is in an event's count, bursts within 0.1 s in one of them."""
+    records = synthetic(600)
+    missed = np.zeros(600, int)
+    missed[100:] += 3
+    missed[110:] += 2
+    missed[120:] += 1
+    missed[500:] += 10
+    put(records, "servo.missed", missed)
+    events = published(records, "event", 3)
+    assert [(e["kind"], e["name"], e["tick"], e["count"], e["total"]) for e in events] == [
+        ("servo", "missed", 100, 3, 3),
+        ("servo", "missed", 200, 3, 6),
+        ("servo", "missed", 500, 10, 16),
+    ]
+
+
+def test_health_sums_up_each_second():
+    """Rate, percentiles, counters and mode counts are those of the second's records."""
+    records = synthetic(2500, rate_hz=1000.0)
+    mode = np.arange(2500) % 7 % 3
+    put(records, "contact.mode", mode)
+    put(records, "servo.late", np.random.default_rng(2).exponential(1e-5, 2500))
+    put(records, "servo.missed", np.arange(2500) // 100)
+    put(records[1200:], "servo.guard", 1)
+    first, second = published(records, "health", 2)
+    for health, ticks in ((first, slice(1, 1001)), (second, slice(1001, 2001))):
+        rows = records[ticks]
+        assert health["tick"] == ticks.stop - 1
+        assert health["timestamp"] == rows[-1, AT.timestamp]
+        # an epoch time of 1.7e9 s resolves 2.4e-7 s, so a second is known to that
+        assert health["rate"] == pytest.approx(1000.0, rel=1e-6)
+        for name, at in (("late", AT.servo_late), ("exec", AT.servo_exec)):
+            expected = np.percentile(rows[:, at], [50, 99, 99.9, 100])
+            assert list(health[name]) == ["p50", "p99", "p999", "max"]
+            assert list(health[name].values()) == expected.tolist()
+        counts = np.bincount(mode[ticks], minlength=3)
+        assert health["modes"] == {"free": counts[0], "rolling": counts[1], "sliding": counts[2]}
+        assert health["missed"] == (ticks.stop - 1) // 100
+        assert health["drops"] == 7
+    assert (first["guarded"], second["guarded"]) == (0, 801)
+
+
+def test_health_energy_is_the_work_of_the_hand():
+    """A constant force against a steady motion gives force times way, and the total is the sum."""
+    records = synthetic(2001, rate_hz=1000.0)
+    put(records, "force", [0.0, 0.0, 2.0])
+    put(records, "torque", 0.0)
+    put(records, "probe.orientation", [1.0, 0.0, 0.0, 0.0])
+    position = np.zeros((2001, 3))
+    position[:, 2] = -0.03 * np.arange(2001) / 1000.0  # pressed down at 30 mm/s against 2 N: 0.06 W
+    put(records, "probe.position", position)
+    first, second = published(records, "health", 2)
+    # 1000 sums of terms rounded to 1e-16 relative
+    assert first["energy"] == pytest.approx(0.06, rel=1e-12)
+    assert second["energy"] == pytest.approx(0.06, rel=1e-12)
+    assert second["energy_total"] == pytest.approx(0.12, rel=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_work_of_a_torque_is_torque_times_angle(sign):
+    """Turning 0.5 rad about a tilted axis against 0.1 N m takes 0.05 J, whichever sign quaternions have."""
+    axis = np.array([0.6, 0.0, 0.8])
+    angle = np.linspace(0.0, 0.5, 101)
+    start = np.array([0.5, 0.5, -0.5, 0.5])
+    turned = []
+    for i, half in enumerate(angle / 2.0):
+        w, v = np.cos(half), np.sin(half) * axis
+        product = np.concatenate(
+            ([w * start[0] - v @ start[1:]], w * start[1:] + start[0] * v + np.cross(v, start[1:]))
+        )
+        turned.append(product * (sign if i % 2 else 1.0))
+    records = synthetic(101)
+    put(records, "force", 0.0)
+    put(records, "torque", -0.1 * axis)
+    put(records, "probe.orientation", np.array(turned))
+    # 100 angles of 5 mrad, each from an atan2 of rounded products
+    assert work_of_hand(records) == pytest.approx(0.05, rel=1e-10)
+
+
+def test_work_of_unusable_records_counts_nothing():
+    """A pose that is not finite drops out of the energy, its neighbours stay."""
+    records = synthetic(4)
+    put(records, "force", [1.0, 0.0, 0.0])
+    put(records, "torque", 0.0)
+    put(records, "probe.orientation", [1.0, 0.0, 0.0, 0.0])
+    put(records, "probe.position", [[0, 0, 0], [-1, 0, 0], [np.nan, 0, 0], [5, 0, 0]])
+    assert work_of_hand(records) == 1.0
+
+
+def test_events_from_other_threads_do_not_mix_with_ticks(publisher):
+    """Four threads sending events while ticks are published: all arrive, in two frames each."""
+    socket = plain(publisher.endpoint, "contact", "event")
+    join(publisher, socket)
+    threads = [
+        threading.Thread(target=lambda n=n: [publisher.event("test", str(n), index=i) for i in range(200)])
+        for n in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for record in synthetic(500):
+        publisher.publish(record[None])
+    for thread in threads:
+        thread.join()
+    maps = receive(socket, 1300)
+    assert [m["tick"] for m in maps if "dt" in m] == list(range(500))
+    for n in range(4):
+        assert [m["index"] for m in maps if m.get("name") == str(n)] == list(range(200))
+
+
+def test_last_event_before_close_arrives(publisher):
+    """The event that says why the server stops reaches the subscriber, with the last tick in it."""
+    socket = plain(publisher.endpoint, "event")
+    join(publisher, socket)
+    publisher.publish(synthetic(10))
+    publisher.event("lifecycle", "stopped", message="asked to")
+    publisher.close()
+    publisher.close()
+    publisher.event("lifecycle", "after", message="nobody hears this")
+    publisher.publish(synthetic(1))
+    (event,) = receive(socket, 1)
+    assert not socket.poll(50)
+    assert (event["kind"], event["name"], event["tick"], event["message"]) == ("lifecycle", "stopped", 9, "asked to")
+
+
+def test_stalled_subscriber_gets_gaps_and_costs_nobody_else(tmp_path):
+    """A subscriber that reads nothing misses ticks and sees where; the other misses none."""
+    count = 30_000  # more than both backlogs and the kernel's socket buffers hold
+    records = synthetic(count)
+    with Publisher(f"ipc://{tmp_path}/telemetry", backlog=5000) as publisher:
+        stalled = plain(publisher.endpoint, "contact", "event", high_water=100)
+        reading = plain(publisher.endpoint, "contact", "event")
+        join(publisher, stalled, reading)
+        ticks = []
+        for at in range(0, count, 1000):
+            publisher.publish(records[at : at + 1000])
+            ticks += [m["tick"] for m in receive(reading, 1000, b"contact")]
+        assert ticks == list(range(count))
+
+        before = receive(stalled, 2500, b"contact")  # the half of the backlog that is kept for it, at least
+        publisher.publish(synthetic(10, first_tick=count))
+        while before[-1]["tick"] < count + 9:
+            before += receive(stalled, 1, b"contact")
+        seen = [m["tick"] for m in before]
+    gaps = np.diff(seen)
+    assert (gaps > 0).all()
+    assert seen[-1] == count + 9
+    lost = int((gaps - 1).sum())
+    assert lost > 0
+    assert lost == count + 10 - len(seen)
+    assert publisher.fanout.lost == lost
+
+
+def test_wildcard_port_is_told(publisher):
+    """A free port is chosen and the endpoint names it."""
+    assert publisher.endpoint.startswith("tcp://127.0.0.1:")
+    assert int(publisher.endpoint.rpartition(":")[2]) > 0
+
+
+@pytest.mark.parametrize("endpoint", ["tcp://localhost:*", "tcp://127.8.9.1:*"])
+def test_loopback_endpoints_bind(endpoint):
+    """Every way to say loopback is accepted."""
+    with Publisher(endpoint) as publisher:
+        assert publisher.endpoint
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "ipc"])
+def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
+    """A held endpoint gives AddressInUse with what to do, the holder goes on, and closing frees it."""
+    wanted = "tcp://127.0.0.1:*" if scheme == "tcp" else f"ipc://{tmp_path}/telemetry"
+    with Publisher(wanted) as holder:
+        endpoint = holder.endpoint
+        with pytest.raises(AddressInUse, match="in use: stop the softfinger"):
+            Publisher(endpoint)
+        socket = plain(endpoint, "event")
+        join(holder, socket)
+    Publisher(endpoint).close()
+
+
+def test_ipc_socket_is_for_user_and_group(tmp_path):
+    """The socket file has mode 660 and the process keeps its umask."""
+    mask = os.umask(0o022)
+    try:
+        with Publisher(f"ipc://{tmp_path}/telemetry"):
+            assert stat.S_IMODE((tmp_path / "telemetry").stat().st_mode) == 0o660
+        assert os.umask(0o022) == 0o022
+    finally:
+        os.umask(mask)
+
+
+def test_ipc_path_left_by_a_dead_server_is_taken_over(tmp_path):
+    """A socket file that nobody listens on does not stop the next server."""
+    path = tmp_path / "telemetry"
+    with unix.socket(unix.AF_UNIX) as left:
+        left.bind(str(path))
+    with Publisher(f"ipc://{path}") as publisher:
+        socket = plain(publisher.endpoint, "event")
+        join(publisher, socket)
+
+
+def test_plain_file_at_an_ipc_path_is_left_alone(tmp_path):
+    """A file that is no socket is refused and keeps its content."""
+    path = tmp_path / "notes.txt"
+    path.write_text("mine")
+    with pytest.raises(ConfigError, match="is no socket"):
+        Publisher(f"ipc://{path}")
+    assert path.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["tcp://*:5555", "tcp://0.0.0.0:5555", "tcp://192.168.1.7:5555", "tcp://[::]:5555", "tcp://eth0:5555"]
+)
+def test_public_endpoint_is_refused(endpoint):
+    """A bind that other machines could reach says that keys are needed, and which endpoint to use."""
+    with pytest.raises(ConfigError, match=r"CURVE keys, and none are configured: use tcp://127\.0\.0\.1:5555"):
+        Publisher(endpoint)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "",
+        "5555",
+        "tcp://127.0.0.1",
+        "tcp://127.0.0.1:99999",
+        "tcp://:5555",
+        "udp://127.0.0.1:5555",
+        "ipc://",
+        "inproc://x",
+    ],
+)
+def test_malformed_endpoint_is_refused(endpoint):
+    """What is no endpoint is named, with examples of what is."""
+    with pytest.raises(ConfigError, match="is not an endpoint"):
+        Publisher(endpoint)
+
+
+def test_ipc_in_a_missing_folder_is_refused(tmp_path):
+    """A folder that does not exist gives a ConfigError with the path, not a ZeroMQ error."""
+    with pytest.raises(ConfigError, match="nowhere"):
+        Publisher(f"ipc://{tmp_path}/nowhere/telemetry")
+
+
+@pytest.mark.parametrize("endpoint", ["ipc://@telemetry", "ipc://*"])
+def test_ipc_without_a_file_is_refused(endpoint):
+    """An abstract socket has no mode, so that every user could connect: it is refused, and so is a name made up."""
+    with pytest.raises(ConfigError, match=r"has no file.*ipc:///path"):
+        Publisher(endpoint)
+
+
+@pytest.mark.parametrize("planted", ["telemetry", "telemetry.lock"])
+def test_link_at_an_ipc_path_is_not_followed(planted, tmp_path):
+    """A link where the socket or its lock file belongs is refused, and what it points to is not made."""
+    (tmp_path / planted).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ConfigError, match=r"telemetry"):
+        Publisher(f"ipc://{tmp_path}/telemetry")
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_closing_removes_the_ipc_socket(tmp_path):
+    """Nothing that looks like a server is left behind; the lock file stays."""
+    Publisher(f"ipc://{tmp_path}/telemetry").close()
+    assert [path.name for path in tmp_path.iterdir()] == ["telemetry.lock"]
+
+
+def test_every_below_one_is_refused():
+    """every = 0 would divide by zero in the loop and is refused at the start."""
+    with pytest.raises(ConfigError, match="every = 0"):
+        Publisher("tcp://127.0.0.1:*", every=0)

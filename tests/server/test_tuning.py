@@ -1,0 +1,48 @@
+"""From rig and device to the limits of the guard: nothing a hand depends on is lost on the way."""
+
+import dataclasses
+
+import pytest
+
+from softfinger.config import schema
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.base import DeviceInfo
+from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.tuning import guard_limits, make_tuning
+
+FAR = (1.0, 1.0, 1.0)
+STRONG = DeviceInfo("strong", 6, 6, 100.0, 10.0, 1e4, 10.0, (-1.0, -1.0, -1.0), FAR)
+RIG = schema.Guard(
+    force_max_n=7.0, torque_max_nm=0.2, force_slew_n_per_s=1234.0, torque_slew_nm_per_s=56.0, ramp_s=0.25
+)
+
+
+def test_every_limit_of_the_rig_reaches_the_guard():
+    """Each number of [guard] is one of the guard's, which is armed."""
+    assert guard_limits(RIG) == guard_limits(RIG, STRONG) == Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0)
+
+
+@pytest.mark.parametrize(("field", "limit"), [("force_max_n", "force_max"), ("torque_max_nm", "torque_max")])
+def test_no_more_than_the_device_can(field, limit, caplog):
+    """What the device allows less of is lowered to it, with a warning; the other limits stay."""
+    weak = dataclasses.replace(STRONG, **{field: 0.1})
+    assert guard_limits(RIG, weak) == Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0)._replace(**{limit: 0.1})
+    assert f"guard.{field}" in caplog.text and "0.1" in caplog.text
+
+
+def test_the_servo_is_given_these_limits():
+    """A scene's tuning holds the guard of rig and device, not another one."""
+    rig = load_rig("replay", {"guard.force_slew_n_per_s": 321.0})
+    weak = dataclasses.replace(STRONG, force_max_n=0.5)
+    tuning = make_tuning(load_scene("paper-plane"), rig.guard, [weak])
+    assert (tuning.guards[0].force_max, tuning.guards[0].force_slew) == (0.5, 321.0)
+
+
+@pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1000.0), (1.5, 1.5 * 12.0 ** (1 / 3) * 1000.0)])
+def test_an_object_stiffer_than_the_device_is_told(exponent, stiffness, caplog):
+    """The slope of K d (delta / d)^p at the guard's 12 N, against what the device is said to hold; it is rendered."""
+    scene = load_scene("paper-plane", {"object.0.material.normal.exponent": exponent})
+    for limit, told in ((1.001 * stiffness, False), (0.999 * stiffness, True)):
+        caplog.clear()
+        make_tuning(scene, schema.Guard(force_max_n=12.0), [dataclasses.replace(STRONG, stiffness_max_n_per_m=limit)])
+        assert (f"'table' has {stiffness:.0f} N/m at the guard's 12 N" in caplog.text) == told

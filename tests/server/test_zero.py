@@ -1,0 +1,95 @@
+"""The command `zero`: where a probe is said to be, exactly, without a way there, and never under force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.two_fingers import two_devices
+from test_commands import (
+    DEPTH_M,
+    ROUNDING,
+    events,
+    eventually,
+    pressed_by_two,
+    pressed_scene,
+    rig,  # noqa: F401 - a fixture
+    running,
+)
+
+from softfinger.config.errors import CommandRefused
+from softfinger.config.load import describe
+from softfinger.proxy.record import AT
+from softfinger.server.loop.tick import UNMOVED
+from softfinger.server.wire.control import Control
+
+HELD_M = 0.009
+"""Height of the device of these tests, which sways along x."""
+SWAY_M_PER_S = 0.005 * 0.02 * 1000.0
+
+
+def zeroed(control: Control, **what):
+    """`zero`, as soon as the force is off."""
+    answers = []
+
+    def done() -> bool:
+        try:
+            answers.append(control.zero(**what))
+        except CommandRefused as error:
+            if not str(error).startswith("busy: "):
+                raise
+        return bool(answers)
+
+    assert eventually(done)
+    return answers[0]
+
+
+def test_no_offset_changes_no_bit():
+    """What is added where nothing was zeroed leaves every number as it is, a zero's sign too."""
+    numbers = np.array([0.0, -0.0, 5e-324, -1.0, np.inf])
+    assert (numbers + UNMOVED[0]).tobytes() == numbers.tobytes()
+
+
+def test_the_probe_is_where_it_is_said_to_be(rig):  # noqa: F811
+    """Refused under force; then F_z = k d + f of the new depth, no motion from the old place to the new, another scene
+    and another zero on top, and all of it taken back."""
+    with running(rig()) as (daemon, control, kept), events(daemon) as following:
+        with pytest.raises(CommandRefused, match=r"^refused: .* disarm first"):
+            control.zero()
+        control.disarm()
+        following("command")
+        done = zeroed(control, position_m=(0.0, 0.0, HELD_M + 0.0005))
+        told = following("command")
+        assert told["name"] == "zero" and told["what"] == {"finger": "", "offset_m": list(done.offset_m)}
+        assert done.offset_m[2] == pytest.approx(0.0005, rel=1e-9)  # a difference of numbers 20 times as large
+        assert control.describe()["fingers"][0]["offset_m"] == list(done.offset_m)
+        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > done.tick + 20)
+        rows = kept.since(done.tick + 2)
+        np.testing.assert_allclose(rows[:, AT.probe_position + 2], HELD_M + 0.0005, rtol=ROUNDING)
+        # Where the offset was taken in is among these; the way there, 0.5 mm in a tick, would be 0.5 m/s.
+        velocities = kept.since(done.tick - 5)[:, AT.probe_velocity : AT.probe_velocity + 3]
+        assert np.abs(velocities[:, 2]).max() == 0.0 and np.abs(velocities[:, 0]).max() <= SWAY_M_PER_S
+        assert not kept.since(done.tick)[:, AT.force + 2].any()
+        control.arm()
+        assert eventually(lambda: kept.force_n == pytest.approx(0.5 + 1.0, rel=1e-9))
+        control.set_scene(describe(pressed_scene(stiffness_n_per_m=2000.0)))
+        assert eventually(lambda: kept.force_n == pytest.approx(1.0 + 1.0, rel=1e-9))
+        control.disarm()
+        again = zeroed(control, position_m=(0.0, 0.0, 0.009))
+        assert again.offset_m[2] == pytest.approx(0.0, abs=1e-15)  # rounding of sums of some 0.01
+        assert zeroed(control, reset=True).offset_m == (0.0, 0.0, 0.0)
+        control.arm()
+        assert eventually(lambda: kept.force_n == pytest.approx(2000.0 * DEPTH_M + 1.0, rel=ROUNDING))
+        assert kept.rows[-1][-1, AT.probe_position + 2] == HELD_M
+
+
+def test_one_of_several_fingers_is_moved(rig):  # noqa: F811
+    """By its name; the other one stays."""
+    device = {"driver": "faulty"}
+    with running(two_devices(device, device, guard=describe(rig())["guard"]), pressed_by_two()) as (_, control, kept):
+        control.disarm()
+        with pytest.raises(CommandRefused, match="say finger, one of thumb, index"):
+            control.zero()
+        done = zeroed(control, position_m=(0.0, 0.0, 0.0085), finger="index")
+        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > done.tick + 2)
+        heights = kept.rows[-1][-1].reshape(2, -1)[:, AT.probe_position + 2]
+        assert heights[0] == HELD_M and heights[1] == pytest.approx(0.0085, rel=ROUNDING)

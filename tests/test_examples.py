@@ -1,0 +1,74 @@
+"""The programs of examples/ run as they stand, and say what theory says."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.real_time
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+PNG = b"\x89PNG"
+LINES_MAX = 80
+
+
+def said(program: str, *words: str, cwd: Path) -> str:
+    """Run an example to its end; returns what it prints."""
+    command = [sys.executable, EXAMPLES / program, *words]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def number(pattern: str, text: str) -> float:
+    found = re.search(pattern, text)
+    assert found, text
+    return float(found[1])
+
+
+def test_each_is_listed_short_and_tested() -> None:
+    """Every program is on the folder's page and run here, and fits a screen or two."""
+    page, tests = (EXAMPLES / "README.md").read_text(), Path(__file__).read_text()
+    for program in EXAMPLES.glob("*.py"):
+        assert f"({program.name})" in page and f'"{program.name}"' in tests
+        assert len(program.read_text().splitlines()) < LINES_MAX
+
+
+def test_press_and_plot(tmp_path: Path) -> None:
+    """The finger slips where the tangential spring holds mu N: after 0.6 mm of a drag of 2 mm/s from 0.5 s on."""
+    out = said("press_and_plot.py", "press.png", cwd=tmp_path)
+    # The damper of the coupling holds 2 mN, which is a tick of the drag; the drag begins and slips at a whole tick.
+    assert number(r"slips after ([\d.]+) s", out) == pytest.approx(0.8, abs=0.003)
+    assert (tmp_path / "press.png").read_bytes().startswith(PNG)
+
+
+def test_friction_sweep(tmp_path: Path) -> None:
+    """Coulomb's law to a tick of the drag, and to the digit that is printed."""
+    out = said("friction_sweep.py", "sweep.png", cwd=tmp_path)
+    assert number(r"difference ([\d.]+) um", out) <= 2.0
+    assert (tmp_path / "sweep.png").read_bytes().startswith(PNG)
+
+
+def test_stiffness_staircase(tmp_path: Path) -> None:
+    """The staircase finds the threshold that its observer was made with."""
+    out = said("stiffness_staircase.py", cwd=tmp_path)
+    found, expected = number(r"threshold ([\d.]+)%", out), number(r"observer's is ([\d.]+)%", out)
+    # 99 of 100 staircases of 36 reversals end between half and 1.65 of it (2000 drawn without the engine).
+    assert 0.5 < found / expected < 1.65
+
+
+def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
+    """Half the stiffness, half the force: the recording presses 1 mm deep."""
+    out = said("change_a_parameter.py", *endpoints, cwd=tmp_path)
+    assert "1000 -> 500; largest normal force 1.00 N -> 0.50 N" in out
+
+
+def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
+    """A picture is drawn of what arrives."""
+    out = said("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
+    assert number(r"(\d+) ticks drawn", out) > 0
+    assert (tmp_path / "live.png").read_bytes().startswith(PNG)

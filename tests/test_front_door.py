@@ -1,0 +1,288 @@
+"""The front door: what `import softfinger` offers, its examples, and what its users meet when they are wrong."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import json
+import pydoc
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+import softfinger
+from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.load import describe, load_scene
+from softfinger.proxy.engine import Engine, PoseError, step_many
+from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
+from softfinger.proxy.records import Records
+from softfinger.server.cli import main
+from softfinger.server.offline.results import write_results
+from softfinger.server.offline.simulate import run_recording
+from softfinger.server.remote import Client
+from softfinger.server.verbs.shipped import FOLDER_OF
+from softfinger.server.wire.control import Control
+
+RIBS = FOLDER_OF["scenes"] / "ribs.csv"  # the texture of a scene
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+PRESSED = (0.0, 0.0, 0.0095)
+STIFFNESS = "object.table.material.stiffness_n_per_m"
+MODULES = (
+    "softfinger",
+    "softfinger.config.load",
+    "softfinger.proxy.engine",
+    "softfinger.proxy.records",
+    "softfinger.server.offline.simulate",
+    "softfinger.server.remote",
+)
+
+
+@pytest.fixture
+def client(endpoints: tuple[str, str]) -> partial[Client]:
+    """`Client` of a daemon that replays the shipped recording."""
+    return partial(Client, *endpoints)
+
+
+def test_every_name_is_there_and_none_more() -> None:
+    """All that is offered can be had, is listed, and is described."""
+    assert set(softfinger.__all__) <= set(dir(softfinger))
+    page = pydoc.plain(pydoc.render_doc(softfinger))
+    for name in softfinger.__all__:
+        assert name in page and (name == "__version__" or getattr(softfinger, name).__doc__)
+    with pytest.raises(AttributeError, match="'engine': it offers Client, Engine"):
+        _ = softfinger.engine
+
+
+def test_the_door_is_light() -> None:
+    """Nothing behind it is imported before it is asked for, by `dir` neither."""
+    code = "import sys, softfinger; dir(softfinger); print([n for n in sys.modules if n.startswith('softfinger.')])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_type_checker_sees_the_names(tmp_path: Path) -> None:
+    """mypy --strict knows the classes behind the names, and refuses a wrong argument."""
+    program = "import softfinger\nreveal_type(softfinger.Engine('x').step([0.0], [1.0]).force)\nsoftfinger.Engine(1)\n"
+    (tmp_path / "program.py").write_text(program)
+    root = Path(__file__).resolve().parents[1]
+    command = [sys.executable, "-m", "mypy", "--config-file", root / "pyproject.toml", tmp_path / "program.py"]
+    told = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=500).stdout
+    assert "ndarray" in told and 'Argument 1 to "Engine" has incompatible type "int"' in told, told
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_of_docstrings_run(name: str, client: partial[Client]) -> None:
+    """Each example does what stands below it."""
+    found = doctest.testmod(importlib.import_module(name), extraglobs={"Client": client})
+    assert found.attempted and not found.failed
+
+
+# --- records ----------------------------------------------------------------------------------------
+
+
+def made_up(rows: int = 4) -> Records:
+    return Records(np.arange(float(rows * RECORD_SIZE)).reshape(rows, RECORD_SIZE))
+
+
+def test_fields_are_where_the_table_says() -> None:
+    """By name, by numpy's structured type and by column there is the same number."""
+    records = made_up()
+    for field in FIELDS:
+        there = np.asarray(records)[:, field.at : field.at + field.size].reshape(records[field.name].shape)
+        np.testing.assert_array_equal(records[field.name], there)
+        np.testing.assert_array_equal(records.structured[field.name], there)
+        assert records[field.name].dtype == (np.int64 if field.kind == "int" else np.float64)
+    assert records.structured.shape == (4,) and np.shares_memory(records, records.structured)
+
+
+def test_what_keeps_whole_rows_keeps_its_names() -> None:
+    """Some rows and one row have names; a column is a plain array."""
+    records = made_up()
+    some, one = records[records["tick"] > RECORD_SIZE], records[2]
+    assert some["force"].shape == (3, 3)  # the first row's tick is 1
+    np.testing.assert_array_equal(one["force"], records["force"][2])
+    assert type(records[:, AT.tick]) is np.ndarray and type(one["force"]) is np.ndarray
+    with pytest.raises(KeyError, match=r"'contact.mod'.*did you mean 'contact.mode'"):
+        records["contact.mod"]
+    with pytest.raises(ValueError, match=r"shape \(2, 3\) has no records"):
+        Records(np.zeros((2, 3)))
+
+
+def test_pandas_has_the_columns_of_a_results_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whole numbers are whole; where pandas is not installed the error says what to do."""
+    made: list[tuple[list[str], dict[str, type]]] = []
+
+    class Frame:
+        def __init__(self, rows: np.ndarray, columns: list[str]) -> None:
+            assert type(rows) is np.ndarray and rows.shape == (4, len(columns))
+            self.columns = columns
+
+        def astype(self, kinds: dict[str, type]) -> Frame:
+            made.append((self.columns, kinds))
+            return self
+
+    stand_in = type(sys)("pandas")
+    stand_in.DataFrame = Frame  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "pandas", stand_in)
+    made_up().to_pandas()
+    assert made == [(columns(), {field.name: np.int64 for field in FIELDS if field.kind == "int"})]
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(HapticError, match="pip install pandas"):
+        made_up().to_pandas()
+
+
+# --- tuning by dotted path --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def engine() -> Engine:
+    return Engine("paper-plane")
+
+
+def pressing(engine: Engine) -> float:
+    engine.reset()
+    return engine.step(PRESSED, UPRIGHT).normal_force
+
+
+def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
+    """By name and by number, in contact, and to the bits of an engine that began so."""
+    changes = {STIFFNESS: 500.0, "coupling.stiffness_n_per_m": 700.0}
+    poses = np.tile([*PRESSED, *UPRIGHT], (50, 1))
+    poses[:, 0] = np.linspace(0.0, 0.002, 50)
+    engine.reset()
+    engine.set(changes)
+    assert engine.config == load_scene("paper-plane", changes)
+    np.testing.assert_array_equal(engine.run(poses), Engine(load_scene("paper-plane", changes)).run(poses))
+    engine.set("object.0.material.stiffness_n_per_m", 1000.0)
+    assert engine.step(PRESSED, UPRIGHT).cause != "touch"  # it was in contact all the time
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({STIFFNESS: -1.0}, r"set: object\[0\].material.stiffness_n_per_m = -1.0: must be a number from"),
+        ({STIFFNESS: 800.0, "object.table.material.stifness": 1.0}, "did you mean 'stiffness_n_per_m'"),
+        ({STIFFNESS: 800.0, "object.0.material.stiffness_n_per_m": 700.0}, "given twice"),
+        ({STIFFNESS: 800.0, "object.7.name": "x"}, "none of the 1 entries"),
+        ({STIFFNESS: 800.0, "rolling.method": "midpoint"}, "set: rolling.method: that is another model"),
+    ],
+)
+def test_all_or_nothing(changes: dict[str, object], said: str, engine: Engine) -> None:
+    """What cannot be set is named, and what came with it is not set either."""
+    engine.set(STIFFNESS, 1000.0)
+    before = engine.config
+    with pytest.raises(ConfigError, match=said) as refused:
+        engine.set(changes)
+    assert engine.config is before and pressing(engine) == pytest.approx(0.5, rel=1e-12)  # 1000 N/m, 0.5 mm; rounding
+    assert "another model" not in said or STIFFNESS not in str(refused.value)
+
+
+def test_nothing_is_compiled_anew(engine: Engine) -> None:
+    """A change leaves as many compiled kernels as there were."""
+    pressing(engine)
+    before = len(step_many.overloads)
+    engine.set(STIFFNESS, 321.0)
+    assert pressing(engine) == pytest.approx(321.0 * 0.0005, rel=1e-12)  # rounding of a few operations
+    assert len(step_many.overloads) == before
+
+
+@pytest.mark.parametrize(
+    ("position", "orientation", "said"),
+    [
+        ((0.0, 0.0), UPRIGHT, "must be 3 numbers"),
+        (0.0, UPRIGHT, "must be 3 numbers"),
+        (PRESSED, [UPRIGHT], "and 4"),
+        (PRESSED, "wxyz", "and 4"),
+        ((0.0, np.nan, 0.0), UPRIGHT, "must be finite"),
+        ((0.0, 0.0, 2e6), UPRIGHT, "at most 1e\\+06 m"),
+        (PRESSED, (0.0, 0.0, 0.0, 0.0), "its norm must be"),
+    ],
+)
+def test_a_pose_that_is_none_is_refused(position: object, orientation: object, said: str, engine: Engine) -> None:
+    """With what is wrong, and the next pose is taken."""
+    with pytest.raises(PoseError, match=said):
+        engine.step(position, orientation)  # type: ignore[arg-type]
+    assert pressing(engine) > 0.0
+
+
+def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
+    """One by one or all at once, quaternions of any length; what a step returned stays as it was."""
+    poses = np.random.default_rng(3).normal(size=(40, 7)) * 0.001 + [*PRESSED, 3.0, 0.0, 0.0, 0.0]
+    engine.reset()
+    steps = [engine.step(pose[:3], list(pose[3:])) for pose in poses]
+    engine.reset()
+    np.testing.assert_array_equal(np.array([step.record for step in steps]), engine.run(poses))
+
+
+# --- scenes and recordings --------------------------------------------------------------------------
+
+
+def test_a_mapping_is_as_good_as_a_file() -> None:
+    """The mapping of a scene makes the same scene; its faults are all named."""
+    scene = load_scene("sphere")
+    assert load_scene(describe(scene)) == scene == load_scene(scene)
+    assert Engine(describe(scene)).config == scene
+    with pytest.raises(ConfigError, match=r"scene: fingertip.radius_m = 'big'.*\n.*object"):
+        load_scene({"fingertip": {"radius_m": "big"}})
+    ball = "object.sphere.radius_m"
+    assert load_scene(scene, {ball: 0.03}) == load_scene("sphere", {"object.0.radius_m": 0.03}) != scene
+
+
+def test_a_recording_runs_as_simulate_does(tmp_path: Path) -> None:
+    """The records of the verb, to the bit, and what a results file holds."""
+    out, own = tmp_path / "verb.csv", tmp_path / "own.csv"
+    assert main(["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(out), "--rate", "500"]) == 0
+    records = run_recording("tap", "paper-plane", rate_hz=500.0)
+    write_results(own, records)
+    assert own.read_bytes() == out.read_bytes() and type(records) is Records
+    with pytest.raises(ConfigError, match="poses of thumb: not the scene's fingers"):
+        run_recording({"thumb": "tap"})
+    tables = describe(load_scene("paper-plane"))
+    named = tables | {"finger": [{"name": "index", **tables.pop("fingertip")}]}
+    np.testing.assert_array_equal(run_recording("tap", named), run_recording({"index": "tap"}, named)["index"])
+
+
+# --- a running daemon -------------------------------------------------------------------------------
+
+
+def test_a_client_hears_what_it_changes(client: partial[Client]) -> None:
+    """A parameter changed by command is in the telemetry's events; what was opened is closed with the client."""
+    with client() as daemon:
+        assert isinstance(daemon, Control)
+        events = daemon.subscribe(["event"], timeout_s=20.0)
+        window = daemon.window(samples=10)
+        while len(window) < 10:
+            assert window.update(timeout_s=20.0)
+        assert window["force"].shape == (10, 3)
+        for value in (810.0, 820.0):  # the subscription may begin after the first
+            daemon.set_params({STIFFNESS: value})
+        told = next(event for event in events if event["name"] == "set_params")
+        assert msgspec.to_builtins(told["what"])[STIFFNESS]["to"] in (810.0, 820.0)
+    assert list(events) == []
+
+
+# --- what is shipped --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verb", list(FOLDER_OF))
+def test_what_is_shipped_is_listed_a_line_each(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every file by the name that other verbs take, with a sentence about it; as JSON with the file."""
+    assert main([verb]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert main([verb, "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    files = {path for path in FOLDER_OF[verb].iterdir() if path.suffix in (".toml", ".csv")} - {RIBS}
+    assert {Path(each["file"]) for each in listed} == files and len(lines) == len(listed)
+    for line, each in zip(lines, listed, strict=True):
+        name, _, text = line.partition(" ")
+        assert (
+            (name, text.strip())
+            == (each["name"], each["description"])
+            == (Path(each["file"]).stem, each["description"])
+        )
+        assert len(text.split()) > 3

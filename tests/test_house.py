@@ -1,0 +1,86 @@
+"""The house: rooms that are not crowded, doors that say what is behind them, maps that are true."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("config", "drivers", "proxy", "server", "tools")
+FOLDERS = sorted({path.parent for package in PACKAGES for path in (ROOT / package).rglob("*.py")})
+MODULES_MAX = 12
+PARAMETERS_MAX = 8
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=name)
+def test_no_folder_is_crowded(folder: Path) -> None:
+    """At most a dozen modules stand side by side, so that a listing can be read at a glance."""
+    assert len(list(folder.glob("*.py"))) <= MODULES_MAX
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=name)
+def test_every_package_says_what_is_in_it_and_what_may_not_be(folder: Path) -> None:
+    """Its docstring has a line for each, and neither says nothing."""
+    text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))) or ""
+    inside, _, outside = text.partition("\n\n")
+    assert len(inside.split()) >= 5 and len(outside.split()) >= 4, f"{name(folder)}: {text!r}"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_function_takes_more_than_a_reader_keeps_in_mind(package: str) -> None:
+    """At most eight parameters, `self` and `cls` not counted: what belongs together is a named tuple."""
+    long = []
+    for path in sorted((ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+                count = parameters(node.args)
+                if count > PARAMETERS_MAX:
+                    long.append(f"{name(path)}:{node.lineno}: {getattr(node, 'name', 'lambda')} takes {count}")
+    assert long == []
+
+
+def parameters(given: ast.arguments) -> int:
+    """How many a caller may give one by one."""
+    names = [argument.arg for argument in (*given.posonlyargs, *given.args)]
+    return len(names) - (names[:1] in (["self"], ["cls"])) + len(given.kwonlyargs)
+
+
+def test_parameters_are_counted() -> None:
+    """By position, by either and by keyword; neither `self` nor what a star gathers."""
+    (made,) = ast.parse("def f(self, a, /, b, c=1, *rest, d, e=2, **more): ...").body
+    assert isinstance(made, ast.FunctionDef) and parameters(made.args) == 5
+
+
+def test_the_map_is_true() -> None:
+    """Every file and folder that CONTRIBUTING names is there."""
+    page = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    named = re.findall(r"`((?:config|docs|examples|drivers|proxy|server|tests|tools)/[\w/.-]*)`", page)
+    assert len(named) > 30
+    assert not [place for place in named if not (ROOT / place).exists()]
+
+
+def test_the_index_lists_every_page() -> None:
+    """docs/index.md leads to each page of docs/."""
+    index = ROOT / "docs" / "index.md"
+    linked = {(index.parent / target).resolve() for target in re.findall(r"\]\(([^)#:]+)\)", index.read_text("utf-8"))}
+    pages = {path.resolve() for path in (ROOT / "docs").rglob("*.md")} - {index.resolve()}
+    assert not {name(page) for page in pages - linked}
+
+
+def test_the_glossary_names_what_there_is() -> None:
+    """Each file and each name of a field in the glossary exists."""
+    rows = re.findall(r"^\| .* \| .* \| `([^`]+)`", (ROOT / "docs" / "glossary.md").read_text("utf-8"), re.MULTILINE)
+    sources = "\n".join(path.read_text("utf-8") for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    for place in rows:
+        if "/" in place:
+            found = (ROOT / place, ROOT / "proxy" / "kernels" / place)
+            assert any(path.exists() for path in found), place
+        elif not place.startswith("["):
+            assert re.search(rf"\b{place.rpartition('.')[2]}\b", sources), place

@@ -1,0 +1,60 @@
+"""A test that failed is repeated where the machine stood still, and nowhere else."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from helpers.stalls import Sleeper
+
+pytest_plugins = ["pytester"]
+
+SECOND_TIME_LUCKY = """
+turns = []
+
+def test_luck():
+    turns.append(1)
+    assert len(turns) == 2
+"""
+
+
+def run(pytester: pytest.Pytester, overslept_s: float) -> pytest.RunResult:
+    """The test above on a machine that oversleeps so long each time."""
+    pytester.makeconftest(f"""
+        import sys
+        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        from helpers import stalls
+        stalls.Sleeper.longest_s = lambda self: {overslept_s}
+        def pytest_configure(config):
+            config.pluginmanager.register(stalls.Patience())
+    """)
+    pytester.makepyfile(SECOND_TIME_LUCKY)
+    return pytester.runpytest_subprocess("-p", "no:cacheprovider")
+
+
+def test_repeated_where_the_machine_stood_still(pytester: pytest.Pytester) -> None:
+    """And the end of the run says so, with what had failed."""
+    result = run(pytester, 0.05)
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["*repeated, since the machine stood still*", "*::test_luck: overslept 50 ms; *"])
+
+
+def test_failed_where_it_kept_time(pytester: pytest.Pytester) -> None:
+    """A test that passes on the second try has failed."""
+    run(pytester, 0.001).assert_outcomes(failed=1)
+
+
+def test_sleeper_tells_a_stall() -> None:
+    """A program that is stopped for 50 ms oversleeps by as much."""
+    sleeper = Sleeper()
+    try:
+        sleeper.longest_s()
+        os.kill(sleeper._program.pid, signal.SIGSTOP)
+        time.sleep(0.05)
+        os.kill(sleeper._program.pid, signal.SIGCONT)
+        assert sleeper.longest_s() > 0.04
+    finally:
+        sleeper.close()

@@ -1,0 +1,40 @@
+"""What the virtual machine runs, as far as that can be told without one.
+
+It is started by hand: a module that moves or a setting of the tests must not leave it behind.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from vm import run
+
+ROOT = Path(__file__).resolve().parents[1]
+PROGRAMS = sorted((ROOT / "tests" / "vm").glob("*.py"))
+
+
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda path: path.name)
+def test_what_it_imports_is_there(program: Path) -> None:
+    """Every name of ours that its programs import exists where they look for it."""
+    for node in ast.walk(ast.parse(program.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("softfinger"):
+            module = importlib.import_module(str(node.module))
+            for alias in node.names:
+                if not hasattr(module, alias.name):
+                    importlib.import_module(f"{node.module}.{alias.name}")
+
+
+def test_its_command_is_one_that_pytest_takes() -> None:
+    """With the guest's variables and this project's settings, the command finds tests and ends in order."""
+    guest = {key: value for key, value in run.guest_environment().items() if key.startswith("PYTEST_")}
+    assert guest
+    command = run.tests(["--collect-only", "-q", str(Path(__file__).relative_to(ROOT))])
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | guest, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

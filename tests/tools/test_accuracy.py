@@ -1,0 +1,356 @@
+"""`softfinger accuracy`: its numbers against closed forms and the paper's, its motions, its choice of methods."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from references.paper import published
+from references.rotation import matrix
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.kernels import model
+from softfinger.server.cli import main
+from softfinger.server.loop.clock import stopwatch
+from softfinger.tools.accuracy import cases, figures, front, montana, paper, verb
+from softfinger.tools.accuracy.classical import MAX_STEP_SHARE, Steps, roll_classical
+from softfinger.tools.accuracy.reference import roll_path
+from softfinger.tools.accuracy.report import write_report
+
+R = cases.RADIUS_M
+W, SPIN = 2.0, 0.5
+"""Rotation rate (rad/s) and spin over roll of the standard motion."""
+ROLL_RATE, SPIN_RATE = W / np.hypot(1.0, SPIN), W * SPIN / np.hypot(1.0, SPIN)
+TORUS = model.Torus(0.05, 0.02, 1.0)
+
+
+def options(*words: str) -> argparse.Namespace:
+    """The parsed command line."""
+    parser = argparse.ArgumentParser()
+    verb.configure(parser)
+    return parser.parse_args(words)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What `--json` prints for a plane and a torus, with the plot of it."""
+    words = ["accuracy", "--quick", "--json", "--surface", "plane", "torus", "--rate", "8", "16", "32", "1000"]
+    methods = ["euler_zxz", "rotation_vector", "midpoint", "montana_rk4"]
+    plot = tmp_path_factory.mktemp("accuracy") / "front.png"
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main([*words, "--method", *methods, "--plot", str(plot)]) == 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    found: dict[str, Any] = json.loads(printed.getvalue())
+    return found
+
+
+def rows(result: dict[str, Any], **values: Any) -> list[dict[str, Any]]:
+    """Rows of the trade that have these values."""
+    return [row for row in result["trade"] if all(row[key] == value for key, value in values.items())]
+
+
+def test_json_has_what_is_promised(result: dict[str, Any]) -> None:
+    """Sections and keys are those that other programs read; every method is on every surface it is there for."""
+    assert {"motion", "method", "max_error_mm"} <= result["paper"][0].keys()
+    speed = {"classical_ns_per_step", "euler_zxz_ns_per_step", "rotation_vector_ns_per_step", "ratio"}
+    assert speed <= result["speed"].keys()
+    trade = {"surface", "method", "step_s", "max_error_m", "ns_per_step", "spin_error_rad", "drift_m"}
+    assert all(trade <= row.keys() for row in result["trade"])
+    # Four methods on the plane and, without the closed form, three on the torus; two motions, four rates.
+    assert len(result["trade"]) == (4 + 3) * 2 * 4
+    assert {(row["surface"], row["motion"]) for row in result["pareto"]} == {
+        (surface, motion) for surface in ("plane", "torus") for motion in ("constant", "changing")
+    }
+    assert {row["rate_hz"] for row in result["recommendations"]} == {8.0, 16.0, 32.0, 1000.0}
+
+
+PAPER = [
+    # axes, method, largest differences along x and y in mm
+    ("contact_frame", "euler_zxz", (0.00387, 0.00393)),
+    ("contact_frame", "euler_zyx", (0.34067, 0.57934)),
+    ("contact_frame", "rotation_vector", (0.27901, 0.33110)),
+    ("world", "euler_zxz", (0.00208, 0.00313)),
+    ("world", "euler_zyx", (0.76124, 0.49121)),
+    ("world", "rotation_vector", (0.0, 0.0)),
+]
+
+
+@pytest.mark.parametrize(("motion", "method", "largest_mm"), PAPER)
+def test_paper_rows(result: dict[str, Any], motion: str, method: str, largest_mm: tuple[float, float]) -> None:
+    """The paper's experiment gives the known differences, a row a motion and method, as docs/model/rolling.md has."""
+    (row,) = (row for row in result["paper"] if (row["motion"], row["method"]) == (motion, method))
+    # Known to 1e-5 mm.
+    assert row["max_error_mm"] == pytest.approx([*largest_mm, 0.0], abs=0.6e-5)
+    x, y, _ = row["max_error_mm"]
+    text = (Path(__file__).parents[2] / "docs" / "model" / "rolling.md").read_text(encoding="utf-8")
+    assert f"| `{method}` | {x:.5f} | {y:.5f} |" in text
+
+
+def test_exact_methods_are_exact_in_the_paper(result: dict[str, Any]) -> None:
+    """Along the line all methods that take the logarithm are exact, and so is the classical way, to 1e-12 m."""
+    for row in result["paper"]:
+        if row["motion"] == "world" and not row["method"].startswith("euler"):
+            assert max(row["max_error_mm"]) < 1e-9
+
+
+def test_the_experiment_is_the_published_one() -> None:
+    """Steps, their time and their angles are the paper's."""
+    table = published()
+    assert (table["radius"], table["sampling_time"]) == (R, paper.STEP_S)
+    assert table["duration"] == paper.STEPS * paper.STEP_S
+    assert (table["delta_psi"], table["delta_theta"], table["delta_phi"]) == paper.TURN_RAD
+
+
+def test_reference_paths_of_the_paper() -> None:
+    """The integrated reference is a straight line, or an arc, as elementary calculus has it."""
+    (x, y, z), k = paper.TURN_RAD, np.arange(paper.STEPS + 1)
+    straight = R * complex(y, -x)
+    for motion, path in (("world", straight * k), ("contact_frame", straight * (np.exp(1j * z * k) - 1) / (1j * z))):
+        found = paper.exact_path(motion)
+        # Integrated to 1e-13 of some centimetres.
+        assert found == pytest.approx(np.column_stack([path.real, path.imag, 0 * k]), abs=1e-14)
+
+
+def test_speed_is_told_with_what_was_timed(result: dict[str, Any]) -> None:
+    """The ratio is that of the two times; ODE45 takes its ten sub-steps of six evaluations, and one to begin."""
+    speed = result["speed"]
+    assert speed["ratio"] == speed["classical_ns_per_step"] / speed["euler_zxz_ns_per_step"]
+    classical = speed["classical"]
+    assert (classical["relative_tolerance"], classical["absolute_tolerance"]) == (1e-3, 1e-6)
+    # No step is longer than a tenth; some begin with a shorter one, which makes eleven.
+    assert 61 <= classical["evaluations_per_step"] < 67
+    assert classical["known_ahead"]["evaluations_per_step"] < classical["without_step_bound"]["evaluations_per_step"]
+    assert classical["without_step_bound"]["evaluations_per_step"] < 61
+
+
+def test_classical_way_on_a_torus() -> None:
+    """Montana's equations under ODE45 stay on the reference path to the tolerance of ODE45, in both kinds of axes."""
+    at = montana.Coordinates(0.0, 0.0, 0.3, 0.4, 0.2)
+    here = montana.chart(TORUS, at.u_o, at.v_o)
+    center, w = np.array(here.point) + R * np.array(here.z), np.array([3.0, 2.0, 5.0])
+    half = 0.005 * np.linalg.norm(w)
+    dq = np.tile([np.cos(half), *(np.sin(half) / np.linalg.norm(w) * w)], (20, 1))
+    path = np.zeros((20, 3))
+    for spin_rate in (0.0, 4.0):
+
+        def rate(t: float, spin_rate: float = spin_rate) -> Any:
+            c, s, n = np.cos(spin_rate * t), np.sin(spin_rate * t), np.array(here.z)
+            return c * w + s * np.cross(n, w) + (1 - c) * (w @ n) * n
+
+        count = roll_classical(TORUS, R, at, Steps(dq, 0.01, spin_rate), MAX_STEP_SHARE, path, stopwatch(1))
+        points, _, _ = roll_path(TORUS, R, center, here.z, rate, 0.2).at(np.linspace(0.01, 0.2, 20))
+        # Steps of 6 mrad at the fifth order; the tolerance alone would allow 1e-3 of the coordinates.
+        assert np.abs(path - points).max() < 1e-11
+        assert count >= 61 * 20
+
+
+def test_errors_on_the_plane_are_the_closed_forms(result: dict[str, Any]) -> None:
+    """At a constant rate the ZXZ angles of a step miss its roll and its spin by what half-angle formulas say.
+
+    The straight path is too short or too long by the same in each step, so the end is furthest off. What takes the
+    logarithm is exact.
+    """
+    for row in rows(result, surface="plane", motion="constant"):
+        half, count = W * row["step_s"] / 2, row["steps"]
+        across, along = np.sin(half) * ROLL_RATE / W, np.sin(half) * SPIN_RATE / W
+        theta, spin = 2 * np.arctan2(across, np.hypot(np.cos(half), along)), 2 * np.arctan2(along, np.cos(half))
+        exact = row["method"] != "euler_zxz"
+        error = 0.0 if exact else R * abs(count * theta - ROLL_RATE)
+        turned = 0.0 if exact else abs(count * spin - SPIN_RATE)
+        # Rounding of up to a thousand steps of 20 mm and 1 rad altogether.
+        assert row["max_error_m"] == pytest.approx(error, abs=1e-14)
+        assert row["spin_error_rad"] == pytest.approx(turned, abs=1e-13)
+
+
+def test_orders(result: dict[str, Any]) -> None:
+    """Measured orders are those of the rules; where the rate changes within a step none has more than 2."""
+    found = {(row["surface"], row["motion"], row["method"]): row["order"] for row in result["orders"]}
+    # The next order's share at the steps from 1/32 to 1/8 s, of up to a quarter of a radian.
+    for key, order in {
+        ("plane", "constant", "euler_zxz"): 2.0,
+        ("torus", "constant", "euler_zxz"): 1.0,
+        ("torus", "constant", "midpoint"): 2.0,
+        ("torus", "constant", "montana_rk4"): 4.0,
+        ("plane", "changing", "euler_zxz"): 2.0,
+        ("plane", "changing", "rotation_vector"): 2.0,
+        ("torus", "changing", "midpoint"): 2.0,
+        ("torus", "changing", "montana_rk4"): 2.0,
+    }.items():
+        assert found[key] == pytest.approx(order, abs=0.1)
+    for method in ("rotation_vector", "midpoint", "montana_rk4"):
+        assert found["plane", "constant", method] is None
+
+
+def test_nothing_drifts(result: dict[str, Any]) -> None:
+    """The contact point is on the surface after every thousand steps, to rounding of centimetres."""
+    assert all(0.0 <= row["drift_m"] < 1e-15 for row in result["trade"])
+    assert {row["steps"] for row in result["drift"]} == {verb.QUICK_DRIFT_STEPS}
+
+
+@pytest.mark.parametrize("motion", cases.MOTIONS)
+def test_motion_turns_at_the_rates_it_says(motion: cases.Motion) -> None:
+    """The orientations begin at none, and their difference quotient is the angular velocity given to the reference."""
+    h, t, normal = 1e-5, np.linspace(0.0, 0.9, 7), (0.36, 0.48, 0.8)
+    path = cases.Track("plane", motion, 3.0, None, 0.7, 1.0)
+    assert cases.orientations(path, normal, np.zeros(1))[0] == pytest.approx([1, 0, 0, 0])
+    before, at, after = (cases.orientations(path, normal, t + s) for s in (-h, 0.0, h))
+    w = cases.angular_velocity(path, normal)
+    for time, a, q, b in zip(t, before, at, after, strict=True):
+        skew = (matrix(b) - matrix(a)) / (2 * h) @ matrix(q).T
+        # Central differences: h^2 times the third derivative, some tens per second cubed.
+        assert [skew[2, 1], skew[0, 2], skew[1, 0]] == pytest.approx(w(time), abs=1e-7)
+    first, n = w(0.0), np.array(normal)
+    assert np.linalg.norm(first) == pytest.approx(3.0)
+    assert first @ n / np.linalg.norm(first - (first @ n) * n) == pytest.approx(0.7)
+
+
+def test_turns_lead_from_pose_to_pose() -> None:
+    """The rotations between orientations, applied one after the other, lead from the first to each."""
+    rng = np.random.default_rng(51)
+    q = rng.normal(size=(20, 4))
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    steps = cases.turns(q)
+    assert (steps[:, 0] >= 0.0).all()
+    for before, step, after in zip(q, steps, q[1:], strict=False):
+        assert matrix(step) @ matrix(before) == pytest.approx(matrix(after), abs=1e-14)
+
+
+def test_cases_leave_out_what_cannot_be() -> None:
+    """No fingertip larger than the hollow it is in, no step of half a turn, no closed form where there is none."""
+    words = ("--turn-rate", "2", "3000", "3500", "--curvature-ratio", "0.1", "10", "--spin-ratio", "0.5", "1")
+    sweep, drift = verb.plan(options(*words, "--rate", "500", "1000"))
+    found = cases.cases(sweep)
+    assert all(case.turn_rate / case.rate_hz < np.pi for case in found)
+    assert {case.surface for case in found if case.curvature_ratio == 10.0} == {
+        "sphere", "cylinder", "capped-cylinder", "capsule", "box", "ellipsoid",
+    }  # fmt: skip
+    pairs = {(case.surface, case.method) for case in found}
+    assert pairs == {(case.surface, case.method) for case in drift}
+    assert ("box", "rotation_vector") in pairs
+    assert ("torus", "rotation_vector") not in pairs
+    assert len(set(found)) == len(found)
+
+
+@pytest.mark.parametrize("surface", [name for name in cases.SURFACES if name != "plane"])
+def test_curvature_ratio_scales_the_surface(surface: str) -> None:
+    """A surface of curvature ratio 0.1 has its own proportions, and a size of ten fingertip radii."""
+    own, _, _ = cases.contact(surface, None)
+    shape, center, normal = cases.contact(surface, 0.1)
+    scale = 10 * R / cases.SURFACES[surface].size
+    for name, value in own._asdict().items():
+        expected = value if name == "side" else scale * np.array(value)
+        assert getattr(shape, name) == pytest.approx(expected)
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    assert np.isfinite(center).all()
+
+
+def point(method: str, ns: float, error: float, rate: float = 1000.0, **more: Any) -> dict[str, Any]:
+    """A row of the trade, as far as the fronts look at it."""
+    row = {"surface": "s", "motion": "constant", "method": method, "ns_per_step": ns, "max_error_m": error}
+    row |= {"rate_hz": rate, "step_s": 1 / rate, "given_ratio": None, "turn_rate_rad_per_s": 2.0, "spin_ratio": 0.5}
+    return row | more
+
+
+def test_front_of_hand_made_points() -> None:
+    """Chosen is what no cheaper point comes near in error: it halves it, and rounding is all one."""
+    made = [
+        point("dear and bad", 100, 1e-3),
+        point("exact", 80, 1e-17),
+        point("cheap", 10, 1e-4),
+        point("hardly better, dearer", 20, 0.55e-4),
+        point("better", 30, 1e-7),
+        point("exact too, dearer", 90, 0.0),
+        # Costs 5 ns a millisecond of motion: the cheapest of all.
+        point("slow servo", 50, 1e-2, rate=100.0),
+    ]
+    assert [row["method"] for row in front.front(made)] == ["slow servo", "cheap", "better", "exact"]
+    assert front.front([]) == []
+    assert [row["method"] for row in front.front(made[:1])] == ["dear and bad"]
+
+
+def test_fronts_and_orders_look_at_the_ladder_only() -> None:
+    """Rows of another rotation rate, curvature ratio or spin ratio are no part of a front."""
+    made = [point("a", 10, 1e-4), point("a", 1, 1e-9, turn_rate_rad_per_s=1.0)]
+    made += [point("a", 1, 1e-9, spin_ratio=0.0), point("a", 1, 1e-9, given_ratio=0.1)]
+    assert front.fronts(made) == made[:1]
+    ladder = [point("a", 10, 3.0 / rate**3, rate=rate) for rate in (100.0, 200.0, 300.0, 400.0)]
+    (order,) = front.orders(ladder + made[1:])
+    assert order["order"] == pytest.approx(3.0)
+
+
+def test_recommendations() -> None:
+    """The cheapest method that keeps the error; where none does, that is said, with the least error there is."""
+    made = [point("fast", 10, 1e-6), point("fine", 40, 1e-9), point("worse", 50, 1e-8)]
+    found = front.recommendations(made, (1e-5, 1e-7, 1e-12))
+    assert [row["method"] for row in found] == ["fast", "fine", None]
+    assert found[0]["sentence"] == "s, constant rate: for an error below 10 um at 1000 Hz use fast: 10 ns"
+    assert found[2]["sentence"].endswith("there is no method: fine comes to 1 nm")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--rate", "0"], r"--rate 0: must be from 1 to 100000 Hz"),
+        (["--rate", "1000", "nan"], r"--rate nan: must be"),
+        (["--turn-rate", "-2"], r"--turn-rate -2: must be"),
+        (["--drift-steps", "10"], r"--drift-steps 10: must be from 1000"),
+        (["--tolerance", "1"], r"--tolerance 1: must be from 1e-13 to 0.01"),
+        (["--turn-rate", "50", "--rate", "10", "90"], r"--turn-rate 50 at --rate 10: .* raise --rate above 50,"),
+        (
+            ["--turn-rate", "50", "--rate", "10", "--motion", "constant"],
+            r"a step of 5 rad; .* raise --rate above 15.92",
+        ),
+        (["--figures", "/dev/null/figures"], r"--figures /dev/null/figures: Not a directory"),
+        (["--surface", "torus", "--method", "rotation_vector"], r"rotation_vector is there for shapes with a closed"),
+    ],
+)
+def test_bad_values_are_named(words: list[str], message: str) -> None:
+    """A value that cannot be used gets one error, with the option, the value and the range."""
+    with pytest.raises(ConfigError, match=message):
+        verb.run(options(*words))
+
+
+def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without scipy the error says what to install."""
+    monkeypatch.setitem(sys.modules, "scipy.integrate", None)
+    with pytest.raises(ConfigError, match=r"pip install 'softfinger\[accuracy\]'"):
+        paper.exact_path("world")
+
+
+def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    """A surface that does not exist ends with exit code 2 and the list of those that do."""
+    with pytest.raises(SystemExit) as stop:
+        main(["accuracy", "--surface", "cone"])
+    assert stop.value.code == 2
+    assert "'cone' (choose from" in capsys.readouterr().err
+
+
+def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) -> None:
+    """Each figure is text without a date and not large, and drawn again from the same data it is the same."""
+    drawn = {}
+    for name, draw in figures.FIGURES.items():
+        draw(result, tmp_path / name)
+        drawn[name] = (tmp_path / name).read_text(encoding="utf-8")
+        assert "<dc:date>" not in drawn[name]
+        assert len(drawn[name]) < 80_000
+    draw(result, tmp_path / name)
+    assert (tmp_path / name).read_text(encoding="utf-8") == drawn[name]
+
+
+def test_report_has_every_section(result: dict[str, Any], tmp_path: Path) -> None:
+    """What people read has the machine, the paper's numbers, the front and the recommendations."""
+    write_report(result, tmp_path / "report.txt")
+    text = (tmp_path / "report.txt").read_text(encoding="utf-8")
+    assert "0.00387   0.00393" in text
+    for heading in ("the paper's experiment", "its time", "measured order", "Pareto front", "drift off the surface"):
+        assert f"\n{heading}" in text
+    assert f"measured on {result['machine']['processor']}" in text
+    assert "plane, constant rate: for an error below 1 pm at 1000 Hz use " in text

@@ -1,0 +1,314 @@
+"""`doctor --device-report`: what is in a report, what is not, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import pty
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+import test_falcon_emulated
+import test_spacemouse_emulated
+from helpers.drd_stub import stub_library  # noqa: F401  a fixture
+from test_hid_emulated import WHY_NOT, beside
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_rig
+from softfinger.drivers.spacemouse import device as spacemouse
+from softfinger.proxy.kernels.native.jit import CACHE_DIR
+from softfinger.server.cli import main
+from softfinger.tools.doctor import report
+from softfinger.tools.doctor.questions import questions
+
+pytestmark = pytest.mark.real_time
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMAND = (sys.executable, "-m", "softfinger.server.cli", "doctor")
+USER: Final = "zaphodb"
+KEYS: Final = {
+    "report", "complete", "ended", "softfinger", "system", "driver", "options", "rate_hz", "guided", "identity",
+    "maker_library", "device", "realtime", "rest", "exchange", "without_pauses", "range", "moves", "buttons", "pushes",
+    "counts", "reason", "fault", "questions",
+}  # fmt: skip
+RATE_HZ: Final = 1000.0
+
+Here = Callable[..., str]
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """The home of a user whose name must not be found in a report."""
+    folder = tmp_path / USER
+    folder.mkdir()
+    return folder
+
+
+def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[str]:
+    """The verb as that user, from his home."""
+    return subprocess.run(
+        [*COMMAND, "--device-report", *words],
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, cwd=home, env=environment(home), **popen,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def here(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Here:
+    """The verb as that user in this process; what it printed, once it has ended well."""
+    for name, value in environment(home).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.chdir(home)
+
+    def report_of(*words: str) -> str:
+        assert main(["doctor", "--device-report", *words]) == 0
+        return capsys.readouterr().out
+
+    return report_of
+
+
+def environment(home: Path) -> dict[str, str]:
+    kept = os.environ | {"SOFTFINGER_CACHE_DIR": str(CACHE_DIR.parent)}
+    return kept | {"HOME": str(home), "USER": USER, "LOGNAME": USER}
+
+
+def checked(file: Path, home: Path) -> dict[str, Any]:
+    """A report whose keys are those of every report, and which does not say whose it is."""
+    text = file.read_text(encoding="utf-8")
+    found: dict[str, Any] = json.loads(text)
+    assert found.keys() == KEYS
+    assert str(home) not in text
+    assert USER not in text
+    assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(platform.node())}(?![A-Za-z0-9])", text)
+    assert not re.search(r"/home/|/root\b", text)
+    assert {row["id"] for row in found["questions"]} == {
+        one.id for one in questions() if found["driver"] in one.drivers
+    }
+    return found
+
+
+def rig_file(home: Path, name: str, *more: str) -> str:
+    """A shipped rig in that home, with more keys in its [device] table."""
+    text = (ROOT / "config" / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
+    path = home / f"my-{name}.toml"
+    path.write_text(text.replace("[device]\n", "\n".join(["[device]", *more, ""])), encoding="utf-8")
+    return str(path)
+
+
+def test_a_recording_is_reported(here: Here, home: Path) -> None:
+    """From a file in the user's home: device, times, counters, the machine; complete, and nothing to ask."""
+    (home / "mine.csv").write_bytes((ROOT / "config" / "recordings" / "tap.csv").read_bytes())
+    rig = home / "mine.toml"
+    rig.write_text(f'[device]\ndriver = "replay"\nrecording = "{home}/mine.csv"\n')
+    output = here("--rig", str(rig), "--seconds", "0.3")
+    found = checked(home / "softfinger-replay-report.json", home)
+    assert found["complete"] and found["ended"] == "in full" and found["fault"] is None
+    assert found["options"]["recording"] == "mine.csv"
+    assert found["device"]["name"] == "replay mine"
+    assert found["rest"]["ticks"] == 1000
+    assert found["exchange"]["ticks"] == 300
+    assert found["without_pauses"]["exchanges"] > 0
+    assert found["counts"]["reads"] >= 1300 + found["without_pauses"]["exchanges"]
+    assert found["moves"] == found["pushes"] == found["questions"] == found["identity"] == []
+    assert {"system", "python", "packages", "checks"} == found["system"].keys()
+    assert "attach it to an issue" in output and "noise along x, y, z" in output
+
+
+def test_a_push_of_the_simulated_device_goes_its_way(here: Here, home: Path) -> None:
+    """A hand that stays is pushed along +x, +y, +z; the handle was nowhere further than that; --json is the report."""
+    rig = home / "still.toml"
+    rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\n')
+    words = ("--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png")
+    output = here("report.json", "--rig", str(rig), *words)
+    found = checked(home / "report.json", home)
+    assert json.loads(output) == found
+    assert (home / "times.png").read_bytes().startswith(b"\x89PNG")
+    assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
+    assert all(1.5 < push["largest_n"] <= 2.0 for push in found["pushes"])
+    # 2 N against a hand of 1000 N/m are 2 mm, and at 3 Hz its mass lets it overshoot a little.
+    for low, high, at in zip(
+        found["range"]["position_min_m"], found["range"]["position_max_m"], (0.0, 0.0, 0.03), strict=True
+    ):
+        assert -0.003 < low - at < 0.0 < high - at < 0.003
+
+
+def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
+    """The stand-in's omega: serial number shortened wherever it stands, the library's file name, TIMEGUARD counted."""
+    rig = rig_file(home, "omega-3", f'library_file = "{stub_library}"')
+    done = run(home, "--rig", rig, "--seconds", "0.3")
+    assert done.returncode == 0, done.stderr
+    found = checked(home / "softfinger-forcedimension-report.json", home)
+    assert found["device"]["name"] == "omega.3, serial ...30"
+    assert found["maker_library"] == [stub_library.name]
+    assert "/" not in found["options"]["library_file"]
+    by_id = {row["id"]: row for row in found["questions"]}
+    measured = {name for name, row in by_id.items() if row["measured"]}
+    assert measured == {"exchange-time", "fd-library", "fd-force-on", "fd-held-back"}
+    assert by_id["fd-held-back"]["answer"].startswith("0 of ")
+    assert by_id["frame"]["answer"].startswith("not answered: run the report on a terminal")
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
+@pytest.mark.parametrize("lost", [False, True], ids=["whole", "unplugged"])
+def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
+    """An emulated arm: its ids, its report descriptor, its counters; unplugged, the fault is in the report, which is
+    written all the same, and the exit code is that of the fault."""
+    file = home / "report.json"
+    case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.01]} | ({"lost_after": 300} if lost else {})
+    rig = Path(rig_file(home, "woodenhaptics-2019"))
+    # what answers for the device is a process like any other: it must not wait for the exchange's thread
+    rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
+    words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
+    done, saw = beside(case, *COMMAND, *words)
+    assert done.returncode == (4 if lost else 0), done.stderr
+    found = checked(file, home)
+    (arm,) = found["identity"]
+    assert (arm["vendor_id"], arm["product_id"], arm["node"], arm["serial"]) == (
+        "16c0",
+        "0486",
+        "/dev/hidraw0",
+        "...42",
+    )
+    assert arm["report_descriptor"].startswith("06abff")
+    assert found["counts"]["written"] >= 300
+    assert not any(saw["last"]), "the last report was no zero"
+    answers = {row["id"]: row for row in found["questions"]}
+    assert answers["hid-descriptor"]["answer"] == arm["report_descriptor"]
+    assert answers["unplugged"]["measured"] is lost
+    assert found["complete"] is not lost
+    if lost:
+        assert found["fault"]["kind"] == "DeviceLost" and found["fault"]["in_use"]
+        assert "is gone" in found["fault"]["message"]
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
+@pytest.mark.parametrize("driver", ["falcon", "spacemouse"])
+def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
+    """A Falcon behind libusb and a puck behind its node: in full, with their ids, what was measured, and counters."""
+    file = home / "report.json"
+    if driver == "falcon":
+        rig, beside_it = Path(test_falcon_emulated.rig_with(home, counts_per_nm=4000)), test_falcon_emulated.beside
+    else:
+        rig, beside_it = Path(rig_file(home, driver)), test_spacemouse_emulated.beside
+    rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
+    done, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
+    assert done.returncode == 0, done.stderr
+    found = checked(file, home)
+    (device,) = found["identity"]
+    assert f"{device['vendor_id']}:{device['product_id']}" == {"falcon": "0403:cb48", "spacemouse": "046d:c626"}[driver]
+    assert found["complete"]
+    assert "exchange-time" in {row["id"] for row in found["questions"] if row["measured"]}
+    assert found["counts"]["replies" if driver == "falcon" else "reads"] > 0
+
+
+def test_a_puck_is_not_pushed() -> None:
+    """A device without motors is refused a push, by its name."""
+    rig = load_rig("spacemouse")
+    left, right = socket.socketpair()
+    puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), left.detach(), RATE_HZ)
+    with right, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
+        report.pushing(rig, puck, 1.0)
+
+
+def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
+    """Without the maker's library there is a report that says so, without the home that was looked in; exit code 4."""
+    done = run(home, "--rig", "omega-3", "--seconds", "0.3")
+    assert done.returncode == 4
+    found = checked(home / "softfinger-forcedimension-report.json", home)
+    assert found["ended"] == "by a fault" and not found["complete"]
+    assert found["fault"] == {"kind": "DeviceNotFound", "message": found["fault"]["message"], "in_use": False}
+    assert "~/.local/lib/libdrd.so*" in found["fault"]["message"]
+    assert found["device"] is None and found["exchange"] is None
+    assert not any(row["measured"] for row in found["questions"])
+
+
+@pytest.mark.parametrize(("number", "part"), [(signal.SIGINT, "the exchange"), (signal.SIGTERM, "a push along x")])
+def test_a_report_that_is_cut_short_is_written(number: signal.Signals, part: str, home: Path) -> None:
+    """Interrupted while it measures, or while it pushes: what was measured before is in it, it says that it was cut
+    short, and the last force is zero."""
+    rig = home / "kept.toml"
+    rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\nforces = "forces.npz"\n')
+    process = subprocess.Popen(
+        [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "2", "--with-force", "1"],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=home,
+        env=environment(home),
+    )  # fmt: skip
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith(f"recording {part}"):  # said half a second after the part has begun
+            break
+    process.send_signal(number)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    found = checked(home / "softfinger-replay-report.json", home)
+    assert found["ended"] == "cut short by the user" and not found["complete"]
+    assert found["rest"]["ticks"] == 1000
+    assert (found["exchange"] is not None) == (number == signal.SIGTERM)
+    assert found["pushes"] == []
+    assert "cut short by the user" in output
+    force = np.load(home / "forces.npz")["force"]
+    assert force.any() == (number == signal.SIGTERM)
+    assert not force[-1].any()
+
+
+def test_somebody_at_a_terminal_is_asked(home: Path) -> None:
+    """On a terminal each motion is asked for and recorded after Enter, and the report says what came of it; a puck
+    led by nobody does not move."""
+    rig = home / "still.toml"
+    rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\nsway_m = [0.02, 0.0, 0.0]\n')
+    main, side = pty.openpty()
+    process = subprocess.Popen(
+        [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "0.2"],
+        stdin=side, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=home, env=environment(home),
+    )  # fmt: skip
+    os.close(side)
+    assert process.stderr is not None
+    asked = []
+    for line in process.stderr:
+        if line.endswith("; Enter to begin\n"):
+            asked.append(line)
+            os.write(main, b"\n")
+    output, _ = process.communicate(timeout=60)
+    os.close(main)
+    assert process.returncode == 0, output
+    found = checked(home / "softfinger-simulated-report.json", home)
+    assert found["guided"]
+    assert len(asked) == 6  # rest, three ways, a turn, buttons
+    assert [move["expected"] for move in found["moves"]] == ["+x", "+y", "+z", "+z"]
+    assert all(move["agrees"] == (move["seen"] == move["expected"]) for move in found["moves"])
+    assert found["moves"][3]["kind"] == "rotation" and found["moves"][3]["seen"] == "no motion"
+    assert found["buttons"] == {"masks": [0]}
+
+
+@pytest.mark.parametrize(
+    ("words", "pieces"),
+    [
+        (["--rig", "simulated", "--with-force", "13"], ["--with-force 13", "guard.force_max_n = 12"]),
+        (["--rig", "simulated", "--with-force", "-1"], ["--with-force -1", "above 0"]),
+        (["--with-force", "nan"], ["--with-force nan"]),
+        (["--with-force", "1", "--seconds", "0.5"], ["--seconds 0.5", "at least 1"]),
+        (["/no/such/folder/x.json"], ["/no/such/folder", "no folder"]),
+        (["--rig", "simulated-falcon", "--with-force", "10", "--seconds", "1"], ["10", "8 N"]),
+    ],
+)
+def test_bad_words_give_one_clear_error(
+    words: list[str],
+    pieces: list[str],
+    home: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A force or file that will not do is refused with its limit, and no report is written."""
+    monkeypatch.chdir(home)
+    assert main(["doctor", "--device-report", *words]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
+    assert list(home.iterdir()) == []

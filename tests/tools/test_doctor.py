@@ -1,0 +1,240 @@
+"""`doctor`: the checks on this machine and on tables of another one, its exit code, its errors."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+
+from softfinger.config.errors import Unfit
+from softfinger.config.load import load_rig
+from softfinger.drivers.system.discovery import Attached
+from softfinger.server.cli import main
+from softfinger.server.loop import realtime
+from softfinger.tools.doctor import attached, loop, machine
+from softfinger.tools.doctor.check import STATES, Check, graded, lines
+
+pytestmark = pytest.mark.real_time
+
+COMMAND = (sys.executable, "-m", "softfinger.server.cli", "doctor")
+
+
+def write(root: Path, **files: str) -> Path:
+    """Files of another machine, `__` for a slash in their names."""
+    for name, text in files.items():
+        path = root / name.replace("__", "/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n")
+    return root
+
+
+def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *words], capture_output=True, text=True, timeout=300, env={**os.environ, **environment}
+    )
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The verb on this machine, with an endpoint that is held: one check is bad whatever the machine."""
+    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
+        port = socket.bind_to_random_port("tcp://127.0.0.1")
+        rig = tmp_path_factory.mktemp("rig") / "doctor.toml"
+        rig.write_text(
+            '[device]\ndriver = "replay"\nrecording = "tap"\n'
+            f'[telemetry]\nendpoint = "tcp://127.0.0.1:{port}"\n[servo]\ncpu = {min(os.sched_getaffinity(0))}\n'
+        )
+        plot = rig.with_suffix(".png")
+        done = run("--rig", str(rig), "--seconds", "0.3", "--json", "--plot", str(plot))
+    found: dict[str, Any] = json.loads(done.stdout)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    return found | {"code": done.returncode, "stderr": done.stderr, "port": port}
+
+
+def named(result: dict[str, Any], name: str) -> dict[str, str]:
+    (check,) = (one for one in result["checks"] if one["name"] == name)
+    return check
+
+
+def test_every_check_is_made(result: dict[str, Any]) -> None:
+    """Each has a name, one of the three states, what was seen and wanted, and a remedy where it is not good."""
+    names = [check["name"] for check in result["checks"]]
+    assert len(set(names)) == len(names)
+    real_time = {
+        f"real time, {name}" for name in ("timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity")
+    }
+    machine_checks = {"Python", "packages", "system", "bare machine", "processors", "processor frequency", "clock"}
+    measured = {"kernel cache", "ticks in time", "wake-up lateness", "contact step", "telemetry endpoint"}
+    assert real_time | machine_checks | measured | {"libusb", "hidapi", "Force Dimension's library"} <= set(names)
+    for check in result["checks"]:
+        assert check.keys() == set(Check._fields)
+        assert check["state"] in STATES
+        assert check["seen"] and check["wanted"]
+        assert check["remedy"] or check["state"] == "good", check
+
+
+def test_a_held_endpoint_is_bad_and_decides_the_exit_code(result: dict[str, Any]) -> None:
+    """The endpoint that is in use is named with what to do, and the exit code is that of Unfit, whose message names
+    every bad check."""
+    check = named(result, "telemetry endpoint")
+    assert check["state"] == "bad"
+    assert str(result["port"]) in check["seen"]
+    assert result["code"] == Unfit.exit_code
+    bad = [one["name"] for one in result["checks"] if one["state"] == "bad"]
+    assert all(name in result["stderr"] for name in bad)
+    assert result["states"]["bad"] == len(bad)
+    assert "Traceback" not in result["stderr"]
+
+
+def test_figures_are_those_of_a_run(result: dict[str, Any]) -> None:
+    """The loop has run its ticks at the rig's rate, and the checks speak of them."""
+    servo = result["loop"]["servo"]
+    assert servo["ticks"] == 299
+    assert result["loop"]["rate_hz"] == 1000.0
+    assert named(result, "ticks in time")["seen"].startswith(f"{servo['missed']} of 299 missed")
+    assert f"p99 {servo['late']['p99'] * 1e6:.0f} us" in named(result, "wake-up lateness")["seen"]
+
+
+def test_settings_are_really_made_and_given_back() -> None:
+    """Each setting is a check with what realtime says of it; afterwards this thread is scheduled as before."""
+    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
+    rig = load_rig("replay", {"servo.cpu": min(os.sched_getaffinity(0))})
+    checks = {check.name.removeprefix("real time, "): check for check in loop.settings(rig)}
+    assert checks["affinity"].state == "good"
+    assert checks.keys() == {"timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity"}
+    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
+
+
+@pytest.mark.parametrize(("mode", "state"), [("auto", "could be better"), ("require", "bad")])
+def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: str) -> None:
+    """A processor that there is not is refused, with the advice of realtime."""
+    rig = load_rig("replay", {"servo.cpu": 1023, "servo.realtime": mode})
+    (check,) = (one for one in loop.settings(rig) if one.name == "real time, affinity")
+    assert check.state == state
+    assert "processor 1023" in check.seen
+    assert "servo.cpu" in check.remedy
+    assert "affinity" in realtime.REQUIRED
+
+
+@pytest.mark.parametrize(
+    ("value", "state"), [(0.1, "good"), (0.11, "could be better"), (0.5, "could be better"), (0.51, "bad")]
+)
+def test_a_number_is_graded_by_its_thresholds(value: float, state: str) -> None:
+    """A threshold itself still belongs to the better state."""
+    assert graded(value, 0.1, 0.5) == state
+
+
+@pytest.mark.parametrize(
+    ("missed", "p99", "states"),
+    [
+        (0, 50e-6, ("good", "good")),
+        (5, 200e-6, ("could be better", "could be better")),
+        (200, 600e-6, ("bad", "bad")),
+    ],
+)
+def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: tuple[str, str]) -> None:
+    """Share of missed ticks and p99 of the lateness, at 1 kHz; without a compiler that is said."""
+    result = {"rate_hz": 1000.0, "servo": {"ticks": 10_000, "missed": missed, "late": {"p99": p99}}}
+    checks = loop.judged(result)
+    assert tuple(check.state for check in checks) == states
+    assert "install gcc" in checks[1].seen
+    beside = loop.judged(result | {"c": {"late": {"p99": 40e-6}}})
+    assert "the same loop in C 40 us" in beside[1].seen
+
+
+def test_another_machine_is_read(tmp_path: Path) -> None:
+    """A real-time kernel on a bare machine that does not save power is good; a guest of KVM in Docker is not."""
+    good = write(
+        tmp_path / "good", sys__kernel__realtime="1",
+        sys__devices__system__cpu__cpu0__cpufreq__scaling_governor="performance",
+        sys__devices__system__clocksource__clocksource0__current_clocksource="tsc", proc__cpuinfo="flags\t\t: fpu sse2",
+        proc__1__cgroup="0::/init.scope",
+    )  # fmt: skip
+    for check in (machine.kernel(good), machine.frequency(good), machine.clock(good), machine.virtual(good)):
+        assert check.state == "good", check
+    worse = write(
+        tmp_path / "worse", sys__devices__system__cpu__cpu0__cpufreq__scaling_governor="powersave",
+        sys__devices__system__clocksource__clocksource0__current_clocksource="hpet",
+        proc__cpuinfo="processor : 0\nflags\t\t: fpu hypervisor sse2", proc__stat="cpu  60 0 20 10 0 0 0 10 0 0",
+        proc__1__cgroup="12:devices:/docker/0123", sys__class__dmi__id__sys_vendor="QEMU",
+        sys__devices__system__cpu__smt__active="1", sys__devices__system__cpu__isolated="3",
+    )  # fmt: skip
+    for check in (machine.frequency(worse), machine.clock(worse), machine.virtual(worse)):
+        assert check.state == "could be better", check
+        assert check.remedy
+    seen = machine.virtual(worse).seen
+    assert "virtual machine (QEMU), 10.00% of its time taken by its host" in seen
+    assert "container" in seen
+    assert "two threads to a core, isolated: 3" in machine.processors(worse).seen
+
+
+def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package that is needed and not installed is named in the command that installs it; extras are not asked for."""
+    assert {"numpy", "numba", "pyzmq"} <= machine.versions().keys()
+    assert not {"viser", "pytest"} & machine.versions().keys()
+    required = ["numpy>=2.0", "no-such-package>=1", 'viser>=1.0; extra == "viewer"']
+    monkeypatch.setattr(machine.metadata, "requires", lambda _: required)
+    check = machine.packages()
+    assert check.state == "bad"
+    assert check.remedy == "pip install no-such-package"
+    assert "MISSING" in check.seen and "viser" not in check.seen
+
+
+def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
+    """A device that may not be opened is bad for its rig and worth a remark for another; its absence is bad."""
+    puck = Attached("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
+    (own,) = attached.devices(load_rig("spacemouse"), [puck])
+    (other,) = attached.devices(load_rig("replay"), [puck])
+    assert (own.state, other.state) == ("bad", "could be better")
+    assert "--device" in own.remedy
+    (absent,) = attached.devices(load_rig("spacemouse"), [])
+    assert (absent.name, absent.state) == ("device of the rig", "bad")
+    (none,) = attached.devices(load_rig("replay"), [])
+    assert none.state == "good"
+    mine = Attached("hid", 0x16C0, 0x0486, "Arm", "", str(tmp_path))
+    assert attached.is_of(load_rig("woodenhaptics-2019"), mine)
+    assert not attached.is_of(load_rig("woodenhaptics-2015"), mine)
+
+
+def test_the_makers_library_is_asked_for_by_its_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Missing, it is bad for a rig of Force Dimension and no matter for others."""
+    for name in ("FDSDK", "FORCEDIM_SDK"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    check = attached.maker_library(load_rig("omega-3"))
+    assert check.state == "bad"
+    assert "FDSDK" in check.remedy
+    assert attached.maker_library(load_rig("replay")).state == "good"
+
+
+def test_the_text_says_what_mends() -> None:
+    """A good check is one line; another has what is wanted and what to do below it."""
+    good, bad = Check("a", "good", "seen", "wanted", "unused"), Check("b", "bad", "seen", "wanted", "do this")
+    assert len(lines([good])) == 1
+    assert [line.strip() for line in lines([bad])] == ["bad             b: seen", "wanted: wanted", "mend it: do this"]
+
+
+@pytest.mark.parametrize(
+    ("words", "pieces"),
+    [
+        (["--seconds", "0"], ["--seconds 0", "0.1 to 60"]),
+        (["--rig", "nothing"], ["nothing", "replay"]),
+        (["--scene", "moon"], ["moon", "paper-plane"]),
+        (["--with-force", "1"], ["--with-force", "--device-report"]),
+        (["--no-prompts"], ["--no-prompts", "--device-report"]),
+    ],
+)
+def test_bad_words_give_one_clear_error(
+    words: list[str], pieces: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A wrong value says what, where and what is allowed, before anything is measured."""
+    assert main(["doctor", *words]) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors

@@ -1,0 +1,118 @@
+"""The tick at the ends of its inputs, and the judge that decides whether it held."""
+
+import math
+
+import numpy as np
+import pytest
+
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.cli import main
+from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED, guard_wrench
+from softfinger.tools.stability import extremes, wrenches
+
+CASES = list(extremes.cases())
+
+
+@pytest.mark.parametrize("case", CASES, ids=[f"{case.name}: {case.given}" for case in CASES])
+def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
+    """Force finite and bounded, a mode of the three, what was refused named, and what the case expects beside."""
+    finding = extremes.judge(case, extremes.run_case(case))
+    assert finding.wrong == ""
+    assert finding.ticks == len(case.samples) > 0
+
+
+def test_garbage_never_leaves_the_rules():
+    """Random NaN, infinities, subnormal, huge and zero numbers and time jumps: no tick breaks a rule."""
+    for row in extremes.try_hostile(60_000):
+        assert row["broken"] == 0
+        # A quarter of the samples holds at least one spoilt number with 1 - (7/8)^7 = 61 %, half of them bad ones.
+        assert 0.05 < row["refused"] / row["ticks"] < 0.25
+        assert row["force_max_n"] > 0.9 * extremes.FORCE_MAX_N
+
+
+def sound_records():
+    records = np.zeros((3, RECORD_SIZE))
+    records[:, AT.force] = extremes.FORCE_MAX_N
+    return records
+
+
+PERIOD = 0.001
+
+
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [
+        (AT.force, 1.001 * extremes.FORCE_MAX_N),
+        (AT.force, np.nan),
+        (AT.torque, -np.inf),
+        (AT.torque, 1.001 * extremes.TORQUE_MAX_NM),
+        (AT.contact_mode, 3.0),
+        (AT.contact_mode, np.nan),
+        (AT.proxy_position, np.nan),
+        (AT.servo_guard, NOT_FINITE | 4),
+        (AT.force, extremes.FORCE_MAX_N - 2.001),  # 2 N a tick
+        (AT.torque, 0.051),
+    ],
+)
+def test_judge_sees_every_broken_rule(at, value):
+    """A last tick that breaks one rule is counted; without it none is."""
+    records = sound_records()
+    assert extremes.broken_rules(records, PERIOD) == 0
+    records[-1, at] = value
+    assert extremes.broken_rules(records, PERIOD) == 1
+
+
+def test_judge_knows_what_was_to_be_refused():
+    """A broken pose that is taken, and a good one that is refused, are both wrong."""
+    good = next(case for case in CASES if not case.refused)
+    records = sound_records()
+    assert extremes.judge(good._replace(expects=lambda _: ""), records).wrong == ""
+    records[0, AT.servo_guard] = POSE_REFUSED
+    assert extremes.judge(good, records).wrong == "a pose refused"
+    assert extremes.judge(good._replace(refused=True), sound_records()).wrong == "a broken pose taken"
+
+
+@pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.cases()])
+def test_the_guard_holds_against_wrenches_of_any_kind(wrenches_of):
+    """Fed directly with what no contact gives, the guard keeps its rules, and does what the case expects."""
+    (wrong,) = [wrong for given, _, _, _, wrong in wrenches.try_wrenches() if given == wrenches_of]
+    assert wrong == ""
+
+
+def unchecked(guard, guarded, force, torque, dt, period):
+    """A guard whose check of finite numbers was lost."""
+    force = tuple(0.0 if math.isnan(x) else x for x in force)
+    torque = tuple(0.0 if math.isnan(x) else x for x in torque)
+    return guard_wrench.py_func(guard, guarded, force, torque, dt, period)
+
+
+def without_slew(guard, guarded, *rest):
+    return guard_wrench.py_func(guard._replace(force_slew=1e9, torque_slew=1e9), guarded, *rest)
+
+
+def without_ramp(guard, guarded, *rest):
+    return guard_wrench.py_func(guard._replace(ramp=0.0), guarded, *rest)
+
+
+def with_late_slew(guard, guarded, force, torque, dt, period):
+    return guard_wrench.py_func(guard, guarded, force, torque, dt, max(dt, period))
+
+
+def with_force_ramp_alone(guard, guarded, force, torque, dt, period):
+    whole = guard_wrench.py_func(guard._replace(ramp=0.0), guarded, force, torque, dt, period)[0]
+    after, bits = guard_wrench.py_func(guard, guarded, force, torque, dt, period)
+    return after._replace(torque=whole.torque), bits
+
+
+@pytest.mark.parametrize("broken", [unchecked, without_slew, without_ramp, with_late_slew, with_force_ramp_alone])
+def test_a_guard_that_lost_a_part_does_not_pass(broken, monkeypatch):
+    """Without the check, the slew limit, the ramp or a share of them, `stability --extremes` fails."""
+    monkeypatch.setattr(wrenches, "guard_many", wrenches.guard_many.py_func)
+    monkeypatch.setattr(wrenches, "guard_wrench", guard_wrench.py_func)
+    assert all(wrong == "" for *_, wrong in wrenches.try_wrenches())
+    monkeypatch.setattr(wrenches, "guard_wrench", broken)
+    assert any(wrong for *_, wrong in wrenches.try_wrenches())
+    failing = [extremes.Finding("wrench", "", 1, 0.0, "-", "", wrong) for *_, wrong in wrenches.try_wrenches()]
+    monkeypatch.setattr(extremes, "try_extremes", lambda: failing)
+    monkeypatch.setattr(extremes, "try_hostile", lambda *_: [])
+    assert main(["stability", "--extremes"]) == 1

@@ -1,0 +1,95 @@
+"""What a device report does not say of its user, and the questions that it answers."""
+
+from __future__ import annotations
+
+import platform
+import tomllib
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from softfinger.config.load import load_rig
+from softfinger.drivers import registry
+from softfinger.tools.doctor import privacy, report
+from softfinger.tools.doctor.questions import ANSWERS, answered, questions
+
+ROOT = Path(__file__).resolve().parents[2]
+USER: Final = "zaphodb"
+
+
+@pytest.fixture
+def somebody(monkeypatch: pytest.MonkeyPatch) -> privacy.Privacy:
+    """Takes out what says that this is zaphodb's report, on whatever machine."""
+    monkeypatch.setenv("HOME", f"/home/{USER}")
+    monkeypatch.setenv("USER", USER)
+    return privacy.Privacy(["SN-4711-A"])
+
+
+@pytest.mark.parametrize(
+    ("text", "clean"),
+    [
+        (f"/home/{USER}/lib/x.so", "~/lib/x.so"),
+        (f"/home/{USER}", "~"),
+        (f"/media/{USER}/disk", "/media/<user>/disk"),
+        (f"held by {USER}", "held by <user>"),
+        (f"{USER}x is another word", f"{USER}x is another word"),
+        ("omega.3, serial 1234", "omega.3, serial ...34"),
+        ("no HID device has the serial number 'SN42'", "no HID device has the serial number '...42'"),
+        ("attached is SN-4711-A here", "attached is ...-A here"),
+        ("/dev/serial/by-id/usb-PJRC_Teensy_123456-if00", "/dev/serial/by-id/..."),
+        ("a serial line at 115200", "a serial line at 115200"),
+    ],
+)
+def test_a_text_does_not_say_whose_it_is(text: str, clean: str, somebody: privacy.Privacy) -> None:
+    """Home, user and serial numbers go, wherever they stand in a text; other words stay."""
+    assert somebody.text(text) == clean
+
+
+def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: privacy.Privacy) -> None:
+    """Texts in lists and tables are cleaned; numbers, keys, and the name of the driver stay as they are."""
+    dirty = {"driver": USER, "a": [USER, {"b": f"on {platform.node()}"}], USER: 1.5, "none": None}
+    assert somebody.clean(dirty) == {"driver": USER, "a": ["<user>", {"b": "on <host>"}], USER: 1.5, "none": None}
+
+
+def test_options_keep_no_folder() -> None:
+    """Files lose their folders, a serial number all but its end; nodes stay."""
+    given = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
+    want = {"firmware": "x.bin", "serial": "...56", "path": "/dev/hidraw0", "hand": {"recording": "b.csv"}}
+    assert privacy.options(given) == want
+
+
+def test_the_questions_are_well_formed() -> None:
+    """Every id once, every driver one that there is, every answer to a question that there is; a driver for hardware
+    has some, the others none."""
+    ids = [one.id for one in questions()]
+    assert len(set(ids)) == len(ids)
+    drivers = {driver for one in questions() for driver in one.drivers}
+    assert drivers <= set(registry.names())
+    assert not drivers & {"replay", "simulated"}
+    assert ANSWERS.keys() <= set(ids)
+
+
+def test_what_was_measured_answers_its_question() -> None:
+    """From the parts of a report: motions, pushes, buttons; what is not there is not answered, with how to."""
+    empty, _ = report.begun(load_rig("falcon"), guided=False)
+    assert not any(row["measured"] for row in answered(empty))
+    full = empty | {
+        "moves": [{"asked": "move it up", "kind": "translation", "seen": "+z"}],
+        "pushes": [{"axis": "+x", "seen": "-x"}],
+        "buttons": {"masks": [0, 4]},
+    }
+    answers = {row["id"]: row["answer"] for row in answered(full) if row["measured"]}
+    assert answers == {
+        "frame": "move it up: +z", "force-sign": "force along +x: -x", "buttons": "masks 0, 4 were seen"
+    }  # fmt: skip
+
+
+def test_the_table_in_the_docs_is_the_file() -> None:
+    """docs/devices/overview.md lists every question with its drivers and how to answer it, in the file's order."""
+    text = (ROOT / "docs" / "devices" / "overview.md").read_text(encoding="utf-8")
+    part = text.split("## What only hardware can show\n", 1)[1].split("\n## ", 1)[0]
+    rows = [line.strip("|").split("|") for line in part.splitlines() if line.startswith("|")][2:]
+    table = [tuple(cell.strip() for cell in row) for row in rows]
+    file = tomllib.loads((ROOT / "tools" / "doctor" / "questions.toml").read_text(encoding="utf-8"))["question"]
+    assert table == [(f"`{q['id']}`", ", ".join(q["drivers"]), q["question"], q["how"]) for q in file]

@@ -1,0 +1,44 @@
+"""The study's tables: made from the commands' tables, put where the pages mark them, and nowhere else."""
+
+from pathlib import Path
+
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.tools import study
+from softfinger.tools.accuracy.report import table
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = "before\n<!-- study: drift -->\n| old |\n<!-- end -->\nafter <!-- study: orders -->\n<!-- end -->\n"
+
+
+def test_marked_tables_are_replaced_and_the_rest_is_kept():
+    """Between its marks a table is replaced, whatever stood there; doing it again changes nothing."""
+    page = study.insert(PAGE, {"drift": "| new |\n", "orders": "| 2 |\n"})
+    assert "| old |" not in page
+    assert page.startswith("before\n<!-- study: drift -->\n\n| new |\n\n<!-- end -->\nafter ")
+    assert study.insert(page, {"drift": "| new |\n", "orders": "| 2 |\n"}) == page
+
+
+def test_a_mark_without_a_table_is_an_error():
+    """A name that the study does not make says which there are."""
+    with pytest.raises(ConfigError, match="study: orders -->: no such table; there are drift"):
+        study.insert(PAGE, {"drift": "| new |"})
+
+
+def test_table_becomes_markdown():
+    """Headings, a rule and a line for each row, in order."""
+    made = table("title", ("surface", "over_euler"), [("plane", "1"), ("torus", "2")], 1)
+    assert study.markdown(made) == "| surface | over_euler |\n| --- | --- |\n| plane | 1 |\n| torus | 2 |\n"
+
+
+def test_every_table_has_its_place_in_the_pages():
+    """Each table is in one page, and each page marks only tables that are made."""
+    marked = [match["name"] for page in DOCS.rglob("*.md") for match in study.BLOCK.finditer(page.read_text())]
+    assert sorted(marked) == sorted(study.TABLES)
+
+
+def test_a_folder_without_pages_is_refused(tmp_path, capsys):
+    """Nothing is measured for a folder that has nothing to put it in."""
+    assert study.main([str(tmp_path)]) == ConfigError.exit_code
+    assert "no pages here" in capsys.readouterr().err

@@ -1,0 +1,173 @@
+"""Force through a seam, a groove and a pinch, as a picture; and what is wrong with friction in drags, as a table.
+
+python -m softfinger.tools.patches_figure docs/figures/patches.svg
+"""
+
+from __future__ import annotations
+
+import sys
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import AT, SLIDING
+from softfinger.server.offline.figures import figure, save
+from softfinger.tools.accuracy.report import WIDTH, table
+
+Array = NDArray[np.float64]
+
+RADIUS_M: Final = 0.01
+"""The paper's fingertip."""
+PRESS_M: Final = 0.001
+GRIP: Final = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
+"""Coefficients of the acceptance table; 1 N at a depth of 1 mm."""
+ICE: Final = {"kinetic": 0.0}
+"""What no friction counts as."""
+EIGHTH: Final = float(np.pi / 8.0)
+
+
+class Case(NamedTuple):
+    """What is touched, and poses (n, 7)."""
+
+    objects: list[dict[str, Any]]
+    poses: Array
+
+
+class Drag(NamedTuple):
+    """What is wrong with the friction of a drag, in the ticks behind one that slid: the first to slide bears mu_s f_N.
+
+    bias     N  tangential force less mu_d f_N, of all patches together, mean
+    ripple   N  the largest change of the tangential force from one such tick to the next
+    highest  1  tangential over normal force of a patch, the largest of all ticks
+    """
+
+    bias: float
+    ripple: float
+    highest: float
+
+
+def way(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
+    """Upright poses (n, 7) from corner to corner, in so many ticks each."""
+    points = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
+    return np.hstack([np.vstack(points), np.tile([1.0, 0.0, 0.0, 0.0], (ticks * len(points), 1))])
+
+
+def felt(case: Case) -> Array:
+    """Records of a case."""
+    tables = {"fingertip": {"radius_m": RADIUS_M}, "rolling": {"method": "rotation_vector"}, "object": case.objects}
+    return Engine(build(Scene, tables, "the figure of patches")).run(case.poses)
+
+
+def over(objects: list[dict[str, Any]]) -> Case:
+    """Pressed onto z = 0 and dragged by 20 mm along x, at 50 mm/s."""
+    z = RADIUS_M - PRESS_M
+    return Case(objects, way((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
+
+
+def plane() -> Case:
+    """What the seam stands for."""
+    return over([{"name": "floor", "shape": "plane", "material": GRIP}])
+
+
+def seam() -> Case:
+    """Two flush boxes, dragged over from one to the other."""
+    box = {"shape": "box", "size_m": [0.1, 0.1, 0.1], "material": GRIP}
+    boxes = [box | {"name": f"box {i}", "position_m": [x, 0.0, -0.05]} for i, x in enumerate((-0.05, 0.05))]
+    return over(boxes)
+
+
+def groove() -> Case:
+    """Two walls at right angles, one of ice; pressed in, and dragged along."""
+    walls = [
+        {
+            "name": f"wall {i}",
+            "shape": "plane",
+            "orientation_wxyz": [np.cos(EIGHTH), 0.0, side * np.sin(EIGHTH), 0.0],
+            "material": stuff,
+        }
+        for i, (side, stuff) in enumerate(((1.0, GRIP), (-1.0, {"stiffness_n_per_m": 1000.0})))
+    ]
+    z = 2.0**0.5 * RADIUS_M - PRESS_M
+    return Case(walls, way((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
+
+
+def pinch() -> Case:
+    """A finger 1 mm deep in the floor, at rest, and a ceiling that comes down on it."""
+    down = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.008], "frequency_hz": 0.3}
+    floor = {"name": "floor", "shape": "plane", "material": GRIP}
+    ceiling = floor | {
+        "name": "ceiling",
+        "position_m": [0.0, 0.0, 2.0 * RADIUS_M + 0.003],
+        "orientation_wxyz": [0.0, 1.0, 0.0, 0.0],
+        "motion": down,
+    }
+    at = (0.0, 0.0, RADIUS_M - PRESS_M)
+    return Case([floor, ceiling], way(at, at, ticks=800))
+
+
+def drag(case: Case) -> Drag:
+    """Of a case that is pressed and dragged."""
+    records = felt(case)
+    kinetic = np.array([thing["material"].get("friction", ICE)["kinetic"] for thing in case.objects])
+    size, due, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
+    slides = records[:, AT.contacts0_object] >= 0.0
+    for i in range(3):
+        here = {name: getattr(AT, f"contacts{i}_{name}") for name in ("object", "mode", "normal", "force")}
+        number, mode = (records[:, here[name]].astype(int) for name in ("object", "mode"))
+        normal, force = (records[:, here[name] : here[name] + 3] for name in ("normal", "force"))
+        mu = np.where(number >= 0, kinetic[number], 0.0)
+        load = np.sum(force * normal, axis=1)
+        rubs = np.linalg.norm(force - load[:, None] * normal, axis=1)
+        size += rubs
+        due += mu * load
+        slides &= (mode == SLIDING) | (mu == 0.0)
+        highest = max(highest, float(np.max(rubs[load > 0.0] / load[load > 0.0], initial=0.0)))
+    steady = slides[1:] & slides[:-1]
+    change = np.abs(np.diff(size))[1:][steady[1:] & steady[:-1]]
+    return Drag(float((size - due)[1:][steady].mean()), float(change.max()), highest)
+
+
+def drags_table() -> Any:
+    """Plane, seam and groove, and CHAI3D's plane."""
+    found = {"plane": drag(plane()), "seam": drag(seam()), "groove": drag(groove())}
+    rows = [
+        (name, f"{1e3 * abs(each.bias):.6f}", f"{1e3 * each.ripple:.6f}", f"{each.highest:.6f}")
+        for name, each in found.items()
+    ]
+    rows.append(("CHAI3D 3.3.0, plane of two triangles", "30", "52", "0.655"))
+    columns = ("drag", "bias, mN", "ripple, mN a tick", "largest tangential / normal force")
+    return table("friction of drags", columns, rows, 1)
+
+
+def draw_patches(path: Path) -> None:
+    """Draw the three and save them as `path`."""
+    drawing = figure(8.0, 6.5)
+    for axes, (name, case) in zip(
+        drawing.subplots(3, 1), {"seam": seam(), "groove": groove(), "pinch": pinch()}.items(), strict=True
+    ):
+        records = felt(case)
+        milliseconds = 1e3 * records[:, AT.timestamp]
+        for i, axis in enumerate("xyz"):
+            axes.plot(milliseconds, records[:, AT.force + i], linewidth=1.2, label=f"${axis}$")
+        for number in (0, 1):
+            size = np.zeros(len(records))
+            for on, at in ((AT.contacts0_object, AT.contacts0_force), (AT.contacts1_object, AT.contacts1_force)):
+                size += (records[:, on] == number) * np.linalg.norm(records[:, at : at + 3], axis=1)
+            axes.plot(milliseconds, size, linewidth=0.8, linestyle=":", label=f"on object {number}")
+        axes.set_ylabel(f"{name}\nforce [N]")
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
+        axes.margins(x=0.0)
+    axes.set_xlabel("time [ms]")
+    save(drawing, path)
+
+
+if __name__ == "__main__":
+    draw_patches(Path(sys.argv[1]))
+    Console(width=WIDTH).print(drags_table())

@@ -1,0 +1,121 @@
+"""The guard alone, on wrenches that no contact ought to give: what it lets through, tick after tick.
+
+The extremes of `extremes` reach the guard through the contact, which gives finite forces whatever it is fed. Here
+the guard is fed directly, and judged by what a hand must never feel; none of its own code has a part in that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import inf, nan
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.server.loop.guard import DISENGAGED, GUARD_NAMES, NOT_FINITE, Guard, guard_wrench
+
+Array = NDArray[np.float64]
+
+T: Final = 0.001
+LIMITS: Final = Guard(12.0, 0.3, 2000.0, 50.0, 0.1, 1.0)
+ROUNDING: Final = 1e-9
+"""Hundred sums of a ramp, differences of forces; relative to the limit."""
+RAMP_TICKS: Final = round(LIMITS.ramp / T)
+TICKS: Final = 3 * RAMP_TICKS
+BROKEN_AT: Final = 2 * RAMP_TICKS - 1
+STEADY: Final = np.tile([0.6, 0.0, 0.8, 0.0, 0.01, 0.0], (TICKS, 1))
+"""1 N and 0.01 N m, below every limit."""
+
+
+class Case(NamedTuple):
+    """Wrenches (n, 6) and the times (n,) s since the last; what else must hold of what came out, "" for nothing."""
+
+    given: str
+    wrenches: Array
+    dts: Array
+    expects: Callable[[Array, NDArray[np.int64]], str]
+
+
+@entry
+def guard_many(guard: Guard, wrenches: Array, dts: Array, period: float, out: Array, bits: Any) -> None:
+    """The guard on each row of `wrenches` (n, 6), from disengaged; what it commands (n, 6), and its bits (n,)."""
+    guarded = DISENGAGED
+    for i in range(wrenches.shape[0]):
+        w = wrenches[i]
+        guarded, bits[i] = guard_wrench(guard, guarded, (w[0], w[1], w[2]), (w[3], w[4], w[5]), dts[i], period)
+        for k in range(3):
+            out[i, k] = guarded.force[k]
+            out[i, 3 + k] = guarded.torque[k]
+
+
+def cases() -> Iterator[Case]:
+    even = np.full(TICKS, T)
+    yield Case("1 N from the first tick on", STEADY, even, lambda out, bits: fades_in(out, 0))
+    step = STEADY.copy()
+    step[:RAMP_TICKS] = 0.0
+    step[RAMP_TICKS:] *= 10.0
+    yield Case("10 N from one tick to the next", step, even, climbs)
+    for value, component in ((nan, 0), (inf, 1), (-inf, 2), (nan, 3), (inf, 4), (-inf, 5)):
+        broken = STEADY.copy()
+        broken[BROKEN_AT, component] = value
+        yield Case(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, refused)
+    yield Case("1e300 N", STEADY * 1e300, even, reaches_the_clamp)
+    held = even.copy()
+    held[RAMP_TICKS] = 0.05
+    yield Case("10 N after a pause of 50 ms", step, held, climbs)
+    asleep = even.copy()
+    asleep[2 * RAMP_TICKS] = 1.0
+    yield Case("1 N held over a pause of 1 s", STEADY, asleep, lambda out, bits: fades_in(out, 2 * RAMP_TICKS))
+
+
+def fades_in(out: Array, first: int) -> str:
+    """From tick `first` on force and moment are those of STEADY times a share that grows evenly to 1."""
+    share = np.minimum(np.arange(1, len(out) - first + 1) / RAMP_TICKS, 1.0)
+    good = np.allclose(out[first:], share[:, None] * STEADY[first:], rtol=0.0, atol=ROUNDING)
+    return "" if good else "the force did not fade in"
+
+
+def climbs(out: Array, bits: NDArray[np.int64]) -> str:
+    """10 N come in steps of 2 N, and are there after the fifth."""
+    want = 2.0 * np.arange(1, 6)
+    good = np.allclose(np.linalg.norm(out[RAMP_TICKS : RAMP_TICKS + 5, :3], axis=1), want, rtol=ROUNDING)
+    return "" if good else "the force did not come in steps of the slew limit"
+
+
+def reaches_the_clamp(out: Array, bits: NDArray[np.int64]) -> str:
+    good = np.allclose(out[-1], [7.2, 0.0, 9.6, 0.0, 0.3, 0.0], rtol=ROUNDING)  # 12 N and 0.3 N m, as STEADY points
+    return "" if good else "the limit was not reached, or the direction lost"
+
+
+def refused(out: Array, bits: NDArray[np.int64]) -> str:
+    at = BROKEN_AT
+    if out[at].any() or bits[at] != NOT_FINITE or (np.delete(bits, at) & NOT_FINITE).any():
+        return "a wrench that is not finite was not refused, or not named"
+    return fades_in(out, at + 1)
+
+
+def broken_rules(out: Array) -> str:
+    """What no output may be, whatever is given: not finite, past a clamp, or a jump; falling to zero is none."""
+    if not np.isfinite(out).all():
+        return "a wrench that is not finite was commanded"
+    for part, largest, slew, what in ((out[:, :3], 12.0, 2.0, "force"), (out[:, 3:], 0.3, 0.05, "moment")):
+        size = np.linalg.norm(part, axis=1)
+        change = np.linalg.norm(np.diff(part, axis=0, prepend=0.0), axis=1)
+        if size.max() > largest * (1.0 + ROUNDING):
+            return f"a {what} past its limit"
+        if np.minimum(change, size).max() > slew * (1.0 + ROUNDING):
+            return f"a {what} that jumped"
+    return ""
+
+
+def try_wrenches() -> Iterator[tuple[str, int, float, str, str]]:
+    """Of each case: what was given, ticks, largest force (N), what the guard named, what is wrong."""
+    for case in cases():
+        out, bits = np.zeros((TICKS, 6)), np.zeros(TICKS, np.int64)
+        guard_many(LIMITS, case.wrenches, case.dts, T, out, bits)
+        every = int(np.bitwise_or.reduce(bits))
+        named = " ".join(name for n, name in enumerate(GUARD_NAMES) if every >> n & 1)
+        force = float(np.linalg.norm(out[:, :3], axis=1).max())
+        yield case.given, TICKS, force, named, broken_rules(out) or case.expects(out, bits)
