@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import SceneSource, load_scene, overridden
-from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_all_patches, write_contacts
+from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_contacts
 from softfinger.proxy.kernels.model import Scene
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
@@ -125,7 +125,6 @@ def step_many(
         state, contacts = step(parameters, state, probes, dt)
         rows = rows_of(parameters.fingers, records[i], 0)
         write_contacts(contacts, rows, probes, first_tick + i, dt)
-        write_all_patches(state.fingers, rows, parameters.objects)
     pack(state_values, state)
 
 

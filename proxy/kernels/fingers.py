@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.geometry.rotations import normalize
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.record import write_contact, write_patches
+from softfinger.proxy.kernels.record import write_contact
 from softfinger.proxy.record import AT
 
 
@@ -78,19 +78,3 @@ def write_one_contact(contacts: Any, rows: Any, probes: Any, tick: int, dt: floa
 def write_several_contacts(contacts: Any, rows: Any, probes: Any, tick: int, dt: float) -> None:
     write_contacts(contacts[:1], rows[:1], probes[:1], tick, dt)
     write_contacts(contacts[1:], rows[1:], probes[1:], tick, dt)
-
-
-@by_count
-def write_all_patches(states: Any, rows: Any, objects: Any) -> None:
-    """Fill what each finger's record has of its patches, by its FingerState."""
-
-
-@write_all_patches.of(1)
-def write_patches_of_one(states: Any, rows: Any, objects: Any) -> None:
-    write_patches(states[0].patches, rows[0], objects)
-
-
-@write_all_patches.of(2)
-def write_patches_of_several(states: Any, rows: Any, objects: Any) -> None:
-    write_all_patches(states[:1], rows[:1], objects)
-    write_all_patches(states[1:], rows[1:], objects)

@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.geometry.bodies import number_of
-from softfinger.proxy.kernels.model import NO_PATCH, Contact, PatchState, Quaternion, Vec3
+from softfinger.proxy.kernels.model import NO_PATCH_CONTACT, Contact, PatchContact, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.record import AT
@@ -54,34 +53,34 @@ def write_contact(
     row[AT.contact_patch_radius] = contact.patch_radius
     put3(row, AT.contact_patch_normal, contact.patch_normal)
     put3(row, AT.contact_patch_stretch, contact.patch_stretch)
+    write_patches(contact.patches, row)
 
 
 @by_count
-def write_patches(patches: Any, row: Any, objects: Any) -> Any:
+def write_patches(patches: Any, row: Any) -> Any:
     """Fill what a record (RECORD_SIZE,) has of each patch of contact."""
 
 
 @write_patches.of(1)
-def write_the_only_patch(patches: Any, row: Any, objects: Any) -> None:
-    write_patch(row, AT.contacts0_object, objects, patches[0])
-    write_patch(row, AT.contacts1_object, objects, NO_PATCH)
-    write_patch(row, AT.contacts2_object, objects, NO_PATCH)
+def write_the_only_patch(patches: Any, row: Any) -> None:
+    write_patch(row, AT.contacts0_object, patches[0])
+    write_patch(row, AT.contacts1_object, NO_PATCH_CONTACT)
+    write_patch(row, AT.contacts2_object, NO_PATCH_CONTACT)
 
 
 @write_patches.of(2)
-def write_three_patches(patches: Any, row: Any, objects: Any) -> None:
-    write_patch(row, AT.contacts0_object, objects, patches[0])
-    write_patch(row, AT.contacts1_object, objects, patches[1])
-    write_patch(row, AT.contacts2_object, objects, patches[2])
+def write_three_patches(patches: Any, row: Any) -> None:
+    write_patch(row, AT.contacts0_object, patches[0])
+    write_patch(row, AT.contacts1_object, patches[1])
+    write_patch(row, AT.contacts2_object, patches[2])
 
 
 @jit
-def write_patch(row: Any, at: int, objects: Any, patch: PatchState) -> None:
-    """One of them, from column `at` on; zeros where there is none."""
-    row[at] = number_of(objects, patch.body)
-    held = patch.body >= 0.0
+def write_patch(row: Any, at: int, patch: PatchContact) -> None:
+    """One of them, from column `at` on."""
+    row[at] = patch.object
     put3(row, at + AT.contacts0_point - AT.contacts0_object, patch.point)
-    put3(row, at + AT.contacts0_normal - AT.contacts0_object, patch.normal if held else (0.0, 0.0, 0.0))
+    put3(row, at + AT.contacts0_normal - AT.contacts0_object, patch.normal)
     put3(row, at + AT.contacts0_force - AT.contacts0_object, patch.force)
     row[at + AT.contacts0_mode - AT.contacts0_object] = patch.mode
-    row[at + AT.contacts0_spin - AT.contacts0_object] = patch.angle
+    row[at + AT.contacts0_spin - AT.contacts0_object] = patch.spin

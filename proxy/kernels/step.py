@@ -1,8 +1,16 @@
 """One tick of contact: probe poses in, forces and torques out, in the order of the equations."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
-from softfinger.proxy.kernels.contact.approach import has_ended, meet, no_patches, parted, stay, touch
+from softfinger.proxy.kernels.contact.approach import (
+    has_ended,
+    meet,
+    no_patch_contacts,
+    no_patches,
+    parted,
+    stay,
+    touch,
+)
 from softfinger.proxy.kernels.contact.carry import carried_direction, carry, velocity_against
 from softfinger.proxy.kernels.contact.constraints import (
     INSIDE,
@@ -15,29 +23,27 @@ from softfinger.proxy.kernels.contact.constraints import (
 )
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under, roundness, seen_by, torque_of, velocity_at
 from softfinger.proxy.kernels.contact.normal import press
-from softfinger.proxy.kernels.contact.patches import Motion, again, aside, carried_patches, hand_on, load_on, sheared
+from softfinger.proxy.kernels.contact.patches import Motion, again, aside, carried_patches, hand_on
 from softfinger.proxy.kernels.contact.rolling_resistance import Bent, resist
 from softfinger.proxy.kernels.contact.texture import embossed, roughened
+from softfinger.proxy.kernels.contact.wrench import outcome_of, wrench_of
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
 from softfinger.proxy.kernels.effects.objects import Touched, apply_objects_effects
 from softfinger.proxy.kernels.friction.footprint import footprint, torsion_under, winding_unit
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.machine import react
-from softfinger.proxy.kernels.friction.torsion import share_of
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, material_of, number_of, pose_of
+from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, number_of, pose_of
 from softfinger.proxy.kernels.geometry.world import advance, place_all
 from softfinger.proxy.kernels.model import (
-    NO_PATCH,
     Contact,
-    Coupling,
     Finger,
     FingerState,
     Patch,
+    PatchContact,
     PatchState,
     Pose,
     Probe,
-    Quaternion,
     Scene,
     State,
     Vec3,
@@ -183,10 +189,7 @@ def on_the_only_object(
         slip_deflection=kept.slip_deflection,
         spin_slip_speed=kept.spin_slip_speed,
         spin_slip_angle=kept.spin_slip_angle * unit,
-        angle=kept.spin,
         bend=bend,
-        point=point,
-        force=force,
     )
     after = FingerState(
         started=1.0,
@@ -199,10 +202,11 @@ def on_the_only_object(
     )
     cause = kept.cause if kept.cause != CAUSE_NONE else comes.cause
     to_fingertip = rotations.conjugate(probe.orientation)
-    inward = rotations.rotate(to_fingertip, normal)
+    inward, number = rotations.rotate(to_fingertip, normal), number_of(objects, 0.0)
+    touched = PatchContact(object=number, point=point, normal=normal, force=force, mode=kept.mode, spin=kept.spin)
     contact = Contact(
         mode=kept.mode,
-        object=number_of(objects, 0.0),
+        object=number,
         cause=cause,
         velocity=probe.velocity,
         center=center,
@@ -220,108 +224,9 @@ def on_the_only_object(
         patch_radius=area.radius,
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(deflection, normal)),
+        patches=(touched,),
     )
     return after, contact
-
-
-class Wrench(NamedTuple):
-    """What a patch does to the hand, torque about the fingertip's centre, and what becomes of it.
-
-    after    PatchState, its point the proxy's, which is not known yet
-    cause    of its change of mode
-    theta    rad    roll in this tick
-    torsion  N m    moment about the normal
-    radius   m      of the contact patch
-    """
-
-    after: PatchState
-    cause: float
-    theta: float
-    normal_force: Vec3
-    tangential_force: Vec3
-    torque: Vec3
-    torsion: float
-    radius: float
-
-
-@jit
-def wrench_of(scene: Scene, finger: Finger, objects: Any, patch: PatchState, motion: Motion) -> Wrench:
-    """Friction and torsion of one of several patches: with its own load, its own law, and its share of the springs."""
-    zero = (0.0, 0.0, 0.0)
-    if patch.body < 0.0:
-        return Wrench(
-            after=NO_PATCH, cause=float(CAUSE_NONE), theta=0.0,
-            normal_force=zero, tangential_force=zero, torque=zero, torsion=0.0, radius=0.0,
-        )  # fmt: skip
-    material, share, normal = material_of(objects, patch.body), patch.share, patch.normal
-    load = load_on(objects, patch, motion)
-    orientation = motion.probe.orientation
-    round_by = roundness(finger.form, finger.radius, orientation, normal)
-    area = footprint(finger.patch, round_by, material.compliance, load.size)
-    unit = winding_unit(material.torsion, area, share)
-    seen, theta = sheared(scene.rolling, objects, patch, motion, load.size, unit)
-    kept = react(
-        turned(material.friction, pose_of(objects, patch.body).orientation),
-        torsion_under(share_of(material.torsion, share), area),
-        Coupling(share * finger.coupling.stiffness, share * finger.coupling.damping),
-        share * finger.torque_stiffness,
-        seen,
-    )
-    bent = Bent(patch.body, normal, share, patch.bend, motion.touches)
-    bend, bending = resist(finger.patch, objects, bent, motion.probe, motion.last, area)
-    pressing = vec3.scale(load.size, load.along)
-    torque = torque_of(finger.form, finger.radius, orientation, normal, kept.moment, pressing, kept.force)
-    after = PatchState(
-        body=patch.body,
-        normal=normal,
-        push=patch.push,
-        share=share,
-        mode=kept.mode,
-        deflection=kept.deflection,
-        rolled_part=kept.rolled_part,
-        spin=kept.spin * unit,
-        slip_speed=kept.slip_speed,
-        slip_deflection=kept.slip_deflection,
-        spin_slip_speed=kept.spin_slip_speed,
-        spin_slip_angle=kept.spin_slip_angle * unit,
-        angle=kept.spin,
-        bend=bend,
-        point=patch.point,
-        force=vec3.add(pressing, kept.force),
-    )
-    return Wrench(
-        after=after,
-        cause=kept.cause,
-        theta=theta,
-        normal_force=pressing,
-        tangential_force=kept.force,
-        torque=vec3.add(torque, bending),
-        torsion=kept.moment,
-        radius=area.radius,
-    )
-
-
-@jit
-def at_point(patch: PatchState, finger: Finger, orientation: Quaternion, center: Vec3) -> PatchState:
-    """The patch with its point (3,) m under the proxy."""
-    return PatchState(
-        body=patch.body,
-        normal=patch.normal,
-        push=patch.push,
-        share=patch.share,
-        mode=patch.mode,
-        deflection=patch.deflection,
-        rolled_part=patch.rolled_part,
-        spin=patch.spin,
-        slip_speed=patch.slip_speed,
-        slip_deflection=patch.slip_deflection,
-        spin_slip_speed=patch.spin_slip_speed,
-        spin_slip_angle=patch.spin_slip_angle,
-        angle=patch.angle,
-        bend=patch.bend,
-        point=point_under(finger.form, finger.radius, orientation, center, patch.normal),
-        force=patch.force,
-    )
 
 
 @jit
@@ -392,11 +297,7 @@ def among_several_objects(
         probe=probe,
         mode=mode,
         center=center,
-        patches=(
-            at_point(one.after, finger, probe.orientation, shown),
-            at_point(two.after, finger, probe.orientation, shown),
-            at_point(three.after, finger, probe.orientation, shown),
-        ),
+        patches=(one.after, two.after, three.after),
         rolled=rolled,
         effects=states,
     )
@@ -413,7 +314,7 @@ def among_several_objects(
         normal=normal,
         finger_point=point_on(finger.form, radius, inward),
         rolled=rolled,
-        spin=one.after.angle,
+        spin=one.spin,
         normal_force=vec3.norm(pressing),
         tangential_force=vec3.norm(tangential),
         force=vec3.add(vec3.add(pressing, tangential), extra),
@@ -422,6 +323,11 @@ def among_several_objects(
         patch_radius=one.radius,
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(one.after.deflection, normal)),
+        patches=(
+            outcome_of(objects, one, finger, probe.orientation, shown),
+            outcome_of(objects, two, finger, probe.orientation, shown),
+            outcome_of(objects, three, finger, probe.orientation, shown),
+        ),
     )
     return after, contact
 
@@ -483,6 +389,7 @@ def no_contact(state: FingerState, probe: Probe, force: Vec3) -> Contact:
         patch_radius=0.0,
         patch_normal=zero,
         patch_stretch=zero,
+        patches=no_patch_contacts(state.patches),
     )
 
 

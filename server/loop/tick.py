@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.geometry.tool import about_handle, about_tip, tip_
 from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.record import put3, write_contact, write_patches
+from softfinger.proxy.kernels.record import put3, write_contact
 from softfinger.proxy.kernels.step import no_contact, step
 from softfinger.proxy.record import AT, POSITION_MAX_M
 from softfinger.proxy.scene import start_state
@@ -164,9 +164,7 @@ def arrive_with_several(hands: Any, tools: Any, world: World, samples: Any) -> A
 
 
 @by_count
-def command(
-    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any, objects: Any
-) -> Any:
+def command(hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any) -> Any:
     """After the step: FingerMemories with the wrench to be commanded, one for each finger.
 
     stepped  FingerStates and Contacts, a tuple each
@@ -175,7 +173,7 @@ def command(
 
 @command.of(1)
 def command_one(
-    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any, objects: Any
+    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any
 ) -> Any:
     hand, start, record, state, contact = hands[0], starts[0], records[0], stepped[0][0], stepped[1][0]
     guard, tool = output.guards[0], output.tools[0]
@@ -195,7 +193,6 @@ def command_one(
         state, guarded, energy, bits = start.contact, start.guarded, start.energy, POSE_REFUSED
     torque = about_tip(tool, orientation, guarded.force, guarded.torque)
     write_contact(record, instant.number, instant.dt, position, orientation, contact, guarded.force, torque)
-    write_patches(state.patches, record, objects)
     record[AT.servo_guard] = bits
     record[AT.passivity_energy] = energy.work
     record[AT.passivity_damping] = energy.damping
@@ -204,14 +201,14 @@ def command_one(
 
 @command.of(2)
 def command_several(
-    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any, objects: Any
+    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any
 ) -> Any:
     first = (stepped[0][:1], stepped[1][:1])
     others = (stepped[0][1:], stepped[1][1:])
     own = Output(output.guards[:1], output.passivity, output.tools[:1])
     rest = Output(output.guards[1:], output.passivity, output.tools[1:])
-    hand = command(hands[:1], starts[:1], samples[:1], first, own, instant, records[:1], objects)
-    return hand + command(hands[1:], starts[1:], samples[1:], others, rest, instant, records[1:], objects)
+    hand = command(hands[:1], starts[:1], samples[:1], first, own, instant, records[:1])
+    return hand + command(hands[1:], starts[1:], samples[1:], others, rest, instant, records[1:])
 
 
 @jit
@@ -234,6 +231,5 @@ def tick(
     hands = command(
         memory.fingers, start.fingers, samples, (state.fingers, contacts),
         Output(tuning.guards, tuning.passivity, tuning.tools), Instant(number, dt, period), records,
-        tuning.scene.objects,
     )  # fmt: skip
     return Memory(state.world, hands)

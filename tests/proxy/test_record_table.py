@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.engine import STEP_FIELDS, Step
-from softfinger.proxy.kernels.model import Contact
+from softfinger.proxy.kernels.model import NO_PATCH_CONTACT, Contact
 from softfinger.proxy.kernels.record import write_contact
 from softfinger.proxy.record import AT, CAUSE_NAMES, FIELDS, NAMED, RECORD_SIZE, Kind
 
@@ -30,13 +30,17 @@ def test_columns_follow_each_other():
 
 
 def test_step_has_every_field_that_the_contact_fills():
-    """What a contact writes into a record, but for what it was called with, is in the engine's Step."""
+    """What a contact writes into a record, but for what it was called with and the list of patches, is in the engine's
+    Step."""
     row = np.full(RECORD_SIZE, np.nan)
     outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
+    outcome = outcome._replace(patches=(NO_PATCH_CONTACT,))
     force, orientation = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
     write_contact.py_func(row, 7, 0.001, force, orientation, outcome, force, force)
     filled = {f.name for f in FIELDS if not np.isnan(row[f.at : f.at + f.size]).any()}
-    assert filled - {"tick", "dt", "probe.position", "probe.orientation"} == {f.name for f in STEP_FIELDS.values()}
+    patches = {name for name in filled if name.startswith("contacts")}
+    assert len(patches) == 18
+    assert filled - patches - {"tick", "dt", "probe.position", "probe.orientation"} == {f.name for f in STEP_FIELDS.values()}
 
 
 def contact_types():

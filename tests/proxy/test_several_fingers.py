@@ -22,8 +22,8 @@ from softfinger.proxy.scene import build_scene, start_state
 Array = NDArray[np.float64]
 DT = 1e-3
 TICKS = 400
-LEAVES = sum(3 if kind is model.Vec3 else 1 for kind in model.Contact.__annotations__.values())
-"""Numbers in an outcome."""
+ROOM = 64
+"""Numbers behind an outcome that nothing may touch."""
 THUMB = model.Finger(0.01, model.Coupling(1000.0, 1.0), 1000.0, 0.002, 0.0)
 INDEX = model.Finger(0.006, model.Coupling(700.0, 0.5), 500.0, 0.001, 1e-6)
 """Two fingertips that have no parameter in common."""
@@ -86,7 +86,8 @@ def all_poses(rows: Any, fingers: Any) -> Any:
 
 def write_all(rows: Any, contacts: Any) -> None:
     for row, contact in zip(rows, contacts, strict=True):
-        row[:] = flatten(contact)
+        values = flatten(contact)
+        row[: len(values)] = values
 
 
 @numba.extending.overload(all_poses, jit_options=OPTIONS)
@@ -108,13 +109,21 @@ def _write_all(rows, contacts):
     return two
 
 
+def numbers(kind: Any) -> int:
+    """In a named tuple of numbers and vectors; what else it has counts for one."""
+    return sum(3 if part is model.Vec3 else 1 for part in kind.__annotations__.values())
+
+
 def run(given: model.Scene, poses: Array) -> tuple[Array, Array, model.State]:
-    """Contacts (ticks, fingers, LEAVES), world times (ticks,) and the last state, of poses (ticks, fingers, 7)."""
+    """Contacts (ticks, fingers, leaves), world times (ticks,) and the last state, of poses (ticks, fingers, 7)."""
     start = start_state(given)
-    contacts, times = np.zeros((*poses.shape[:2], LEAVES)), np.zeros(len(poses))
+    leaves = numbers(model.Contact) - 1 + len(start.fingers[0].patches) * numbers(model.PatchContact)
+    contacts, times = np.full((*poses.shape[:2], leaves + ROOM), np.nan), np.zeros(len(poses))
     state = flatten(start)
     compiled(given, flatten(given), start, state, np.ascontiguousarray(poses), DT, contacts, times)
-    return contacts, times, rebuilt(start, state)
+    assert np.isfinite(contacts[..., :leaves]).all()
+    assert np.isnan(contacts[..., leaves:]).all()
+    return contacts[..., :leaves], times, rebuilt(start, state)
 
 
 compiled = numba.njit(**OPTIONS)(step_along)

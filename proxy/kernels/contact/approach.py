@@ -18,6 +18,7 @@ from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, is_ins
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import (
     NO_PATCH,
+    NO_PATCH_CONTACT,
     Finger,
     FingerState,
     Probe,
@@ -246,6 +247,21 @@ def no_patch(patches: Any) -> Any:
 @no_patches.of(2)
 def no_three_patches(patches: Any) -> Any:
     return (NO_PATCH, NO_PATCH, NO_PATCH)
+
+
+@by_count
+def no_patch_contacts(patches: Any) -> Any:
+    """As many outcomes of patches, of none."""
+
+
+@no_patch_contacts.of(1)
+def no_patch_contact(patches: Any) -> Any:
+    return (NO_PATCH_CONTACT,)
+
+
+@no_patch_contacts.of(2)
+def no_three_patch_contacts(patches: Any) -> Any:
+    return (NO_PATCH_CONTACT, NO_PATCH_CONTACT, NO_PATCH_CONTACT)
 
 
 @jit

@@ -100,10 +100,7 @@ def carried_patch(objects: Any, patch: PatchState) -> PatchState:
         slip_deflection=patch.slip_deflection,
         spin_slip_speed=patch.spin_slip_speed,
         spin_slip_angle=patch.spin_slip_angle,
-        angle=patch.angle,
         bend=carried_direction(moved, patch.bend),
-        point=patch.point,
-        force=patch.force,
     )
 
 
@@ -190,10 +187,7 @@ def taken(objects: Any, taker: PatchState, giver: PatchState, weight: float) -> 
         slip_deflection=taker.slip_deflection,
         spin_slip_speed=taker.spin_slip_speed,
         spin_slip_angle=taker.spin_slip_angle,
-        angle=taker.angle,
         bend=vec3.add_scaled(taker.bend, weight, vec3.reject(giver.bend, taker.normal)),
-        point=taker.point,
-        force=taker.force,
     )
 
 
@@ -235,10 +229,7 @@ def handed_on(
         slip_deflection=like.slip_deflection,
         spin_slip_speed=like.spin_slip_speed,
         spin_slip_angle=like.spin_slip_angle,
-        angle=own.angle,
         bend=vec3.scale(kept, own.bend),
-        point=own.point,
-        force=own.force,
     )
     patch = taken(objects, patch, patches[0], gained * losses[0])
     patch = taken(objects, patch, patches[1], gained * losses[1])

@@ -49,9 +49,11 @@ from softfinger.proxy.kernels.model.shapes import (
 )
 from softfinger.proxy.kernels.model.state import (
     NO_PATCH,
+    NO_PATCH_CONTACT,
     Contact,
     FingerState,
     Patch,
+    PatchContact,
     PatchState,
     Probe,
     Reaction,
@@ -63,6 +65,7 @@ from softfinger.proxy.kernels.model.vectors import ZERO, Quaternion, Vec3
 
 __all__ = [
     "NO_PATCH",
+    "NO_PATCH_CONTACT",
     "ZERO",
     "Anchor",
     "Anisotropic",
@@ -98,6 +101,7 @@ __all__ = [
     "Object",
     "PaperFriction",
     "Patch",
+    "PatchContact",
     "PatchState",
     "PatchTorsion",
     "Phase",

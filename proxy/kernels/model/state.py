@@ -43,10 +43,7 @@ class PatchState(NamedTuple):
     slip_deflection  |e| at the last tick that slipped, m
     spin_slip_speed  low-passed slip of the torsional anchor, rad/s; 0 while it sticks (soft-finger proxy only)
     spin_slip_angle  |phi| at the last tick whose anchor slipped, as `spin` (soft-finger proxy only)
-    angle            rad, phi itself
     bend             wind-up against rolling, tangential: rad times the root of its stiffness per share
-    point            m, where it is on the object
-    force            N, on the hand
     """
 
     body: float
@@ -61,10 +58,7 @@ class PatchState(NamedTuple):
     slip_deflection: float
     spin_slip_speed: float
     spin_slip_angle: float
-    angle: float
     bend: Vec3
-    point: Vec3
-    force: Vec3
 
 
 NO_PATCH = PatchState(
@@ -80,10 +74,7 @@ NO_PATCH = PatchState(
     slip_deflection=0.0,
     spin_slip_speed=0.0,
     spin_slip_angle=0.0,
-    angle=0.0,
     bend=(0.0, 0.0, 0.0),
-    point=(0.0, 0.0, 0.0),
-    force=(0.0, 0.0, 0.0),
 )
 """A place for a patch, with none in it."""
 
@@ -162,6 +153,29 @@ class Reaction(NamedTuple):
     moment: float
 
 
+class PatchContact(NamedTuple):
+    """The outcome of one step for one patch; zeros, and -1 for the object, where there is none.
+
+    object  its number in the scene
+    point   m, where the patch is on it
+    normal  of the object there
+    force   N, on the hand
+    spin    rad, torsional wind-up
+    """
+
+    object: float
+    point: Vec3
+    normal: Vec3
+    force: Vec3
+    mode: float
+    spin: float
+
+
+NO_PATCH_CONTACT = PatchContact(
+    object=-1.0, point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), mode=0.0, spin=0.0
+)
+
+
 class Contact(NamedTuple):
     """The outcome of one step for one finger.
 
@@ -172,6 +186,7 @@ class Contact(NamedTuple):
     patch_radius     m, 0 for a fingertip without a patch
     patch_normal     of the object, in the fingertip frame
     patch_stretch    m, of the skin against the fingertip along the surface, in the fingertip frame
+    patches          tuple of PatchContact, as many as FingerState has patches, in their order
     """
 
     mode: float
@@ -193,3 +208,4 @@ class Contact(NamedTuple):
     patch_radius: float
     patch_normal: Vec3
     patch_stretch: Vec3
+    patches: Any
