@@ -267,7 +267,7 @@ def test_a_preset_that_is_not_taken_is_refused() -> None:
         link = pumped(api, options)
         with pytest.raises(DeviceTimeout, match=r"takes no report \(a write has been under way"):
             HidDevice(options, link.fd, link.pump)
-        api.held.set()
+    api.held.set()  # when nothing answers any more, which would hold it again
 
 
 @pytest.mark.parametrize("way", ["unplugged", "read", "write"])
