@@ -18,7 +18,9 @@ from softfinger.server.keys import read_pair, read_public
 log: Final = logging.getLogger(__name__)
 
 AGAIN_S: Final = 0.1
-"""Strangers have the folder read no more often."""
+"""Strangers have the folder read no more often, unless it has just changed."""
+SETTLED_NS: Final = 1_000_000_000
+"""A file that is new in the folder is whole after so long."""
 _NO_FILES: Final = (errno.EMFILE, errno.ENFILE)
 """Peers may have taken all file descriptors: then nothing is known to have changed."""
 
@@ -30,7 +32,7 @@ class Allowed:
         self.folder = Path(folder)
         self._names: dict[bytes, str] = {}
         self._let_in: set[bytes] = set()
-        self._read_s = 0.0
+        self._read_s, self._read_ns = 0.0, 0
         self._barred: set[bytes] = set()
         self._said: set[str] = set()
         self._reading = threading.Lock()
@@ -39,7 +41,7 @@ class Allowed:
     def callback(self, domain: str, key: bytes) -> bool:
         """Whether a peer with this key (Z85) may come in: what libzmq's authenticator asks, from its thread."""
         # A client that is turned away does not come again: who was added just now is not to be.
-        if key not in self._names and time.monotonic() - self._read_s > AGAIN_S:
+        if key not in self._names and (time.monotonic() - self._read_s > AGAIN_S or self._changes()):
             self._read()
         if key not in self._names:
             return False
@@ -61,9 +63,16 @@ class Allowed:
         """Let a key (Z85) in no more, until the gateway is started again."""
         self._barred.add(key)
 
+    def _changes(self) -> bool:
+        """Whether files have come or gone since the folder was read, or so shortly before that one was not whole."""
+        try:
+            return os.stat(self.folder).st_mtime_ns > self._read_ns - SETTLED_NS
+        except OSError:
+            return False
+
     def _read(self, strictly: bool = False) -> None:
         with self._reading:
-            self._read_s = time.monotonic()
+            self._read_s, self._read_ns = time.monotonic(), time.time_ns()
             self._read_all(strictly)
 
     def _read_all(self, strictly: bool) -> None:

@@ -114,6 +114,28 @@ def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
         Allowed(tmp_path / "none")
 
 
+def test_a_key_that_was_not_whole_when_the_folder_was_read_is_let_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client that is turned away does not come again: whose file has just come is looked for however lately the
+    folder was read. Where nothing has changed, strangers do not have it read each time."""
+    monkeypatch.setattr("softfinger.server.gateway.allowed.AGAIN_S", 60.0)
+    folder = tmp_path / "readers"
+    folder.mkdir()
+    public, _ = make_pair(tmp_path, "anna")
+    allowed, key = Allowed(folder), read_public(public)
+    file = folder / public.name
+    file.write_bytes(b"")
+    assert not allowed.refresh()
+    file.write_bytes(public.read_bytes())
+    assert allowed.callback("", key)
+    file.write_bytes(b"")
+    os.utime(folder, (0.0, 0.0))
+    assert allowed.refresh() and not allowed.callback("", key)
+    file.write_bytes(public.read_bytes())
+    assert not allowed.callback("", key)  # read a moment ago, and no file has come since
+
+
 RIG = {"device": {"driver": "replay", "recording": "tap"}}
 ALL = {"key": "k", "readers": "r", "commanders": "c"}
 READERS = {"key": "k", "readers": "r"}
