@@ -26,21 +26,6 @@ def rows_of_several(fingers: Any, table: Any, first: int) -> Any:
     return (table[first],) + rows_of(fingers[1:], table, first + 1)  # noqa: RUF005
 
 
-@by_count
-def same_for(fingers: Any, thing: Any) -> Any:
-    """A tuple of the same thing for each finger."""
-
-
-@same_for.of(1)
-def same_for_one(fingers: Any, thing: Any) -> Any:
-    return (thing,)
-
-
-@same_for.of(2)
-def same_for_several(fingers: Any, thing: Any) -> Any:
-    return (thing,) + same_for(fingers[1:], thing)  # noqa: RUF005  # see above
-
-
 @jit
 def pose_in(row: Any) -> Pose:
     """Pose in a row x, y, z, qw, qx, qy, qz."""

@@ -5,8 +5,6 @@ from typing import Any
 from softfinger.proxy.kernels.contact.approach import (
     has_ended,
     meet,
-    no_patch_contacts,
-    no_patches,
     parted,
     stay,
     touch,
@@ -36,6 +34,8 @@ from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, number_of, pose_of
 from softfinger.proxy.kernels.geometry.world import advance, place_all
 from softfinger.proxy.kernels.model import (
+    NO_PATCH,
+    NO_PATCH_CONTACT,
     Contact,
     Finger,
     FingerState,
@@ -50,6 +50,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.tuples import same_for
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_TOUCH, FREE, SLIDING
 
 
@@ -356,7 +357,7 @@ def out_of_contact(
         probe=probe,
         mode=free,
         center=probe.position,
-        patches=no_patches(state.patches),
+        patches=same_for(state.patches, NO_PATCH),
         rolled=0.0,
         effects=states,
     )
@@ -389,7 +390,7 @@ def no_contact(state: FingerState, probe: Probe, force: Vec3) -> Contact:
         patch_radius=0.0,
         patch_normal=zero,
         patch_stretch=zero,
-        patches=no_patch_contacts(state.patches),
+        patches=same_for(state.patches, NO_PATCH_CONTACT),
     )
 
 

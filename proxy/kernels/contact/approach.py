@@ -18,7 +18,6 @@ from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, is_ins
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import (
     NO_PATCH,
-    NO_PATCH_CONTACT,
     Finger,
     FingerState,
     Probe,
@@ -28,6 +27,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.native.dispatch import by_count, by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.tuples import same_for
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ROLLING
 
 
@@ -234,36 +234,6 @@ def has_ended(active: Constraints) -> bool:
     return not (active.push.first > 0.0 or active.push.second > 0.0 or active.push.third > 0.0)
 
 
-@by_count
-def no_patches(patches: Any) -> Any:
-    """As many places for patches, with none in them."""
-
-
-@no_patches.of(1)
-def no_patch(patches: Any) -> Any:
-    return (NO_PATCH,)
-
-
-@no_patches.of(2)
-def no_three_patches(patches: Any) -> Any:
-    return (NO_PATCH, NO_PATCH, NO_PATCH)
-
-
-@by_count
-def no_patch_contacts(patches: Any) -> Any:
-    """As many outcomes of patches, of none."""
-
-
-@no_patch_contacts.of(1)
-def no_patch_contact(patches: Any) -> Any:
-    return (NO_PATCH_CONTACT,)
-
-
-@no_patch_contacts.of(2)
-def no_three_patch_contacts(patches: Any) -> Any:
-    return (NO_PATCH_CONTACT, NO_PATCH_CONTACT, NO_PATCH_CONTACT)
-
-
 @jit
 def parted(state: FingerState) -> FingerState:
     """The state without what was wound up in the contact that has ended."""
@@ -272,7 +242,7 @@ def parted(state: FingerState) -> FingerState:
         probe=state.probe,
         mode=state.mode,
         center=state.center,
-        patches=no_patches(state.patches),
+        patches=same_for(state.patches, NO_PATCH),
         rolled=0.0,
         effects=state.effects,
     )
