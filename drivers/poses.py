@@ -11,9 +11,11 @@ import logging
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,12 +44,16 @@ POSES_MAX: Final = 5_000_000
 """Poses read at most: 83 minutes at 1 kHz, 320 MB."""
 LINE_MAX: Final = 1 << 16
 """Bytes of a line of a CSV file at most; the longest of this program have 4 KB."""
+BLOCK_BYTES: Final = 1 << 18
+"""Of a CSV file, read at once."""
 ENDINGS: Final = (".csv", ".npz", ".mcap")
 
 POSITION_MAX_M: Final = 1e6
 STEP_MIN_S: Final = 1e-9  # below it a velocity between two rows says nothing
 NORM_MIN, NORM_MAX = 0.5, 2.0  # a quaternion outside was never meant to be a unit one
 NORM_ROUNDING: Final = 1e-15  # a quaternion this close to a unit one was normalised before, and is kept to the bit
+
+_ROWS: Final = msgspec.json.Decoder(list[list[float]])
 
 log: Final = logging.getLogger(__name__)
 
@@ -160,25 +166,23 @@ def checked(t: Array, position: Array, orientation: Array, place: Callable[[int]
 
 def _read_csv(path: Path) -> Poses:
     with open_input(path) as file:
-        lines = _lines(path, file)
-        _, first = next(lines, (1, ""))
-        return _read_rows(path, first, lines)
+        first = next(_lines(path, file, 1), "")
+        return _read_rows(path, first, file)
 
 
-def _lines(path: Path, file: IO[bytes]) -> Iterator[tuple[int, str]]:
-    """Number and text of each line, one at a time."""
-    number = 0
+def _lines(path: Path, file: IO[bytes], number: int) -> Iterator[str]:
+    """The text of each line, one at a time; `number` is the first one's."""
     while line := file.readline(LINE_MAX):
-        number += 1
         if len(line) == LINE_MAX:
             raise RecordingError(f"{path}, line {number}: longer than {LINE_MAX:,} bytes: this is no table of poses")
         try:
-            yield number, line.decode("utf-8-sig" if number == 1 else "utf-8").rstrip("\r\n")
+            yield line.decode("utf-8-sig" if number == 1 else "utf-8").rstrip("\r\n")
         except UnicodeDecodeError as error:
             raise RecordingError(f"{path}, line {number}: not a text file (not UTF-8)") from error
+        number += 1
 
 
-def _read_rows(path: Path, first: str, lines: Iterator[tuple[int, str]]) -> Poses:
+def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
     names = [name.strip() for name in first.split(",")]
     wanted = RESULT_COLUMNS if set(RESULT_COLUMNS) <= set(names) else POSE_COLUMNS
     missing = [name for name in wanted if names.count(name) != 1]
@@ -188,25 +192,54 @@ def _read_rows(path: Path, first: str, lines: Iterator[tuple[int, str]]) -> Pose
             f"the header must name {','.join(POSE_COLUMNS)} (other columns are ignored)"
         )
     index = [names.index(name) for name in wanted]
-    numbers, values = array("q"), array("d")
-    for number, line in lines:
-        if not line.strip():
+    numbers, values, number = array("q"), array("d"), 2
+    while block := file.read(BLOCK_BYTES) + file.readline(LINE_MAX):
+        rows = _rows_at_once(block, len(names))
+        if rows is not None:
+            _check_count(path, len(numbers) + len(rows) - 1)
+            numbers.extend(range(number, number + len(rows)))
+            values.frombytes(rows[:, index].tobytes())
+            number += len(rows)
             continue
-        cells = line.split(",")
-        if len(cells) != len(names):
-            raise RecordingError(f"{path}, line {number}: {len(cells)} values, the header names {len(names)}")
-        _check_count(path, len(numbers))
-        numbers.append(number)
-        for k, column in enumerate(index):
-            try:
-                values.append(float(cells[column]))
-            except ValueError as error:
-                raise RecordingError(
-                    f"{path}, line {number}, column '{wanted[k]}': {cells[column][:40]!r} is not a number"
-                ) from error
+        for line in _lines(path, BytesIO(block), number):
+            if line.strip():
+                _check_count(path, len(numbers))
+                numbers.append(number)
+                values.extend(_row(f"{path}, line {number}", line, names, index))
+            number += 1
     table = np.frombuffer(values).reshape(-1, len(wanted))
     place = _place(path, numbers)
     return checked(_from_first(table[:, 0], wanted is RESULT_COLUMNS), table[:, 1:4], table[:, 4:8], place)
+
+
+def _rows_at_once(lines: bytes, width: int) -> Array | None:
+    """Rows (n, width) of lines that are a list of JSON but for its brackets, read four times as fast as one by one.
+
+    None where they are anything else, even if it is right.
+    """
+    text = lines.replace(b"\r\n", b"\n")
+    if any(letter in text for letter in (b"[", b" ", b"\t", b"\r")):
+        return None
+    text = text.replace(b"-0,", b"-0.0,").replace(b"-0\n", b"-0.0\n")  # JSON's -0 is an integer, which has no sign
+    try:
+        rows = np.array(_ROWS.decode(b"[[" + text.removesuffix(b"\n").replace(b"\n", b"],[") + b"]]"))
+    except (msgspec.DecodeError, ValueError):
+        return None
+    return rows if rows.shape[1:] == (width,) else None
+
+
+def _row(place: str, line: str, names: Sequence[str], index: Sequence[int]) -> Iterator[float]:
+    """The numbers of a line in the columns `index`; RecordingError with the place where there are none."""
+    cells = line.split(",")
+    if len(cells) != len(names):
+        raise RecordingError(f"{place}: {len(cells)} values, the header names {len(names)}")
+    for column in index:
+        try:
+            yield float(cells[column])
+        except ValueError as error:
+            raise RecordingError(
+                f"{place}, column '{names[column]}': {cells[column][:40]!r} is not a number"
+            ) from error
 
 
 def _read_npz(path: Path) -> Poses:

@@ -42,6 +42,8 @@ def resample(poses: Poses, rate_hz: float) -> Array:
     at = np.arange(int(ticks) + 1) / rate_hz
     near = np.searchsorted(t, at - SAME_TIME_S)
     on_sample = (near < len(t)) & (np.abs(t[np.minimum(near, len(t) - 1)] - at) <= SAME_TIME_S)
+    if on_sample.all():  # recorded at this rate
+        return np.concatenate((poses.position[near], poses.orientation[near]), axis=1)
     segment = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
     width = t[segment + 1] - t[segment]
     u = np.clip((at - t[segment]) / width, 0.0, 1.0)[:, None]

@@ -11,14 +11,15 @@ topic for each, `finger/thumb`.
 from __future__ import annotations
 
 import logging
-import sys
+import math
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import repeat
+from itertools import groupby, repeat
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
+from zipfile import ZipFile
 
 import msgspec
 import numpy as np
@@ -29,6 +30,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import new_file, open_input, open_output
 from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, columns
+from softfinger.server.progress import progress
 from softfinger.server.recording.reader import End, Ticks, contents
 from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.wire.protocol import contact_topic
@@ -39,9 +41,16 @@ ENDINGS: Final = (".csv", ".npz", ".mcap")
 BLOCK_ROWS: Final = 2_000
 RESULTS_MAX: Final = 2_000_000
 """Records read at most: 33 minutes at 1 kHz, 3 GB."""
+CSV_ROWS: Final = 500
+"""Rows made into text at a time: what a processor keeps at hand."""
+WHOLE_MAX: Final = 1e16
+"""Whole numbers from here on are written with an exponent."""
 PROGRESS_MIN_ROWS: Final = 50_000  # about a second of writing; below, a bar would only flash
 
 _JSON: Final = msgspec.json.Encoder()
+_MINUS_ZERO: Final = msgspec.Raw(b"-0")
+_FIELDS: Final = np.dtype([(field.name, f"V{8 * field.size}") for field in FIELDS])
+"""A record as its fields, each copied as one piece."""
 
 log: Final = logging.getLogger(__name__)
 
@@ -100,18 +109,42 @@ def _of(finger: str) -> str:
 
 def _write_csv(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
     file.write((",".join(_of(name) + column for name in fingers for column in columns()) + "\n").encode())
-    for block in _blocks(np.concatenate(list(fingers.values()), axis=1), "csv"):
-        file.write(csv_lines(block))
+    for some in _blocks(fingers, "csv"):
+        file.write(csv_lines(np.concatenate([records[some] for records in fingers.values()], axis=1)))
 
 
 def csv_lines(rows: Array) -> bytes:
     """Rows (n, width) as lines of CSV, from which every float64 comes back to the bit."""
-    if np.isfinite(rows).all():
-        # As JSON the shortest digits that bring a number back, written several times as fast as by Python.
-        text = _JSON.encode_lines(rows.tolist()).translate(None, b"[]")
-        return text.replace(b".0,", b",").replace(b".0\n", b"\n")
-    line = ",".join(repeat("%.17g", rows.shape[1])) + "\n"  # 17 digits bring every float64 back
-    return "".join([line % tuple(row) for row in rows.tolist()]).encode()
+    return b"".join(_some_lines(rows[at : at + CSV_ROWS]) for at in range(0, len(rows), CSV_ROWS))
+
+
+def _some_lines(rows: Array) -> bytes:
+    """As JSON the shortest digits that bring a number back, written several times as fast as by Python."""
+    if not np.isfinite(rows).all():
+        line = ",".join(repeat("%.17g", rows.shape[1])) + "\n"  # 17 digits bring every float64 back
+        return "".join([line % tuple(row) for row in rows.tolist()]).encode()
+    across = np.array(rows.T, order="C")
+    bits = across.view(np.int64)
+    still = (bits == bits[:, :1]).all(axis=1)
+    # JSON gives a whole number `.0` unless it is an integer, and no integer is -0.
+    whole = (np.rint(across) == across) & (np.abs(across) < WHOLE_MAX)
+    odd = whole.any(axis=1).tolist()
+    columns: list[Iterable[Any]] = []
+    for same, group in groupby(range(len(across)), still.tolist().__getitem__):
+        if same:  # what stays as it is for all rows is written once
+            text = _JSON.encode(across[list(group), 0].tolist())[1:-1] + b","
+            columns.append(repeat(msgspec.Raw(text.replace(b".0,", b",")[:-1]), len(rows)))
+        else:
+            columns.extend(_with_integers(across[at], whole[at]) if odd[at] else across[at].tolist() for at in group)
+    return _JSON.encode_lines(list(zip(*columns, strict=True))).translate(None, b"[]")
+
+
+def _with_integers(column: Array, whole: NDArray[np.bool_]) -> list[Any]:
+    """The numbers of a column (n,), whole ones without `.0` in JSON."""
+    numbers: list[Any] = column.tolist()
+    for row in whole.nonzero()[0].tolist():
+        numbers[row] = int(numbers[row]) or (_MINUS_ZERO if math.copysign(1.0, numbers[row]) < 0.0 else 0)
+    return numbers
 
 
 def _read_csv(path: Path, finger: str) -> Array:
@@ -139,12 +172,21 @@ def _whose(finger: str) -> str:
 
 
 def _write_npz(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
-    arrays: dict[str, Any] = {}
-    for finger, records in fingers.items():
-        arrays[_of(finger) + "records"] = records
-        for f in FIELDS:
-            arrays[_of(finger) + f.name] = records[:, f.at] if f.size == 1 else records[:, f.at : f.at + f.size]
-    np.savez(file, **arrays)
+    """As `numpy.savez` does it, which copies whole arrays on the way."""
+    with ZipFile(file, "w") as archive:
+        for finger, records in fingers.items():
+            _add_array(archive, _of(finger) + "records", records, records.shape)
+            fields = records.view(_FIELDS)[:, 0]
+            for f in FIELDS:
+                shape = (len(records), f.size) if f.size > 1 else (len(records),)
+                _add_array(archive, _of(finger) + f.name, fields[f.name], shape)
+
+
+def _add_array(archive: ZipFile, name: str, rows: NDArray[Any], shape: tuple[int, ...]) -> None:
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+        np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": shape})
+        for start in range(0, len(rows), BLOCK_ROWS):
+            member.write(np.ascontiguousarray(rows[start : start + BLOCK_ROWS]).view(np.uint8).data)
 
 
 def _read_npz(path: Path, finger: str) -> Array:
@@ -163,9 +205,9 @@ def _read_npz(path: Path, finger: str) -> Array:
 
 def _write_mcap(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
     with McapResults(path, file, list(fingers)) as recording:
-        for block in _blocks(np.stack(list(fingers.values()), axis=1), "mcap"):
-            for place, finger in enumerate(fingers):
-                recording.append(block[:, place], finger)
+        for some in _blocks(fingers, "mcap"):
+            for finger, records in fingers.items():
+                recording.append(records[some], finger)
 
 
 def _read_mcap(path: Path, finger: str) -> Array:
@@ -228,19 +270,14 @@ class McapResults:
         self.close()
 
 
-def _blocks(records: Array, kind: str) -> Iterator[Array]:
-    """Slices of the records; while they are worked on, a bar on a terminal."""
-    starts = range(0, len(records), BLOCK_ROWS)
-    if len(records) < PROGRESS_MIN_ROWS or not sys.stderr.isatty():
-        for start in starts:
-            yield records[start : start + BLOCK_ROWS]
+def _blocks(fingers: Mapping[str, Array], kind: str) -> Iterator[slice]:
+    """Rows of the fingers' records, so many at a time; while they are worked on, a bar on a terminal."""
+    count = min(map(len, fingers.values()))
+    blocks = [slice(start, start + BLOCK_ROWS) for start in range(0, count, BLOCK_ROWS)]
+    if count < PROGRESS_MIN_ROWS:
+        yield from blocks
         return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(f"writing {kind}", total=len(records))
-        for start in starts:
-            block = records[start : start + BLOCK_ROWS]
-            yield block
-            progress.advance(task, len(block))
+    with progress(f"writing {kind}", count) as done:
+        for some in blocks:
+            yield some
+            done(min(some.stop, count))

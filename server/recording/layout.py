@@ -6,7 +6,7 @@ template is made by the protobuf library from marker values; then a block of mes
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
@@ -54,13 +54,15 @@ class Layout:
         self.parts: Final = parts
         self.width: Final = column
         self._whole = np.repeat([part.whole for part in parts], [part.size for part in parts])
-        # (first byte, first column, columns) of each run of numbers side by side.
+        # Numbers side by side are copied as one piece: (bytes, where in a row, where in a message).
         starts = [0, *(i for i in range(1, self.width) if at[i] != at[i - 1] + 8), self.width]
-        self._runs = [(at[a], a, b - a) for a, b in pairwise(starts)]
+        pieces = [(8 * (b - a), 8 * a, at[a]) for a, b in pairwise(starts)]
+        self._row = _cut(8 * self.width, [(size, row) for size, row, _ in pieces])
+        self._message = _cut(len(encoded), [(size, place) for size, _, place in pieces])
         self._template = np.frombuffer(encoded, dtype=np.uint8)
         fixed = np.ones(len(encoded), dtype=bool)
-        for first, _, count in self._runs:
-            fixed[first : first + 8 * count] = False
+        for size, _, first in pieces:
+            fixed[first : first + size] = False
         self._fixed = np.flatnonzero(fixed)
 
     @property
@@ -79,10 +81,8 @@ class Layout:
             name = columns()[int(np.flatnonzero(self._whole)[column])]
             raise ValueError(f"record {row}: {name} = {counts[row, column]}, must be a whole number")
         values[:, self._whole] = whole.view("<f8")  # the bit pattern of the integer
-        raw = values.view(np.uint8).reshape(len(values), -1)
         out[:] = self._template
-        for at, column, count in self._runs:
-            out[:, at : at + 8 * count] = raw[:, 8 * column : 8 * (column + count)]
+        out.view(self._message)[:] = values.view(self._row)
 
     def decode(self, messages: Bytes) -> Array | None:
         """Rows (n, width) of messages (n, size); None where one of them has another layout."""
@@ -90,10 +90,8 @@ class Layout:
             self._template[self._fixed], (len(messages), len(self._fixed))
         )):  # fmt: skip
             return None
-        raw = np.empty((len(messages), 8 * self.width), dtype=np.uint8)
-        for at, column, count in self._runs:
-            raw[:, 8 * column : 8 * (column + count)] = messages[:, at : at + 8 * count]
-        rows = raw.view("<f8")
+        rows = np.empty((len(messages), self.width), "<f8")
+        rows.view(self._row)[:] = messages.view(self._message)
         rows[:, self._whole] = rows[:, self._whole].view("<i8")
         return rows
 
@@ -146,6 +144,18 @@ def tick_layout() -> Layout:
                 owner = getattr(owner, parent)
             getattr(owner, leaf).extend([0] * field.size)
     return Layout(message)
+
+
+def _cut(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.void]:
+    """So many bytes, seen as pieces: the size of each and where it begins."""
+    return np.dtype(
+        {
+            "names": [str(number) for number in range(len(pieces))],
+            "formats": [f"V{length}" for length, _ in pieces],
+            "offsets": [first for _, first in pieces],
+            "itemsize": size,
+        }
+    )
 
 
 def _marker(number: int) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
+from struct import Struct
 from typing import IO, Any, Final
 
 import numpy as np
@@ -33,6 +34,8 @@ _HEAD: Final = np.dtype(
 """What an MCAP message has in front of its data, without padding."""
 _HEAD_COUNTED: Final = 22
 """Bytes of it that count into its length."""
+_INDEX_HEAD: Final = Struct("<BQHI")
+"""Operation, length, channel, and bytes of what follows in an index of messages."""
 
 
 class McapFile:
@@ -46,9 +49,9 @@ class McapFile:
         self._channels: list[records.Channel] = []
         self._chunks, self._chunk_count = bytearray(), 0  # as they are written in the end: 9 MB of an hour
         self._metadata: list[records.MetadataIndex] = []
-        self._pending: list[bytes] = []
+        self._pending: list[bytes | memoryview] = []
         self._pending_bytes = 0
-        self._index: dict[int, list[tuple[Times, NDArray[np.int64]]]] = {}
+        self._index: dict[int, list[NDArray[np.uint64]]] = {}  # times and where in the chunk, of each channel
         self.counts: Final[dict[int, int]] = {}
         """Messages that the system has, by channel."""
         self._span: tuple[int, int] | None = None
@@ -106,7 +109,7 @@ class McapFile:
             whole[:, : _HEAD.itemsize] = head.view(np.uint8).reshape(len(times), -1)
             whole[:, _HEAD.itemsize :] = messages[some]
             self._note(channel, times, self._pending_bytes + np.arange(len(times)) * whole.shape[1])
-            self._add(whole.tobytes())
+            self._add(whole.data.cast("B"))
             done += len(times)
             self._end_if_full()
 
@@ -114,7 +117,7 @@ class McapFile:
         """End the chunk: what was added so far goes to the system."""
         if not self._pending:
             return
-        data = b"".join(self._pending)
+        data = self._pending[0] if len(self._pending) == 1 else b"".join(self._pending)
         # Message order does not matter to readers, so the chunk's times are the least and the greatest.
         first, last = _bounds(self._index)
         kept = self._compressor.compress(data)
@@ -130,11 +133,9 @@ class McapFile:
         )
         offsets, indices, at = {}, [], self._at + len(chunk)
         for channel, entries in self._index.items():
-            pairs = np.concatenate([np.stack(entry, axis=1) for entry in entries]).astype("<u8").tobytes()
-            head = np.zeros(1, [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("bytes", "<u4")])
-            head[0] = (Opcode.MESSAGE_INDEX, 6 + len(pairs), channel, len(pairs))
+            pairs = np.concatenate(entries).tobytes()
             offsets[channel] = at
-            indices.append(head.tobytes() + pairs)
+            indices.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(pairs), channel, len(pairs)) + pairs)
             at += len(indices[-1])
         index = records.ChunkIndex(
             chunk_length=len(chunk),
@@ -150,7 +151,7 @@ class McapFile:
         if self._index:
             before = self._span or (first, last)
             self._span = min(before[0], first), max(before[1], last)
-        added = {channel: sum(len(times) for times, _ in entries) for channel, entries in self._index.items()}
+        added = {channel: sum(map(len, entries)) for channel, entries in self._index.items()}
         self._pending, self._pending_bytes, self._index = [], 0, {}
         self._write(chunk + b"".join(indices))
         self._chunks += _record(index)
@@ -195,12 +196,14 @@ class McapFile:
         crc = zlib.crc32(summary + footer[:-4])
         self._write(summary + footer[:-4] + crc.to_bytes(4, "little") + MCAP0_MAGIC)
 
-    def _add(self, data: bytes) -> None:
+    def _add(self, data: bytes | memoryview) -> None:
         self._pending.append(data)
         self._pending_bytes += len(data)
 
     def _note(self, channel: int, times: Times, offsets: NDArray[np.int64]) -> None:
-        self._index.setdefault(channel, []).append((times, offsets))
+        pairs = np.empty((len(times), 2), "<u8")
+        pairs[:, 0], pairs[:, 1] = times, offsets
+        self._index.setdefault(channel, []).append(pairs)
 
     def _end_if_full(self) -> None:
         if self._pending_bytes >= CHUNK_BYTES:
@@ -219,7 +222,7 @@ def _record(record: Any) -> bytes:
     return bytes(builder.end())
 
 
-def _bounds(index: Mapping[int, list[tuple[Times, Any]]]) -> tuple[int, int]:
+def _bounds(index: Mapping[int, list[NDArray[np.uint64]]]) -> tuple[int, int]:
     """The least and the greatest time in a chunk: 0 where it has no message."""
-    times = [each for entries in index.values() for each, _ in entries]
+    times = [pairs[:, 0] for entries in index.values() for pairs in entries]
     return min((int(t.min()) for t in times), default=0), max((int(t.max()) for t in times), default=0)

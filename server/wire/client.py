@@ -32,6 +32,7 @@ from softfinger.server.wire.protocol import CONTACT, FINGERS, TOPICS, ProtocolEr
 DEFAULT_ENDPOINT: Final = "tcp://127.0.0.1:5555"
 
 _RECEIVE_BACKLOG: Final = 40960  # as the publisher's: a client that pauses for a while loses nothing
+_LONGEST_WAIT_MS: Final = (1 << 31) - 1  # 25 days: what a socket's time-out holds
 _LARGEST_FRAME: Final = 1 << 20  # ZeroMQ hangs up on a peer that sends more, before it allocates
 
 _IN_LISTS: Final = [i for i, field in enumerate(FIELDS) if field.name.startswith("contacts")]
@@ -98,6 +99,7 @@ class Subscription:
         self.endpoint = endpoint
         self.timeout_s = timeout_s
         self._ticks: dict[str, int] = {}
+        self._wait_ms = -1
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
         self._socket = context.socket(zmq.SUB)
         self._socket.linger = 0
@@ -121,9 +123,13 @@ class Subscription:
 
         Raises ProtocolError for a message that is not ours; the next call reads on behind it.
         """
-        if self._socket.poll(None if timeout_s is None else max(0, round(timeout_s * 1000))) == 0:
+        wait_ms = -1 if timeout_s is None else min(max(0, round(timeout_s * 1000)), _LONGEST_WAIT_MS)
+        if wait_ms != self._wait_ms:  # the socket's own time-out: to poll first would take half as long again
+            self._socket.rcvtimeo = self._wait_ms = wait_ms
+        try:
+            frames = self._socket.recv_multipart()
+        except zmq.Again:
             return None
-        frames = self._socket.recv_multipart()
         if len(frames) != 2:
             raise ProtocolError(
                 f"message of {len(frames)} frames from {self.endpoint}, expected 2 (topic and map): "

@@ -168,6 +168,36 @@ def _valid(ending: str, folder: Path) -> bytes:
     return path.read_bytes()
 
 
+SPELLINGS = ("{!r}", "{:.25f}", "{:.30e}", "{:+.17g}", " {:.17g}", "{:.17g}\t")
+"""Of one number: as JSON has it, with more digits than it has, and as JSON has none."""
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_numbers_of_a_csv_file_are_read_to_the_bit(tmp_path: Path, spelling: str, end: str) -> None:
+    """What stands in a file longer than a block is what Python reads there, however it is spelled."""
+    rng = np.random.default_rng(5)
+    values = rng.standard_normal((3000, 3)) * 10.0 ** rng.integers(-12, 3, (3000, 3))
+    values[::7] = [0.0, -0.0, -3.0]
+    cells = [[spelling.format(value) for value in row] for row in values.tolist()]
+    cells[14] = ["-0", "-0", "-0"]
+    lines = ["t,x,y,z,qw,qx,qy,qz", *(f"{row},{','.join(cell)},1,0,0,-0" for row, cell in enumerate(cells)), ""]
+    path = tmp_path / "p.csv"
+    path.write_bytes(end.join(lines).encode())
+    wanted = np.array([[float(cell) for cell in row] for row in cells])
+    assert load_poses(path).position.tobytes() == wanted.tobytes()
+
+
+def test_a_fault_far_down_is_located(tmp_path: Path) -> None:
+    """The line's number is right behind a blank line, and where rows were read at once before it."""
+    lines = ["t,x,y,z,qw,qx,qy,qz", *(f"{row},0.25,0.125,0.5,1,0,0,0" for row in range(20_000))]
+    lines[3] = ""
+    lines[15_000] += ",7"
+    (tmp_path / "p.csv").write_text("\n".join(lines))
+    with pytest.raises(RecordingError, match="line 15001: 9 values, the header names 8"):
+        load_poses(tmp_path / "p.csv")
+
+
 @pytest.mark.parametrize("ending", ENDINGS)
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())

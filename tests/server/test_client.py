@@ -2,6 +2,7 @@
 
 import copy
 import gc
+import signal
 
 import msgpack
 import numpy as np
@@ -148,9 +149,39 @@ def test_silence_is_named_with_endpoint_and_remedy(publisher):
 
 
 def test_receive_returns_none_when_nothing_comes(publisher):
-    """receive with a time-out of zero does not wait and does not raise."""
+    """receive with a time-out of zero does not wait and does not raise, nor does one after a call that waited long."""
     with subscribe(publisher.endpoint) as samples:
         assert samples.receive(0.0) is None
+    with joined(publisher) as samples:
+        for wait_s in (1e9, None, 30.0):
+            publisher.event("test", "here")
+            assert samples.receive(wait_s)["name"] == "here"
+            assert samples.receive(0.0) is None
+            assert samples.receive(-1.0) is None
+
+
+class Rung(Exception):
+    """A signal came."""
+
+
+@pytest.mark.parametrize("wait_s", [None, 60.0])
+def test_a_signal_ends_the_wait(publisher, wait_s):
+    """What the handler of a signal raises, as Ctrl-C does, comes out of a receive that waits; the next one works."""
+
+    def ring(number, frame):
+        raise Rung
+
+    before = signal.signal(signal.SIGALRM, ring)
+    try:
+        with joined(publisher) as samples:
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            with pytest.raises(Rung):
+                samples.receive(wait_s)
+            publisher.event("test", "after")
+            assert samples.receive(5.0)["name"] == "after"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_closed_subscription_ends_the_loop(publisher):

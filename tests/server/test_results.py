@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -49,6 +50,30 @@ def test_csv_header_names_every_component(tmp_path: Path) -> None:
     """The first line is the record table's columns."""
     write_results(tmp_path / "o.csv", some_records(2))
     assert (tmp_path / "o.csv").read_text().splitlines()[0] == ",".join(columns())
+
+
+@pytest.mark.parametrize("count", [1, 7, 1100])
+def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
+    """Each cell is the number as JSON has it, without `.0`: one that varies, stays, is whole now and then, or -0."""
+    records = some_records(count)
+    records[np.isinf(records) | np.isnan(records)] = 0.0
+    records[:, 10] = 0.1
+    records[::3, 11] = np.arange(len(records[::3])) * -1.0
+    records[::2, 12] = -0.0
+    records[:, 13] = np.resize([1e15, 9999999999999998.0, 1e16, -(2.0**53), 1e22, 1e-5], count)
+    write_results(tmp_path / "o.csv", records)
+    wanted = [[msgspec.json.encode(number).decode().removesuffix(".0") for number in row] for row in records.tolist()]
+    assert (tmp_path / "o.csv").read_text().splitlines()[1:] == [",".join(row) for row in wanted]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2500])
+def test_npz_is_what_numpy_writes(tmp_path: Path, count: int) -> None:
+    """To the byte: numpy.savez of the records and of each field."""
+    records = some_records(count)
+    write_results(tmp_path / "o.npz", records)
+    arrays = {f.name: records[:, f.at] if f.size == 1 else records[:, f.at : f.at + f.size] for f in FIELDS}
+    np.savez(tmp_path / "numpys.npz", records=records, **arrays)
+    assert (tmp_path / "o.npz").read_bytes() == (tmp_path / "numpys.npz").read_bytes()
 
 
 def test_npz_has_an_array_for_each_field(tmp_path: Path) -> None:

@@ -9,8 +9,13 @@ from typing import Final
 KINDS: Final = {
     "step": ("softfinger.tools.bench.step", "cost of the contact step, back to back"),
     "closed-loop": ("softfinger.tools.bench.closed_loop", "ticks per second with a simulated device, offline"),
+    "simulate": ("softfinger.tools.bench.simulate", "how fast `simulate` is, from its start to the file"),
     "loop": ("softfinger.tools.bench.loop", "lateness and execution time of the servo loop, beside a C loop"),
     "device": ("softfinger.tools.bench.device", "time of an exchange with a device, beside one that does nothing"),
+    "commands": (
+        "softfinger.tools.bench.commands",
+        "what commands do to a hand that presses: torn sets, steps, memory",
+    ),
     "telemetry": ("softfinger.tools.bench.telemetry", "time from tick to subscriber, and what was lost"),
 }
 

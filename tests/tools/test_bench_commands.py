@@ -1,0 +1,38 @@
+"""`bench commands`: a daemon under commands, seen through its telemetry; no set is torn, no step above the limit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softfinger.server import cli
+from softfinger.tools.bench.commands import FORCE_N, torn
+
+pytestmark = pytest.mark.real_time
+
+
+def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Sets are felt and whole; scenes are felt again after each turn, no faster than the guard allows."""
+    drawing = tmp_path / "memory.svg"
+    words = ["--seconds", "2", "--rate", "100", "--swaps", "3", "--plot", str(drawing)]
+    assert cli.main(["bench", "commands", *words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["set_params"] == 200
+    assert found["ticks"] > 1000
+    assert 100 < found["changes_felt"] <= 200  # of two within a tick, which a stall of the machine makes, one is felt
+    assert found["torn"] == 0
+    assert found["largest_step_n"] <= found["slew_n"] * (1.0 + 1e-9)  # rounding of the sum that makes a step
+    assert found["largest_step_n"] > 0.0
+    assert len(found["resident_mb"]) == 3
+    assert drawing.stat().st_size > 0
+
+
+def test_a_torn_set_would_be_seen() -> None:
+    """The stiffness of one pair with the force of another is another sum; what the guard changed does not count."""
+    rows = np.zeros((4, 6))
+    rows[:, 2] = [FORCE_N, 1.0 + 1.5, FORCE_N, 0.5]
+    rows[3, 3] = 2.0
+    assert torn(rows) == 1

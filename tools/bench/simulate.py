@@ -1,0 +1,105 @@
+"""`bench simulate`: how many times as fast as real time `simulate` is, from the start of the program to the file."""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError
+from softfinger.drivers.poses import POSE_COLUMNS, load_poses
+from softfinger.drivers.resample import close_loop, resample
+from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.results import ENDINGS, csv_lines
+from softfinger.server.progress import progress
+from softfinger.tools.measure import Array, add_output_options, show
+
+RATE_HZ: Final = 1000.0
+TICKS_MIN: Final = 1000
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scene", default="paper-plane", help="scene of one finger (default: %(default)s)")
+    parser.add_argument(
+        "--poses", default="press-roll-spin-drag", metavar="P", help="recording, again and again (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--ticks", type=int, default=600_000, help="length, at 1 kHz; a file of 600000 has up to 0.9 GB (%(default)s)"
+    )
+    parser.add_argument("--rounds", type=int, default=5, help="turns of each format (default: %(default)s)")
+    parser.add_argument("--folder", type=Path, help="where the files are for the moment (the system's for such)")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    ticks, rounds = args.ticks, max(args.rounds, 1)
+    if ticks < TICKS_MIN:
+        raise ConfigError(f"--ticks {ticks}: too few to tell: {TICKS_MIN} or more")
+    taken: dict[str, list[tuple[float, float]]] = {ending: [] for ending in ENDINGS}
+    with tempfile.TemporaryDirectory(dir=args.folder) as made, progress("simulating", rounds * len(ENDINGS)) as done:
+        poses = Path(made, "poses.csv")
+        poses.write_bytes(",".join(POSE_COLUMNS).encode() + b"\n" + csv_lines(motion(args.poses, ticks)))
+        simulate(args.scene, poses, Path(made, "warm.npz"))  # compiles, if need be
+        for turn in range(rounds):
+            for place, ending in enumerate(ENDINGS):
+                taken[ending].append(simulate(args.scene, poses, Path(made, f"results{ending}")))
+                done(turn * len(ENDINGS) + place + 1)
+    rows = [{"format": ending[1:]} | told(turns, ticks) for ending, turns in taken.items()]
+    lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
+    lines += [
+        f"  {row['format']:<5}{row['seconds']:7.2f} s, median {row['median_seconds']:.2f}, "
+        f"processor {row['cpu_s']:.2f}: {row['times_real_time']:6.1f} x real time"
+        for row in rows
+    ]
+    show({"scene": args.scene, "ticks": ticks, "rate_hz": RATE_HZ, "formats": rows}, args.json, lines)
+    if args.plot:
+        drawing = figure(height=2.5)
+        axes = drawing.add_subplot()
+        axes.barh([row["format"] for row in rows][::-1], [row["times_real_time"] for row in rows][::-1])
+        axes.set_xlabel("times real time")
+        save(drawing, args.plot)
+    return 0
+
+
+def motion(recording: str, ticks: int) -> Array:
+    """The recording as a loop: (ticks, 8), times and poses."""
+    once = close_loop(resample(load_poses(recording), RATE_HZ), RATE_HZ)
+    return np.column_stack((np.arange(ticks) / RATE_HZ, np.resize(once, (ticks, once.shape[1]))))
+
+
+def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
+    """One run of the program, whose file is removed: wall clock and processor, s."""
+    words = ["simulate", "--scene", scene, "--poses", str(poses), "--out", str(out)]
+    before, begun = children_s(), time.perf_counter()
+    ended = subprocess.run(
+        [sys.executable, "-m", "softfinger.server.cli", *words], capture_output=True, text=True, check=False
+    )
+    taken = time.perf_counter() - begun, children_s() - before
+    out.unlink(missing_ok=True)
+    if ended.returncode:
+        raise ConfigError(f"simulate failed: {ended.stderr.strip()}")
+    return taken
+
+
+def children_s() -> float:
+    """Time that ended children of this process have had of processors."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def told(turns: list[tuple[float, float]], ticks: int) -> dict[str, Any]:
+    """The quickest turn, for others share the machine; beside it the median."""
+    walls, cpus = zip(*turns, strict=True)
+    return {
+        "seconds": min(walls),
+        "median_seconds": float(np.median(walls)),
+        "cpu_s": min(cpus),
+        "times_real_time": ticks / RATE_HZ / min(walls),
+    }
