@@ -11,14 +11,26 @@ def _columns(paragraph: str) -> bool:
     return bool(re.match(r"\S+(?:, \S+)*  +\S", paragraph))
 
 
+def _table(paragraph: str) -> str:
+    """Those lines as a table: name, and what it is; lines further in go on with the one before."""
+    rows: list[str] = []
+    for line in paragraph.splitlines():
+        if line.startswith(" "):
+            rows[-1] += " " + line.strip()
+        else:
+            name, *rest = re.split(r"  +", line)
+            rows.append(f"| `{name}` | " + "; ".join(rest).replace("|", r"\|"))
+    return "\n".join(["| | |", "|---|---|", *(f"{row} |" for row in rows)])
+
+
 def as_markdown(text: str) -> str:
-    """The docstring with what is laid out by hand fenced."""
+    """The docstring with examples fenced, and columns as tables."""
     parts = []
     for paragraph in text.split("\n\n"):
         if paragraph.startswith(">>>"):
             paragraph = f"```pycon\n{paragraph}\n```"
         elif _columns(paragraph):
-            paragraph = f"```text\n{paragraph}\n```"
+            paragraph = _table(paragraph)
         parts.append(paragraph)
     return "\n\n".join(parts)
 

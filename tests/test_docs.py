@@ -17,7 +17,7 @@ from helpers.telemetry_records import put, synthetic
 from softfinger.config import errors
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.proxy.engine import Engine
+from softfinger.proxy.engine import STEP_FIELDS, Engine
 from softfinger.proxy.record import CAUSE_NAMES, MODE_NAMES
 from softfinger.server import signals
 from softfinger.server.cli import VERBS, main, make_parser
@@ -114,6 +114,12 @@ def anchors(page: Path) -> set[str]:
     text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     headings = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", line) for line in re.findall(r"^#+ (.*)$", text, re.MULTILINE)]
     return {re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings}
+
+
+def test_the_reference_names_every_attribute_of_a_step():
+    """docs/api.md has those that the class has, and no other."""
+    rows = re.findall(r"^\| (`.*?`) \| ", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
+    assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(STEP_FIELDS)
 
 
 def test_every_link_in_readme_and_docs_leads_somewhere():
