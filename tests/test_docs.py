@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from helpers.telemetry_records import put, synthetic
 from softfinger.config import errors
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.proxy.engine import Engine
+from softfinger.proxy.engine import STEP_FIELDS, Engine
 from softfinger.proxy.record import CAUSE_NAMES, MODE_NAMES
 from softfinger.server import signals
 from softfinger.server.cli import VERBS, main, make_parser
@@ -51,8 +52,11 @@ def test_exit_codes_are_those_of_the_errors():
 
 
 def commands(text: str) -> list[list[str]]:
-    """The words of each `softfinger ...` on a line of its own, without comments and redirections."""
-    lines = re.findall(r"^    (softfinger .*?)(?: [|>&].*)?$", text, re.MULTILINE)
+    """The words of each `softfinger ...` on a line of its own, in a fence or not, without comments and redirections."""
+    found = re.findall(r"^    .*$", text, re.MULTILINE)
+    for _, body in re.findall(r"^( *)```(?:sh|console)\n(.*?)^\1```", text, re.MULTILINE | re.DOTALL):
+        found += body.splitlines()
+    lines = [line[1] for line in (re.match(r" *(softfinger .*?)(?: [|>&].*)?$", each) for each in found) if line]
     return [shlex.split(line, comments=True)[1:] for line in lines]
 
 
@@ -105,11 +109,44 @@ def test_python_of_the_front_door_runs(tmp_path, endpoints, monkeypatch):
     assert len(names["newest"]) > 0
 
 
+def anchors(page: Path) -> set[str]:
+    """What a link may name behind # in a page: its headings, as the site and code hosts spell them."""
+    text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    headings = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", line) for line in re.findall(r"^#+ (.*)$", text, re.MULTILINE)]
+    return {re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings}
+
+
+def test_the_reference_names_every_attribute_of_a_step():
+    """docs/api.md has those that the class has, and no other."""
+    rows = re.findall(r"^\| (`.*?`) \| ", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
+    assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(STEP_FIELDS)
+
+
 def test_every_link_in_readme_and_docs_leads_somewhere():
-    """Relative links point at files that are there."""
-    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
-        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+    """Relative links point at files that are there, and at headings in them."""
+    for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")]:
+        for target, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", page.read_text()):
+            there = page.parent / target if target else page
+            assert there.exists(), f"{page.name} links to {target}"
+            assert not anchor or anchor in anchors(there), f"{page.name} links to {target}#{anchor}"
+
+
+def test_the_site_has_every_page_once():
+    """The navigation of mkdocs.yml names each page of docs/, and nothing that is not there."""
+    _, navigation = (ROOT / "mkdocs.yml").read_text().split("\nnav:\n")
+    named = re.findall(r"([\w./-]+\.md)$", navigation, re.MULTILINE)
+    pages = [str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")]
+    assert sorted(named) == sorted(pages)
+
+
+def test_lists_are_lists_on_the_site_too():
+    """Python's Markdown wants an empty line before a list, and so it is clear on a code host as well."""
+    for page in (ROOT / "docs").rglob("*.md"):
+        text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+        lines = ["", *text.splitlines()]
+        for before, line in pairwise(lines):
+            if re.match(r"(- |\d+\. )", line):
+                assert re.match(r"$|- |\d+\. | ", before), f"{page.name}: {line}"
 
 
 def test_files_named_in_the_map_exist():

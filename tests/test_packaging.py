@@ -83,7 +83,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def sources(package: str) -> Iterator[Path]:
     """Every file of a package that is shipped."""
     for path in sorted((ROOT / package).rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
+        if path.is_file() and not {"__pycache__", "node_modules"} & set(path.parts):
             yield path.relative_to(ROOT)
 
 
@@ -107,7 +107,7 @@ def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
     with tarfile.open(path) as archive:
         names = {member.name.partition("/")[2] for member in archive.getmembers()}
     needed = {"Makefile", "constraints.txt", "pyproject.toml", "LICENSE", "README.md", ".ci/run", "Dockerfile"}
-    needed |= {"CONTRIBUTING.md"}
+    needed |= {"CONTRIBUTING.md", "mkdocs.yml", "constraints-docs.txt"}
     needed |= {str(file) for package in (*PACKAGES, "examples", "tests") for file in sources(package)}
     assert not needed - names
     assert not [name for name in names if name.startswith((".dev", ".venv", ".git/"))]
@@ -171,9 +171,10 @@ def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
     )
 
 
-def test_every_pinned_version_has_hashes_and_names_no_host() -> None:
+@pytest.mark.parametrize("file", ["constraints.txt", "constraints-docs.txt"])
+def test_every_pinned_version_has_hashes_and_names_no_host(file: str) -> None:
     """Constraints hold name==version with sha256 hashes only: no URL, path, option or index."""
-    text = (ROOT / "constraints.txt").read_text()
+    text = (ROOT / file).read_text()
     entries = re.split(r"\n(?=\S)", text.strip())
     assert len(entries) > 40
     for entry in entries:

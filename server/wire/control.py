@@ -140,46 +140,62 @@ class Control:
         raise _no_answer(method, self.endpoint, wait_s)
 
     def get_state(self) -> State:
+        """The newest tick in few numbers, of several fingers the first: position, velocity, force, contact."""
         return self._ask("get_state", Empty(), State)
 
     def heartbeat(self) -> Alive:
+        """A sign of life, for a rig with `heartbeat_s`; gives the force back that was taken for want of one."""
         return self._ask("heartbeat", Empty(), Alive)
 
     def set_params(self, values: Mapping[str, Any]) -> Changed:
+        """Parameters of the scene by dotted path, all between the same two ticks, or none; says what they were."""
         return self._ask("set_params", values, Changed)
 
     def set_scene(
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
     ) -> SceneSet:
+        """Another scene, from zero force: the name of a shipped one or a mapping like a file. It is compiled first."""
         return self._ask("set_scene", _scene(scene, overrides, name), SceneSet)
 
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
+        """Put a driven object, by name or number, at a place (m, world) with an orientation (w, x, y, z)."""
         return self._ask("drive", _pose(what, position_m, orientation_wxyz), Applied)
 
     def arm(self) -> Armed:
+        """Let the force fade in along the guard's ramp."""
         return self._ask("arm", Empty(), Armed)
 
     def disarm(self) -> Armed:
+        """Take the force off every finger until `arm`; devices stay open, ticks go on. No emergency stop."""
         return self._ask("disarm", Empty(), Armed)
 
     def zero(
         self, position_m: Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
     ) -> Zeroed:
+        """Say where (m, world) the probe is now, for a finger by name or number; `reset` takes the offset away.
+
+        Refused while there may be force: `disarm` first.
+        """
         return self._ask("zero", _zero(position_m, finger, reset), Zeroed)
 
     def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
+        """An event with a label, into the telemetry and every recording of it."""
         return self._ask("mark", Mark(label, dict(data or {})), Applied)
 
     def record_start(self, file: str) -> RecordStarted:
+        """Record every tick and event into a new .mcap below the rig's [recording] directory."""
         return self._ask("record_start", RecordStart(file), RecordStarted)
 
     def record_stop(self) -> RecordStopped:
+        """End that recording; says how many ticks it has."""
         return self._ask("record_stop", Empty(), RecordStopped)
 
     def describe(self) -> dict[str, Any]:
+        """Rig, scene, device, fingers, versions, and the wire itself as data."""
         return self._ask("describe", Empty(), dict)
 
     def stop(self) -> Stopping:
+        """End the daemon in order."""
         return self._ask("stop", Empty(), Stopping)
 
     def close(self) -> None:

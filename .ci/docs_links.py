@@ -1,0 +1,22 @@
+"""For mkdocs: links that lead out of docs/ go to the code host, where the pages link to files of the repository."""
+
+import re
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)\s]*)?\))")
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
+    """Links of a page with those that leave docs/ turned into addresses; others are mkdocs' own to check."""
+    docs = Path(config.docs_dir)
+    root = docs.parent
+
+    def address(link: re.Match[str]) -> str:
+        target = (docs / PurePosixPath(page.file.src_uri).parent / link[2]).resolve()
+        if target.is_relative_to(docs) or not target.is_relative_to(root) or not target.exists():
+            return link[0]
+        kind = "tree" if target.is_dir() else "blob"
+        return f"{link[1]}{config.repo_url.rstrip('/')}/{kind}/HEAD/{target.relative_to(root)}{link[3]}"
+
+    return LINK.sub(address, markdown)

@@ -1,0 +1,35 @@
+function subscribe(endpoint, changes)
+% Print each change of the contact's mode, with nothing of softfinger in it.
+%
+%   pip install pyzmq msgpack             % into a Python that this MATLAB supports
+%   pyenv(Version="/that/python", ExecutionMode="OutOfProcess")
+%   subscribe                             % tcp://127.0.0.1:5555, until Ctrl-C
+%   subscribe("tcp://127.0.0.1:5555", 4)  % four changes
+%
+% Out of process, because MATLAB may bring a ZeroMQ of its own that would be loaded in its place.
+arguments
+    endpoint (1, 1) string = "tcp://127.0.0.1:5555"
+    changes (1, 1) double = Inf
+end
+modes = ["free", "rolling", "sliding"];
+
+context = py.zmq.Context();
+socket = context.socket(py.zmq.SUB);
+done = onCleanup(@() socket.close());
+socket.connect(endpoint);
+socket.subscribe("contact");
+
+mode = -1;
+while changes > 0
+    frames = cell(socket.recv_multipart());
+    message = struct(py.msgpack.unpackb(frames{2}));
+    contact = struct(message.contact);
+    if double(contact.mode) == mode
+        continue
+    end
+    mode = double(contact.mode);
+    force = cellfun(@double, cell(message.force));
+    fprintf("%d %s %.3f %.3f %.3f\n", int64(message.tick), modes(mode + 1), force);
+    changes = changes - 1;
+end
+end

@@ -1,0 +1,130 @@
+"""Pages that lead by the hand: every command of theirs runs as it is printed, in its order.
+
+Fences say what they are. `sh` is for a terminal, and runs here; what has a `title` is a file that the reader saves;
+`console` needs what is not here (the network, a device, a browser, time), and is only parsed (tests/test_docs.py).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+pytestmark = pytest.mark.real_time
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = ("tutorial.md", "experiment.md")
+FENCE = re.compile(r'^( *)```(\w+)(?: title="([^"]+)")?\n(.*?)^\1```$', re.MULTILINE | re.DOTALL)
+STOP_S = 60.0
+
+SHIM = """#!/bin/sh
+# The program, on the endpoints of this test, and for a look where a reader would stay.
+verb=$1; shift
+case $verb in
+    run) set -- --endpoint {telemetry} --commands {commands} --realtime off "$@" ;;
+    record) set -- --endpoint {telemetry} "$@" ;;
+    monitor) set -- --endpoint {telemetry} --once --timeout 400 "$@" ;;
+    ctl) set -- --endpoint {commands} "$@" ;;
+    doctor) set -- --seconds 1 "$@" ;;
+esac
+exec {python} -m softfinger.server.cli "$verb" "$@"
+"""
+
+
+def fences(page: str) -> list[tuple[str, str, str]]:
+    """Kind, title and text of each fence, in order."""
+    return [(kind, title, dedent(text)) for _, kind, title, text in FENCE.findall((DOCS / page).read_text())]
+
+
+def commands(text: str) -> Iterator[str]:
+    """A command a line, without comments."""
+    for line in text.splitlines():
+        if words := shlex.split(line, comments=True):
+            yield shlex.join(words)
+
+
+class Terminals:
+    """The reader's: one for the daemon, which stays until Ctrl-C, and one for everything else."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        tools = folder / "bin"
+        tools.mkdir()
+        telemetry, wanted = (f"ipc://{folder}/{name}" for name in ("t", "c"))
+        shim = tools / "softfinger"
+        shim.write_text(SHIM.format(telemetry=telemetry, commands=wanted, python=sys.executable))
+        shim.chmod(0o755)
+        (tools / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+        (tools / "python").chmod(0o755)
+        self.environment = {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"}
+        self.daemon: subprocess.Popen[bytes] | None = None
+
+    def type(self, command: str) -> None:
+        """Run one command to its end, or leave the daemon running."""
+        words = shlex.split(command)
+        if words[:2] == ["softfinger", "run"] and not {"--once", "--duration"} & set(words):
+            self.stop()
+            self.daemon = subprocess.Popen(words, cwd=self.folder, env=self.environment)
+            self.type("softfinger monitor")  # a reader waits until it runs, which may take a compilation
+            return
+        done = subprocess.run(
+            ["bash", "-c", command], cwd=self.folder, env=self.environment, capture_output=True, text=True, timeout=500
+        )
+        # A machine that a doctor finds bad is none of the page's.
+        assert done.returncode in ({0, 10} if words[1] == "doctor" else {0}), f"{command}\n{done.stdout}{done.stderr}"
+
+    def stop(self) -> None:
+        """Ctrl-C for the daemon, unless it has been told to stop; it ends in order."""
+        if self.daemon is not None:
+            self.daemon.send_signal(signal.SIGINT)
+            assert self.daemon.wait(STOP_S) == 0
+            self.daemon = None
+
+
+@contextmanager
+def terminals(folder: Path) -> Iterator[Terminals]:
+    opened = Terminals(folder)
+    try:
+        yield opened
+        opened.stop()
+    finally:
+        if opened.daemon is not None:
+            opened.daemon.kill()
+            opened.daemon.wait()
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_works_as_printed(page: str, tmp_path: Path) -> None:
+    """Its files are saved and its commands run, one after the other, from an empty folder; each ends as it should."""
+    ran = 0
+    with terminals(tmp_path) as reader:
+        for kind, title, text in fences(page):
+            if title:
+                (tmp_path / title).write_text(text)
+            elif kind == "sh":
+                for command in commands(text):
+                    reader.type(command)
+                    ran += 1
+    assert ran > 5
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_files_to_save_are_whole(page: str) -> None:
+    """Every file that a page has its reader save is used by a command of it, and TOML is read as such."""
+    text = (DOCS / page).read_text()
+    for kind, title, body in fences(page):
+        if title:
+            assert re.search(rf"^(?:softfinger .*|python ){re.escape(title)}", text, re.MULTILINE), title
+        if kind == "toml":
+            tomllib.loads(body)

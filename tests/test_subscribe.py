@@ -1,0 +1,86 @@
+"""The programs of examples/subscribe: what each prints is what was published."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from softfinger.server.wire.client import subscribe
+
+pytestmark = pytest.mark.real_time
+
+PROGRAMS = Path(__file__).resolve().parents[1] / "examples" / "subscribe"
+MODES = ("free", "rolling", "sliding")
+CHANGES = 3
+
+
+def python(_: Path) -> list[str]:
+    return [sys.executable, str(PROGRAMS / "subscribe.py")]
+
+
+def cpp(folder: Path) -> list[str]:
+    """Compiled as its first lines say."""
+    compiler = shutil.which("g++")
+    includes = b"#include <zmq.hpp>\n#include <msgpack.hpp>\n"
+    look = [compiler or "false", "-std=c++17", "-DMSGPACK_NO_BOOST", "-E", "-x", "c++", "-", "-o", "/dev/null"]
+    if subprocess.run(look, input=includes, capture_output=True, timeout=60).returncode != 0:
+        pytest.skip("no g++, or not the headers of cppzmq and msgpack: make subscribers")
+    source = PROGRAMS / "subscribe.cpp"
+    (line,) = re.findall(r"^//     (g\+\+ .*)$", source.read_text(), re.MULTILINE)
+    words = [str(source) if word.endswith("subscribe.cpp") else word for word in line.split()]
+    subprocess.run([*words, "-Wall", "-Wextra", "-Werror"], cwd=folder, check=True, timeout=300)
+    return [str(folder / "subscribe")]
+
+
+def javascript(_: Path) -> list[str]:
+    node = shutil.which("node")
+    if node is None or not (PROGRAMS / "node_modules").is_dir():
+        pytest.skip("no Node.js, or not its packages: make subscribers")
+    return [node, str(PROGRAMS / "subscribe.mjs")]
+
+
+@pytest.mark.parametrize("make", [python, cpp, javascript])
+def test_a_program_prints_what_was_published(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:
+    """Each line is a tick with mode and force as another subscriber got them; each but the first is a change."""
+    command = [*make(tmp_path), endpoints[0], *(["--changes"] if make is python else []), str(CHANGES)]
+    published: dict[int, tuple[str, list[float]]] = {}
+    listens, over = threading.Event(), threading.Event()
+
+    def listen() -> None:
+        with subscribe(endpoints[0], timeout_s=60.0) as samples:
+            for sample in samples:
+                published[sample.tick] = (MODES[sample.contact.mode], list(sample.force))
+                listens.set()
+                if over.is_set():
+                    return
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    try:
+        assert listens.wait(60.0)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    finally:
+        over.set()
+        listener.join()
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert len(lines) == CHANGES
+    for at, (tick, mode, *force) in enumerate(lines):
+        assert published[int(tick)][0] == mode
+        assert published[int(tick)][1] == pytest.approx([float(word) for word in force], abs=1e-3)  # three decimals
+        assert at == 0 or published[int(tick) - 1][0] != mode
+
+
+def test_every_program_is_on_the_page() -> None:
+    """docs/operate/subscribe.md and the folder's own page lead to each of them, and say which is not run."""
+    page = (PROGRAMS.parents[1] / "docs" / "operate" / "subscribe.md").read_text()
+    own = (PROGRAMS / "README.md").read_text()
+    for program in PROGRAMS.glob("subscribe.*"):
+        assert f"/{program.name})" in page and f"({program.name})" in own
+    assert "**It has not been run**" in page
