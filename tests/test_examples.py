@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
@@ -9,11 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from softfinger.drivers.base import PROTOCOL
+from softfinger.server.driver_contract import Servo
+
 pytestmark = pytest.mark.real_time
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PNG = b"\x89PNG"
-LINES_MAX = 80
+LINES_MAX = 125
 
 
 def said(program: str, *words: str, cwd: Path) -> str:
@@ -72,3 +76,33 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     out = said("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
     assert number(r"(\d+) ticks drawn", out) > 0
     assert (tmp_path / "live.png").read_bytes().startswith(PNG)
+
+
+def test_my_driver_python(tmp_path: Path) -> None:
+    """1 mm into 1000 N/m, held with 3000 N/m: both give way, and 0.75 N are left; every tick of both runs was done."""
+    out = said("my_driver_python.py", cwd=tmp_path)
+    alone, beside = out.splitlines()
+    assert alone.startswith("2000 ticks alone") and beside.startswith("2000 ticks beside a busy thread")
+    # The ramp is over after half a second, so the second press has it all. One tick more or less is far below a digit.
+    assert number(r"largest force ([\d.]+) N", alone) == pytest.approx(0.75, abs=0.01)
+
+
+def test_an_exception_in_a_python_driver_ends_the_run() -> None:
+    """It is a status of its own, and not the 0 that ctypes would return."""
+    sys.path.insert(0, str(EXAMPLES))
+    try:
+        driver = importlib.import_module("my_driver_python")
+    finally:
+        sys.path.remove(str(EXAMPLES))
+
+    class Broken(driver.MyDevice):  # type: ignore[misc]
+        def read(self, sample: object) -> int:
+            raise ZeroDivisionError
+
+    with Broken(driver.Options(), 1000.0) as device:
+        assert Servo(device).read()[0] == PROTOCOL
+
+
+def test_my_driver_numba(tmp_path: Path) -> None:
+    """The daemon runs on it to the last tick."""
+    said("my_driver_numba.py", cwd=tmp_path)
