@@ -22,11 +22,22 @@ from softfinger.drivers.base import Device
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
 BUILT_IN: Final = ("falcon", "forcedimension", "hid", "replay", "serial", "simulated", "spacemouse")
 """Each is the folder of its name here, and `device` in it is the driver."""
+_added: Final[dict[str, ModuleType]] = {}
 
 
 def names() -> list[str]:
-    """Every driver that can be asked for: built in ones first, then those of installed packages."""
-    return [*BUILT_IN, *sorted(set(_outside()) - set(BUILT_IN))]
+    """Every driver that can be asked for: built in ones first, then those of this program and of installed packages."""
+    return [*BUILT_IN, *sorted({*_added, *_outside()} - set(BUILT_IN))]
+
+
+def add(name: str, module: ModuleType) -> None:
+    """Let rigs in this process say `driver = name` for a module of the program itself, which no package offers.
+
+    Raises DeviceError where the module is no driver, or the name is a built in one's.
+    """
+    if name in BUILT_IN:
+        raise DeviceError(f"driver '{name}' is built in: give yours another name")
+    _added[name] = _driver(name, module, f"module {module.__name__}")
 
 
 def load(name: str) -> ModuleType:
@@ -37,6 +48,8 @@ def load(name: str) -> ModuleType:
     """
     if name in BUILT_IN:
         return importlib.import_module(f"softfinger.drivers.{name}.device")
+    if name in _added:
+        return _added[name]
     entry = _outside().get(name)
     if entry is None:
         raise DeviceNotFound(_unknown(name))
@@ -47,13 +60,7 @@ def load(name: str) -> ModuleType:
             f"driver '{name}' ({entry.value}) cannot be imported: {error}: "
             "repair or reinstall the package that provides it"
         ) from error
-    missing = [part for part in ("Options", "open_device") if not hasattr(module, part)]
-    if missing or not isinstance(module, ModuleType):
-        raise DeviceError(
-            f"driver '{name}' ({entry.value}) is not a driver module: it lacks {', '.join(missing) or 'a module'}; "
-            f"its entry point in group '{ENTRY_POINT_GROUP}' must name a module with Options and open_device"
-        )
-    return module
+    return _driver(name, module, f"{entry.value}, an entry point in group '{ENTRY_POINT_GROUP}'")
 
 
 def options(config: DeviceConfig, where: str = "[device]") -> Any:
@@ -69,6 +76,15 @@ def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -
     device: Device = load(config.driver).open_device(options(config, where), rate_hz)
     opened.devices.add(device)
     return device
+
+
+def _driver(name: str, module: Any, whose: str) -> ModuleType:
+    missing = [part for part in ("Options", "open_device") if not hasattr(module, part)]
+    if missing or not isinstance(module, ModuleType):
+        raise DeviceError(
+            f"driver '{name}' ({whose}) is not a driver module: it lacks {', '.join(missing) or 'a module'}"
+        )
+    return module
 
 
 def _outside() -> dict[str, metadata.EntryPoint]:

@@ -47,6 +47,7 @@ VERBS: Final = {
     "forward": Verb(
         "softfinger.server.gateway.verbs.forward", "telemetry to other machines, by key, and to more subscribers"
     ),
+    "bridge": Verb("softfinger.server.bridges.verb", "a daemon or a recording in Foxglove or Rerun"),
     "keys": Verb("softfinger.server.gateway.verbs.keys", "CURVE keys, by which daemon and clients know each other"),
     "devices": Verb("softfinger.server.verbs.devices", "what is attached, and why it cannot be opened"),
     "doctor": Verb("softfinger.tools.doctor.verb", "is this machine good enough; a report of an attached device"),

@@ -1,7 +1,8 @@
 """Fixtures for tests of programs that use the daemon: it is started for a test, and its log is in the report.
 
 Installed with the package (entry point `pytest11`); docs/operate/recordings.md shows its use. Every pytest in the same
-environment imports this module, so it imports nothing of weight before a fixture is asked for.
+environment imports this module, so it imports nothing of weight before a fixture is asked for. The tests for drivers of
+other packages are in `softfinger.server.driver_contract`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ import pytest
 if TYPE_CHECKING:
     from softfinger.server.wire.client import Subscription
     from softfinger.server.wire.control import Control
+
+pytest.register_assert_rewrite("softfinger.server.driver_contract")  # a failed case shows both sides
 
 READY_S = 600.0
 """The first run of a scene compiles it, which takes minutes on a busy machine."""

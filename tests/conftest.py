@@ -13,6 +13,9 @@ from hypothesis import settings
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 
+collect_ignore = ["outside_driver"]
+"""A package of its own, whose tests need it installed: tests/test_packaging.py runs them."""
+
 settings.register_profile("full")  # tests/proxy/test_invariants.py says what it is
 SceneFactory = Callable[..., Scene]
 

@@ -25,7 +25,6 @@ import numpy as np
 from emulators.puck import combined
 from emulators.serialboard import FRAME_BYTES, Board
 from helpers.drd_stub import COMPILER, SOURCE, Stub, compile_stub
-from helpers.driver_contract import RATE_HZ, Servo
 from helpers.hid_devices import ends, rig_options
 from helpers.serial_devices import rig_options as serial_options
 from helpers.usb_stub import NO_COMPILER, SONAME, UsbStub, in_place_of_libusb
@@ -49,6 +48,7 @@ from softfinger.proxy.kernels.native.atomics import call_device
 from softfinger.proxy.kernels.native.foreign import call_int32
 from softfinger.proxy.kernels.native.jit import OPTIONS
 from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.server.driver_contract import RATE_HZ, Servo
 from softfinger.server.loop.clock import now_ns
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools import measure

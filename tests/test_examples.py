@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
+import nbformat
 import pytest
+from nbclient import NotebookClient
+
+from softfinger.drivers.base import PROTOCOL
+from softfinger.server.driver_contract import Servo
 
 pytestmark = pytest.mark.real_time
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PNG = b"\x89PNG"
-LINES_MAX = 80
+LINES_MAX = 130
 
 
 def said(program: str, *words: str, cwd: Path) -> str:
@@ -33,9 +40,20 @@ def number(pattern: str, text: str) -> float:
 def test_each_is_listed_short_and_tested() -> None:
     """Every program is on the folder's page and run here, and fits a screen or two."""
     page, tests = (EXAMPLES / "README.md").read_text(), Path(__file__).read_text()
-    for program in EXAMPLES.glob("*.py"):
+    for program in [*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*.ipynb")]:
         assert f"({program.name})" in page and f'"{program.name}"' in tests
-        assert len(program.read_text().splitlines()) < LINES_MAX
+        assert program.suffix == ".ipynb" or len(program.read_text().splitlines()) < LINES_MAX
+
+
+def run_notebook(name: str) -> str:
+    """Run a notebook in a kernel of its own; returns what it prints and how many pictures it has drawn."""
+    notebook = nbformat.read(EXAMPLES / name, as_version=4)
+    assert not [cell for cell in notebook.cells if cell.get("outputs")], "kept without outputs"
+    with warnings.catch_warnings(action="ignore"):  # of the Jupyter libraries' own
+        NotebookClient(notebook, timeout=500, kernel_name="python3").execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    pictures = sum("image/png" in output.get("data", {}) for output in outputs)
+    return "".join(output.get("text", "") for output in outputs) + f"{pictures} pictures\n"
 
 
 def test_press_and_plot(tmp_path: Path) -> None:
@@ -46,19 +64,20 @@ def test_press_and_plot(tmp_path: Path) -> None:
     assert (tmp_path / "press.png").read_bytes().startswith(PNG)
 
 
-def test_friction_sweep(tmp_path: Path) -> None:
+def test_friction_sweep() -> None:
     """Coulomb's law to a tick of the drag, and to the digit that is printed."""
-    out = said("friction_sweep.py", "sweep.png", cwd=tmp_path)
+    out = run_notebook("friction_sweep.ipynb")
     assert number(r"difference ([\d.]+) um", out) <= 2.0
-    assert (tmp_path / "sweep.png").read_bytes().startswith(PNG)
+    assert number(r"(\d+) pictures", out) == 2
 
 
-def test_stiffness_staircase(tmp_path: Path) -> None:
+def test_stiffness_staircase() -> None:
     """The staircase finds the threshold that its observer was made with."""
-    out = said("stiffness_staircase.py", cwd=tmp_path)
+    out = run_notebook("stiffness_staircase.ipynb")
     found, expected = number(r"threshold ([\d.]+)%", out), number(r"observer's is ([\d.]+)%", out)
     # 99 of 100 staircases of 36 reversals end between half and 1.65 of it (2000 drawn without the engine).
     assert 0.5 < found / expected < 1.65
+    assert number(r"(\d+) pictures", out) == 1
 
 
 def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
@@ -72,3 +91,33 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     out = said("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
     assert number(r"(\d+) ticks drawn", out) > 0
     assert (tmp_path / "live.png").read_bytes().startswith(PNG)
+
+
+def test_my_driver_python(tmp_path: Path) -> None:
+    """1 mm into 1000 N/m, held with 3000 N/m: both give way, and 0.75 N are left; every tick of both runs was done."""
+    out = said("my_driver_python.py", cwd=tmp_path)
+    alone, beside = out.splitlines()
+    assert alone.startswith("2000 ticks alone") and beside.startswith("2000 ticks beside a busy thread")
+    # The ramp is over after half a second, so the second press has it all. One tick more or less is far below a digit.
+    assert number(r"largest force ([\d.]+) N", alone) == pytest.approx(0.75, abs=0.01)
+
+
+def test_an_exception_in_a_python_driver_ends_the_run() -> None:
+    """It is a status of its own, and not the 0 that ctypes would return."""
+    sys.path.insert(0, str(EXAMPLES))
+    try:
+        driver = importlib.import_module("my_driver_python")
+    finally:
+        sys.path.remove(str(EXAMPLES))
+
+    class Broken(driver.MyDevice):  # type: ignore[misc]
+        def read(self, sample: object) -> int:
+            raise ZeroDivisionError
+
+    with Broken(driver.Options(), 1000.0) as device:
+        assert Servo(device).read()[0] == PROTOCOL
+
+
+def test_my_driver_numba(tmp_path: Path) -> None:
+    """The daemon runs on it to the last tick."""
+    said("my_driver_numba.py", cwd=tmp_path)

@@ -7,6 +7,7 @@ import email
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -169,6 +170,22 @@ def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
         cwd=tmp_path,
         SOFTFINGER_CACHE_DIR=str(tmp_path / "cache"),
     )
+
+
+def test_a_driver_of_another_package_is_held_to_the_contract_of_the_wheel(installed: Path, tmp_path: Path) -> None:
+    """The example package, beside the wheel: its own tests, with nothing of this checkout."""
+    source = tmp_path / "source"
+    shutil.copytree(ROOT / "tests" / "outside_driver", source, ignore=shutil.ignore_patterns("__pycache__"))
+    options = "--quiet --no-index --no-deps --no-build-isolation"
+    run(
+        sys.executable, "-m", "pip", "--python", installed / "python", "install", *options.split(), source, cwd=tmp_path
+    )
+    done = run(
+        *(installed / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", source / "test_lissajous.py"),
+        cwd=source,
+        SOFTFINGER_CACHE_DIR=str(tmp_path / "cache"),
+    )
+    assert re.search(r"^\d+ passed", done.stdout, re.MULTILINE), done.stdout
 
 
 @pytest.mark.parametrize("file", ["constraints.txt", "constraints-docs.txt"])

@@ -28,7 +28,20 @@ RING_POINTS: Final = 48
 
 _OBJECT: Final = {"r": 0.55, "g": 0.62, "b": 0.72, "a": 0.6}
 _FINGER: Final = {"r": 0.9, "g": 0.55, "b": 0.35, "a": 0.9}
+_FORCE: Final = {"r": 0.85, "g": 0.2, "b": 0.2, "a": 1.0}
 _NO_TURN: Final = (1.0, 0.0, 0.0, 0.0)
+DISPLAY_HZ: Final = 60.0
+"""Pictures a second: what a display shows."""
+ARROW_M_PER_N: Final = 0.02
+"""Length of the arrow of a force: of 1 N twice the radius of a fingertip."""
+
+
+def displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]:
+    """Which of the records (n, RECORD_SIZE) a display shows; `before` is what the last call returned, NaN at first."""
+    if not len(records):
+        return np.empty(0, np.int64), before
+    pictures = np.floor(records[:, AT.timestamp] * DISPLAY_HZ)
+    return np.flatnonzero(pictures != np.concatenate(([before], pictures[:-1]))), float(pictures[-1])
 
 
 def stamp(time_ns: int) -> dict[str, int]:
@@ -64,11 +77,30 @@ def frame_messages(record: Record, time_ns: int, finger: str) -> list[bytes]:
     ]
 
 
+def force_message(record: Record, time_ns: int, finger: str) -> bytes:
+    """The force on the hand, an arrow from where the finger is."""
+    force = record[AT.force : AT.force + 3]
+    size = float(np.linalg.norm(force))
+    name, when = f"{frames(finger)[0]}/force", stamp(time_ns)
+    if not size > 0.0:  # or not a number
+        return _encoded(SCENE, deletions=[{"timestamp": when, "type": 0, "id": name}])
+    length = ARROW_M_PER_N * size
+    arrow = {
+        "pose": _pose(_three(record, AT.proxy_position), _turn_x_to((force / size).tolist())),
+        "shaft_length": 0.8 * length,
+        "shaft_diameter": 0.001,
+        "head_length": 0.2 * length,
+        "head_diameter": 0.002,
+        "color": _FORCE,
+    }
+    return _encoded(SCENE, entities=[{"timestamp": when, "frame_id": WORLD, "id": name, "arrows": [arrow]}])
+
+
 def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
     """Every object and every fingertip, whole, so that a viewer that begins anywhere has all."""
     when = stamp(time_ns)
     entities = [
-        {"timestamp": when, "frame_id": WORLD, "id": thing.name, "frame_locked": True} | _drawn(thing)
+        {"timestamp": when, "frame_id": WORLD, "id": thing.name, "frame_locked": True} | drawn(thing)
         for thing in scene.object
     ]
     for finger in scene.fingers:
@@ -78,7 +110,7 @@ def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
     return _encoded(SCENE, entities=entities)
 
 
-def _drawn(thing: schema.Object) -> dict[str, Any]:
+def drawn(thing: schema.Object) -> dict[str, Any]:
     """The primitives of an object; of a shape that is none of these its name, as a text."""
     at = _pose(thing.position_m, thing.orientation_wxyz)
     draw: Callable[[Any, Any], dict[str, Any]] | None = _SHAPES.get(thing.shape)
@@ -151,6 +183,15 @@ def _vector(values: Sequence[float]) -> dict[str, float]:
 
 def _quaternion(wxyz: Sequence[float]) -> dict[str, float]:
     return dict(zip("wxyz", wxyz, strict=True))
+
+
+def _turn_x_to(way: Sequence[float]) -> tuple[float, ...]:
+    """Unit quaternion that turns the x axis into a unit vector: the shortest turn."""
+    x, y, z = way
+    if x < -0.999999:
+        return (0.0, 0.0, 0.0, 1.0)
+    w = math.sqrt(0.5 * (1.0 + x))
+    return (w, 0.0, -0.5 * z / w, 0.5 * y / w)
 
 
 def _three(record: Record, at: int) -> list[float]:

@@ -109,6 +109,11 @@ class Recorder:
         ended = not self._thread.is_alive()
         return Recorded(self._ticks, self._dropped, self._bytes, self._error, ended and not self._error)
 
+    @property
+    def failed(self) -> bool:
+        """Whether the file takes no more."""
+        return bool(self._error)
+
     def stop(self, timeout_s: float) -> Recorded:
         """End in order, and wait for the disk at most so long; it goes on writing after that. Any number of times."""
         self._closing.set()

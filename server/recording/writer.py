@@ -1,14 +1,14 @@
 """A recording as it is written: ticks, events, what viewers draw, and what it was made with.
 
 Topics: `contact`, or `finger/NAME` of several fingers, with every tick; `event`, and `mark` for those of that kind;
-`pose`, `tf` and `scene` as Foxglove has them, at the pace of a display. `docs/operate/recordings.md` has the list.
+`pose`, `tf`, `scene` and `forces` as Foxglove has them, as often as a display. docs/operate/recordings.md lists them.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import IO, Any, Final
+from typing import IO, Any, Final, Protocol
 
 import msgspec
 import numpy as np
@@ -25,14 +25,15 @@ from softfinger.server.recording.schemas import EVENT, FRAME, POSE, SCENE, TICK,
 from softfinger.server.wire.protocol import contact_topic
 
 Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Times = NDArray[np.int64]
 
 EVENT_TOPIC: Final = "event"
 MARK_TOPIC: Final = "mark"
 POSE_TOPIC: Final = "pose"
 FRAME_TOPIC: Final = "tf"
 SCENE_TOPIC: Final = "scene"
-DISPLAY_HZ: Final = 60.0
-"""Pictures a second: what a display shows."""
+FORCE_TOPIC: Final = "forces"
 SCENE_PERIOD_S: Final = 1.0
 """A player that is moved to another moment has the scene within so long."""
 JSON: Final = "json"
@@ -42,7 +43,82 @@ _NS: Final = 1e9
 _TIME_MAX_S: Final = 9e9  # MCAP has no time before 1970, and none after 2554
 
 
-class RecordingFile:
+class Sink(Protocol):
+    """What takes messages: a file, or a server."""
+
+    def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
+        """Number of a new topic with protobuf messages of this type."""
+
+    def message(self, channel: int, time_ns: int, data: bytes) -> None:
+        """Take one message."""
+
+    def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
+        """Take messages (n, size) with their times (n,)."""
+
+
+class Topics:
+    """What is said of a run, as messages in topics.
+
+    fingers  names of several fingers, one empty name for a single one
+    scene    what is drawn beside the fingers, None for nothing
+    drawn    whether there are topics for viewers
+    """
+
+    def __init__(
+        self, sink: Sink, fingers: Sequence[str] = ("",), scene: schema.Scene | None = None, drawn: bool = True
+    ) -> None:
+        self._sink = sink
+        self._layout = tick_layout()
+        ticks = descriptor_set(TICK)
+        self._ticks = {finger: sink.channel(contact_topic(finger), TICK, ticks) for finger in fingers}
+        self._topics: dict[str, int] = {}
+        self._drawn = drawn
+        self._pictures: dict[str, float] = {}
+        self._scene = scene
+        self._scene_due_s = 0.0
+
+    def ticks(self, records: Array, finger: str = "") -> None:
+        """Add records (n, RECORD_SIZE) of a finger. ValueError where an integer's is no whole number."""
+        messages = np.empty((len(records), self._layout.size), np.uint8)
+        self._layout.encode(records, messages)
+        times = times_ns(records)
+        sequences = records[:, AT.tick].astype(np.int64) & 0xFFFFFFFF
+        self._sink.block(self._ticks[finger], times, messages, sequences)
+        if self._drawn:
+            self._draw(records, times, finger)
+
+    def event(self, event: Mapping[str, Any]) -> None:
+        """Add an event, a map as the wire has it."""
+        topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
+        self._add(topic, EVENT, event_time_ns(event), event_message(event))
+        if self._scene is not None and (moved := driven(self._scene, event)) is not None:
+            self.show(moved)
+
+    def show(self, scene: schema.Scene) -> None:
+        """Draw another scene from here on."""
+        self._scene, self._scene_due_s = scene, 0.0
+
+    def _draw(self, records: Array, times: NDArray[np.int64], finger: str) -> None:
+        rows, self._pictures[finger] = picture.displayed(records, self._pictures.get(finger, np.nan))
+        for row in rows:
+            time_ns = int(times[row])
+            at = f"{POSE_TOPIC}/{finger}" if finger else POSE_TOPIC
+            self._add(at, POSE, time_ns, picture.pose_message(records[row], time_ns))
+            for message in picture.frame_messages(records[row], time_ns, finger):
+                self._add(FRAME_TOPIC, FRAME, time_ns, message)
+            self._add(FORCE_TOPIC, SCENE, time_ns, picture.force_message(records[row], time_ns, finger))
+            now = float(records[row, AT.timestamp])
+            if self._scene is not None and now >= self._scene_due_s:
+                self._scene_due_s = now + SCENE_PERIOD_S
+                self._add(SCENE_TOPIC, SCENE, time_ns, picture.scene_message(self._scene, time_ns))
+
+    def _add(self, topic: str, kind: str, time_ns: int, message: bytes) -> None:
+        if topic not in self._topics:
+            self._topics[topic] = self._sink.channel(topic, kind, descriptor_set(kind))
+        self._sink.message(self._topics[topic], time_ns, message)
+
+
+class RecordingFile(Topics):
     """Writes to an unbuffered file, which it closes in the end; what that raises is raised here.
 
     fingers  names of several fingers, one empty name for a single one
@@ -58,48 +134,18 @@ class RecordingFile:
         drawn: bool = True,
     ) -> None:
         self._file = file
-        self._layout = tick_layout()
-        ticks = descriptor_set(TICK)
         try:
             self.mcap: Final = McapFile(file)
             for name, value in (about or {}).items():
                 self.note(name, value)
-            self._ticks = {finger: self.mcap.channel(contact_topic(finger), TICK, ticks) for finger in fingers}
+            super().__init__(self.mcap, fingers, scene_of(about or {}) if drawn else None, drawn)
         except BaseException:
             file.close()
             raise
-        self._topics: dict[str, int] = {}
-        self._drawn = drawn
-        self._pictures: dict[str, float] = {}
-        self._scene = _scene_of(about or {}) if drawn else None
-        self._scene_due_s = 0.0
 
     def note(self, name: str, value: Any) -> None:
         """A table of metadata, with a value that JSON has."""
         self.mcap.metadata(name, {JSON: json.dumps(value)})
-
-    def ticks(self, records: Array, finger: str = "") -> None:
-        """Add records (n, RECORD_SIZE) of a finger. ValueError where an integer's is no whole number."""
-        messages = np.empty((len(records), self._layout.size), np.uint8)
-        self._layout.encode(records, messages)
-        times = times_ns(records)
-        sequences = records[:, AT.tick].astype(np.int64) & 0xFFFFFFFF
-        self.mcap.block(self._ticks[finger], times, messages, sequences)
-        if self._drawn:
-            self._draw(records, times, finger)
-
-    def event(self, event: Mapping[str, Any]) -> None:
-        """Add an event, a map as the wire has it."""
-        topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
-        time_ns = round(min(max(float(event["timestamp"]), 0.0), _TIME_MAX_S) * _NS)
-        self._add(topic, EVENT, time_ns, event_message(event))
-        if (event["kind"], event["name"]) == ("command", "drive") and self._scene is not None:
-            self._scene = _driven(self._scene, event.get("what"))
-            self._scene_due_s = 0.0
-
-    def show(self, scene: schema.Scene) -> None:
-        """Draw another scene from here on."""
-        self._scene, self._scene_due_s = scene, 0.0
 
     def count(self, finger: str = "") -> int:
         """Ticks of a finger that the system has."""
@@ -115,27 +161,6 @@ class RecordingFile:
             with self._file:
                 self.mcap.finish()
 
-    def _draw(self, records: Array, times: NDArray[np.int64], finger: str) -> None:
-        frames = np.floor(records[:, AT.timestamp] * DISPLAY_HZ)
-        before = self._pictures.get(finger, np.nan)
-        for row in np.flatnonzero(frames != np.concatenate(([before], frames[:-1]))):
-            time_ns = int(times[row])
-            at = f"{POSE_TOPIC}/{finger}" if finger else POSE_TOPIC
-            self._add(at, POSE, time_ns, picture.pose_message(records[row], time_ns))
-            for message in picture.frame_messages(records[row], time_ns, finger):
-                self._add(FRAME_TOPIC, FRAME, time_ns, message)
-            now = float(records[row, AT.timestamp])
-            if self._scene is not None and now >= self._scene_due_s:
-                self._scene_due_s = now + SCENE_PERIOD_S
-                self._add(SCENE_TOPIC, SCENE, time_ns, picture.scene_message(self._scene, time_ns))
-        if len(frames):
-            self._pictures[finger] = float(frames[-1])
-
-    def _add(self, topic: str, kind: str, time_ns: int, message: bytes) -> None:
-        if topic not in self._topics:
-            self._topics[topic] = self.mcap.channel(topic, kind, descriptor_set(kind))
-        self.mcap.message(self._topics[topic], time_ns, message)
-
 
 def times_ns(records: Array) -> NDArray[np.int64]:
     """Times of records (n, RECORD_SIZE) in nanoseconds since the epoch, as a file can have them."""
@@ -143,17 +168,24 @@ def times_ns(records: Array) -> NDArray[np.int64]:
     return np.rint(np.clip(seconds, 0.0, _TIME_MAX_S) * _NS).astype(np.int64)
 
 
-def _scene_of(about: Mapping[str, Any]) -> schema.Scene | None:
+def event_time_ns(event: Mapping[str, Any]) -> int:
+    """Time of an event in nanoseconds since the epoch, as a file can have it."""
+    return round(min(max(float(event["timestamp"]), 0.0), _TIME_MAX_S) * _NS)
+
+
+def scene_of(about: Mapping[str, Any]) -> schema.Scene | None:
+    """The scene of a daemon's description; None where it has none that can be drawn."""
     try:
         return build(schema.Scene, about["scene"], "scene")
     except (KeyError, ConfigError):  # unknown, or of a daemon with shapes that are not installed here
         return None
 
 
-def _driven(scene: schema.Scene, what: Any) -> schema.Scene:
-    """The scene with the pose that an event of `drive` tells."""
-    if not isinstance(what, dict):
-        return scene
+def driven(scene: schema.Scene, event: Mapping[str, Any]) -> schema.Scene | None:
+    """The scene with the pose that an event of `drive` tells; None for any other event."""
+    what = event.get("what")
+    if (event["kind"], event["name"]) != ("command", "drive") or not isinstance(what, dict):
+        return None
     pose = {key: tuple(what[key]) for key in ("position_m", "orientation_wxyz") if key in what}
     return msgspec.structs.replace(
         scene,

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from helpers.driver_contract import FAULTS, RATE_HZ, REFUSALS, Bench, DriverContract
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, HapticError, RecordingError
 from softfinger.drivers import registry
 from softfinger.drivers.base import Device
+from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DriverContract
 
 OUTSIDE = Path(__file__).parents[1] / "outside_driver"
 
@@ -51,23 +51,6 @@ class Recorded(Bench):
         self.recording = "tap"
 
 
-class Computed(Bench):
-    """The driver of the example package: there is nothing to fail."""
-
-    cannot: ClassVar[Mapping[str, str]] = dict.fromkeys([*REFUSALS, *FAULTS], "it is computed from its options")
-
-    def __init__(self) -> None:
-        self.driver = registry.load("lissajous")
-        self.device: Any = None
-
-    def open(self) -> Device:
-        self.device = self.driver.open_device(self.driver.Options(), RATE_HZ)
-        return self.device
-
-    def displayed(self) -> tuple[float, ...]:
-        return self.device.felt
-
-
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder into which pip has put the example package, built from its sources."""
@@ -80,12 +63,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return target
 
 
-@pytest.fixture(params=["replay", "simulated", "outside"])
+@pytest.fixture(params=["replay", "simulated"])
 def bench(request: pytest.FixtureRequest) -> Bench:
-    if request.param != "outside":
-        return Recorded(request.param)
-    request.getfixturevalue("monkeypatch").syspath_prepend(str(request.getfixturevalue("installed")))
-    return Computed()
+    return Recorded(request.param)
 
 
 class TestContract(DriverContract):
@@ -118,10 +98,23 @@ def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.Monkey
     monkeypatch.syspath_prepend(str(tmp_path))
     assert metadata.distribution("outside").version == "1.0"
     assert {"replay", "plain", "broken"} <= set(registry.names())
-    with pytest.raises(DeviceError, match=r"'plain' \(json\).*Options, open_device"):
+    with pytest.raises(DeviceError, match=r"'plain' \(json, an entry point.*Options, open_device"):
         registry.load("plain")
     with pytest.raises(DeviceError, match="no_such_module_here"):
         registry.load("broken")
+
+
+def test_a_program_may_bring_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module that it adds is a driver by that name, in this process; what is none, or has a name that is taken, is
+    refused."""
+    monkeypatch.setattr(registry, "_added", {})
+    replay = registry.load("replay")
+    registry.add("mine", replay)
+    assert registry.load("mine") is replay and "mine" in registry.names()
+    with pytest.raises(DeviceError, match=r"'other' \(module os\).*Options, open_device"):
+        registry.add("other", os)
+    with pytest.raises(DeviceError, match="'replay' is built in"):
+        registry.add("replay", replay)
 
 
 def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.drd_stub import COMPILER
-from helpers.driver_contract import RATE_HZ, DriverContract, Servo
 from helpers.usb_stub import (
     NO_COMPILER,
     FalconBench,
@@ -39,6 +38,7 @@ from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import Attached
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
 from softfinger.server.loop import servo as s
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.verbs import devices

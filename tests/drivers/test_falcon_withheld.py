@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from conftest import paper_mapping
 from helpers.drd_stub import COMPILER
-from helpers.driver_contract import RATE_HZ
 from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, stub, usb_library
 
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Scene
+from softfinger.server.driver_contract import RATE_HZ
 from softfinger.server.loop.servo import Servo
 from softfinger.server.loop.tuning import make_tuning
 

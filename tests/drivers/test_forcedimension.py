@@ -16,7 +16,6 @@ import numba
 import numpy as np
 import pytest
 from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, StubBench, bench, plugged_in, stub, stub_library
-from helpers.driver_contract import RATE_HZ, DriverContract, Servo
 
 from softfinger.config.errors import (
     ConfigError,
@@ -38,6 +37,7 @@ from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import Attached
 from softfinger.proxy.kernels.native.atomics import call_device
 from softfinger.proxy.kernels.native.jit import entry
+from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
 from softfinger.server.verbs import devices
 
 __all__ = ["bench", "stub", "stub_library"]  # fixtures

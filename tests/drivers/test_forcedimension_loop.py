@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, StubBench, bench, stub, stub_library
-from helpers.driver_contract import RATE_HZ, Servo
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene, shipped
@@ -25,6 +24,7 @@ from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.app import Daemon
+from softfinger.server.driver_contract import RATE_HZ, Servo
 from softfinger.server.loop import servo as s
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tuning import make_tuning

@@ -21,9 +21,7 @@ import numba
 import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
-from helpers import driver_contract
 from helpers.compiled_code import called_in, functions
-from helpers.driver_contract import RATE_HZ, Servo
 from helpers.hid_devices import RIGS, Answering, RefusedNode, described, ends, rig_options, woody
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
@@ -37,6 +35,8 @@ from softfinger.drivers.system.libc import IO_SIGNATURE, write_fd
 from softfinger.proxy.kernels.native.atomics import call_device
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.memory import uint8_at
+from softfinger.server import driver_contract
+from softfinger.server.driver_contract import RATE_HZ, Servo
 
 pytestmark = pytest.mark.real_time
 

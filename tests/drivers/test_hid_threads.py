@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
-from helpers.driver_contract import Servo
 from helpers.hid_devices import RIGS, Answering, Api, described, ends, rig_options, woody
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
@@ -22,6 +21,7 @@ from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import STOP_WAIT_S, HidDevice, Options
 from softfinger.drivers.hid.link import pumped
 from softfinger.drivers.hid.pump import CLOSE_WAIT_S
+from softfinger.server.driver_contract import Servo
 
 pytestmark = pytest.mark.real_time
 

@@ -10,7 +10,6 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from helpers.driver_contract import Servo
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers import wrench_log
@@ -20,6 +19,7 @@ from softfinger.drivers.replay import device as replay
 from softfinger.drivers.replay.device import Options, Replay, open_device
 from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
+from softfinger.server.driver_contract import Servo
 
 
 def opened(**options: Any) -> Replay:

@@ -16,9 +16,7 @@ import numba
 import numpy as np
 import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
-from helpers import driver_contract
 from helpers.compiled_code import called_in, functions
-from helpers.driver_contract import Servo
 from helpers.hid_devices import RefusedNode
 from helpers.serial_devices import PLACE, board, fresh, opened, rig_options, settle
 
@@ -29,6 +27,8 @@ from softfinger.drivers.conversation import TALK
 from softfinger.drivers.serial import exchange
 from softfinger.drivers.serial.device import SerialDevice, open_device
 from softfinger.drivers.system.libc import IO_SIGNATURE
+from softfinger.server import driver_contract
+from softfinger.server.driver_contract import Servo
 
 pytestmark = pytest.mark.real_time
 

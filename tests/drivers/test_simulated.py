@@ -9,7 +9,6 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from helpers.driver_contract import Servo
 
 from softfinger.config.devices import presets
 from softfinger.config.errors import ConfigError, RecordingError
@@ -21,6 +20,7 @@ from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated import device as simulated
 from softfinger.drivers.simulated.device import Options, Simulated, open_device
 from softfinger.drivers.simulated.plant import goal_at
+from softfinger.server.driver_contract import Servo
 
 AT = [0.0, 0.0, 0.02]
 LOOSE = {"hand": {"mass_kg": 0.0, "damping_ns_per_m": 0.0, "stiffness_n_per_m": 0.0}}

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from emulators import puck as emulated
 from helpers.compiled_code import called_in, functions
-from helpers.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 from helpers.hid_devices import RefusedNode, ends
 from scipy.spatial.transform import Rotation
 
@@ -31,6 +30,7 @@ from softfinger.drivers.spacemouse.puck import Options, decode, make_setup, move
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 from softfinger.server.loop import servo as s
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import with_device

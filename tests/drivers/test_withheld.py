@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from conftest import paper_mapping
 from emulators.serialboard import Board, Cable
-from helpers.driver_contract import RATE_HZ
 from helpers.hid_devices import Answering, Api, described, ends
 from helpers.serial_devices import PLACE, opened
 
@@ -24,6 +23,7 @@ from softfinger.config.schema import Scene
 from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import pumped
+from softfinger.server.driver_contract import RATE_HZ
 from softfinger.server.loop.servo import Servo
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning

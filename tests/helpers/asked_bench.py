@@ -7,7 +7,7 @@ import os
 import socket
 from typing import Any, ClassVar, Final
 
-from helpers.driver_contract import Bench
+from softfinger.server.driver_contract import Bench
 
 SOCKET: Final = "SOFTFINGER_TESTBED"
 

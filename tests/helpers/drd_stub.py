@@ -19,9 +19,9 @@ import usb.backend
 import usb.backend.libusb1
 import usb.core
 
-from helpers.driver_contract import RATE_HZ, Bench
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension import usb as fd_usb
+from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)

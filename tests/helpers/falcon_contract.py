@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from helpers.asked_bench import AskedBench
-from helpers.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import OK, STALE, WITHHELD
 from softfinger.drivers.falcon.device import Falcon, Options, open_device
+from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 
 
 class Emulated(AskedBench):

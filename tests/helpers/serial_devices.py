@@ -10,10 +10,10 @@ from typing import Any
 from emulators.hand import Vector
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 
-from helpers.driver_contract import Servo
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import OK
 from softfinger.drivers.serial.device import Options, SerialDevice, open_device
+from softfinger.server.driver_contract import Servo
 
 RIG = "woodenhaptics-v3"
 PLACE = (0.01, 0.02, -0.015)

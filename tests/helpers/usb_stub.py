@@ -16,11 +16,11 @@ import pytest
 import usb.backend.libusb1
 
 from helpers.drd_stub import COMPILER, compile_stub
-from helpers.driver_contract import RATE_HZ, Bench
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import SAMPLE_SIZE
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.device import Falcon, Options, open_device
+from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "usb.c"
 NO_COMPILER = "the stand-in for libusb is C, and there is no compiler (cc, gcc, clang) to build it"

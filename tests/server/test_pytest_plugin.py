@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = pytest.mark.real_time
 
-EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "pytest"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pytest"
 LIGHT = """
 import sys
 before = set(sys.modules)

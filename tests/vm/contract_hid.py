@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import ClassVar
 
 import pytest
-from helpers import driver_contract
 from helpers.asked_bench import AskedBench
-from helpers.driver_contract import RATE_HZ
 from helpers.hid_devices import rig_options
 
 from softfinger.drivers.hid.device import HidDevice, open_device
+from softfinger.server import driver_contract
+from softfinger.server.driver_contract import RATE_HZ
 
 
 class Bench(AskedBench):

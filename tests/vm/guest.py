@@ -27,12 +27,12 @@ import numpy as np
 import pytest
 from helpers.asked_bench import SOCKET
 from helpers.closed_loop import records_of_daemon
-from helpers.driver_contract import Servo as Caller
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import OK
 from softfinger.drivers.registry import open_device
 from softfinger.server import cli
+from softfinger.server.driver_contract import Servo as Caller
 from softfinger.server.loop.servo import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.services import hotplug

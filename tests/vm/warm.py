@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from helpers.driver_contract import RATE_HZ, pulling
-
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.falcon import device as falcon  # noqa: F401  (compiled by their import)
 from softfinger.drivers.hid import device as hid  # noqa: F401
@@ -15,6 +9,7 @@ from softfinger.drivers.registry import open_device
 from softfinger.drivers.serial import device as serial  # noqa: F401
 from softfinger.drivers.spacemouse import device as spacemouse  # noqa: F401  (compiled by their import)
 from softfinger.proxy.engine import compiled
+from softfinger.server.driver_contract import RATE_HZ, pulling
 from softfinger.server.loop.servo import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.verbs.warmup import prune

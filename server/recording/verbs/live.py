@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, RecordingError
 from softfinger.config.files import open_recording
@@ -56,11 +57,8 @@ def record_live(live: Live, path: Path) -> str:
 
     Raises NoTelemetry when nothing arrives, RecordingError for a file that is there already or cannot be written.
     """
-    with subscribe(live.endpoint, (CONTACT, FINGERS, EVENT), keys=live.keys) as wire:
-        early = _early(wire, live)
-        about = _description(live)
-        fingers = list(dict.fromkeys(finger for sample in early if (finger := finger_of(sample.topic)) is not None))
-        about["every"] = early[-1]["every"]
+    with subscribed(live) as wire:
+        early, fingers, about = begin(wire, live)
         try:
             file = open_recording(path)
         except FileExistsError as error:
@@ -68,19 +66,16 @@ def record_live(live: Live, path: Path) -> str:
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
         recorder = Recorder(file, fingers, about, log.warning)
-        taking = _Taking(recorder, fingers)
+        taking = Taking(recorder, fingers)
         try:
-            for sample in early:
-                taking.take(sample)
-            ended = _go_on(wire, live, taking)
+            ended = go_on(wire, live, early, taking)
         finally:
-            taking.hand_on()
             recorder.note("lost", taking.lost)
             recorded = recorder.stop(DISK_S)
     return _told(path, taking, recorded, ended)
 
 
-def _told(path: Path, taking: _Taking, recorded: Recorded, ended: str) -> str:
+def _told(path: Path, taking: Taking, recorded: Recorded, ended: str) -> str:
     if recorded.error:
         raise RecordingError(f"{path}: cannot be written: {recorded.error}; it holds {recorded.ticks} ticks")
     lost = f"{taking.lost} did not arrive" if taking.lost else "no tick lost"
@@ -90,11 +85,25 @@ def _told(path: Path, taking: _Taking, recorded: Recorded, ended: str) -> str:
     return f"{path}: {ticks}, {recorded.bytes / 1e6:.1f} MB, {lost}{slow}; {ended}{unsaid}"
 
 
-class _Taking:
-    """Hands messages to a recorder, ticks some at a time."""
+class Taker(Protocol):
+    """Whom ticks and events are handed to."""
 
-    def __init__(self, recorder: Recorder, fingers: list[str]) -> None:
-        self._recorder, self._places = recorder, {finger: place for place, finger in enumerate(fingers)}
+    def take(self, records: NDArray[np.float64], finger: int) -> None:
+        """Records (n, RECORD_SIZE) of a finger, by its place."""
+
+    def event(self, event: Mapping[str, Any]) -> None:
+        """An event's map, as the wire has it."""
+
+    @property
+    def failed(self) -> bool:
+        """Whether it takes no more."""
+
+
+class Taking:
+    """Hands messages to a taker, ticks some at a time."""
+
+    def __init__(self, taker: Taker, fingers: list[str]) -> None:
+        self._taker, self._places = taker, {finger: place for place, finger in enumerate(fingers)}
         self._rows: dict[int, list[list[float]]] = {place: [] for place in self._places.values()}
         self._due_s = time.monotonic() + BATCH_S
         self.first = self.last = -1
@@ -106,7 +115,7 @@ class _Taking:
         """A message, in its order; sets `ended` at the server's end."""
         finger = finger_of(sample.topic)
         if sample.topic == EVENT:
-            self._recorder.event(sample.data)
+            self._taker.event(sample.data)
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
                 self.ended = "the server stopped"
         elif finger in self._places:
@@ -124,21 +133,31 @@ class _Taking:
             self.hand_on()
 
     def hand_on(self) -> None:
-        """Give the recorder what came."""
+        """Give the taker what came."""
         self._due_s = time.monotonic() + BATCH_S
         for place, rows in self._rows.items():
             if rows:
-                self._recorder.take(np.array(rows), place)
+                self._taker.take(np.array(rows), place)
                 rows.clear()
 
     @property
     def failed(self) -> bool:
-        """Whether the file takes no more."""
-        return bool(self._recorder.recorded.error)
+        """Whether the taker takes no more."""
+        failed: bool = self._taker.failed
+        return failed
 
 
-def _go_on(wire: Subscription, live: Live, taking: _Taking) -> str:
-    """Take what arrives until the end; returns which it was."""
+def go_on(wire: Subscription, live: Live, early: list[Sample], taking: Taking) -> str:
+    """Take what came early and what arrives until the end; returns which it was. All that came is handed on."""
+    try:
+        for sample in early:
+            taking.take(sample)
+        return _until_the_end(wire, live, taking)
+    finally:
+        taking.hand_on()
+
+
+def _until_the_end(wire: Subscription, live: Live, taking: Taking) -> str:
     heard = shown = time.monotonic()
     with counter() as show:
         while not taking.ended:
@@ -163,11 +182,26 @@ def _go_on(wire: Subscription, live: Live, taking: _Taking) -> str:
     return taking.ended
 
 
-def _over(sample: Sample, live: Live, taking: _Taking) -> bool:
+def _over(sample: Sample, live: Live, taking: Taking) -> bool:
     if live.duration_s is None or finger_of(sample.topic) is None:
         return False
     # Half a tick early: a sum of time steps is rounded.
     return bool(taking.seconds > live.duration_s - 0.5 * sample.dt and sample.tick > taking.last)
+
+
+def subscribed(live: Live) -> Subscription:
+    """A client of all that is taken."""
+    return subscribe(live.endpoint, (CONTACT, FINGERS, EVENT), keys=live.keys)
+
+
+def begin(wire: Subscription, live: Live) -> tuple[list[Sample], list[str], dict[str, Any]]:
+    """The first messages, the names of the fingers, and what the daemon says of itself, empty if it does not.
+
+    Raises NoTelemetry when nothing arrives.
+    """
+    early = _early(wire, live)
+    fingers = list(dict.fromkeys(finger for sample in early if (finger := finger_of(sample.topic)) is not None))
+    return early, fingers, _description(live) | {"every": early[-1]["every"]}
 
 
 def _early(wire: Subscription, live: Live) -> list[Sample]:
@@ -197,5 +231,5 @@ def _description(live: Live) -> dict[str, Any]:
         with Control(commands, DESCRIBE_S, keys=live.keys) as control:
             return {key: value for key, value in control.describe().items() if key not in _NOT_KEPT}
     except HapticError as error:
-        log.warning("the recording will not say which rig and scene it is of: %s", error)
+        log.warning("it is not known which rig and scene this is: %s", error)
         return {}

@@ -1,7 +1,8 @@
-"""What every driver must keep, as one class of tests.
+"""What every driver must keep, as one class of tests for pytest; of this package's drivers and of any other's.
 
 A test module subclasses `DriverContract` and gives it a fixture `bench`: what stands behind the driver, which opens
 the device and does to it what happens to devices. The C functions are called as the servo calls them.
+docs/devices/writing-a-driver.md has an example. Only tests import this module: pytest is no requirement of the package.
 """
 
 from __future__ import annotations
@@ -16,16 +17,15 @@ from typing import ClassVar, Final
 
 import numpy as np
 import pytest
-from conftest import paper_mapping
 
 from softfinger.config.errors import DeviceBusy, DeviceNotFound, DevicePermission, HapticError
-from softfinger.config.load import build, load_rig
-from softfinger.config.schema import Scene
+from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import END, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop import servo as s
+from softfinger.server.loop.servo import Servo as Loop
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.loop.wayout import CRASHED, FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 
 Function = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))
 
@@ -56,7 +56,8 @@ class Servo:
         return self._read(self._io.handle, sample), list(sample)
 
     def write(self, *wrench: float) -> int:
-        return self._write(self._io.handle, (ctypes.c_double * 6)(*wrench))
+        status: int = self._write(self._io.handle, (ctypes.c_double * 6)(*wrench))
+        return status
 
 
 class Bench(ABC):
@@ -86,10 +87,17 @@ class Bench(ABC):
         raise NotImplementedError
 
 
+PULL: Final = {
+    "fingertip": {"radius_m": 0.01},
+    "object": [{"name": "floor", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}],
+    "effect": [{"kind": "constant_force", "force_n": [0.6, 0.0, 0.8]}],
+}
+"""A scene that pulls with 1 N wherever the finger is, and pushes up from below z = 0."""
+
+
 def pulling() -> Tuning:
-    """A scene that pulls with 1 N wherever the finger is, and a guard that ramps in within 10 ms."""
-    mapping = paper_mapping(effect=[{"kind": "constant_force", "force_n": [0.6, 0.0, 0.8]}])
-    return make_tuning(build(Scene, mapping, "test scene"), load_rig("replay", {"guard.ramp_s": 0.01}).guard)
+    """The scene of `PULL`, and a guard that ramps in within 10 ms."""
+    return make_tuning(load_scene(PULL), load_rig("replay", {"guard.ramp_s": 0.01}).guard)
 
 
 class DriverContract:
@@ -173,12 +181,12 @@ class DriverContract:
                 return lambda: None
 
             monkeypatch.setattr(device, "arm", noted)
-            servo = s.Servo([device], pulling(), RATE_HZ, 100, slow)
+            servo = Loop([device], pulling(), RATE_HZ, 100, slow)
             servo.compile()
             servo.start()
             ended = servo.join(30.0)
             assert ended is not None
-            assert (ended.ending, ended.error) == (s.FINISHED, None)
+            assert (ended.ending, ended.error) == (FINISHED, None)
             assert [act for act, _ in acts] == ["prepared", "armed"]
             assert acts[0][1] == acts[1][1]
             assert last_force(servo) > 0.5  # of 1 N, long after the ramp
@@ -237,7 +245,7 @@ class DriverContract:
     def test_no_force_is_left_after_a_servo(self, way: str, bench: Bench) -> None:
         """After the last tick, a stop, or an exception in the servo's thread, the force that was on is off."""
         with bench.open() as device:
-            servo = s.Servo(
+            servo = Loop(
                 [device], pulling(), RATE_HZ, 100 if way == "last_tick" else None, failing if way == "crash" else None
             )
             servo.compile()
@@ -248,10 +256,10 @@ class DriverContract:
                 servo.wait_record()
             if way == "stop_word":
                 assert math.hypot(*bench.displayed()) > 0.5
-            servo.stop() if way == "stop_word" else None
+                servo.stop()
             ended = servo.join(30.0)
             assert ended is not None
-            assert ended.ending == {"last_tick": s.FINISHED, "stop_word": s.STOPPED, "crash": s.CRASHED}[way]
+            assert ended.ending == {"last_tick": FINISHED, "stop_word": STOPPED, "crash": CRASHED}[way]
             assert not any(bench.displayed())
             if way != "crash":
                 assert last_force(servo) > 0.5  # of 1 N, long after the ramp
@@ -289,7 +297,7 @@ class DriverContract:
         """A device that fails under the servo ends the loop with its status and without force."""
         for case in set(FAULTS) - set(bench.cannot):
             with bench.open() as device:
-                servo = s.Servo([device], pulling(), RATE_HZ)
+                servo = Loop([device], pulling(), RATE_HZ)
                 servo.compile()
                 servo.start()
                 while servo.ticks < 100:
@@ -302,7 +310,7 @@ class DriverContract:
                 ended = servo.join(30.0)
                 assert ended is not None
                 assert ended.status == FAULTS[case]
-                assert ended.ending in (s.READ_FAILED, s.WRITE_FAILED)
+                assert ended.ending in (READ_FAILED, WRITE_FAILED)
                 assert not any(bench.displayed()), case
                 servo.close()
             bench.mend()
@@ -320,7 +328,7 @@ def failing() -> Callable[[], None]:
     raise RuntimeError("refused")
 
 
-def last_force(servo: s.Servo) -> float:
+def last_force(servo: Loop) -> float:
     """Norm (N) of the force of the last tick."""
     out = np.empty((4096, RECORD_SIZE))
     records = out[: servo.take(out)]

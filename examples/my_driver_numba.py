@@ -1,0 +1,102 @@
+"""A driver whose two functions numba compiles: no interpreter and no lock in the loop, so every tick is in time.
+
+    python examples/my_driver_numba.py              # runs the daemon on it for two seconds
+
+The same device as in `my_driver_python.py`. The handle is the address of a block of words that the two functions and
+this class share; a device in C is reached in the same way, by its library's functions. To install a driver, so that any
+rig may name it: docs/devices/writing-a-driver.md.
+"""
+
+import math
+import sys
+from typing import Annotated, NamedTuple
+
+from softfinger.config.limits import Range
+from softfinger.config.schema import Table, within
+from softfinger.drivers import registry
+from softfinger.drivers.base import OK, WITHHELD, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block, counter, lay_out, numbers, word
+from softfinger.drivers.system.libc import IO_SIGNATURE
+from softfinger.proxy.kernels.native.jit import c_function
+from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.server.cli import main
+
+HOLD_N_PER_M = 3000.0  # how firmly the hand, which is computed here, holds the fingertip
+DEPTH, PERIOD = 0, 1  # places in `given`
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """What a rig's [device] table may say."""
+
+    depth_m: Annotated[float, within(Range(0.0, 0.005, "half a fingertip"), "how deep the hand presses", 0.001)] = 0.001
+
+
+class Words(NamedTuple):
+    """The words of the block."""
+
+    reads: Annotated[int, counter("poses read")]
+    armed: Annotated[int, word("whether force is displayed")]
+    given: Annotated[int, numbers("depth (m) and period (s)", 2)]
+    force: Annotated[int, numbers("on the hand (N)", 3)]
+
+
+AT = lay_out(Words)
+
+
+@c_function(IO_SIGNATURE)
+def read(handle, sample):
+    words, given, force = int64_at(handle), float64_at(handle + 8 * AT.given), float64_at(handle + 8 * AT.force)
+    time = words[AT.reads] * given[PERIOD]
+    words[AT.reads] += 1
+    for i in range(10):
+        sample[i] = 0.0
+    sample[2] = 0.010 - given[DEPTH] * math.sin(2.0 * math.pi * time) + force[2] / HOLD_N_PER_M
+    sample[3] = 1.0
+    sample[7] = time
+    return OK
+
+
+@c_function(IO_SIGNATURE)
+def write(handle, wrench):
+    force = float64_at(handle + 8 * AT.force)
+    some = False
+    for i in range(3):
+        some = some or wrench[i] != 0.0
+    if int64_at(handle)[AT.armed] == 0:
+        return WITHHELD if some else OK
+    for i in range(3):
+        force[i] = wrench[i]
+    return OK
+
+
+class MyDevice(Device):
+    """A fingertip of 10 mm that is pressed up and down on z = 0, and gives way to the force."""
+
+    def __init__(self, options: Options, rate_hz: float) -> None:
+        self.info = DeviceInfo("my-device", 3, 3, 12.0, 0.3, 2000.0, 10.0, (-0.1,) * 3, (0.1,) * 3)
+        self.block = Block(AT)  # its memory is there as long as this object
+        self.block.numbers(AT.given, 2)[:] = options.depth_m, 1.0 / rate_hz
+        self.block.word[AT.armed] = 1
+
+    def io(self) -> DeviceIO:
+        return DeviceIO(read.address, write.address, self.block.handle)
+
+    def counts(self) -> dict[str, int]:
+        return self.block.counts()
+
+    def stop(self) -> None:
+        self.block.word[AT.armed] = 0
+        self.block.numbers(AT.force, 3)[:] = 0.0
+
+    def close(self) -> None:
+        self.stop()
+
+
+def open_device(options: Options, rate_hz: float) -> MyDevice:
+    return MyDevice(options, rate_hz)
+
+
+if __name__ == "__main__":
+    registry.add("my-driver", sys.modules[__name__])
+    endpoints = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "off"]
+    sys.exit(main(["run", "--device", "my-driver", "--duration", "2", *endpoints]))

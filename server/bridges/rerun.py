@@ -1,0 +1,159 @@
+"""A run in Rerun, from a recording or live: objects, fingertips and forces in space, figures and events over time.
+
+`world` is the scene; below it `objects/NAME`, and of each finger its fingertip, its proxy and its force. `plots/...`
+are the telemetry's fields of these names, every tick of them; `events` is a log. The timelines are `time` and `tick`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.schema import Scene
+from softfinger.proxy.records import Records
+from softfinger.server.recording import picture
+from softfinger.server.recording.reader import Event, Note, Ticks, contents
+from softfinger.server.recording.writer import driven, event_time_ns, scene_of, times_ns
+
+Array = NDArray[np.float64]
+
+PLOTTED: Final = (
+    "force", "torque", "contact.mode", "contact.penetration", "contact.spin", "contact.torsion", "servo.late",
+)  # fmt: skip
+"""Fields that are plotted."""
+
+
+def stream(save: Path | None = None, connect: str | None = None) -> Any:
+    """A recording of Rerun's: into a file, to a viewer that runs, or to one that is started here.
+
+    Raises ConfigError where rerun-sdk is missing.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise ConfigError(f"rerun-sdk is not installed ({error}): pip install 'softfinger[rerun]'") from error
+    made: Any = rerun.RecordingStream("softfinger")
+    if save is not None:
+        made.save(str(save))
+    elif connect is not None:
+        made.connect_grpc(connect)
+    else:
+        made.spawn()
+    return made
+
+
+class Shown:
+    """Takes what a daemon sends or a recording has, and logs it to a stream of Rerun's.
+
+    fingers  names of several fingers, one empty name for a single one
+    scene    what is drawn beside them, None for nothing
+    """
+
+    failed = False
+
+    def __init__(self, stream: Any, fingers: Sequence[str], scene: Scene | None) -> None:
+        import rerun
+
+        self._rr: Any = rerun
+        self._stream = stream
+        self._fingers = list(fingers)
+        self._pictures = dict.fromkeys(self._fingers, np.nan)
+        self._scene = scene
+        stream.log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        radii = {finger.name: finger.radius_m for finger in scene.fingers} if scene else {}
+        for name in self._fingers:
+            ball = self._rr.Ellipsoids3D(radii=[radii.get(name, 0.01)], colors=[(230, 140, 90)])
+            stream.log(f"world/{picture.frames(name)[0]}", ball, static=True)
+            proxy = self._rr.Points3D([(0.0, 0.0, 0.0)], radii=[0.001], colors=[(255, 255, 255)])
+            stream.log(f"world/{picture.frames(name)[1]}", proxy, static=True)
+        self._draw_objects()
+
+    def take(self, records: Array, finger: int) -> None:
+        """Records (n, RECORD_SIZE) of a finger, by its place."""
+        name, rows = self._fingers[finger], Records(records)
+        for field in PLOTTED:
+            path = f"plots/{name}/{field}" if name else f"plots/{field}"
+            values = np.asarray(rows[field], np.float64).reshape(len(rows), -1)
+            series = self._rr.Scalars.columns(scalars=values.ravel())
+            self._send(path, rows, series.partition([values.shape[1]] * len(rows)))
+        shown, self._pictures[name] = picture.displayed(records, self._pictures[name])
+        if len(shown):
+            self._place(Records(records[shown]), name)
+
+    def event(self, event: Mapping[str, Any]) -> None:
+        """An event's map, as the wire has it."""
+        self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(event), "ns"))
+        self._stream.log("events", self._rr.TextLog(f"{event['kind']} {event['name']}: {event.get('message', '')}"))
+        if self._scene is not None and (moved := driven(self._scene, event)) is not None:
+            self._scene = moved
+            self._draw_objects()
+
+    def _place(self, rows: Records, name: str) -> None:
+        tip, proxy = (f"world/{frame}" for frame in picture.frames(name))
+        turn = rows["probe.orientation"][:, [1, 2, 3, 0]]  # Rerun has w last
+        place = self._rr.Transform3D.columns
+        self._send(tip, rows, place(translation=rows["probe.position"], quaternion=turn))
+        self._send(proxy, rows, place(translation=rows["proxy.position"], quaternion=turn))
+        arrows = self._rr.Arrows3D.columns(
+            origins=rows["proxy.position"], vectors=picture.ARROW_M_PER_N * rows["force"]
+        )
+        self._send(f"world/{name}/force" if name else "world/force", rows, arrows)
+
+    def _send(self, path: str, rows: Records, columns: Any) -> None:
+        times = times_ns(np.asarray(rows)).astype("datetime64[ns]")
+        index = self._rr.TimeColumn
+        when = [index("time", timestamp=times), index("tick", sequence=rows["tick"])]
+        self._stream.send_columns(path, when, columns)
+
+    def _draw_objects(self) -> None:
+        for thing in self._scene.object if self._scene else ():
+            for kind, primitives in picture.drawn(thing).items():
+                for number, primitive in enumerate(primitives):
+                    path = f"world/objects/{thing.name}/{kind}{number}"
+                    for part in self._parts(kind, primitive):
+                        self._stream.log(path, part, static=True)
+
+    def _parts(self, kind: str, primitive: Mapping[str, Any]) -> Iterator[Any]:
+        """A primitive of Foxglove's as what Rerun calls the same, and where it is."""
+        rr, at = self._rr, primitive["pose"]
+        yield rr.Transform3D(
+            translation=list(at["position"].values()),
+            quaternion=[at["orientation"][axis] for axis in "xyzw"],
+        )
+        color = [[round(255 * primitive["color"][part]) for part in "rgba"]]
+        size = list(primitive.get("size", {}).values())
+        if kind == "cubes":
+            yield rr.Boxes3D(sizes=[size], colors=color, fill_mode="solid")
+        elif kind == "spheres":
+            yield rr.Ellipsoids3D(half_sizes=[[0.5 * each for each in size]], colors=color, fill_mode="solid")
+        elif kind == "cylinders":
+            yield rr.Cylinders3D(radii=[0.5 * size[0]], lengths=[size[2]], colors=color, fill_mode="solid")
+        elif kind == "lines":
+            points = [list(point.values()) for point in primitive["points"]]
+            yield rr.LineStrips3D([[*points, points[0]]], radii=[0.5 * primitive["thickness"]], colors=color)
+        else:
+            yield rr.Points3D([(0.0, 0.0, 0.0)], labels=[primitive["text"]], colors=color)
+
+
+def show_recording(recording: Path, stream: Any) -> int:
+    """Log a recording whole; returns how many ticks. Raises RecordingError for a file that has none to show."""
+    about: dict[str, Any] = {}
+    fingers: list[str] = []
+    for part in contents(recording):  # the first pass: who is in it
+        if isinstance(part, Note):
+            about[part.name] = part.value
+        elif isinstance(part, Ticks) and part.finger not in fingers:
+            fingers.append(part.finger)
+    shown, count = Shown(stream, fingers, scene_of(about)), 0
+    for part in contents(recording):
+        if isinstance(part, Ticks):
+            shown.take(part.records(), fingers.index(part.finger))
+            count += len(part.rows)
+        elif isinstance(part, Event):
+            shown.event(part.event)
+    return count

@@ -1,0 +1,84 @@
+"""`bridge`: a running daemon, or a recording, in a viewer that has a library of its own."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.schema import Scene
+from softfinger.server import keys, signals
+from softfinger.server.bridges import foxglove, rerun
+from softfinger.server.recording.verbs.live import Live, Taker, Taking, begin, go_on, subscribed
+from softfinger.server.recording.writer import scene_of
+from softfinger.server.wire.client import DEFAULT_ENDPOINT
+
+log: Final = logging.getLogger(__name__)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.description = (
+        "Show a running daemon in Foxglove or Rerun (extras foxglove and rerun), or a recording in Rerun; "
+        "ends with the server, or with Ctrl-C."
+    )
+    parser.add_argument("viewer", choices=["foxglove", "rerun"], help="which")
+    parser.add_argument("recording", nargs="?", metavar="FILE", help="a recording for Rerun, in place of a daemon")
+    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
+    parser.add_argument("--commands", metavar="URL", help="where the daemon describes itself (default: beside that)")
+    keys.add_options(parser)
+    parser.add_argument(
+        "--port", type=int, default=foxglove.PORT, help="of the server for Foxglove, on this machine only (%(default)s)"
+    )
+    parser.add_argument("--save", metavar="RRD", help="Rerun: into a file, without a viewer")
+    parser.add_argument(
+        "--connect", metavar="URL", help="Rerun: to a viewer that runs, as rerun+http://HOST:9876/proxy"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="leave after S seconds of ticks (default: stay)")
+    parser.add_argument("--timeout", type=float, metavar="S", default=3.0, help="end after S seconds of silence")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the verb. Raises NoTelemetry if nothing arrives, RecordingError for a file that cannot be read."""
+    for name in ("duration", "timeout"):
+        value = getattr(args, name)
+        if value is not None and not 0.0 < value < math.inf:
+            raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
+    if args.viewer == "foxglove":
+        if args.recording or args.save or args.connect:
+            raise ConfigError("Foxglove opens a recording (.mcap) itself; --save and --connect are for Rerun")
+        return to_foxglove(args)
+    stream = rerun.stream(args.save and Path(args.save), args.connect)
+    try:
+        if args.recording:
+            log.info("%d ticks shown", rerun.show_recording(Path(args.recording), stream))
+            return 0
+        return follow(args, lambda fingers, scene: rerun.Shown(stream, fingers, scene))
+    finally:
+        stream.flush()
+
+
+def to_foxglove(args: argparse.Namespace) -> int:
+    """Serve until the end of the daemon, or a signal."""
+    server = foxglove.Server(args.port)
+    try:
+        log.info("in Foxglove open the connection %s, or %s", server.url, server.app)
+        return follow(args, lambda fingers, scene: foxglove.Shown(server, fingers, scene))
+    finally:
+        server.close()
+
+
+def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], Taker]) -> int:
+    """Hand on what the daemon sends until an end of one of many kinds."""
+    stop: list[bool] = []
+    live = Live(args.endpoint, args.commands, keys.of_options(args), args.duration, args.timeout, lambda: bool(stop))
+    with signals.asked(lambda: stop.append(True)), subscribed(live) as wire:
+        early, fingers, about = begin(wire, live)
+        taking = Taking(show(fingers, scene_of(about)), fingers)
+        ended = go_on(wire, live, early, taking)
+    log.info("ticks %d to %d, %d lost; %s", taking.first, taking.last, taking.lost, ended)
+    return signals.code_of_stop()

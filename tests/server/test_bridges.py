@@ -1,0 +1,201 @@
+"""What Foxglove and Rerun are given, read back with their own means; without them, one line says what to install."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.recorded import event, recorded, run
+from helpers.websocket import Viewer
+
+from softfinger.config.errors import AddressInUse, ConfigError
+from softfinger.config.load import load_scene
+from softfinger.proxy.record import AT
+from softfinger.proxy.records import Records
+from softfinger.server.bridges import foxglove, rerun
+from softfinger.server.cli import main
+from softfinger.server.recording import picture
+from softfinger.server.recording.schemas import SCENE, TICK, message_class
+
+WHY = "not installed by `make setup`: it is bigger than this program"
+
+
+@pytest.fixture
+def pressed() -> Records:
+    """A tick with a force."""
+    records = Records(run())
+    return records[np.argmax(records["force"][:, 2])]
+
+
+def forced(record: Records, force: Any) -> Records:
+    changed = record.copy()
+    changed["force"][:] = force
+    return changed
+
+
+def arrow_of(data: bytes) -> tuple[Any, np.ndarray]:
+    """The arrow of a SceneUpdate, and where it points: Foxglove's arrows are drawn along x."""
+    (entity,) = message_class(SCENE).FromString(data).entities
+    (arrow,) = entity.arrows
+    w, x, y, z = (getattr(arrow.pose.orientation, axis) for axis in "wxyz")
+    assert w * w + x * x + y * y + z * z == pytest.approx(1.0, abs=1e-9)  # rounding of a square root
+    return arrow, np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+
+
+@pytest.mark.parametrize("way", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (-0.6, 0.0, 0.8), (0.36, -0.48, 0.8)])
+def test_the_arrow_of_a_force(way: tuple[float, ...], pressed: Records) -> None:
+    """It points along the force, and is as long as 20 mm for each newton; without a force it is taken away."""
+    arrow, points = arrow_of(picture.force_message(forced(pressed, 1.5 * np.array(way)), 0, ""))
+    np.testing.assert_allclose(points, way, atol=1e-9)  # rounding
+    assert arrow.shaft_length + arrow.head_length == pytest.approx(0.03, rel=1e-12)
+    place = arrow.pose.position
+    assert (place.x, place.y, place.z) == tuple(pressed["proxy.position"])
+    (gone,) = message_class(SCENE).FromString(picture.force_message(forced(pressed, 0.0), 0, "")).deletions
+    assert gone.id == "fingertip/force"
+
+
+@pytest.mark.parametrize(("viewer", "library"), [("rerun", "rerun"), ("foxglove", "foxglove")])
+def test_a_missing_library_is_named(
+    viewer: str, library: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the extra that brings it."""
+    monkeypatch.setitem(sys.modules, library, None)
+    assert main(["bridge", viewer]) == ConfigError.exit_code
+    assert f"pip install 'softfinger[{viewer}]'" in capsys.readouterr().err
+
+
+def test_what_does_not_go_together_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """Before anything is opened."""
+    assert main(["bridge", "foxglove", "trial.mcap"]) == ConfigError.exit_code
+    assert "Foxglove opens a recording (.mcap) itself" in capsys.readouterr().err
+    assert main(["bridge", "rerun", "--duration", "0"]) == ConfigError.exit_code
+
+
+# --- Rerun ------------------------------------------------------------------------------------------
+
+
+def columns(file: Path) -> dict[str, list[Any]]:
+    """Chunks of a file of Rerun's by entity, as tables."""
+    chunk = pytest.importorskip("rerun.chunk", reason=WHY)
+    found: dict[str, list[Any]] = {}
+    for part in chunk.RrdReader(str(file)).stream():
+        found.setdefault(part.entity_path, []).append(part.to_record_batch())
+    return found
+
+
+def values(batches: list[Any], ending: str) -> np.ndarray:
+    """All rows of the column with this ending, flat."""
+    named = [(batch, name) for batch in batches for name in batch.schema.names if name.endswith(ending)]
+    return np.array([row for batch, name in named for row in batch.column(name).to_pylist()])
+
+
+def test_rerun_has_a_recording_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every tick's force, the arrow in the same place and of the same way, the scene and the events."""
+    pytest.importorskip("rerun", reason=WHY)
+    mark = event("mark", "mark", 100, message="now")
+    trial, out = recorded(tmp_path / "trial.mcap", run(), [mark]), tmp_path / "trial.rrd"
+    assert main(["bridge", "rerun", str(trial), "--save", str(out)]) == 0
+    found, records = columns(out), Records(run())
+    assert {"/world/fingertip", "/world/proxy", "/world/force", "/events", "/plots/contact.mode"} <= set(found)
+    assert any(path.startswith("/world/objects/table/") for path in found)
+    force = values(found["/plots/force"], "Scalars:scalars")
+    np.testing.assert_array_equal(force, records["force"])
+    ticks = values(found["/plots/force"], "tick")
+    np.testing.assert_array_equal(ticks, records["tick"])
+    shown, _ = picture.displayed(run(), np.nan)
+    arrows = values(found["/world/force"], "Arrows3D:vectors")[:, 0]
+    # Rerun keeps what is drawn in single precision.
+    np.testing.assert_allclose(arrows, 0.02 * records[shown]["force"], rtol=1e-6, atol=1e-9)
+    turns = values(found["/world/fingertip"], "Transform3D:quaternion")[:, 0]
+    np.testing.assert_allclose(turns[:, [3, 0, 1, 2]], records[shown]["probe.orientation"], atol=1e-6)
+
+
+def test_rerun_has_a_daemon_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
+    """Half a second of it: all ticks, and the scene that the daemon describes."""
+    pytest.importorskip("rerun", reason=WHY)
+    out = tmp_path / "live.rrd"
+    words = ["--endpoint", endpoints[0], "--commands", endpoints[1], "--timeout", "60"]
+    assert main(["bridge", "rerun", *words, "--save", str(out), "--duration", "0.5"]) == 0
+    found = columns(out)
+    assert any(path.startswith("/world/objects/table/") for path in found)
+    ticks = values(found["/plots/force"], "tick")
+    assert len(ticks) > 100 and (np.diff(ticks) > 0).all()
+
+
+# --- Foxglove ---------------------------------------------------------------------------------------
+
+
+def test_foxglove_has_the_topics_of_a_recording() -> None:
+    """A viewer that connects finds ticks, frames, poses, forces and the scene, each with its messages' type."""
+    pytest.importorskip("foxglove", reason=WHY)
+    records, server = run(), foxglove.Server(0)
+    try:
+        shown = foxglove.Shown(server, [""], load_scene("paper-plane"))
+        with Viewer(int(server.url.rpartition(":")[2])) as viewer:
+            shown.event(event("lifecycle", "started", 0))
+            came: dict[str, tuple[int, bytes]] = {}
+            with sent_again_and_again(shown, records[:300]):
+                for topic, time_ns, data in viewer.messages():
+                    came[topic] = time_ns, data
+                    if {"contact", "pose", "tf", "forces", "scene"} <= set(came):
+                        break
+    finally:
+        server.close()
+    assert {"contact", "pose", "tf", "forces", "scene", "event"} <= set(viewer.topics)
+    assert viewer.topics["contact"]["schemaName"] == TICK
+    time_ns, data = came["contact"]
+    tick = message_class(TICK).FromString(data)
+    row = Records(records)[tick.tick]
+    assert list(tick.force) == row["force"].tolist() and time_ns == round(tick.timestamp * 1e9)
+
+
+@contextmanager
+def sent_again_and_again(shown: foxglove.Shown, records: np.ndarray) -> Iterator[None]:
+    """From another thread: a subscription takes effect a while after it was asked for."""
+    over = threading.Event()
+
+    def send() -> None:
+        later = records.copy()
+        while not over.wait(0.02):
+            shown.take(later, 0)
+            later[:, AT.timestamp] += 1.0  # so that the scene is due again
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def test_a_port_that_is_taken() -> None:
+    """Is said, with what to do."""
+    pytest.importorskip("foxglove", reason=WHY)
+    first = foxglove.Server(0)
+    try:
+        with pytest.raises(AddressInUse, match="--port 0"):
+            foxglove.Server(int(first.url.rpartition(":")[2]))
+    finally:
+        first.close()
+
+
+def test_fingers_are_told_apart(tmp_path: Path) -> None:
+    """Each has frames, a force and plots by its name."""
+    pytest.importorskip("rerun", reason=WHY)
+    stream = rerun.stream(tmp_path / "two.rrd")
+    scene = load_scene("pinch")
+    shown = rerun.Shown(stream, [finger.name for finger in scene.fingers], scene)
+    for place in range(2):
+        shown.take(run()[:100], place)
+    stream.flush()
+    stream.disconnect()
+    found = columns(tmp_path / "two.rrd")
+    for finger in scene.fingers:
+        assert {f"/world/{finger.name}/force", f"/plots/{finger.name}/force"} <= set(found)

@@ -1,0 +1,125 @@
+"""The environment of Gymnasium: its own checker, and its contact beside the engine's on the same poses."""
+
+from __future__ import annotations
+
+import doctest
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.records import Records
+from softfinger.server.bridges import environment
+from softfinger.server.bridges.environment import Touch
+
+HOME = (0.0, 0.0, 0.0105)
+"""Half a millimetre above the paper's plane."""
+
+
+def played(env: Touch, actions: np.ndarray) -> Records:
+    """Every tick of an episode, from its beginning."""
+    _, info = env.reset(seed=0)
+    parts = [info["records"], *(env.step(action)[4]["records"] for action in actions)]
+    return Records(np.concatenate(parts))
+
+
+@pytest.mark.parametrize("scene", ["paper-plane", "sphere"])
+def test_gymnasium_takes_it(scene: str) -> None:
+    """The checker finds nothing to warn of, as warnings are errors here: spaces, seeds, types of what is returned."""
+    env = gymnasium.make(environment.NAME, scene=scene)
+    check_env(env.unwrapped)
+    steps = env.unwrapped.setup.episode_steps
+    env.reset(seed=1)
+    cut = [env.step(env.action_space.sample())[3] for _ in range(steps)]
+    assert cut == [False] * (steps - 1) + [True]
+
+
+def test_the_contact_is_the_engines() -> None:
+    """A press, a drag and a turn: of the poses that came of it, the engine makes the same contact to the bit."""
+    actions = np.zeros((60, 6))
+    actions[:20, 2], actions[20:40, 0], actions[40:, 4:] = -0.06, 0.08, 0.5
+    records = played(Touch("paper-plane", home_m=HOME), actions)
+    assert set(records["contact.mode"]) == {0, 1, 2}
+    poses = np.hstack([records["probe.position"], records["probe.orientation"]])
+    expected = Engine("paper-plane").run(poses)
+    free_of_guard = records["servo.guard"] == 0
+    assert free_of_guard.sum() > 1000
+    for name in ("contact.mode", "contact.point", "contact.normal_force", "contact.spin", "probe.velocity"):
+        np.testing.assert_array_equal(records[name], expected[name])
+    np.testing.assert_array_equal(records["force"][free_of_guard], expected["force"][free_of_guard])
+    assert (np.diff(records["tick"]) == 1).all()
+    np.testing.assert_allclose(np.diff(records["timestamp"]), 0.001, rtol=1e-9)  # rounding of a sum of seconds
+
+
+def test_the_hand_gives_way() -> None:
+    """Spring of the hand against that of the plane, 1000 N/m each: of 1 mm of intended depth half is left."""
+    actions = np.zeros((150, 6))
+    actions[:30, 2] = -0.05  # 1.5 mm down, 0.5 mm of them in the air
+    records = played(Touch("paper-plane", home_m=HOME), actions)
+    # The friction of the omega.6, 0.1 N on an axis or less, holds the handle wherever it lies within.
+    assert records["force"][-1, 2] == pytest.approx(0.5, abs=0.11)
+
+
+def test_the_goal_stays_within_reach() -> None:
+    """However long it is led away, along each axis; and an action out of range is the nearest within."""
+    env = Touch("paper-plane", home_m=HOME, reach_m=0.01)
+    env.reset()
+    for _ in range(30):
+        seen = env.step(np.array([9.0, -9.0, 9.0, 0.0, 0.0, 0.0]))[0]
+    np.testing.assert_allclose(seen["goal.position"], [0.01, -0.01, HOME[2] + 0.01], atol=1e-12)  # rounding of a sum
+
+
+def test_the_goal_turns_about_the_worlds_axes() -> None:
+    """A second of 1 rad/s about z, then about x: the rotation vectors' product."""
+    env = Touch("frictionless-plane", turn_rad_per_s=1.0)
+    env.reset()
+    for axis in (5, 3):
+        for _ in range(50):
+            seen = env.step(np.eye(6)[axis])[0]
+    half = np.sqrt([0.5 + 0.5 * np.cos(1.0), 0.5 - 0.5 * np.cos(1.0)])  # cos and sin of 0.5
+    about_z, about_x = half[0], half[1]
+    expected = [half[0] * about_z, about_x * half[0], -about_x * half[1], half[0] * half[1]]
+    np.testing.assert_allclose(seen["goal.orientation"], expected, atol=1e-9)  # rounding of 100 products
+
+
+def test_another_task() -> None:
+    """A subclass has its own reward and end, from the records of a step."""
+
+    class Reach(Touch):
+        def reward(self, records: Records) -> float:
+            return float(records["contact.mode"].max())
+
+        def terminated(self, records: Records) -> bool:
+            return bool(records["contact.mode"].any())
+
+    env = Reach("paper-plane", home_m=HOME)
+    env.reset()
+    for _ in range(60):
+        _, reward, over, *_ = env.step(np.array([0.0, 0.0, -0.05, 0.0, 0.0, 0.0]))
+        if over:
+            break
+    assert over and reward >= 1.0
+
+
+def test_a_scene_of_two_fingers_is_refused() -> None:
+    """There is one hand."""
+    with pytest.raises(ConfigError, match="2 fingers"):
+        Touch("pinch")
+
+
+def test_its_docstrings_examples_run() -> None:
+    """As they stand."""
+    found = doctest.testmod(environment)
+    assert found.attempted and not found.failed
+
+
+def test_without_gymnasium() -> None:
+    """One line says what to install."""
+    code = "import sys; sys.modules['gymnasium'] = None; import softfinger.server.bridges.environment"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "pip install 'softfinger[gymnasium]'" in done.stderr.splitlines()[-1]
