@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
@@ -18,6 +19,7 @@ from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.commands import KEY, Commands, Doing
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
+from softfinger.server.services.notify import Notify
 from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import Records, Sink
 from softfinger.server.services.rendering import Rendering
@@ -109,6 +111,7 @@ class Daemon:
             self.supervisor,
             HotplugWatch(hotplug, event),
             *others,
+            *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,
         ]
         """In the order of their start; the servo comes last, and is the first to be stopped."""

@@ -56,6 +56,7 @@ VERBS: Final = {
     "recordings": Verb("softfinger.server.verbs.shipped", "the recordings that are shipped, a line each"),
     "check": Verb("softfinger.server.verbs.check", "validate rig and scene files"),
     "schema": Verb("softfinger.server.verbs.schema", "JSON Schema of rigs and scenes, schema of the telemetry"),
+    "install": Verb("softfinger.server.install.verb", "udev rules, limits, service, man page, completion; and back"),
     "warmup": Verb("softfinger.server.verbs.warmup", "compile the kernels ahead"),
     "accuracy": Verb("softfinger.tools.accuracy.verb", "measure: rolling methods, speed against accuracy"),
     "stability": Verb("softfinger.tools.stability.verb", "measure: the stiffest stable wall, in closed loop"),
@@ -214,16 +215,22 @@ def add_completion(parser: argparse.ArgumentParser) -> None:
 
     class Print(argparse.Action):
         def __call__(self, *_: object) -> None:
-            import shtab
-
-            from softfinger.server.verbs.shipped import offer_names
-
-            print(shtab.complete(offer_names(make_parser()), str(_[2])))
+            print(completion(str(_[2])))
             raise SystemExit(0)
 
     parser.add_argument(
         "--print-completion", action=Print, choices=["bash", "zsh", "tcsh"], help="print a completion script"
     )
+
+
+def completion(shell: str) -> str:
+    """The completion script for bash, zsh or tcsh."""
+    import shtab
+
+    from softfinger.server.verbs.shipped import offer_names
+
+    script: str = shtab.complete(offer_names(make_parser()), shell)
+    return script
 
 
 if __name__ == "__main__":

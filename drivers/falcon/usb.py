@@ -15,6 +15,7 @@ import usb.core
 import usb.util
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DevicePermission
+from softfinger.drivers.system.rules import how_to_permit
 
 VENDOR: Final = 0x0403
 PRODUCT: Final = 0xCB48
@@ -27,8 +28,6 @@ STATUS_BYTES: Final = 2
 TIMEOUT_MS: Final = 1000
 
 NODES: Final = Path("/dev/bus/usb")
-RULE: Final = 'SUBSYSTEM=="usb", ATTRS{idVendor}=="0403", ATTRS{idProduct}=="cb48", MODE="0660", TAG+="uaccess"'
-RULE_FILE: Final = "/etc/udev/rules.d/60-falcon.rules"
 
 # Requests of the chip, and their values.
 _TO_CHIP: Final = 0x40  # vendor request, host to device
@@ -178,10 +177,7 @@ def _choose(found: list[Any], serial: str | None) -> Any:
 
 def _unopened(name: str, error: usb.core.USBError) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
-        return DevicePermission(
-            f"{name} may not be opened by this user: put the line {RULE} into {RULE_FILE}, run "
-            "`sudo udevadm control --reload && sudo udevadm trigger`, and plug the device in again"
-        )
+        return DevicePermission(f"{name} may not be opened by this user: {how_to_permit(VENDOR, PRODUCT)}")
     if error.errno == errno.EBUSY:
         return DeviceBusy(f"{name} is held by another program: close that one first")
     if error.errno in (errno.ENODEV, errno.ENOENT):

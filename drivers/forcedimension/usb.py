@@ -6,15 +6,13 @@ import os
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from softfinger.drivers.system import discovery
+from softfinger.drivers.system import discovery, rules
 
 VENDOR: Final = 0x1451
 PRODUCTS: Final = {0x0402: "omega.x haptic device", 0x0301: "omega.x", 0x040C: "lambda"}
 """Names of the product numbers that are known; every device of the vendor counts."""
 
 NODES: Final = Path("/dev/bus/usb")
-RULE: Final = 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1451", MODE="0660", TAG+="uaccess"'
-RULE_FILE: Final = "/etc/udev/rules.d/60-forcedimension.rules"
 
 
 class Attached(NamedTuple):
@@ -54,7 +52,4 @@ def holders(device: Attached) -> list[str]:
 
 def how_to_permit(device: Attached) -> str:
     """The message for a device that this user may not write to."""
-    return (
-        f"{device} may not be opened by this user: put the line {RULE} into {RULE_FILE}, run "
-        "`sudo udevadm control --reload && sudo udevadm trigger`, and plug the device in again"
-    )
+    return f"{device} may not be opened by this user: {rules.how_to_permit(VENDOR, 0)}"

@@ -16,7 +16,8 @@ from softfinger.drivers.hid.pump import HidApi
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.hidraw import hidapi, ids
-from softfinger.drivers.system.nodes import by_rule, open_locked
+from softfinger.drivers.system.nodes import open_locked
+from softfinger.drivers.system.rules import how_to_permit
 
 
 class Opened(NamedTuple):
@@ -79,7 +80,7 @@ def _open(path: str, options: Options) -> tuple[Opened, bytes]:
             f"{path} is the device {seen.ids}, and the rig is for {ids(vendor, product)}: name the right one, or leave "
             "`path` out"
         )
-    held = open_locked(seen.node, by_rule(discovery.usb_rule(vendor, product), discovery.HID_RULE_FILE))
+    held = open_locked(seen.node, how_to_permit(vendor, product))
     device: Any = hidapi("hid").device()
     try:
         try:

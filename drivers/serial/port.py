@@ -15,7 +15,8 @@ from softfinger.drivers.serial.options import Options
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import other_product, undecided
 from softfinger.drivers.system.hidraw import ids
-from softfinger.drivers.system.nodes import by_rule, open_locked
+from softfinger.drivers.system.nodes import open_locked
+from softfinger.drivers.system.rules import how_to_permit
 
 DRAIN_WAIT_S: Final = 0.2
 """How long what was written has to leave before the port is closed; the system's own close would wait for 30 s."""
@@ -111,7 +112,7 @@ def _check_ids(path: str, options: Options) -> None:
 def _how_to_permit(path: str, options: Options) -> str:
     if (group := discovery.group_with_access(path)) is not None:
         return f"run `sudo usermod -aG {group} $USER`, and log in again"
-    return by_rule(discovery.serial_rule(options.vendor_id, options.product_id), discovery.SERIAL_RULE_FILE)
+    return how_to_permit(options.vendor_id, options.product_id)
 
 
 def _set_raw(fd: int) -> None:

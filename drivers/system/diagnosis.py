@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
@@ -13,6 +12,7 @@ from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import Claim, claims_by_ids, other_product, undecided
 from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.rules import command
 
 MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "cdc_acm")}
 """What the system gives a device of a bus, and the module of the kernel that makes it."""
@@ -60,7 +60,7 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
             f"docker run --device {device.node or '/dev/bus/usb'} ..., or run outside of the container",
         )
     if not discovery.permitted(device.node):
-        return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device, claim))
+        return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device))
     if (holder := discovery.holder(device.node)) is not None:
         return Diagnosis("busy", f"{device.node} is held by {holder}", f"kill {holder.pid}")
     if bare:
@@ -97,17 +97,8 @@ def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | No
     return Diagnosis("usable")
 
 
-def how_to_permit(device: Attached, claim: Claim) -> str:
-    """The command that lets this user open a node: a group that has the right already, else a udev rule."""
+def how_to_permit(device: Attached) -> str:
+    """The command that lets this user open a node: a group that has the right already, else the udev rules."""
     if (group := discovery.group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"
-    if device.bus == "hid":
-        rule, file = discovery.hid_rule(device.vendor, device.product), discovery.HID_RULE_FILE
-    elif claim.bus == "serial":
-        rule, file = discovery.serial_rule(device.vendor, device.product), discovery.SERIAL_RULE_FILE
-    elif claim.bus == "hid":
-        rule, file = discovery.usb_rule(device.vendor, device.product), discovery.HID_RULE_FILE
-    else:
-        usb = importlib.import_module(f"softfinger.drivers.{claim.driver}.usb")  # where a driver over USB has its own
-        rule, file = usb.RULE, usb.RULE_FILE
-    return f"echo '{rule}' | sudo tee -a {file} && {discovery.RELOAD}"
+    return f"{command(device.vendor, device.product)}   # then plug the device in again"

@@ -23,9 +23,6 @@ TTY: Final = Path("sys/class/tty")
 USB_PORTS: Final = ("ttyACM", "ttyUSB")
 """How the names of serial ports on USB begin; the table also has every terminal of the system."""
 
-RELOAD: Final = "sudo udevadm control --reload && sudo udevadm trigger"
-HID_RULE_FILE: Final = "/etc/udev/rules.d/70-softfinger-hid.rules"
-SERIAL_RULE_FILE: Final = "/etc/udev/rules.d/70-softfinger-serial.rules"
 READ_AND_WRITE_BY_GROUP: Final = stat.S_IRGRP | stat.S_IWGRP
 
 
@@ -158,19 +155,6 @@ def holder(node: str) -> Holder | None:
     return None
 
 
-def hid_rule(vendor: int, product: int) -> str:
-    """The udev rule that lets the user at the machine open a hidraw node."""
-    return f'KERNEL=="hidraw*", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", TAG+="uaccess"'
-
-
-def serial_rule(vendor: int, product: int) -> str:
-    """The udev rule that lets the user at the machine open a serial port, and keeps ModemManager from trying it."""
-    return (
-        f'SUBSYSTEM=="tty", ATTRS{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}", '
-        'TAG+="uaccess", ENV{ID_MM_DEVICE_IGNORE}="1"'
-    )
-
-
 def group_with_access(node: str) -> str | None:
     """A group other than root's that may read and write a node."""
     try:
@@ -179,11 +163,6 @@ def group_with_access(node: str) -> str | None:
         return grp.getgrgid(seen.st_gid).gr_name if opens else None
     except (OSError, KeyError):
         return None
-
-
-def usb_rule(vendor: int, product: int) -> str:
-    """The udev rule that lets the user at the machine open a device on the USB bus."""
-    return f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor:04x}", ATTR{{idProduct}}=="{product:04x}", TAG+="uaccess"'
 
 
 def _in_order(names: Iterable[str]) -> list[str]:

@@ -10,8 +10,8 @@ import struct
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceError
-from softfinger.drivers.system import discovery
-from softfinger.drivers.system.nodes import by_rule, open_locked
+from softfinger.drivers.system.nodes import open_locked
+from softfinger.drivers.system.rules import how_to_permit
 
 _GET_INFO: Final = 0x80084803  # an ioctl request of <linux/hidraw.h>
 
@@ -21,7 +21,7 @@ def open_path(path: str, vendor: int, product: int) -> int:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device.
     """
-    fd = open_locked(path, by_rule(discovery.hid_rule(vendor, product), discovery.HID_RULE_FILE))
+    fd = open_locked(path, how_to_permit(vendor, product))
     try:
         _check_device(fd, path, vendor, product)
     except BaseException:

@@ -29,11 +29,6 @@ def open_locked(path: str, permit: str) -> int:
     return fd
 
 
-def by_rule(rule: str, file: str) -> str:
-    """How a user who may not open a node comes to it by a rule of udev."""
-    return f"write {rule} to {file}, run `udevadm control --reload`, and plug the device in again"
-
-
 def _unopened(path: str, permit: str, error: OSError) -> DeviceError:
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):

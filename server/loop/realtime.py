@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
 from softfinger.config.errors import RealtimeError
+from softfinger.drivers.system.rules import GROUP, command
 
 Mode = Literal["auto", "require", "off"]
 
@@ -173,13 +174,17 @@ def _fifo_advice(number: int | None) -> str:
         low, high = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
         return f"set servo.priority between {low} and {high}"
     advice = (
-        f"this user's highest priority is {_limit('RLIMIT_RTPRIO')}: put '@realtime - rtprio 99' into "
-        "/etc/security/limits.d/realtime.conf, join the group realtime and log in again; under systemd "
-        "LimitRTPRIO=99; in Docker --cap-add=SYS_NICE or --ulimit rtprio=99"
+        f"this user's highest priority is {_limit('RLIMIT_RTPRIO')}: {_join()}; under systemd LimitRTPRIO=95; in "
+        "Docker --cap-add=SYS_NICE or --ulimit rtprio=95"
     )
     if _read(RT_RUNTIME) == "0":
         advice += f"; {RT_RUNTIME} is 0, which forbids it to everyone: write 950000"
     return advice
+
+
+def _join() -> str:
+    """How a user comes to all three: limits of priority and of locked memory, and the right to the latency device."""
+    return f"`{command()}` gives it to the group {GROUP}: join that (sudo usermod -aG {GROUP} $USER) and log in again"
 
 
 def _throttle_note() -> str:
@@ -197,9 +202,8 @@ def _lock_memory(applied: Applied) -> Setting:
     if done.result < 0:
         need, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
         advice = (
-            "put '@realtime - memlock unlimited' into /etc/security/limits.d/realtime.conf, join the group realtime "
-            "and log in again (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
-            "--cap-add=IPC_LOCK or --ulimit memlock=-1"
+            f"{_join()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker --cap-add=IPC_LOCK or "
+            "--ulimit memlock=-1"
         )
         return Setting("mlockall", False, f"{_reason(done.error)}: {need} to lock, limit {limit}", advice)
     applied._of_process.append(lambda: _libc("munlockall"))
@@ -241,10 +245,7 @@ def _hold_latency(applied: Applied) -> Setting:
     try:
         fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
     except OSError as error:
-        advice = (
-            f'let the group realtime write it with the udev rule KERNEL=="{name}", GROUP="realtime", MODE="0660" '
-            f"in /etc/udev/rules.d/99-{name}.rules; in Docker --device={LATENCY_DEVICE} for a user that may write it"
-        )
+        advice = f"{_join()}; in Docker --device={LATENCY_DEVICE} for a user that may write it"
         return Setting(name, False, f"{LATENCY_DEVICE}: {_reason(error.errno)}", advice)
     try:
         os.write(fd, struct.pack("i", 0))

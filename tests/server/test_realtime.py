@@ -258,17 +258,17 @@ def test_refusals_tell_why_and_what_to_do() -> None:
     assert (fifo["ok"], memory["ok"]) == (False, False)
     assert "priority 80" in fifo["detail"]
     assert "EPERM" in fifo["detail"]
-    for part in ("rtprio", "LimitRTPRIO", "--cap-add=SYS_NICE"):
+    for part in ("install --system", "usermod -aG softfinger", "LimitRTPRIO", "--cap-add=SYS_NICE"):
         assert part in fifo["advice"]
     assert "ENOMEM" in memory["detail"]
     assert "limit 64 kB" in memory["detail"]
-    for part in ("memlock unlimited", "ulimit -l", "LimitMEMLOCK", "--cap-add=IPC_LOCK"):
+    for part in ("install --system", "ulimit -l", "LimitMEMLOCK", "--cap-add=IPC_LOCK"):
         assert part in memory["advice"]
     latency = by_name["cpu_dma_latency"]
     assert latency["ok"] == told["latency_device"]
     if not latency["ok"]:
         assert LATENCY_DEVICE in latency["detail"]
-        assert "udev rule" in latency["advice"]
+        assert "install --system" in latency["advice"]
     assert by_name["timer_slack"]["ok"]
     assert (told["during"]["policy"], told["during"]["slack"], told["during"]["locked"]) == (os.SCHED_OTHER, 1, 0)
     assert told["after"] == told["before"]

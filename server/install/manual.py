@@ -1,0 +1,64 @@
+"""The man page, made from the options of every verb."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import Final
+
+ENDING: Final = r"""
+.SH FILES
+.TP
+.I ~/.cache/softfinger
+compiled kernels; SOFTFINGER_CACHE_DIR names another folder
+.TP
+.I /etc/softfinger/installed.json
+what `softfinger install \-\-system` has written; without \-\-system: ~/.local/state/softfinger/installed.json
+.SH SEE ALSO
+https://github.com/softfinger/softfinger
+"""
+
+
+def manual(parser: argparse.ArgumentParser) -> str:
+    """softfinger.1 in the language of man(7), from the program's parser with the options of every verb."""
+    lines = [
+        f'.TH SOFTFINGER 1 "" "softfinger {version("softfinger")}" "User Commands"',
+        *(".SH NAME", rf"softfinger \- {_roff('real-time haptic rendering server')}"),
+        *(".SH SYNOPSIS", ".B softfinger", '.RI [ options "] " verb " [" options ]'),
+        *(".SH DESCRIPTION", _roff(parser.description or "")),
+        *(".SH OPTIONS", *_options(parser)),
+        ".SH VERBS",
+    ]
+    for name, verb in _verbs(parser):
+        lines += [f".SS softfinger {_roff(name)}", _roff(verb.description or ""), *_options(verb)]
+    lines += [".SH EXIT STATUS", _roff(" ".join((parser.epilog or "").split()).removeprefix("Exit codes: "))]
+    return "\n".join(lines) + ENDING
+
+
+def _verbs(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            yield from action.choices.items()
+
+
+def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Each argument as a paragraph with a tag; a verb below the verb in the same way."""
+    formatter = parser._get_formatter()
+    for action in parser._actions:
+        if action.help is argparse.SUPPRESS:
+            continue
+        if isinstance(action, argparse._SubParsersAction):
+            if parser.prog != "softfinger":
+                for name, verb in action.choices.items():
+                    yield from (".TP", f".B {_roff(name)}", _roff(verb.description or verb.format_usage()))
+                    yield from (".RS", *_options(verb), ".RE")
+            continue
+        yield from (".TP", f".B {_roff(formatter._format_action_invocation(action))}")
+        yield _roff(formatter._expand_help(action) if action.help else "")
+
+
+def _roff(text: str) -> str:
+    """Text that roff prints as it stands."""
+    plain = " ".join(text.split()).replace("\\", r"\e").replace("-", r"\-")
+    return rf"\&{plain}" if plain.startswith((".", "'")) else plain

@@ -1,0 +1,111 @@
+"""What is installed where: for the whole machine, or for one user."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from softfinger.config.load import find, load_rig, load_scene, shipped
+from softfinger.config.schema import Rig, Scene
+from softfinger.drivers.system.rules import GROUP, program, udev_rules
+from softfinger.server.install.ledger import File
+from softfinger.server.install.manual import manual
+from softfinger.server.install.unit import RTPRIO, unit
+
+ACCOUNT: Final = f"""\
+# The account of the service; its group may open the devices and has the limits.
+u {GROUP} - "softfinger, a haptic rendering server" /var/lib/softfinger
+"""
+LIMITS: Final = f"""\
+# What a servo at 1 kHz asks for: a thread that nothing delays, and memory that stays.
+@{GROUP} - rtprio {RTPRIO}
+@{GROUP} - memlock unlimited
+"""
+
+
+class Places(NamedTuple):
+    """Folders that programs look into: units, manuals, completion of bash and of zsh; and where the record is."""
+
+    units: Path
+    manuals: Path
+    bash: Path
+    zsh: Path
+    record: Path
+
+
+SYSTEM: Final = Places(
+    Path("/etc/systemd/system"),
+    Path("/usr/local/share/man/man1"),
+    Path("/usr/local/share/bash-completion/completions"),
+    Path("/usr/local/share/zsh/site-functions"),
+    Path("/etc/softfinger/installed.json"),
+)
+
+
+def places_of_user(environment: Mapping[str, str], home: Path) -> Places:
+    """As the XDG base directories have them."""
+
+    def folder(name: str, otherwise: str) -> Path:
+        named = environment.get(name, "")
+        return Path(named) if named.startswith("/") else home / otherwise
+
+    data = folder("XDG_DATA_HOME", ".local/share")
+    return Places(
+        folder("XDG_CONFIG_HOME", ".config") / "systemd/user",
+        data / "man/man1",
+        data / "bash-completion/completions",
+        data / "zsh/site-functions",
+        folder("XDG_STATE_HOME", ".local/state") / "softfinger/installed.json",
+    )
+
+
+def places(system: bool) -> Places:
+    return SYSTEM if system else places_of_user(os.environ, Path.home())
+
+
+def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:
+    """All that is installed, for a daemon of that rig and scene; `parser` has the options of every verb.
+
+    Raises what loading the rig or the scene raises.
+    """
+    from softfinger.server.cli import completion
+
+    load_scene(scene)
+    devices = load_rig(rig).tables.values()
+    at = places(system)
+    found = [
+        File(at.units / "softfinger.service", unit(service(rig, scene), system)),
+        File(at.manuals / "softfinger.1", manual(parser)),
+        File(at.bash / "softfinger", completion("bash")),
+        File(at.zsh / "_softfinger", completion("zsh")),
+    ]
+    if system:
+        found += [
+            File(Path("/etc/udev/rules.d/70-softfinger.rules"), udev_rules(devices)),
+            File(Path("/etc/security/limits.d/70-softfinger.conf"), LIMITS),
+            File(Path("/etc/sysusers.d/softfinger.conf"), ACCOUNT),
+        ]
+    return found
+
+
+def service(rig: str, scene: str) -> list[str]:
+    """What the unit runs, good in any folder."""
+    return [*program(), "run", "--rig", named(rig, Rig), "--scene", named(scene, Scene)]
+
+
+def named(name: str, kind: type[Rig] | type[Scene]) -> str:
+    """A rig or scene as it is found from any folder: a shipped one by its name."""
+    return name if name in shipped(kind) else str(find(name, kind).resolve())
+
+
+def closed_to_others(words: Sequence[str]) -> Path | None:
+    """The first folder on the way to a program, its interpreter or a file it is given that only its owner may enter."""
+    for path in (Path(word) for word in (*words, os.path.realpath(sys.executable)) if word.startswith("/")):
+        for folder in reversed(path.parents):
+            if folder.exists() and not folder.stat().st_mode & 0o001:
+                return folder
+    return None

@@ -1,0 +1,62 @@
+"""What the system has to be told before files go and after they came: its own commands, run where they are."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+from softfinger.drivers.system.rules import GROUP
+
+Command = tuple[str, ...]
+
+SERVICE: Final = "softfinger.service"
+STATE: Final = Path("/var/lib/softfinger")
+"""Where the service works: recordings, if it was asked for any."""
+
+RULES: Final[tuple[Command, ...]] = (
+    ("udevadm", "control", "--reload"),
+    ("udevadm", "trigger", *(f"--subsystem-match={each}" for each in ("usb", "hidraw", "tty", "misc"))),
+)
+WAIT_S: Final = 60.0
+
+
+def after_writing(system: bool) -> list[Command]:
+    """What makes new files hold."""
+    if not system:
+        return [("systemctl", "--user", "daemon-reload")]
+    return [("systemd-sysusers", "/etc/sysusers.d/softfinger.conf"), ("systemctl", "daemon-reload"), *RULES]
+
+
+def before_removing(system: bool) -> list[Command]:
+    """The service ends; its compiled kernels go, its recordings stay."""
+    if not system:
+        return [("systemctl", "--user", "disable", "--now", SERVICE)]
+    return [("systemctl", "disable", "--now", SERVICE), ("systemctl", "clean", "--what=cache", SERVICE)]
+
+
+def after_removing(system: bool, state: Path = STATE) -> list[Command]:
+    """The system forgets; the account goes with it, unless something of its is left in `state`."""
+    if not system:
+        return [("systemctl", "--user", "daemon-reload")]
+    empty = not state.exists() or not any(state.iterdir())
+    return [
+        ("systemctl", "daemon-reload"),
+        *RULES,
+        *([("rmdir", str(state))] if empty and state.exists() else []),
+        *([("userdel", GROUP)] if empty else []),
+    ]
+
+
+def run_all(commands: Iterable[Command]) -> None:
+    """Run each that is there, and say what it was and how it ended; one that fails keeps none from the next."""
+    for words in commands:
+        if shutil.which(words[0]) is None:
+            print(f"not run, for {words[0]} is not here: {shlex.join(words)}")
+            continue
+        done = subprocess.run(words, capture_output=True, text=True, timeout=WAIT_S, stdin=subprocess.DEVNULL)
+        said = (done.stderr or done.stdout).strip().splitlines()
+        print(f"ran {shlex.join(words)}" + (f": {said[-1] if said else done.returncode}" if done.returncode else ""))

@@ -1,0 +1,97 @@
+"""The systemd unit of the daemon, as a service of the system under an account of its own, or of a user."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from softfinger.drivers.system.rules import GROUP
+
+RTPRIO: Final = 95
+"""Above the servo's 80 and its supervisor's 81, below the kernel's own threads, at 99."""
+
+HEAD: Final = """\
+# Written by `softfinger install`, which knows it by its content: changed here, it is kept and no longer updated.
+# Changes of your own are better off in a drop-in: systemctl {scope}edit softfinger
+[Unit]
+Description=softfinger, a haptic rendering server
+Documentation=https://github.com/softfinger/softfinger
+
+[Service]
+Type=notify
+NotifyAccess=main
+ExecStart={command}
+# The kernels of a new scene are compiled first.
+TimeoutStartSec=5min
+TimeoutStopSec=15s
+# Fed by ticks of the servo. Long before, after a quarter of a second, the daemon itself takes the force off.
+WatchdogSec=2s
+# Nothing restarts by itself while a hand is on the device: mend the cause, and start it again.
+Restart=no
+Environment=PYTHONUNBUFFERED=1
+RuntimeDirectory=softfinger
+NoNewPrivileges=yes
+LockPersonality=yes
+RestrictSUIDSGID=yes
+SystemCallArchitectures=native
+"""
+
+SYSTEM: Final = f"""\
+User={GROUP}
+Group={GROUP}
+StateDirectory=softfinger
+CacheDirectory=softfinger
+WorkingDirectory=%S/softfinger
+Environment=SOFTFINGER_CACHE_DIR=%C/softfinger
+UMask=0027
+LimitRTPRIO={RTPRIO}
+LimitMEMLOCK=infinity
+
+# The devices, and no other: the USB bus, hidraw nodes, serial ports on USB, and what keeps processors awake.
+DevicePolicy=closed
+DeviceAllow=char-usb_device rw
+DeviceAllow=char-hidraw rw
+DeviceAllow=char-ttyACM rw
+DeviceAllow=char-ttyUSB rw
+DeviceAllow=/dev/cpu_dma_latency rw
+
+ProtectSystem=strict
+ProtectHome=read-only
+PrivateTmp=yes
+ProtectClock=yes
+ProtectControlGroups=yes
+ProtectHostname=yes
+ProtectKernelLogs=yes
+ProtectKernelModules=yes
+ProtectKernelTunables=yes
+RestrictNamespaces=yes
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
+CapabilityBoundingSet=
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+# Not MemoryDenyWriteExecute and RestrictRealtime: kernels are compiled in memory, and the servo asks for SCHED_FIFO.
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+USER: Final = """\
+# Limits are those of your login: `softfinger install --system` raises them for the group softfinger.
+
+[Install]
+WantedBy=default.target
+"""
+
+
+def unit(words: Sequence[str], system: bool) -> str:
+    """The unit that runs a command, its words given one by one."""
+    program, *others = map(_quoted, words)
+    command = " ".join([program, *(word.replace("$", "$$") for word in others)])  # variables are put into these alone
+    head = HEAD.format(command=command, scope="" if system else "--user ")
+    return head + (SYSTEM if system else USER)
+
+
+def _quoted(word: str) -> str:
+    """A word as systemd reads it back: nothing in it is a specifier, an escape or the end of it."""
+    plain = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
+    return plain if plain and not any(letter in plain for letter in " \t;'\"\\") else f'"{plain}"'

@@ -1,0 +1,273 @@
+"""`install` on real files below a folder: written, recorded, renewed, taken away again; whose files it leaves alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.server.cli import main
+from softfinger.server.install.ledger import File, Ledger
+from softfinger.server.install.plan import SYSTEM, closed_to_others, places_of_user
+from softfinger.server.install.settle import after_removing, run_all
+
+UNIT = "etc/systemd/system/softfinger.service"
+RULES = "etc/udev/rules.d/70-softfinger.rules"
+RECORD = str(SYSTEM.record.relative_to("/"))
+FILES = {
+    UNIT,
+    RULES,
+    "etc/security/limits.d/70-softfinger.conf",
+    "etc/sysusers.d/softfinger.conf",
+    "usr/local/share/man/man1/softfinger.1",
+    "usr/local/share/bash-completion/completions/softfinger",
+    "usr/local/share/zsh/site-functions/_softfinger",
+}
+Install = Callable[..., int]
+
+
+@pytest.fixture
+def root() -> Iterator[Path]:
+    """A folder that is not there yet, in one that every user may enter."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder) / "root"
+
+
+@pytest.fixture
+def install(root: Path) -> Install:
+    """`softfinger install --system` below `root`, with more words; its exit code."""
+    return lambda *words: main(["install", "--system", "--root", str(root), *words])
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_dry_run_shows_what_an_install_writes(
+    root: Path, install: Install, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each file with its path and content, to the byte, and the commands; nothing is written."""
+    assert install("--dry-run") == 0
+    shown = capsys.readouterr().out
+    assert not root.exists()
+    assert install() == 0
+    written = content(root)
+    assert set(written) == FILES | {RECORD}
+    for name in FILES:
+        assert f"##### /{name}: new\n{written[name].decode()}" in shown
+    for words in ("systemd-sysusers", "systemctl daemon-reload", "udevadm control --reload"):
+        assert f"##### then: {words}" in shown
+
+
+def test_every_user_may_read_what_is_installed(root: Path, install: Install) -> None:
+    """Whatever root's umask is."""
+    before = os.umask(0o077)
+    try:
+        assert install() == 0
+    finally:
+        os.umask(before)
+    for path in (root / "etc").rglob("*"):
+        assert stat.S_IMODE(path.stat().st_mode) == (0o755 if path.is_dir() else 0o644), path
+
+
+@pytest.mark.parametrize("edited", [False, True])
+def test_nothing_is_left(root: Path, install: Install, edited: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    """Files, record and the folders made for them go; what is not ours stays, and edited files, which is said."""
+    other = root / "etc/udev/rules.d/99-other.rules"
+    other.parent.mkdir(parents=True)
+    other.write_text("# somebody else's\n")
+    assert install() == 0
+    if edited:
+        (root / UNIT).write_text("[Service]\nExecStart=/bin/true\n")
+    capsys.readouterr()
+    assert install("--remove") == 0
+    told = capsys.readouterr().out
+    assert set(content(root)) == {str(other.relative_to(root))} | ({UNIT, RECORD} if edited else set())
+    assert (f"kept, for it was edited; remove it yourself: {root / UNIT}" in told) == edited
+    if not edited:
+        assert {path.name for path in root.rglob("*") if path.is_dir()} == {"etc", "udev", "rules.d"}
+        return
+    (root / UNIT).unlink()
+    assert install("--remove") == 0  # what was kept is remembered until it is gone
+    assert set(content(root)) == {str(other.relative_to(root))}
+
+
+def test_a_second_install_changes_nothing(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same files to the byte, and every one is said to be as it was."""
+    assert install() == 0
+    before = content(root)
+    capsys.readouterr()
+    assert install() == 0
+    assert content(root) == before
+    assert capsys.readouterr().out.count("as it was /") == len(FILES)
+
+
+def test_an_edited_file_is_kept_and_said(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    """By another install too; the other files are renewed with it."""
+    assert install() == 0
+    (root / RULES).write_text("# mine\n")
+    capsys.readouterr()
+    assert install("--rig", "omega-6", "--scene", "sphere") == 0
+    told = capsys.readouterr().out
+    assert (root / RULES).read_text() == "# mine\n"
+    assert f"kept, for it was edited; move it away to have the new one: {root / RULES}" in told
+    assert f"renewed {root / UNIT}" in told
+    assert "run --rig omega-6 --scene sphere\n" in (root / UNIT).read_text()
+
+
+@pytest.mark.parametrize("kind", ["file", "link", "folder"])
+def test_a_file_of_somebody_else_is_not_overwritten(
+    root: Path, install: Install, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor a link, as systemd's masks are, nor a folder; one clear error, and nothing else is written."""
+    unit = root / UNIT
+    unit.parent.mkdir(parents=True)
+    if kind == "file":
+        unit.write_text("[Unit]\n")
+    elif kind == "link":
+        unit.symlink_to("/dev/null")
+    else:
+        unit.mkdir()
+    before = content(root)
+    assert install() == 2
+    assert content(root) == before
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(unit) in line and "move it away first; nothing was written" in line
+
+
+def test_what_an_earlier_version_wrote_goes(root: Path, install: Install) -> None:
+    """A recorded file that is not among those of today is taken away."""
+    assert install() == 0
+    old = root / "etc/old.conf"
+    old.write_bytes((root / UNIT).read_bytes())
+    record = json.loads((root / RECORD).read_text())
+    record["files"]["/etc/old.conf"] = record["files"][f"/{UNIT}"]
+    (root / RECORD).write_text(json.dumps(record))
+    assert install() == 0
+    assert set(content(root)) == FILES | {RECORD}
+
+
+@pytest.mark.parametrize("removes", [False, True])
+def test_without_the_right_there_is_one_clear_line(root: Path, removes: bool) -> None:
+    """Before anything is written or taken away."""
+    files = [File(Path("/etc/a/one"), "1\n"), File(Path("/var/two"), "2\n")]
+    if removes:
+        list(Ledger(root, SYSTEM.record).write(files))
+    before = content(root) if root.exists() else {}
+    (root / "etc").mkdir(parents=True, exist_ok=True)
+    folders = [root, *(path for path in root.rglob("*") if path.is_dir())]
+    for folder in folders:
+        folder.chmod(0o555)
+    user = os.geteuid()
+    if user == 0:  # whom no mode keeps out
+        os.seteuid(65534)
+    try:
+        ledger = Ledger(root, SYSTEM.record)
+        with pytest.raises(ConfigError, match=r"may not be changed by this user.*without --system") as caught:
+            list(ledger.remove() if removes else ledger.write(files))
+    finally:
+        os.seteuid(user)
+        for folder in folders:
+            folder.chmod(0o755)  # else nobody but root clears it away
+    assert "\n" not in str(caught.value)
+    assert content(root) == before
+
+
+def test_a_damaged_record_is_said(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    """With where it is: nobody can tell any more what was edited."""
+    (root / RECORD).parent.mkdir(parents=True)
+    (root / RECORD).write_text("{")
+    assert install() == 2
+    assert f"{root / RECORD} is damaged" in capsys.readouterr().err
+
+
+def test_removing_nothing_is_said(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    assert install("--remove") == 0
+    assert capsys.readouterr().out == "nothing was installed\n"
+
+
+def test_a_wrong_rig_is_refused_before(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    """The service would not start with it."""
+    assert install("--rig", "omega-66") == 2
+    assert "omega-66" in capsys.readouterr().err and not root.exists()
+
+
+# --- for one user -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The home of a user, with a `systemctl` that keeps what it is asked."""
+    for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    home, tools = tmp_path / "home", tmp_path / "bin"
+    for folder in (home, tools):
+        folder.mkdir()
+    (tools / "systemctl").write_text(f'#!/bin/sh\necho "$@" >> {tmp_path}/asked\n')
+    (tools / "systemctl").chmod(0o755)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("PATH", f"{tools}:{os.environ['PATH']}")
+    return home
+
+
+def test_a_user_installs_without_root(home: Path) -> None:
+    """Unit, man page and completion in his home, nothing of the machine's; systemd is told; all goes again."""
+    asked = home.parent / "asked"
+    assert main(["install"]) == 0
+    assert {path.rpartition("/")[2] for path in content(home)} == {
+        *("softfinger.service", "softfinger.1", "softfinger", "_softfinger", "installed.json")
+    }
+    assert asked.read_text() == "--user daemon-reload\n"
+    assert main(["install", "--remove"]) == 0
+    assert list(home.rglob("*")) == []
+    assert "--user disable --now softfinger.service\n--user daemon-reload\n" in asked.read_text()
+
+
+def test_a_users_folders_are_those_of_xdg() -> None:
+    """Named by the environment, where that is an absolute path."""
+    named = places_of_user({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
+    assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
+
+
+# --- what the system is told ------------------------------------------------------------------------
+
+
+def test_commands_that_are_missing_or_fail_are_said(
+    home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the next one is run all the same."""
+    tools = home.parent / "bin"
+    (tools / "udevadm").write_text("#!/bin/sh\necho no udev runs here >&2\nexit 1\n")
+    (tools / "udevadm").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tools}:/bin")
+    run_all([("userdel-of-nowhere", "x"), ("udevadm", "control", "--reload"), ("systemctl", "daemon-reload")])
+    assert capsys.readouterr().out.splitlines() == [
+        "not run, for userdel-of-nowhere is not here: userdel-of-nowhere x",
+        "ran udevadm control --reload: no udev runs here",
+        "ran systemctl daemon-reload",
+    ]
+
+
+def test_the_account_goes_unless_it_has_kept_something(tmp_path: Path) -> None:
+    """Recordings of the service are nobody's to delete."""
+    state = tmp_path / "state"
+    assert ("userdel", "softfinger") in after_removing(True, state)
+    state.mkdir()
+    assert after_removing(True, state)[-2:] == [("rmdir", str(state)), ("userdel", "softfinger")]
+    (state / "trial.mcap").write_bytes(b"")
+    assert not {"rmdir", "userdel"} & {words[0] for words in after_removing(True, state)}
+
+
+def test_a_program_in_a_private_folder_is_noticed(tmp_path: Path) -> None:
+    """An account of its own could not start it."""
+    program = tmp_path / "private" / "bin" / "softfinger"
+    program.parent.mkdir(parents=True)
+    program.parent.parent.chmod(0o700)
+    assert closed_to_others([str(program)]) in (program.parent.parent, *program.parents)

@@ -1,0 +1,187 @@
+"""What `install` writes, as those read it for whom it is: systemd, udev, man, the shells."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from softfinger.config.load import load_rig
+from softfinger.config.schema import DeviceConfig
+from softfinger.drivers.system.claims import claims
+from softfinger.drivers.system.rules import command, how_to_permit, udev_rules
+from softfinger.server.cli import VERBS, completion, main, make_parser
+from softfinger.server.install.manual import manual
+from softfinger.server.install.plan import LIMITS
+from softfinger.server.install.unit import unit
+
+OWN = DeviceConfig(driver="hid", options={"vendor_id": 0xCAFE, "product_id": 0x0042})
+
+# The grammar of udev(7): key, operator, value, separated by commas.
+MATCHES = r'(ACTION|SUBSYSTEM|KERNEL|ATTRS?\{\w+\}|ENV\{\w+\})=="[^"]*"'
+SETS = r'(GOTO="\w+"|LABEL="\w+"|GROUP="[^"]+"|MODE="0[0-7]{3}"|TAG\+="\w+"|ENV\{\w+\}="\w+")'
+LINE = re.compile(rf"({MATCHES}|{SETS})(, ({MATCHES}|{SETS}))*")
+
+
+def tool(name: str) -> str:
+    found = shutil.which(name)
+    if found is None:
+        pytest.skip(f"{name} is not here")
+    return found
+
+
+def run(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    env = os.environ | environment
+    return subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=120, env=env)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A system with everything installed, of the machine and of a user, and a rig of one's own."""
+    folder = tmp_path_factory.mktemp("root")
+    assert main(["install", "--system", "--root", str(folder)]) == 0
+    return folder
+
+
+# --- udev -------------------------------------------------------------------------------------------
+
+
+def test_every_line_is_in_the_grammar_of_udev() -> None:
+    """Read by a parser of our own, for where udev is not."""
+    lines = [line for line in udev_rules([OWN]).splitlines() if line and not line.startswith("#")]
+    assert len(lines) > 10
+    assert not [line for line in lines if not LINE.fullmatch(line)]
+
+
+def test_every_device_that_a_driver_claims_has_a_rule() -> None:
+    """On the bus on which it is opened, by the ids of the drivers' own table; a hid device on USB, too."""
+    rules = udev_rules()
+    keys = {"usb": ("usb", "ATTR"), "hid": ("hidraw", "ATTRS"), "serial": ("tty", "ATTRS")}
+    for claim in claims():
+        for bus in {claim.bus, "usb"} if claim.driver == "hid" else {claim.bus}:
+            subsystem, key = keys[bus]
+            number = "" if claim.product is None else rf'{key}\{{idProduct\}}=="[^"]*{claim.product:04x}[^"]*", '
+            vendor = rf'SUBSYSTEM=="{subsystem}", .*{key}\{{idVendor\}}=="{claim.vendor:04x}", '
+            assert re.search(rf'^{vendor}{number}TAG\+="uaccess"', rules, re.MULTILINE), claim
+
+
+def test_a_device_of_ones_own_rig_gets_a_rule_too() -> None:
+    """With --rig, by the ids that it names; the hint for a device without one says so."""
+    assert '"cafe", ATTRS{idProduct}=="0042"' in udev_rules([OWN]) and "cafe" not in udev_rules()
+    assert udev_rules(load_rig("woodenhaptics-2019").tables.values()) == udev_rules()  # known already
+    assert command(0xCAFE, 0x0042).endswith("install --system --rig YOUR-RIG.toml")
+    assert "install --system`" in how_to_permit(0x0403, 0xCB48)
+
+
+def test_udev_takes_the_rules(root: Path) -> None:
+    """`udevadm verify`; before version 254, which has it, `udevadm test` on them in a name space of their own."""
+    udevadm, folder = tool("udevadm"), root / "etc/udev/rules.d"
+    if int(re.findall(r"\d+", run(udevadm, "--version").stdout)[0]) >= 254:
+        done = run(udevadm, "verify", folder / "70-softfinger.rules")
+        assert done.returncode == 0, done.stdout + done.stderr
+        return
+    script = 'mkdir -p /etc/udev/rules.d && mount --bind "$1" /etc/udev/rules.d && udevadm test /sys/class/net/lo'
+    for text, complaints in ((None, 0), ('SUBSYSTEM=="usb", NONSENSE="1"\n', 1)):  # the second, that it would be seen
+        if text is not None:
+            (folder / "71-softfinger-wrong.rules").write_text(text)
+        done = run(tool("unshare"), "--mount", "sh", "-c", script, "sh", folder)
+        if "Reading rules file: /etc/udev/rules.d/70-softfinger.rules" not in done.stdout + done.stderr:
+            pytest.skip(f"udevadm is older than 254, and no name space can be had: {done.stderr.strip()[-200:]}")
+        told = re.findall(r"^/etc/udev/rules\.d/7\d-softfinger.*$", done.stdout + done.stderr, re.MULTILINE)
+        assert len(told) == complaints, told
+
+
+# --- systemd, limits --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("system", [True, False])
+def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> None:
+    """`systemd-analyze verify` has nothing to say, of a command with odd words neither."""
+    analyze = tool("systemd-analyze")
+    odd = tmp_path / "a folder" / "soft$finger%n"
+    odd.parent.mkdir()
+    odd.write_text("#!/bin/sh\n")
+    odd.chmod(0o755)
+    for words in ([str(tool("true"))], [str(odd), "run", "--rig", 'a "rig"\\.toml']):
+        file = tmp_path / "softfinger.service"
+        file.write_text(unit(words, system))
+        manager = [] if system else ["--user"]
+        done = run(analyze, *manager, "verify", file, XDG_RUNTIME_DIR=str(tmp_path))
+        if "Failed to initialize manager" in done.stderr:
+            pytest.skip(done.stderr.strip())
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_unit_is_fed_by_ticks_and_restarts_nothing() -> None:
+    """What the daemon promises, and what safety asks for, is what systemd is told."""
+    text = unit(["/bin/softfinger"], True)
+    for line in ("Type=notify", "WatchdogSec=2s", "Restart=no", "NoNewPrivileges=yes", "ProtectSystem=strict"):
+        assert f"\n{line}\n" in text
+    for line in ("DevicePolicy=closed", "LimitRTPRIO=95", "LimitMEMLOCK=infinity", "RuntimeDirectory=softfinger"):
+        assert f"\n{line}\n" in text
+    assert "Limit" not in unit(["/bin/softfinger"], False).partition("[Service]")[2].partition("# Limits")[0]
+
+
+def test_limits_are_what_the_unit_has() -> None:
+    """Four words a line, as limits.conf(5) has them, for the group."""
+    lines = [line.split() for line in LIMITS.splitlines() if not line.startswith("#")]
+    assert lines == [["@softfinger", "-", "rtprio", "95"], ["@softfinger", "-", "memlock", "unlimited"]]
+
+
+def test_sysusers_takes_the_account(root: Path, tmp_path: Path) -> None:
+    """`systemd-sysusers` makes the account and its group, in a system of plain files."""
+    sysusers = tool("systemd-sysusers")
+    (tmp_path / "etc").mkdir()
+    done = run(sysusers, f"--root={tmp_path}", root / "etc/sysusers.d/softfinger.conf")
+    assert done.returncode == 0, done.stderr
+    assert "\nsoftfinger:" in "\n" + (tmp_path / "etc/group").read_text()
+    assert ":/var/lib/softfinger:" in (tmp_path / "etc/passwd").read_text()
+
+
+# --- man, completion --------------------------------------------------------------------------------
+
+
+def test_the_man_page_has_every_verb_and_option() -> None:
+    """Of the same source as --help."""
+    parser = make_parser()
+    text = manual(parser).replace(r"\-", "-")
+    for name in VERBS:
+        assert f".SS softfinger {name}\n" in text
+    for option in ("--watcher", "--device-report", "--dry-run", "--print-completion"):
+        assert option in text
+
+
+def test_man_has_no_warning(root: Path) -> None:
+    """groff with every warning on."""
+    done = run(tool("groff"), "-man", "-ww", "-z", "-Kutf8", root / "usr/local/share/man/man1/softfinger.1")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_text_is_no_request_of_roff() -> None:
+    """Backslashes, and a point or an apostrophe at the start of a line, are printed as they are."""
+    import argparse
+
+    parser = argparse.ArgumentParser("softfinger", description=r".TH is no 'request', \n neither")
+    assert r"\&.TH is no 'request', \en neither" in manual(parser)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_shells_take_the_completion(shell: str, tmp_path: Path) -> None:
+    """Read without running it; in bash it completes a verb and the name of a rig."""
+    script = tmp_path / "softfinger"
+    script.write_text(completion(shell))
+    done = run(tool(shell), "-n", script)
+    assert (done.returncode, done.stderr) == (0, "")
+    if shell == "bash":
+        function = re.search(r"complete .*-F (\w+)", script.read_text())
+        assert function is not None
+        for words, wanted in ((["inst"], "install"), (["run", "--rig", "omega"], "omega-6")):
+            asked = (
+                f"source {script}; COMP_WORDS=(softfinger {' '.join(words)}); COMP_CWORD={len(words)}; "
+                f"COMP_LINE='softfinger {' '.join(words)}'; {function[1]} softfinger; echo ${{COMPREPLY[@]}}"
+            )
+            assert wanted in run("bash", "-c", asked).stdout.split()
