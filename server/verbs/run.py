@@ -14,7 +14,7 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers import base
-from softfinger.proxy.kernels.native.jit import CACHE_DIR
+from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
 from softfinger.proxy.scene import explain
 from softfinger.server import signals
 from softfinger.server.app import Daemon
@@ -87,9 +87,10 @@ def run(args: argparse.Namespace) -> int:
         log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(daemon.publisher.endpoint))
         begun = time.monotonic()
         with compiling("the kernels (once for each version and scene)"):
-            kept = daemon.servo.compile()
-        if not kept:
-            log.info("compiled in %.0f s; kept in %s", time.monotonic() - begun, CACHE_DIR or "memory")
+            found = daemon.servo.compile()
+        if not found:
+            where = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
+            log.info("compiled in %.0f s; %s", time.monotonic() - begun, where)
         with signals.asked(daemon.stop, daemon.pause):
             daemon.start()
             watch(daemon)
