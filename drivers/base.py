@@ -74,6 +74,11 @@ class DeviceInfo:
     workspace_max_m: tuple[float, float, float]
     own_clock: bool = False
 
+    @property
+    def holds_a_force(self) -> bool:
+        """Whether a force that nobody renews stays in somebody's hand."""
+        return self.actuated_dof > 0 and not self.own_clock
+
 
 def names(devices: Iterable[Device]) -> str:
     """Names of devices, for people."""

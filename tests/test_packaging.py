@@ -109,6 +109,7 @@ def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
         names = {member.name.partition("/")[2] for member in archive.getmembers()}
     needed = {"Makefile", "constraints.txt", "pyproject.toml", "LICENSE", "README.md", ".ci/run", "Dockerfile"}
     needed |= {"CONTRIBUTING.md", "mkdocs.yml", "constraints-docs.txt"}
+    needed |= {"CONTRIBUTING.md", "SECURITY.md", "CITATION.cff", "compose.yaml", ".github/workflows/ci.yml"}
     needed |= {str(file) for package in (*PACKAGES, "examples", "tests") for file in sources(package)}
     assert not needed - names
     assert not [name for name in names if name.startswith((".dev", ".venv", ".git/"))]
@@ -186,6 +187,27 @@ def test_a_driver_of_another_package_is_held_to_the_contract_of_the_wheel(instal
         SOFTFINGER_CACHE_DIR=str(tmp_path / "cache"),
     )
     assert re.search(r"^\d+ passed", done.stdout, re.MULTILINE), done.stdout
+
+
+COMPILES = """
+import numpy as np
+from softfinger.proxy.kernels.native.jit import CACHE_DIR
+from softfinger.server.loop.shared.ring import make_ring, take
+take(make_ring(4, 2), np.empty((1, 2)))
+print(CACHE_DIR.name, len(take.stats.cache_misses))
+"""
+
+
+@pytest.mark.parametrize("first", ["wheel", "checkout"])
+def test_a_wheel_and_a_checkout_do_not_compile_the_same_twice(first: str, installed: Path, tmp_path: Path) -> None:
+    """What either has compiled, the other finds, in a folder of the same name: the sources are the same."""
+    pythons = [installed / "python", Path(sys.executable)]
+    told = [
+        run(python, "-c", COMPILES, cwd=tmp_path, SOFTFINGER_CACHE_DIR=str(tmp_path / "cache")).stdout.split()
+        for python in (pythons if first == "wheel" else reversed(pythons))
+    ]
+    assert told[0][0] == told[1][0]
+    assert [misses for _, misses in told] == ["1", "0"]
 
 
 @pytest.mark.parametrize("file", ["constraints.txt", "constraints-docs.txt"])

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -64,6 +64,11 @@ class Ledger:
         """What is recorded."""
         return [self._at(Path(path)) for path in self._files]
 
+    def check(self, paths: Iterable[Path] = ()) -> None:
+        """Raise ConfigError where what is recorded, or is to be at `paths`, may not be changed by this user."""
+        for path in (*paths, *map(Path, self._files), self._record):
+            self._check_writable(path)
+
     def state(self, file: File) -> State:
         """What writing a file would meet."""
         found = self._found(file.path)
@@ -85,8 +90,7 @@ class Ledger:
                 f"{', '.join(str(self._at(path)) for path in foreign)}: there already, and not written by this "
                 "command: move it away first; nothing was written"
             )
-        for path in (*(file.path for file in files), self._record):
-            self._check_writable(path)
+        self.check(file.path for file in files)
         named = {str(file.path) for file in files}
         try:
             yield from self._remove([path for path in self._files if path not in named])
@@ -106,8 +110,7 @@ class Ledger:
 
         Nothing is taken away where something may not be.
         """
-        for path in (*map(Path, self._files), self._record):
-            self._check_writable(path)
+        self.check()
         try:
             yield from self._remove(list(self._files))
         finally:

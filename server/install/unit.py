@@ -43,7 +43,8 @@ StateDirectory=softfinger
 CacheDirectory=softfinger
 WorkingDirectory=%S/softfinger
 Environment=SOFTFINGER_CACHE_DIR=%C/softfinger
-UMask=0027
+# Its sockets are for the group.
+UMask=0007
 LimitRTPRIO={RTPRIO}
 LimitMEMLOCK=infinity
 

@@ -78,6 +78,7 @@ def remove(args: argparse.Namespace, ledger: Ledger) -> None:
     elif args.dry_run:
         print("\n".join(f"##### would be removed: {path}" for path in ledger.paths))
     else:
+        ledger.check()  # before anything is stopped
         if args.root is None:
             run_all(before_removing(args.system))
         show(ledger.remove())

@@ -37,6 +37,8 @@ STALL_POLL_S: Final = 0.05
 """A loop has stalled when so many looks in a row, this far apart, find no new tick: a quarter of a second, which
 is longer than any host stall seen and shorter than a hand needs to be hurt. Counting looks, not time: a process that
 was suspended as a whole did not stall."""
+STALL_POLLS_WITHOUT_HAND: Final = 100
+"""The same where no force is held in a hand, 5 s: a machine that stands still for a while ends no recording."""
 
 
 class Health(NamedTuple):
@@ -81,12 +83,13 @@ class Watchdog:
     def __init__(self) -> None:
         self._seen, self._idle = -1, 0
 
-    def stalled_s(self, ticks: int, due: bool) -> float:
+    def stalled_s(self, ticks: int, due: bool, polls: int = STALL_POLLS) -> float:
         """How long (s) the loop has stalled, 0 while it has not.
 
         ticks  done so far
         due    whether one is due at all: before the device is armed none is
+        polls  looks without a new tick that make a stall
         """
         self._idle = self._idle + 1 if ticks == self._seen and due else 0
         self._seen = ticks
-        return self._idle * STALL_POLL_S if self._idle >= STALL_POLLS else 0.0
+        return self._idle * STALL_POLL_S if self._idle >= polls else 0.0

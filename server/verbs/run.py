@@ -7,18 +7,20 @@ import logging
 import shlex
 import shutil
 import sys
+import time
 from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers import base
+from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
 from softfinger.proxy.scene import explain
 from softfinger.server import signals
 from softfinger.server.app import Daemon
 from softfinger.server.arguments import duration
 from softfinger.server.loop.realtime import Setting
-from softfinger.server.progress import counter, progress
+from softfinger.server.progress import compiling, counter
 from softfinger.server.watcher import Watcher
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
@@ -83,8 +85,12 @@ def run(args: argparse.Namespace) -> int:
         if daemon.metrics_endpoint is not None:
             log.info("metrics on %s/metrics", daemon.metrics_endpoint)
         log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(daemon.publisher.endpoint))
-        with progress("compiling the kernels (once for each version and scene)"):
-            daemon.servo.compile()
+        begun = time.monotonic()
+        with compiling("the kernels (once for each version and scene)"):
+            found = daemon.servo.compile()
+        if not found:
+            where = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
+            log.info("compiled in %.0f s; %s", time.monotonic() - begun, where)
         with signals.asked(daemon.stop, daemon.pause):
             daemon.start()
             watch(daemon)

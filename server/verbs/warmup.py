@@ -16,7 +16,7 @@ from softfinger.config.load import load_scene, shipped
 from softfinger.proxy.engine import compiled
 from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
 from softfinger.server.offline.simulate import simulate
-from softfinger.server.progress import progress
+from softfinger.server.progress import compiling
 from softfinger.server.services.compilation import compile_loop
 from softfinger.server.wire.native.sender import Sender
 
@@ -35,13 +35,12 @@ def run(args: argparse.Namespace) -> int:
     for name in args.scenes or shipped(schema.Scene):
         scene = load_scene(name)
         begun = time.monotonic()
-        with progress(f"compiling for {name}"):
+        with compiling(f"for {name}"):
             tuning = compile_loop(scene)
             simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
             compiled(tuning.scene)
         print(f"{name}: ready after {time.monotonic() - begun:.1f} s")
-    with progress("compiling for telemetry"):
-        Sender([""], 1, topics=1, retained=0, messages=1).close()
+    Sender([""], 1, topics=1, retained=0, messages=1).close()
     if (problem := KEPT.problem()) is not None:
         raise ConfigError(f"compiled kernels are not kept: {problem}")
     print(f"kernels are in {CACHE_DIR}")

@@ -277,6 +277,15 @@ def test_stalled_servo_is_stopped_and_zeroed(faulty):
     assert not faulty.device.wrenches[-1].any()
 
 
+def test_a_stall_that_leaves_no_force_in_a_hand_ends_nothing(faulty):
+    """Where reads are computed, as of a recording, a machine that stands still for a while costs time and no run."""
+    rig = faulty_rig(fault="stall", at=200, stall_us=900_000, own_clock=True)
+    with Daemon(rig, load_scene("paper-plane"), 400) as running:
+        running.start()
+        assert running.wait(60.0)
+        assert running.servo.ticks == 400
+
+
 def eventually(what, seconds=20.0):
     """Whether something becomes true within so many seconds."""
     until = time.monotonic() + seconds

@@ -266,14 +266,16 @@ def _kinds(signature: Any) -> list[Any]:
 def _sources(path: Path) -> str | None:
     """A hash over the file of a kernel and the package that it is in, whose code it may inline; None without a file.
 
-    The file is read again for each kernel: a module imported late may have been edited since the others were.
+    The file is read again for each kernel: a module imported late may have been edited since the others were. Of this
+    program the rest is in the name of the folder, wherever it is installed.
     """
     top = path.parent
     while (top.parent / "__init__.py").is_file():
         top = top.parent
     try:
         own = hashlib.sha256(path.read_bytes()).hexdigest()
-        return own + (_package(top) if (top / "__init__.py").is_file() else "")
+        outside = not str(path).startswith(_PROGRAM)
+        return own + (_package(top) if outside and (top / "__init__.py").is_file() else "")
     except OSError:
         return None
 

@@ -24,6 +24,7 @@ from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows, write_row
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
+from softfinger.server.progress import compiling
 from softfinger.server.wire.native.backlog import (
     BELL,
     FD,
@@ -301,8 +302,9 @@ class Sender:
             (broadcast, (self.backlog, 0, nothing)),
             (ring_readers, (self._post.readers,)),
         ]
-        for kernel, given in kernels:
-            kernel.compile(_types(*given))
+        with compiling("what sends telemetry (once for each version)"):
+            for kernel, given in kernels:
+                kernel.compile(_types(*given))
 
     @property
     def memory(self) -> str:
