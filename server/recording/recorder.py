@@ -103,6 +103,8 @@ class Recorder:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """An event's map, as the wire has it; never waits. From any thread."""
+        if self._error:
+            return
         with self._counting:
             if len(self._events) < QUEUE_EVENTS:
                 self._events.append(event)
