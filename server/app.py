@@ -210,16 +210,16 @@ class Daemon:
         self.recordings.tell(kind, name, fields)
 
     def _metrics(self, endpoint: str) -> Metrics:
-        from softfinger.server.metrics.counts import Wire
+        from softfinger.server.metrics.counts import Counts, Wire
         from softfinger.server.metrics.service import KEY, Metrics
 
         fanout = self.publisher.fanout
-        return Metrics(
-            listen(f"tcp://{endpoint}", KEY),
+        counts = Counts(
             self._fingers,
             lambda: Wire(fanout.subscribers, fanout.lost, fanout.refused),
-            self._event,
+            lambda: self.recordings.written(),
         )
+        return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _prepare(self) -> Callable[[], None]:
         wanted = self._rig.servo

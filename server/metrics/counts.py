@@ -24,6 +24,7 @@ from prometheus_client.registry import Collector
 from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.services.recordings import Written
 
 Array = NDArray[np.float64]
 
@@ -101,10 +102,11 @@ class Counts(Collector):
 
     fingers  their names, an empty one for a single finger
     wire     what the publisher counts
+    written  what the recordings of the run do
     """
 
-    def __init__(self, fingers: Sequence[str], wire: Callable[[], Wire]) -> None:
-        self._names, self._wire = tuple(fingers), wire
+    def __init__(self, fingers: Sequence[str], wire: Callable[[], Wire], written: Callable[[], Written]) -> None:
+        self._names, self._wire, self._written = tuple(fingers), wire, written
         self._lock = threading.Lock()
         self._rows = np.empty((ROWS, len(self._names), len(_COLUMNS)))
         self._kept = self._ticks = self._missed = self._drops = 0
@@ -143,6 +145,7 @@ class Counts(Collector):
         yield GaugeMetricFamily("softfinger_subscribers", "Connections that subscribe to something", subscribers)
         yield _counter("softfinger_messages_lost", "Messages that subscribers were too slow to take", lost)
         yield _counter("softfinger_connections_refused", "Connections refused or cut off for what they did", refused)
+        yield from _of_recordings(self._written())
         yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})
 
     def _of_servo(self) -> Iterator[Metric]:
@@ -170,6 +173,18 @@ class Counts(Collector):
             _label(guard, name, zip(GUARD_NAMES, finger.guarded.tolist(), strict=True))
             _label(errors, name, ((text, int(finger.statuses[status])) for status, text in STATUSES.items()))
         yield from (force, modes, guard, errors)
+
+
+def _of_recordings(written: Written) -> Iterator[Metric]:
+    yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", written.ticks)
+    yield _counter("softfinger_recorded_bytes", "Bytes of recordings", written.bytes)
+    yield _counter(
+        "softfinger_unrecorded_ticks", "Ticks of any finger that the disk was too slow for", written.ticks_dropped
+    )
+    yield _counter("softfinger_unrecorded_events", "Events that the disk was too slow for", written.events_dropped)
+    yield GaugeMetricFamily(
+        "softfinger_recording_worst_write_seconds", "The longest that the disk took for a write", written.worst_write_s
+    )
 
 
 def _counter(name: str, text: str, value: float) -> Metric:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
@@ -12,7 +12,7 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 
 import softfinger.server.metrics
 from softfinger.server.loop import wayout
-from softfinger.server.metrics.counts import Counts, Wire
+from softfinger.server.metrics.counts import Counts
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.endpoint import Bound
@@ -30,17 +30,14 @@ DASHBOARD_PATH: Final = "/dashboard.json"
 class Metrics(Worker):
     """Answers on an endpoint that is bound already. What fails here ends nothing else.
 
-    fingers, wire  as of `Counts`
-    event          publishes an event
+    counts  what is counted
+    event   publishes an event
     """
 
-    def __init__(
-        self, bound: Bound, fingers: Sequence[str], wire: Callable[[], Wire], event: Callable[..., Any]
-    ) -> None:
+    def __init__(self, bound: Bound, counts: Counts, event: Callable[..., Any]) -> None:
         super().__init__("metrics")
         self.endpoint: Final = bound.endpoint.replace("tcp://", "http://")
         self._bound, self._event = bound, event
-        counts = Counts(fingers, wire)
         registry = CollectorRegistry()
         registry.register(counts)
         self._figures = make_wsgi_app(registry)

@@ -17,8 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import groupby, repeat
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, Final, Self
+from typing import IO, Any, Final
 from zipfile import ZipFile
 
 import msgspec
@@ -30,6 +29,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import new_file, open_input, open_output
 from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, columns
+from softfinger.server.closing import Closing
 from softfinger.server.progress import progress
 from softfinger.server.recording.reader import End, Ticks, contents
 from softfinger.server.recording.writer import RecordingFile
@@ -228,7 +228,7 @@ def _read_mcap(path: Path, finger: str) -> Array:
     return np.concatenate(blocks)
 
 
-class McapResults:
+class McapResults(Closing):
     """Records streamed into an MCAP file on topic `contact`, or those of several fingers on a topic each.
 
     Chunks of 64 KiB go to the system as soon as they are full: after a crash or a kill all but the
@@ -260,14 +260,6 @@ class McapResults:
             raise RecordingError(f"{self._path}: cannot be written: {error.strerror or error}") from error
         except ValueError as error:
             raise RecordingError(str(error)) from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _blocks(fingers: Mapping[str, Array], kind: str) -> Iterator[slice]:

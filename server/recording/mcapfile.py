@@ -7,6 +7,7 @@ themselves are the library's. Format: https://mcap.dev/spec.
 
 from __future__ import annotations
 
+import time
 import zlib
 from collections.abc import Mapping
 from struct import Struct
@@ -54,6 +55,8 @@ class McapFile:
         self._index: dict[int, list[NDArray[np.uint64]]] = {}  # times and where in the chunk, of each channel
         self.counts: Final[dict[int, int]] = {}
         """Messages that the system has, by channel."""
+        self.worst_write_s = 0.0
+        """The longest that the system has taken for a write."""
         self._span: tuple[int, int] | None = None
         self._write(MCAP0_MAGIC + _record(records.Header(profile="", library="softfinger")))
 
@@ -210,9 +213,10 @@ class McapFile:
             self.flush()
 
     def _write(self, data: bytes) -> None:
-        left = memoryview(data)
+        left, begun = memoryview(data), time.monotonic()
         while left:
             left = left[self._file.write(left) or 0 :]
+        self.worst_write_s = max(self.worst_write_s, time.monotonic() - begun)
         self._at += len(data)
 
 

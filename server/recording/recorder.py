@@ -29,7 +29,7 @@ PERIOD_S: Final = 0.05
 QUEUE_ROWS: Final = 65536
 """Ticks that wait for the disk at most: 65 s at 1 kHz, 8 s at 8 kHz, 45 MB."""
 QUEUE_EVENTS: Final = 4096
-"""Events that wait at most; beyond, the oldest go."""
+"""Events that wait at most; beyond, what comes is left out."""
 BLOCK_ROWS: Final = 1024
 """Ticks encoded at a time, in less than the interpreter's switch interval of 5 ms."""
 END: Final = "end"
@@ -41,13 +41,16 @@ _WHOLE: Final = [field.at for field in FIELDS if field.kind == "int"]
 class Recorded(NamedTuple):
     """What became of a recording: ticks of the first finger written, rows of any left out since the
     disk was too slow, bytes; `error` is empty
-    unless it ended early; `whole` when all is written and closed."""
+    unless it ended early; `whole` when all is written and closed; events left out, for the same reason; the longest
+    that a write took."""
 
     ticks: int
     dropped: int
     bytes: int
     error: str
     whole: bool
+    events_dropped: int
+    worst_write_s: float
 
 
 class Recorder:
@@ -72,7 +75,10 @@ class Recorder:
             for place, finger in enumerate(self._fingers)
         ]
         self._queue: deque[tuple[int, Array]] = deque()
-        self._events: deque[Mapping[str, Any] | tuple[str, Any]] = deque(maxlen=QUEUE_EVENTS)
+        self._events: deque[Mapping[str, Any] | tuple[str, Any]] = deque()
+        self._counting = threading.Lock()
+        self._events_dropped = self._told_events_dropped = 0
+        self._worst_write_s = 0.0
         self._came = self._gone = 0  # rows, each counted by one thread
         self._ticks = self._dropped = self._bytes = 0
         self._told_dropped = 0
@@ -97,7 +103,13 @@ class Recorder:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """An event's map, as the wire has it; never waits. From any thread."""
-        self._events.append(event)
+        if self._error:
+            return
+        with self._counting:
+            if len(self._events) < QUEUE_EVENTS:
+                self._events.append(event)
+            else:
+                self._events_dropped += 1
 
     def note(self, name: str, value: Any) -> None:
         """A table of metadata; never waits. From any thread."""
@@ -107,7 +119,10 @@ class Recorder:
     def recorded(self) -> Recorded:
         """What has become of it so far."""
         ended = not self._thread.is_alive()
-        return Recorded(self._ticks, self._dropped, self._bytes, self._error, ended and not self._error)
+        return Recorded(
+            self._ticks, self._dropped, self._bytes, self._error, ended and not self._error,
+            self._events_dropped, self._worst_write_s,
+        )  # fmt: skip
 
     @property
     def failed(self) -> bool:
@@ -127,7 +142,8 @@ class Recorder:
                 while not self._closing.wait(PERIOD_S):
                     self._write(recording)
                 self._write(recording)
-                recording.note(END, {"ticks": self._ticks, "dropped": self._dropped})
+                end = {"ticks": self._ticks, "dropped": self._dropped, "events_dropped": self._events_dropped}
+                recording.note(END, end)
                 recording.close()
                 self._count(recording)
             except OSError:
@@ -149,6 +165,7 @@ class Recorder:
 
     def _count(self, recording: RecordingFile) -> None:
         self._ticks, self._bytes = recording.count(self._fingers[0]), recording.mcap.size
+        self._worst_write_s = recording.mcap.worst_write_s
 
     def _write(self, recording: RecordingFile) -> None:
         """Write all that waits, a batch of each finger at a time."""
@@ -181,3 +198,7 @@ class Recorder:
         if count := dropped - self._told_dropped:
             self._told_dropped = dropped
             self._trouble(f"{count} ticks from tick {self._dropped_from} on are not recorded: the disk was too slow")
+        events_dropped = self._events_dropped
+        if count := events_dropped - self._told_events_dropped:
+            self._told_events_dropped = events_dropped
+            self._trouble(f"{count} events are not recorded: the disk was too slow")

@@ -64,7 +64,7 @@ def summary(path: Path) -> dict[str, Any]:
     """What `softfinger info --json` prints. RecordingError for a file that is no recording of this program.
 
     missing  ticks that the file lacks, in so many gaps; dropped: those that the disk was too slow for, as far as its
-             end says; lost: those that did not arrive over the wire
+             end says; events_dropped: events likewise; lost: ticks that did not arrive over the wire
     """
     fingers: dict[str, _Finger] = {}
     notes: dict[str, Any] = {}
@@ -87,7 +87,7 @@ def summary(path: Path) -> dict[str, Any]:
         raise RecordingError(f"{path}: holds no tick")
     one = next(iter(fingers.values()))
     every = notes.get("every") if isinstance(notes.get("every"), int) else 1
-    ended = notes.get(END) if isinstance(notes.get(END), dict) else {}
+    ended = (notes.get(END) if isinstance(notes.get(END), dict) else None) or {}
     thin = every != 1
     return {
         "file": str(path),
@@ -101,7 +101,8 @@ def summary(path: Path) -> dict[str, Any]:
         "gaps": 0 if thin else one.gaps,
         "missing": 0 if thin else one.missing,
         "longest_gap": 0 if thin else one.longest,
-        "dropped": (ended or {}).get("dropped"),
+        "dropped": ended.get("dropped"),
+        "events_dropped": ended.get("events_dropped"),
         "fingers": {name: finger.told() for name, finger in fingers.items()},
         "events": dict(events),
         "marks": marks,

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,26 @@ CLOSE_S: Final = 2.0
 """How long the end of the run does."""
 
 
+class Written(NamedTuple):
+    """Of recordings: ticks and bytes in them, ticks and events that the disk was too slow for, the longest write."""
+
+    ticks: int
+    bytes: int
+    ticks_dropped: int
+    events_dropped: int
+    worst_write_s: float
+
+    def with_(self, one: Recorded) -> Written:
+        """These and one more."""
+        return Written(
+            self.ticks + one.ticks,
+            self.bytes + one.bytes,
+            self.ticks_dropped + one.dropped,
+            self.events_dropped + one.events_dropped,
+            max(self.worst_write_s, one.worst_write_s),
+        )
+
+
 class Recordings:
     """What of a daemon is recorded, and whether it is.
 
@@ -39,6 +59,8 @@ class Recordings:
         self._rendering, self._fingers, self._event = rendering, list(fingers), event
         self._changing = threading.Lock()
         self._recorder: Recorder | None = None
+        self._ending: list[Recorder] = []  # the disk may still be taking the last of them
+        self._ended = Written(0, 0, 0, 0, 0.0)
         self._path = Path()
         self._settings: Any = None
         self.sink: Final = Sink("recordings", self._take)
@@ -68,7 +90,23 @@ class Recordings:
             if self._recorder is None:
                 raise RecordingError("nothing is being recorded")
             recorder, self._recorder = self._recorder, None
+            self._ending.append(recorder)
             return self._path, recorder.stop(STOP_S)
+
+    def written(self) -> Written:
+        """What became of all recordings of this run so far."""
+        with self._changing:
+            recorders, self._ending = self._ending, []
+            for recorder in recorders:
+                recorded = recorder.recorded
+                if recorded.whole or recorded.error:
+                    self._ended = self._ended.with_(recorded)
+                else:
+                    self._ending.append(recorder)
+            total = self._ended
+            for recorder in (*self._ending, *filter(None, [self._recorder])):
+                total = total.with_(recorder.recorded)
+        return total
 
     def tell(self, kind: str, name: str, fields: dict[str, Any]) -> None:
         """Record an event that is published; from any thread."""
@@ -92,6 +130,8 @@ class Recordings:
             if self._recorder is not None and not self._recorder.recorded.error:
                 raise RecordingError(f"{self._path} is being recorded: end that first")
             file = _opened(path, folder)
+            if self._recorder is not None:
+                self._ending.append(self._recorder)
             about = described(self._rendering, scene_name)
             if self._settings is not None:
                 about["settings"] = self._settings

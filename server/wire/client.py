@@ -15,8 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 from operator import attrgetter
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
+from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.protocol import CONTACT, FINGERS, TOPICS, ProtocolError, contact_topic, decode, finger_of
 
@@ -84,7 +84,7 @@ class Sample:
         return plain
 
 
-class Subscription:
+class Subscription(Closing):
     """SUB socket on one endpoint; an iterator and a context manager, made by `subscribe`."""
 
     def __init__(
@@ -163,14 +163,6 @@ class Subscription:
         """Disconnect. Any number of times."""
         self._socket.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def __del__(self) -> None:
         # A loop that is left by break has no other place to close.
         if hasattr(self, "_socket"):
@@ -219,7 +211,7 @@ def _flat(values: tuple[Any, ...]) -> list[float]:
     return row
 
 
-class Window:
+class Window(Closing):
     """The newest `samples` ticks as numpy arrays, in tick order; of several fingers, those of `finger`.
 
     window["force"] has shape (m, 3), window["tick"] (m,), m <= samples; float fields are views that
@@ -278,11 +270,3 @@ class Window:
     def close(self) -> None:
         """Disconnect; the ticks received stay readable. Any number of times."""
         self._subscription.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -167,7 +167,7 @@ class RecordStarted(Struct, frozen=True):
 
 class RecordStopped(Struct, frozen=True):
     """The file; ticks that it has, and those that the disk was too slow for; what ended it early; whether all is
-    written."""
+    written; events that the disk was too slow for, and the longest that a write took."""
 
     file: str
     ticks: int
@@ -175,6 +175,8 @@ class RecordStopped(Struct, frozen=True):
     bytes: int
     error: str
     whole: bool
+    events_dropped: int
+    worst_write_s: float
 
 
 class Stopping(Struct, frozen=True):

@@ -24,6 +24,7 @@ import zmq
 import zmq.asyncio
 
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
+from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.commands import (
     METHODS,
@@ -111,7 +112,7 @@ def _timeout(method: str, timeout_s: float | None) -> float:
     return timeout_s if timeout_s is not None else SCENE_TIMEOUT_S if method == "set_scene" else TIMEOUT_S
 
 
-class Control:
+class Control(Closing):
     """A client that waits for each answer, for at most `timeout_s` (None: what the method needs). One thread only.
 
     `keys` are for a server that wants some.
@@ -201,14 +202,6 @@ class Control:
     def close(self) -> None:
         """Disconnect. Any number of times."""
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class AsyncControl:

@@ -11,10 +11,8 @@ which is some 60 MB for the backlog and 6 MB for 64 peers, whatever they do.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
-import resource
 import select
 import socket
 import threading
@@ -23,26 +21,20 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from softfinger.server.wire.endpoint import HANDSHAKE_S, LOG_PERIOD_S, part, room_for, said, watch, welcome
 from softfinger.server.wire.native.backlog import DEAD, LOST, PEERS_MAX, WAITING, Backlog, attend, octets
 from softfinger.server.wire.zmtp import GREETING, Incoming, Refused
 
 log: Final = logging.getLogger(__name__)
 
-READ_BYTES: Final = 4096
-SEND_BUFFER_BYTES: Final = 262144
-"""Of the system, for each peer; without a limit it grows to megabytes, which is latency for a subscriber."""
-
 PERIOD_S: Final = 0.1
 """How often those are looked after that do nothing."""
 CLOSING_PERIOD_S: Final = 0.005
 """The same while the last messages leave."""
-HANDSHAKE_S: Final = 2.0
-"""A peer that has not said within this that it is a subscriber is disconnected; it takes a program a millisecond."""
 FRAMES_PER_S: Final = 64
 """Most frames of a peer in a second. A subscriber sends one a topic, and one a heartbeat."""
 ACCEPTED_PER_PERIOD: Final = 16
 """New connections taken up in a period. More wait in the system's queue: a flood of them must not eat the processor."""
-LOG_PERIOD_S: Final = 10.0
 
 
 class Peer:
@@ -78,17 +70,12 @@ class Fanout:
         self._logged_s = -LOG_PERIOD_S
         self._logged = (0, 0)
         self._reasons: Counter[str] = Counter()
-        files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        self._peers_max = PEERS_MAX if files < 0 else min(PEERS_MAX, files // 4)
+        self._peers_max = room_for(PEERS_MAX, 4)
         self.refused = 0
         """Connections refused or cut off for what they did."""
         self.failed = False
         """The thread has ended by an error of its own, which is in the log: nobody can connect any more."""
-        listener.setblocking(False)
-        self._poll = select.epoll()
-        self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
-        self._poll.register(self._wake, select.EPOLLIN)
-        self._poll.register(listener, select.EPOLLIN)
+        self._poll, self._wake = watch(listener)
         self._thread = threading.Thread(target=self._run, name="subscribers", daemon=True)
         self._thread.start()
 
@@ -169,10 +156,7 @@ class Fanout:
                 connection.close()
                 return
             self._refuse(idle, "subscribes to nothing, and its place is needed")
-        connection.setblocking(False)
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        if connection.family != socket.AF_UNIX:
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        welcome(connection)
         taken = {peer.number for peer in self._peers.values()}
         peer = Peer(connection, next(i for i in range(PEERS_MAX) if i not in taken), time.monotonic())
         self._peers[connection.fileno()] = peer
@@ -180,12 +164,9 @@ class Fanout:
         self._attend(peer, GREETING)
 
     def _receive(self, peer: Peer) -> None:
-        try:
-            data = peer.socket.recv(READ_BYTES)
-        except BlockingIOError:
+        data = said(peer.socket)
+        if data is None:
             return
-        except OSError:
-            data = b""
         if not data:
             self._drop(peer)
             return
@@ -244,6 +225,4 @@ class Fanout:
     def _drop(self, peer: Peer) -> None:
         del self._peers[peer.socket.fileno()]
         attend(self._backlog, peer.number, -1, 0, octets(b""))  # before its file is closed, and perhaps another's
-        with contextlib.suppress(OSError):
-            peer.socket.shutdown(socket.SHUT_WR)
-        peer.socket.close()  # takes it out of the poll as well
+        part(peer.socket)

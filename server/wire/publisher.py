@@ -6,14 +6,14 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import RECORD_SIZE, columns
+from softfinger.server.closing import Closing
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.fanout import Fanout
@@ -49,7 +49,7 @@ LINGER_S: Final = 0.2
 """How long closing waits for the last messages (the event that says why) to leave."""
 
 
-class Publisher:
+class Publisher(Closing):
     """ZeroMQ publisher bound to `endpoint`; sends one tick in `every`, of several `fingers` each under its name.
 
     Ticks come from a servo (`attach`), and a thread without Python sends them; what follows from them is told by
@@ -147,14 +147,6 @@ class Publisher:
             self.fanout.close(LINGER_S)
             self._sender.close()
             self._files.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _send(self, topic: str, content: dict[str, Any]) -> None:
         wire = message(topic.encode(), encode(content))

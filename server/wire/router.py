@@ -8,10 +8,8 @@ worked. A client that does not read its answers is not read either, so what is k
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
-import resource
 import select
 import socket
 import threading
@@ -20,27 +18,22 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
+from softfinger.server.wire.endpoint import HANDSHAKE_S, LOG_PERIOD_S, part, room_for, said, watch, welcome
 from softfinger.server.wire.zmtp import GREETING, MORE, Refused, Requests, frame
 
 log: Final = logging.getLogger(__name__)
 
 PEERS_MAX: Final = 32
 """Most connections at a time; an eighth of the file descriptors that the process may open, if that is fewer."""
-READ_BYTES: Final = 4096
-SEND_BUFFER_BYTES: Final = 262144
-"""Of the system, for each peer."""
 PERIOD_S: Final = 0.02
 """How often `each_period` is called where nobody asks anything."""
 REST_MAX_S: Final = 0.1
 """Longest rest: waiting for a lock is no work."""
-HANDSHAKE_S: Final = 2.0
-"""A peer that has not said within this that it is a client is disconnected; it takes a program a millisecond."""
 BURST_S: Final = 0.1
 BURST: Final = 100
 """Most requests of a client in a BURST_S: a thousand a second, one in each tick of the usual loop. More are busy."""
 LINGER_S: Final = 0.2
 """How long the end waits for the last answers to leave."""
-LOG_PERIOD_S: Final = 10.0
 
 
 class Peer:
@@ -80,13 +73,8 @@ class Router:
         self._number = 0
         self._refused = 0
         self._logged_s = -LOG_PERIOD_S
-        files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        self._peers_max = PEERS_MAX if files < 0 else max(1, min(PEERS_MAX, files // 8))
-        listener.setblocking(False)
-        self._poll = select.epoll()
-        self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
-        self._poll.register(self._wake, select.EPOLLIN)
-        self._poll.register(listener, select.EPOLLIN)
+        self._peers_max = room_for(PEERS_MAX, 8)
+        self._poll, self._wake = watch(listener)
 
     def reply(self, number: int, body: bytes) -> None:
         """Answer a client later than at once; from any thread. One that has gone gets nothing."""
@@ -153,22 +141,16 @@ class Router:
             # The one that has asked nothing for longest makes room: idle connections must not keep others out.
             idle = min(self._peers.values(), key=lambda peer: peer.asked_s)
             self._refuse(idle, f"is one more than the {self._peers_max} there may be")
-        connection.setblocking(False)
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        if connection.family != socket.AF_UNIX:
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        welcome(connection)
         self._number += 1
         peer = self._peers[connection.fileno()] = Peer(connection, self._number, now)
         self._poll.register(connection, 0)
         self._send(peer)
 
     def _receive(self, peer: Peer) -> None:
-        try:
-            data = peer.socket.recv(READ_BYTES)
-        except BlockingIOError:
+        data = said(peer.socket)
+        if data is None:
             return
-        except OSError:
-            data = b""
         if not data:
             self._drop(peer)
             return
@@ -233,9 +215,7 @@ class Router:
 
     def _drop(self, peer: Peer) -> None:
         del self._peers[peer.socket.fileno()]
-        with contextlib.suppress(OSError):
-            peer.socket.shutdown(socket.SHUT_WR)
-        peer.socket.close()  # takes it out of the poll as well
+        part(peer.socket)
 
 
 def _message(body: bytes) -> bytes:

@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from softfinger.server.wire.client import Subscription
-from softfinger.server.wire.fanout import READ_BYTES
+from softfinger.server.wire.endpoint import READ_BYTES
 from softfinger.server.wire.native.backlog import CHUNK_BYTES, PEERS_MAX
 from softfinger.server.wire.publisher import BACKLOG
 from softfinger.server.wire.zmtp import FRAME_MAX, TOPICS_MAX

@@ -23,9 +23,12 @@ from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.metrics.counts import FORCE_N, LATENESS_S, ROWS, STATUSES, Counts, Histogram, Wire
 from softfinger.server.metrics.service import DASHBOARD
+from softfinger.server.recording.summary import summary
+from softfinger.server.services.recordings import Written
 
 pytestmark = pytest.mark.real_time
 
+NOTHING = Written(0, 0, 0, 0, 0.0)
 UNITS = ("seconds", "newtons", "info", "total")
 COUNTED = re.compile(r"softfinger_[a-z_]+")
 
@@ -66,7 +69,7 @@ def test_figures_are_those_of_the_records(batch: int) -> None:
     late = random.exponential(1e-4, count)
     put(fingers[0], "servo.late", late)
     put(fingers[0], "servo.missed", np.arange(count))
-    counts = Counts(["thumb", "index"], lambda: Wire(3, 4, 5))
+    counts = Counts(["thumb", "index"], lambda: Wire(3, 4, 5), lambda: Written(6, 7, 8, 9, 0.25))
     together = np.concatenate(fingers, axis=1)
     for start in range(0, count, batch):
         counts.take(together[start : start + batch], 9)
@@ -76,6 +79,10 @@ def test_figures_are_those_of_the_records(batch: int) -> None:
     assert found["softfinger_records_dropped_total", ()] == 9
     assert [found[f"softfinger_{name}", ()] for name in
             ("subscribers", "messages_lost_total", "connections_refused_total")] == [3, 4, 5]  # fmt: skip
+    assert [found[f"softfinger_{name}", ()] for name in (
+        "recorded_ticks_total", "recorded_bytes_total", "unrecorded_ticks_total", "unrecorded_events_total",
+        "recording_worst_write_seconds",
+    )] == [6, 7, 8, 9, 0.25]  # fmt: skip
     for end in LATENESS_S:
         assert found["softfinger_lateness_seconds_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(late <= end)
     for name, rows in zip(("thumb", "index"), fingers, strict=True):
@@ -132,6 +139,34 @@ def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
         Daemon(rig, load_scene("paper-plane"))
 
 
+def test_recordings_add_up(tmp_path: Path) -> None:
+    """Two recordings, one after the other: ticks and bytes are those of both files, and nothing was left out."""
+    rig = load_rig(
+        "replay",
+        {
+            "telemetry.endpoint": "tcp://127.0.0.1:*", "metrics.endpoint": "127.0.0.1:0", "servo.realtime": "off",
+            "recording.directory": str(tmp_path),
+        },
+    )  # fmt: skip
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        daemon.start()
+        files = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
+        for file in files:
+            before = scraped(daemon)["softfinger_recorded_ticks_total", ()]
+            daemon.recordings.begin(file.name, "paper-plane")
+            until = time.monotonic() + 60.0
+            while scraped(daemon)["softfinger_recorded_ticks_total", ()] <= before:
+                assert time.monotonic() < until
+            daemon.recordings.end()
+        while (written := daemon.recordings.written()).bytes < sum(file.stat().st_size for file in files):
+            assert time.monotonic() < until + 60.0
+        found = scraped(daemon)
+    assert found["softfinger_recorded_bytes_total", ()] == written.bytes == sum(file.stat().st_size for file in files)
+    assert found["softfinger_recorded_ticks_total", ()] == sum(summary(file)["ticks"] for file in files)
+    assert found["softfinger_unrecorded_ticks_total", ()] == found["softfinger_unrecorded_events_total", ()] == 0
+    assert found["softfinger_recording_worst_write_seconds", ()] > 0.0
+
+
 def test_the_dashboard_shows_what_there_is(daemon: Daemon) -> None:
     """Every name in its queries is one of the endpoint's, and every one of those is on it; it is served as it is."""
     with urllib.request.urlopen(f"{daemon.metrics_endpoint}/dashboard.json", timeout=60.0) as answer:
@@ -148,7 +183,7 @@ def test_the_dashboard_shows_what_there_is(daemon: Daemon) -> None:
 
 def test_names_are_prometheus_own_way() -> None:
     """A unit or `_total` at the end, but for what is neither measured nor counted up."""
-    for family in Counts([""], lambda: Wire(0, 0, 0)).collect():
+    for family in Counts([""], lambda: Wire(0, 0, 0), lambda: NOTHING).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)
             assert name.endswith(UNITS) or name == "softfinger_subscribers", name
@@ -159,7 +194,7 @@ def test_the_page_lists_every_name() -> None:
     page = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text("utf-8")
     rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
     found: dict[str, set[str]] = {}
-    for family in Counts([""], lambda: Wire(0, 0, 0)).collect():
+    for family in Counts([""], lambda: Wire(0, 0, 0), lambda: NOTHING).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)
             found.setdefault(name, set()).update(sample.labels.keys() - {"le"})

@@ -19,7 +19,8 @@ from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.commands import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import described
 from softfinger.server.wire import commands, router
-from softfinger.server.wire.fanout import FRAMES_PER_S, HANDSHAKE_S, LOG_PERIOD_S
+from softfinger.server.wire.endpoint import HANDSHAKE_S, LOG_PERIOD_S
+from softfinger.server.wire.fanout import FRAMES_PER_S
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.backlog import PEERS_MAX
 from softfinger.server.wire.native.sender import BELL_MS, HANDED_ON

@@ -33,6 +33,8 @@ def _lines(found: dict[str, Any]) -> Iterator[str]:
         yield f"  {found['missing']} ticks are missing in {found['gaps']} gaps, the longest of {found['longest_gap']}"
     if found["dropped"]:
         yield f"  {found['dropped']} were left out since the disk was too slow"
+    if found["events_dropped"]:
+        yield f"  {found['events_dropped']} events were left out, too"
     if found["lost"]:
         yield f"  {found['lost']} did not arrive"
     device = found["device"]["name"] if isinstance(found["device"], dict) else "unknown"

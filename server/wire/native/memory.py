@@ -20,8 +20,7 @@ import time
 import weakref
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import types
@@ -31,6 +30,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.native.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.native.jit import entry, jit
 from softfinger.proxy.kernels.native.memory import address_of
+from softfinger.server.closing import Closing
 from softfinger.server.loop.shared.broadcast import Broadcast, make_broadcast, make_place, read_rows
 
 log: Final = logging.getLogger(__name__)
@@ -171,7 +171,7 @@ def sleep(broadcast: Broadcast, bell: int, timespec: NDArray[np.int64]) -> None:
     _syscall(_FUTEX, address_of(broadcast.head, _BELL), _WAIT, bell & 0xFFFFFFFF, address_of(timespec, 0), 0, 0)
 
 
-class Local:
+class Local(Closing):
     """Every tick of a daemon on this machine, read from its memory: what `describe` names as `ring`.
 
     Raises ConfigError where there is no such memory, or it is another user's or version's. One thread only.
@@ -223,14 +223,6 @@ class Local:
             return False
         fcntl.flock(self._fd, fcntl.LOCK_UN)
         return True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Any number of times; arrays that were taken stay readable."""

@@ -1,13 +1,11 @@
 /* Every tick of a softfinger daemon on this machine, read from its memory. Linux; C11 with GNU extensions, or C++.
- *
  *     struct softfinger_ring ring;
- *     if (softfinger_open(&ring, name)) return 1;  name: `ring` of `softfinger ctl describe`
+ *     if (softfinger_open(&ring, name)) return 1;       name: `ring` of `softfinger ctl describe`
  *     double *row = malloc(ring.width * sizeof *row);
- *     while (softfinger_wait(&ring, 1000))                  as long as the daemon runs
- *         while (softfinger_read(&ring, row))               row[i]: the columns that `describe` lists, SI units
- *             use(row, ring.lost);                          lost: ticks overwritten before they were read
+ *     while (softfinger_wait(&ring, 1000))              as long as the daemon runs
+ *         while (softfinger_read(&ring, row))           row[i]: the columns that `describe` lists, SI units
+ *             use(row, ring.lost);                      lost: ticks overwritten before they were read
  *     softfinger_close(&ring);
- *
  * The memory is mapped read-only: a reader that is slow, stopped or killed changes nothing for anybody else. */
 #ifndef SOFTFINGER_RING_H
 #define SOFTFINGER_RING_H
@@ -19,40 +17,32 @@
 #include <string.h>
 #include <sys/file.h>
 #include <sys/mman.h>
-#include <sys/stat.h>
 #include <sys/syscall.h>
 #include <time.h>
 #include <unistd.h>
-
-enum { SF_MAGIC, SF_LAYOUT, SF_CAPACITY, SF_WIDTH, SF_ENDED, SF_HEAD = 8, SF_BELL = 9, SF_ROWS = 4096 / 8 };
+enum { SF_LAYOUT = 1, SF_CAPACITY, SF_WIDTH, SF_ENDED, SF_HEAD = 8, SF_BELL, SF_ROWS = 4096 / 8 }; /* words */
 struct softfinger_ring { const int64_t *words; size_t bytes; int fd; int64_t width, next, lost; };
-
 static inline int64_t softfinger_word(const struct softfinger_ring *r, int i)
 { return __atomic_load_n(r->words + i, __ATOMIC_ACQUIRE); }
-
+static inline void softfinger_close(struct softfinger_ring *r)
+{ munmap((void *)r->words, r->bytes), close(r->fd); }
 /* 0, or -1 where there is no such memory, or of another layout. Reading begins with the next tick. */
 static inline int softfinger_open(struct softfinger_ring *r, const char *name)
 {
     char path[256];
-    struct stat about;
     snprintf(path, sizeof path, "/dev/shm/%s", name);
-    r->fd = open(path, O_RDONLY | O_CLOEXEC);
-    if (r->fd < 0 || fstat(r->fd, &about)) return -1;
-    r->bytes = about.st_size;
+    if ((r->fd = open(path, O_RDONLY | O_CLOEXEC)) < 0) return -1;
+    r->bytes = (size_t)lseek(r->fd, 0, SEEK_END);
     r->words = (const int64_t *)mmap(NULL, r->bytes, PROT_READ, MAP_SHARED, r->fd, 0);
-    if (r->words == MAP_FAILED || memcmp(r->words, "softfing", 8) || r->words[SF_LAYOUT] != 1) return -1;
-    r->width = r->words[SF_WIDTH], r->lost = 0;
-    r->next = softfinger_word(r, SF_HEAD);
-    return 0;
+    if (r->words == MAP_FAILED) return close(r->fd), -1;
+    if (memcmp(r->words, "softfing", 8) || r->words[SF_LAYOUT] != 1) return softfinger_close(r), -1;
+    return r->width = r->words[SF_WIDTH], r->lost = 0, r->next = softfinger_word(r, SF_HEAD), 0;
 }
-
 /* The oldest tick not read yet, into `row`: 1; 0 if there is none. */
 static inline int softfinger_read(struct softfinger_ring *r, double *row)
 {
     int64_t capacity = r->words[SF_CAPACITY], head;
-    for (;;) {
-        head = softfinger_word(r, SF_HEAD);
-        if (head == r->next) return 0;
+    while ((head = softfinger_word(r, SF_HEAD)) != r->next) {
         if (head - r->next < capacity) {
             memcpy(row, r->words + SF_ROWS + (r->next & (capacity - 1)) * r->width, r->width * sizeof *row);
             __atomic_thread_fence(__ATOMIC_ACQUIRE);
@@ -61,8 +51,8 @@ static inline int softfinger_read(struct softfinger_ring *r, double *row)
         head = softfinger_word(r, SF_HEAD) - capacity / 2; /* it came round: go on from half of it */
         r->lost += head - r->next, r->next = head;
     }
+    return 0;
 }
-
 /* Sleep until there are ticks to read, `ms` at most; 0 once the daemon has ended or was killed and all is read. */
 static inline int softfinger_wait(struct softfinger_ring *r, long ms)
 {
@@ -73,7 +63,4 @@ static inline int softfinger_wait(struct softfinger_ring *r, long ms)
     if (!syscall(SYS_futex, r->words + SF_BELL, FUTEX_WAIT, bell, &time, NULL, 0) || errno != ETIMEDOUT) return 1;
     return flock(r->fd, LOCK_SH | LOCK_NB) || flock(r->fd, LOCK_UN); /* the daemon holds the lock as long as it lives */
 }
-
-static inline void softfinger_close(struct softfinger_ring *r)
-{ munmap((void *)r->words, r->bytes), close(r->fd); }
 #endif

@@ -28,7 +28,7 @@ from softfinger.server import cli
 from softfinger.server.app import Daemon
 from softfinger.server.recording import picture, schemas
 from softfinger.server.recording.reader import End, Event, Note, Ticks, contents
-from softfinger.server.recording.recorder import PERIOD_S, QUEUE_ROWS, Recorder
+from softfinger.server.recording.recorder import PERIOD_S, QUEUE_EVENTS, QUEUE_ROWS, Recorder
 from softfinger.server.recording.summary import summary
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
@@ -217,7 +217,7 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
     assert {"touch", "release"} <= {each["name"] for each in events if each["kind"] == "contact"}
     assert notes["scene_name"] == "paper-plane" and notes["rig"]["device"]["recording"] == "tap"
     assert notes["versions"]["softfinger"] and notes["machine"]["cpu"] and notes["settings"][0]["name"]
-    assert notes["end"] == {"ticks": len(records), "dropped": 0}
+    assert notes["end"] == {"ticks": len(records), "dropped": 0, "events_dropped": 0}
     assert summary(tmp_path / "b.mcap")["whole"]
 
 
@@ -317,6 +317,35 @@ class Slow:
         return self._file.write(data)
 
 
+def test_a_disk_that_stalls_costs_events_that_are_counted(tmp_path: Path) -> None:
+    """While the disk takes nothing, so many events wait; those beyond are counted, told, and noted in the file, and the
+    longest write is the one that stalled. Notes always have room."""
+    told: list[str] = []
+    file = Slow(tmp_path / "slow.mcap")
+    recorder = Recorder(file, [""], about(), told.append)
+    recorder.take(run()[:1])
+    assert eventually(lambda: recorder.recorded.ticks == 1)
+    file.free.clear()
+    recorder.take(run()[:1])
+    assert file.writing.wait(WAIT_S)
+    begun = time.monotonic()
+    for number in range(QUEUE_EVENTS + 30):
+        recorder.event(event("mark", f"mark {number}", number))
+    recorder.note("last", {"said": True})
+    assert recorder.recorded.events_dropped == 30
+    stalled = time.monotonic() - begun
+    file.free.set()
+    assert eventually(lambda: told)
+    recorded_ = recorder.stop(WAIT_S)
+    assert recorded_.whole and recorded_.events_dropped == 30
+    assert recorded_.worst_write_s >= stalled
+    assert told == ["30 events are not recorded: the disk was too slow"]
+    _, events, notes, _ = read(tmp_path / "slow.mcap")
+    assert [each["name"] for each in events] == [f"mark {number}" for number in range(QUEUE_EVENTS)]
+    assert notes["end"]["events_dropped"] == 30 and notes["last"] == {"said": True}
+    assert summary(tmp_path / "slow.mcap")["events_dropped"] == 30
+
+
 def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
     """While the disk takes nothing, ticks are taken at once all the same; those that there is no room for are counted,
     told, and missing; behind them the recording goes on, and its file is whole."""
@@ -352,7 +381,7 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
     recorded_ = recorder.stop(WAIT_S)
     assert recorded_.whole and recorded_.dropped == dropped
     records, _, notes, end = read(tmp_path / "slow.mcap")
-    assert end.cut == "" and notes["end"] == {"ticks": len(records), "dropped": dropped}
+    assert end.cut == "" and notes["end"] == {"ticks": len(records), "dropped": dropped, "events_dropped": 0}
     assert records[-1, AT.tick] == after + 1023 and len(records) == after + 1024 - dropped
     gaps = np.diff(records[:, AT.tick])
     (at,) = np.flatnonzero(gaps != 1.0)
