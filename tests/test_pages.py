@@ -19,6 +19,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from test_packaging import dist, installed, wheel  # noqa: F401 - fixtures: a clean environment with the wheel in it
 
 pytestmark = pytest.mark.real_time
 
@@ -57,15 +58,15 @@ def commands(text: str) -> Iterator[str]:
 class Terminals:
     """The reader's: one for the daemon, which stays until Ctrl-C, and one for everything else."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, interpreter: Path) -> None:
         self.folder = folder
         tools = folder / "bin"
         tools.mkdir()
         telemetry, wanted = (f"ipc://{folder}/{name}" for name in ("t", "c"))
         shim = tools / "softfinger"
-        shim.write_text(SHIM.format(telemetry=telemetry, commands=wanted, python=sys.executable))
+        shim.write_text(SHIM.format(telemetry=telemetry, commands=wanted, python=interpreter))
         shim.chmod(0o755)
-        (tools / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+        (tools / "python").write_text(f'#!/bin/sh\nexec {interpreter} "$@"\n')
         (tools / "python").chmod(0o755)
         self.environment = {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"}
         self.daemon: subprocess.Popen[bytes] | None = None
@@ -93,8 +94,8 @@ class Terminals:
 
 
 @contextmanager
-def terminals(folder: Path) -> Iterator[Terminals]:
-    opened = Terminals(folder)
+def terminals(folder: Path, interpreter: Path) -> Iterator[Terminals]:
+    opened = Terminals(folder, interpreter)
     try:
         yield opened
         opened.stop()
@@ -104,11 +105,14 @@ def terminals(folder: Path) -> Iterator[Terminals]:
             opened.daemon.wait()
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_a_page_works_as_printed(page: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("page", "where"), [("tutorial.md", "clone"), ("tutorial.md", "wheel"), ("experiment.md", "clone")]
+)
+def test_a_page_works_as_printed(page: str, where: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """Its files are saved and its commands run, one after the other, from an empty folder; each ends as it should."""
     ran = 0
-    with terminals(tmp_path) as reader:
+    interpreter = request.getfixturevalue("installed") / "python" if where == "wheel" else Path(sys.executable)
+    with terminals(tmp_path, interpreter) as reader:
         for kind, title, text in fences(page):
             if title:
                 (tmp_path / title).write_text(text)
