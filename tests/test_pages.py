@@ -39,7 +39,7 @@ case $verb in
     ctl) set -- --endpoint {commands} "$@" ;;
     doctor) set -- --seconds 1 "$@" ;;
 esac
-exec {python} -m softfinger.server.cli "$verb" "$@"
+exec {program} "$verb" "$@"
 """
 
 
@@ -48,23 +48,22 @@ def fences(page: str) -> list[tuple[str, str, str]]:
     return [(kind, title, dedent(text)) for _, kind, title, text in FENCE.findall((DOCS / page).read_text())]
 
 
-def commands(text: str) -> Iterator[str]:
-    """A command a line, without comments."""
-    for line in text.splitlines():
-        if words := shlex.split(line, comments=True):
-            yield shlex.join(words)
+def commands(text: str) -> list[str]:
+    """A command a line, as it stands there."""
+    return [line for line in text.splitlines() if shlex.split(line, comments=True)]
 
 
 class Terminals:
     """The reader's: one for the daemon, which stays until Ctrl-C, and one for everything else."""
 
     def __init__(self, folder: Path, interpreter: Path) -> None:
+        """`folder` is where the reader works; `interpreter` the one beside which the program is installed."""
         self.folder = folder
         tools = folder / "bin"
         tools.mkdir()
         telemetry, wanted = (f"ipc://{folder}/{name}" for name in ("t", "c"))
         shim = tools / "softfinger"
-        shim.write_text(SHIM.format(telemetry=telemetry, commands=wanted, python=interpreter))
+        shim.write_text(SHIM.format(telemetry=telemetry, commands=wanted, program=interpreter.with_name("softfinger")))
         shim.chmod(0o755)
         (tools / "python").write_text(f'#!/bin/sh\nexec {interpreter} "$@"\n')
         (tools / "python").chmod(0o755)
@@ -73,7 +72,7 @@ class Terminals:
 
     def type(self, command: str) -> None:
         """Run one command to its end, or leave the daemon running."""
-        words = shlex.split(command)
+        words = shlex.split(command, comments=True)
         if words[:2] == ["softfinger", "run"] and not {"--once", "--duration"} & set(words):
             self.stop()
             self.daemon = subprocess.Popen(words, cwd=self.folder, env=self.environment)
