@@ -19,6 +19,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from test_packaging import dist, installed, wheel  # noqa: F401 - fixtures: a clean environment with the wheel in it
 
 pytestmark = pytest.mark.real_time
 
@@ -38,7 +39,7 @@ case $verb in
     ctl) set -- --endpoint {commands} "$@" ;;
     doctor) set -- --seconds 1 "$@" ;;
 esac
-exec {python} -m softfinger.server.cli "$verb" "$@"
+exec {program} "$verb" "$@"
 """
 
 
@@ -47,32 +48,31 @@ def fences(page: str) -> list[tuple[str, str, str]]:
     return [(kind, title, dedent(text)) for _, kind, title, text in FENCE.findall((DOCS / page).read_text())]
 
 
-def commands(text: str) -> Iterator[str]:
-    """A command a line, without comments."""
-    for line in text.splitlines():
-        if words := shlex.split(line, comments=True):
-            yield shlex.join(words)
+def commands(text: str) -> list[str]:
+    """A command a line, as it stands there."""
+    return [line for line in text.splitlines() if shlex.split(line, comments=True)]
 
 
 class Terminals:
     """The reader's: one for the daemon, which stays until Ctrl-C, and one for everything else."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, interpreter: Path) -> None:
+        """`folder` is where the reader works; `interpreter` the one beside which the program is installed."""
         self.folder = folder
         tools = folder / "bin"
         tools.mkdir()
         telemetry, wanted = (f"ipc://{folder}/{name}" for name in ("t", "c"))
         shim = tools / "softfinger"
-        shim.write_text(SHIM.format(telemetry=telemetry, commands=wanted, python=sys.executable))
+        shim.write_text(SHIM.format(telemetry=telemetry, commands=wanted, program=interpreter.with_name("softfinger")))
         shim.chmod(0o755)
-        (tools / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+        (tools / "python").write_text(f'#!/bin/sh\nexec {interpreter} "$@"\n')
         (tools / "python").chmod(0o755)
         self.environment = {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"}
         self.daemon: subprocess.Popen[bytes] | None = None
 
     def type(self, command: str) -> None:
         """Run one command to its end, or leave the daemon running."""
-        words = shlex.split(command)
+        words = shlex.split(command, comments=True)
         if words[:2] == ["softfinger", "run"] and not {"--once", "--duration"} & set(words):
             self.stop()
             self.daemon = subprocess.Popen(words, cwd=self.folder, env=self.environment)
@@ -93,8 +93,8 @@ class Terminals:
 
 
 @contextmanager
-def terminals(folder: Path) -> Iterator[Terminals]:
-    opened = Terminals(folder)
+def terminals(folder: Path, interpreter: Path) -> Iterator[Terminals]:
+    opened = Terminals(folder, interpreter)
     try:
         yield opened
         opened.stop()
@@ -104,11 +104,14 @@ def terminals(folder: Path) -> Iterator[Terminals]:
             opened.daemon.wait()
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_a_page_works_as_printed(page: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("page", "where"), [("tutorial.md", "clone"), ("tutorial.md", "wheel"), ("experiment.md", "clone")]
+)
+def test_a_page_works_as_printed(page: str, where: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """Its files are saved and its commands run, one after the other, from an empty folder; each ends as it should."""
     ran = 0
-    with terminals(tmp_path) as reader:
+    interpreter = request.getfixturevalue("installed") / "python" if where == "wheel" else Path(sys.executable)
+    with terminals(tmp_path, interpreter) as reader:
         for kind, title, text in fences(page):
             if title:
                 (tmp_path / title).write_text(text)

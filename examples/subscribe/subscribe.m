@@ -3,7 +3,7 @@ function subscribe(endpoint, changes)
 %
 %   pip install pyzmq msgpack             % into a Python that this MATLAB supports
 %   pyenv(Version="/that/python", ExecutionMode="OutOfProcess")
-%   subscribe                             % tcp://127.0.0.1:5555, until Ctrl-C
+%   subscribe                             % tcp://127.0.0.1:5555, for ever
 %   subscribe("tcp://127.0.0.1:5555", 4)  % four changes
 %
 % Out of process, because MATLAB may bring a ZeroMQ of its own that would be loaded in its place.
@@ -16,6 +16,7 @@ modes = ["free", "rolling", "sliding"];
 context = py.zmq.Context();
 socket = context.socket(py.zmq.SUB);
 done = onCleanup(@() socket.close());
+socket.setsockopt(py.zmq.RCVTIMEO, int32(5000)); % an error after 5 s without a message, rather than for ever
 socket.connect(endpoint);
 socket.subscribe("contact");
 
