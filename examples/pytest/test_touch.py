@@ -1,11 +1,13 @@
 """What a program that builds on softfinger may test: the daemon on recorded poses, without a device."""
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
 
 POSES = Path(__file__).parent / "press.csv"
+RIG = Path(__file__).parent / "rig.toml"
 SCENE = "frictionless-plane"
 STIFFNESS_N_PER_M = 1000.0  # of that scene's plane: 1 mm of depth gives 1 N
 
@@ -29,6 +31,17 @@ def test_a_softer_plane(softfinger_daemon):
     daemon = softfinger_daemon(scene=SCENE, recording=POSES)
     changed = daemon.control.set_params({"object.ice.material.stiffness_n_per_m": 500.0}).changed
     assert changed["object.ice.material.stiffness_n_per_m"].before == STIFFNESS_N_PER_M
+
+
+def test_my_rig_keeps_its_limit(softfinger_daemon):
+    """However the rig's hand presses, rolls and drags in ten seconds, no force is above the limit, which is reached."""
+    daemon = softfinger_daemon(scene="paper-plane", rig=RIG)
+    strongest = 0.0
+    for sample in daemon.subscribe():
+        strongest = max(strongest, math.hypot(*sample["force"]))
+        if sample.tick > 10_000:
+            break
+    assert 0.399 < strongest < 0.4 + 1e-9
 
 
 def test_nothing_has_changed(softfinger_daemon, tmp_path):

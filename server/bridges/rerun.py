@@ -31,19 +31,23 @@ PLOTTED: Final = (
 def stream(save: Path | None = None, connect: str | None = None) -> Any:
     """A recording of Rerun's: into a file, to a viewer that runs, or to one that is started here.
 
-    Raises ConfigError where rerun-sdk is missing.
+    Raises ConfigError where rerun-sdk is missing, or has not what it is told to use.
     """
     try:
         import rerun
     except ImportError as error:
         raise ConfigError(f"rerun-sdk is not installed ({error}): pip install 'softfinger[rerun]'") from error
     made: Any = rerun.RecordingStream("softfinger")
-    if save is not None:
-        made.save(str(save))
-    elif connect is not None:
-        made.connect_grpc(connect)
-    else:
-        made.spawn()
+    try:
+        if save is not None:
+            made.save(str(save))
+        elif connect is not None:
+            made.connect_grpc(connect)
+        else:
+            made.spawn()
+    except RuntimeError as error:
+        where = f"--save {save}" if save else f"--connect {connect}" if connect else "its viewer cannot be started"
+        raise ConfigError(f"{where}: Rerun says: {error}") from error
     return made
 
 

@@ -82,7 +82,7 @@ def force_message(record: Record, time_ns: int, finger: str) -> bytes:
     force = record[AT.force : AT.force + 3]
     size = float(np.linalg.norm(force))
     name, when = f"{frames(finger)[0]}/force", stamp(time_ns)
-    if not size > 0.0:  # or not a number
+    if not 0.0 < size < math.inf:
         return _encoded(SCENE, deletions=[{"timestamp": when, "type": 0, "id": name}])
     length = ARROW_M_PER_N * size
     arrow = {

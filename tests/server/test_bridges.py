@@ -116,6 +116,14 @@ def test_rerun_has_a_recording_whole(tmp_path: Path, capsys: pytest.CaptureFixtu
     np.testing.assert_allclose(turns[:, [3, 0, 1, 2]], records[shown]["probe.orientation"], atol=1e-6)
 
 
+@pytest.mark.parametrize("words", [("--save", "no/such/folder/x.rrd"), ("--connect", "nowhere")])
+def test_what_rerun_cannot_open_is_named(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    """In one line, with what it says itself."""
+    pytest.importorskip("rerun", reason=WHY)
+    assert main(["bridge", "rerun", *words]) == ConfigError.exit_code
+    assert f"{' '.join(words)}: Rerun says: " in capsys.readouterr().err
+
+
 def test_rerun_has_a_daemon_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     """Half a second of it: all ticks, and the scene that the daemon describes."""
     pytest.importorskip("rerun", reason=WHY)

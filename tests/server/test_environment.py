@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import doctest
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -116,6 +118,14 @@ def test_its_docstrings_examples_run() -> None:
     """As they stand."""
     found = doctest.testmod(environment)
     assert found.attempted and not found.failed
+
+
+def test_the_program_of_the_docs_runs() -> None:
+    """As it stands on the page."""
+    page = (Path(__file__).parents[2] / "docs" / "operate" / "bridges.md").read_text()
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    exec(program, names := {})
+    assert names["reward"] == -0.5  # in the air, 0.5 N are wanted
 
 
 def test_without_gymnasium() -> None:

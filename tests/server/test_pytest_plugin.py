@@ -52,7 +52,7 @@ def test_the_example_project_passes(tmp_path: Path) -> None:
     shutil.copytree(EXAMPLE, project, ignore=shutil.ignore_patterns("__pycache__"))
     done = pytest_in(project)
     assert done.returncode == 0, done.stdout
-    assert "3 passed" in done.stdout
+    assert "4 passed" in done.stdout
 
 
 def test_a_daemon_that_fails_fails_the_test_and_says_why(tmp_path: Path) -> None:
