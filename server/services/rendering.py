@@ -28,6 +28,7 @@ from softfinger.server.loop.servo import Loop, Servo
 from softfinger.server.loop.tick import UNMOVED, Tuning
 from softfinger.server.loop.tuning import make_tuning, with_scene
 from softfinger.server.services.base import JOIN_S
+from softfinger.server.services.hands import Wanted, lead
 
 PAUSE_TICKS: Final = 3
 """The first begun before may still carry a force, the second is zero, and the third says that it was written."""
@@ -204,6 +205,14 @@ class Rendering:
             self._tuning = self._tuning._replace(offsets=tuple(offsets))
             self._moved = self._tune()
             return self._moved
+
+    def lead(self, finger: int, wanted: Wanted | None) -> None:
+        """Have a finger's hand, which is computed, want to be there, and stay; None: do what it does by itself.
+
+        Raises NoHand where none is computed, ConfigError for what its device does not reach or sense, Replacing.
+        """
+        with self._change():
+            lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], wanted)
 
     def disarmed_for(self, why: str) -> bool:
         """Whether the force is kept off for this reason."""
