@@ -25,6 +25,7 @@ def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
         "rig": describe(rendering.rig),
         "scene": describe(scene),
         "scene_name": scene_name,
+        "since": rendering.since,
         "fingers": [
             {
                 "name": finger.name,

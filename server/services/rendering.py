@@ -80,6 +80,7 @@ class Rendering:
     ) -> None:
         self._rig, self._scene = rig, scene
         self._started = self._stopped = False
+        self._since = 0
         self._pauses = 0
         """A handler that pauses may be interrupted by another; with the last of them force comes back."""
         self._replacing = threading.Lock()
@@ -138,6 +139,7 @@ class Rendering:
                 first = servo.replace(
                     (lambda: self._loop(scene, rig)) if keeps else (lambda: self._opened(scene, rig)), keeps
                 )
+                self._since = first
                 self._rig, self._scene, self._force, self._due = rig, scene, servo.tuning.guards[0].armed, 0
                 self._tuning = _armed(servo.tuning, 1.0)
             self.advance()
@@ -149,6 +151,11 @@ class Rendering:
     def scene(self) -> schema.Scene:
         """What is rendered."""
         return self._scene
+
+    @property
+    def since(self) -> int:
+        """The first tick of this loop, at which what moves by itself began."""
+        return self._since
 
     @property
     def rig(self) -> schema.Rig:
