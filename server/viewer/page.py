@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import viser
@@ -32,6 +32,17 @@ PANEL: Final = 380
 """Width of the controls, pixels."""
 
 
+class Camera(NamedTuple):
+    """Where a page is looked at from at first, in its units, and the angle from top to bottom, rad."""
+
+    position: tuple[float, float, float]
+    look_at: tuple[float, float, float]
+    fov: float
+
+
+FIRST_CAMERA: Final = Camera((4.5, -8.5, 5.5), (0.0, 0.0, 0.6), 0.75)
+
+
 class Page:
     """A page on `host`:`port`, or the next port that is free. What feeds it calls `change`, `show` and `say`."""
 
@@ -41,9 +52,8 @@ class Page:
             self.server: Final = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
         self.address: Final = f"http://{'localhost' if host == '127.0.0.1' else host}:{self.server.get_port()}"
         self.server.scene.configure_default_lights(cast_shadow=False)  # a second picture for each frame
-        self.server.initial_camera.position = (4.5, -8.5, 5.5)
-        self.server.initial_camera.look_at = (0.0, 0.0, 0.6)
-        self.server.initial_camera.fov = 0.75
+        for name, value in FIRST_CAMERA._asdict().items():
+            setattr(self.server.initial_camera, name, value)
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
         self._bodies: Bodies | None = None

@@ -84,7 +84,7 @@ class Player:
     def __init__(self, gui: Any, recording: Recording, tick: int) -> None:
         self._fingers, self._rate_hz = recording.fingers, recording.rate_hz
         self._count = len(next(iter(self._fingers.values())))
-        self._shown, self._place = -1, float(min(max(tick, 0), self._count - 1))
+        self._shown, self._place = -BEFORE, float(min(max(tick, 0), self._count - 1))
         self._slider = gui.add_slider("tick", 0, self._count - 1, 1, int(self._place))
         self._slider.on_update(self._scrubbed)
         self._play = gui.add_checkbox("play", False)

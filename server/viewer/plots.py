@@ -21,7 +21,7 @@ class Plots:
 
     def __init__(self, gui: Any) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=POINTS)
-        self._late = 0.0
+        self._late, self._changed = 0.0, False
         self._plots = [
             _plot(gui, "force, N", ("normal", "tangential")),
             _plot(gui, "spin, degrees", ("spin", "roll")),
@@ -43,15 +43,16 @@ class Plots:
                 1e6 * self._late,
                 1e6 * row[AT.servo_exec],
             ))  # fmt: skip
-            self._late = 0.0
+            self._late, self._changed = 0.0, True
 
     def clear(self) -> None:
         self._points.clear()
 
     def show(self) -> None:
         """Draw what has been added."""
-        if len(self._points) < 2:
+        if not self._changed or len(self._points) < 2:
             return
+        self._changed = False
         columns = np.array(self._points).T
         seconds = columns[0] - columns[0, -1]
         for k, plot in enumerate(self._plots):

@@ -147,10 +147,10 @@ def pointer(to: np.ndarray) -> np.ndarray:
 
 def test_a_drag_moves_level() -> None:
     """The point that was grabbed follows the mouse in its level plane, and the hand with it, unturned."""
-    to = (*GRABBED, 0.02, 0.01, 0.0)
+    to = GRABBED + np.array([0.02, 0.01, 0.0])
     target = moved(START, EYE, GRABBED, pointer(to), "move", 0.01)
     assert target is not None and target.orientation == UNTURNED
-    np.testing.assert_allclose(target.position, (*START.position, 0.02, 0.01, 0.0), atol=1e-12)
+    np.testing.assert_allclose(target.position, START.position + np.array([0.02, 0.01, 0.0]), atol=1e-12)
 
 
 def test_a_drag_presses_upright() -> None:
@@ -163,18 +163,18 @@ def test_a_drag_presses_upright() -> None:
 def test_a_drag_rolls_like_a_ball() -> None:
     """A quarter of the circumference along +x is a quarter turn about +y, without slip."""
     way = 0.5 * pi * 0.01
-    target = moved(START, EYE, GRABBED, pointer((*GRABBED, way, 0.0, 0.0)), "roll", 0.01)
+    target = moved(START, EYE, GRABBED, pointer(GRABBED + np.array([way, 0.0, 0.0])), "roll", 0.01)
     assert target is not None
-    np.testing.assert_allclose(target.position, (*START.position, way, 0.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(target.position, START.position + np.array([way, 0.0, 0.0]), atol=1e-12)
     np.testing.assert_allclose(target.orientation, (sqrt(0.5), 0.0, sqrt(0.5), 0.0), atol=1e-9)
 
 
 def test_a_look_along_a_plane_tells_nothing() -> None:
     """Straight down there is no upright plane, along the table no level one: the hand stays."""
-    above = (*GRABBED, 0.0, 0.0, 0.5)
+    above = GRABBED + np.array([0.0, 0.0, 0.5])
     assert moved(START, above, GRABBED, GRABBED, "press", 0.01) is None
-    beside = (*GRABBED, 0.0, -0.5, 0.0)
-    assert moved(START, beside, GRABBED, (*GRABBED, 0.01, 0.0, 0.0), "move", 0.01) is None
+    beside = GRABBED + np.array([0.0, -0.5, 0.0])
+    assert moved(START, beside, GRABBED, GRABBED + np.array([0.01, 0.0, 0.0]), "move", 0.01) is None
     assert hit(EYE, EYE + UP, np.zeros(3), UP) is None  # behind the eye
 
 
