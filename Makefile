@@ -27,7 +27,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-vm emulators browser vm-packages lint bench exchange-cost study warmup wheel constraints \
+.PHONY: help setup run test test-vm emulators browser vm-packages lint bench exchange-cost study page-picture warmup wheel constraints \
     docker-check clean distclean
 
 help: ## This list
@@ -102,6 +102,9 @@ exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that
 
 study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)
+
+page-picture: $(STAMP) ## Draw docs/figures/page.jpg anew, the page in the browser (needs `make browser`)
+	@exec $(BIN)/python tests/page_picture.py
 
 warmup: $(STAMP) ## Compile the kernels now rather than at the first start
 	@exec $(BIN)/softfinger warmup
