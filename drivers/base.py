@@ -17,7 +17,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple, Protocol, Self
+
+from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 OK: Final = 0
 """A new sample was read, or the wrench was taken."""
@@ -52,6 +54,16 @@ class DeviceIO(NamedTuple):
     read: int
     write: int
     handle: int
+
+
+class Led(Protocol):
+    """A hand that is computed, and that a program may lead. One thread only."""
+
+    def lead(self, position_m: Vec3, orientation: Quaternion | None = None) -> None:
+        """Have it want to be at `position_m`, turned so (unit quaternion; None: as it is), and stay."""
+
+    def release(self) -> None:
+        """Have it go back to what it does by itself."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +124,10 @@ class Device(ABC):
     def reason(self) -> str:
         """What the device itself says of its last failure; empty where it says nothing. After the loop has ended."""
         return ""
+
+    def hand(self) -> Led | None:
+        """The hand on it, where it is computed and may be led; None where a person's is, or something else leads it."""
+        return None
 
     def last_word(self) -> tuple[str, bytes] | None:
         """Path of the device's node, and what any process can write there to command zero; None where none can."""

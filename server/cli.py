@@ -39,6 +39,7 @@ VERBS: Final = {
     "run": Verb("softfinger.server.verbs.run", "the daemon: device, contact, telemetry"),
     "simulate": Verb("softfinger.server.verbs.simulate", "the same step offline, over recorded poses"),
     "monitor": Verb("softfinger.server.verbs.monitor", "live dashboard of a running daemon"),
+    "view": Verb("softfinger.server.verbs.view", "a page in the browser: the picture, and a mouse for a hand"),
     "record": Verb("softfinger.server.verbs.record", "a running daemon into a file: everything, or the poses"),
     "info": Verb("softfinger.server.recording.verbs.info", "what is in a recording"),
     "export": Verb("softfinger.server.recording.verbs.export", "a recording as CSV, Parquet or npz"),

@@ -3,7 +3,7 @@
 A replay feels nothing. Here the force written moves the handle, and the hand on it follows what it intends, a
 recording or a place with a sinusoid about it, as far as the force lets it. Read number n gives the pose at tick n of
 the device's own time, so a run is reproducible to the bit whatever the clock does. Only a hand
-that a puck leads does what it likes.
+that a puck or a program leads does what it likes.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from softfinger.drivers.base import (
     DeviceIO,
 )
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
+from softfinger.drivers.simulated import hand as led
 from softfinger.drivers.simulated.options import Options, simulation
 from softfinger.drivers.simulated.plant import (
     LINE_SIZE,
@@ -48,6 +49,7 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import c_function, jit
 from softfinger.proxy.kernels.native.memory import float64_at, int64_at
 from softfinger.proxy.kernels.native.pack import flatten, pack, unpack, unpack_at
+from softfinger.proxy.kernels.native.seqlock import Slot
 
 # No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry.
 TORQUE_MAX_NM: Final = 1e2
@@ -69,6 +71,7 @@ class Words(NamedTuple):
     line: Annotated[int, numbers("forces under way", LINE_SIZE)]
     poses: Annotated[int, address("(n, 7) float64 of the recording")]
     puck: Annotated[int, word("handle of the puck that leads the hand, 0 without one")]
+    hand: Annotated[int, word("handle of the hand that a program may lead")]
 
 
 AT: Final = lay_out(Words, after=LOG)
@@ -115,7 +118,12 @@ def _read(handle: int, sample: Any) -> int:
         if intention.loop == 0.0 and n >= intention.length:
             n, status = int(intention.length) - 1, END
         else:
-            goal, orientation = goal_at(intention, float64_at(word[AT.poses]), n)
+            own, own_turn = goal_at(intention, float64_at(word[AT.poses]), n)
+            hand = word[AT.hand]
+            asked = carray(float64_at(hand + 8 * led.AT.asked), (led.ASKED,))
+            slot = Slot(carray(int64_at(hand + 8 * led.AT.sequence), (led.COUNTERS,)), asked)
+            led.hear(hand, slot, carray(float64_at(hand + 8 * led.AT.copied), (led.ASKED,)))
+            goal, orientation = led.intended(hand, own, own_turn, state.goal, 1.0 / plant.rate)
             state = advance(plant, state, _acting(handle), goal, orientation, float64_at(handle + 8 * AT.line))
             pack(kept, state)
     word[LOG.reads] += 1
@@ -160,6 +168,8 @@ class Simulated(Device):
         block.numbers(AT.state, _STATE_SIZE)[:] = flatten(state)
         block.numbers(AT.intention, _INTENTION_SIZE)[:] = flatten(intention)
         block.point(AT.poses, poses)
+        self._hand = led.Hand(state.orientation)
+        block.word[AT.hand] = self._hand.handle
         self._puck: Puck | None = None
         self._led_by = ""
         if options.puck is not None and puck is not None:
@@ -199,6 +209,9 @@ class Simulated(Device):
 
     def reason(self) -> str:
         return f"its hand is led by {self._led_by}" if self._led_by else ""
+
+    def hand(self) -> led.Hand | None:
+        return self._hand if self._puck is None else None
 
     def counts(self) -> dict[str, int]:
         return self._block.counts() | (self._led_block.counts(spacemouse.AT) if self._puck is not None else {})

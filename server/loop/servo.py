@@ -23,6 +23,7 @@ from softfinger.drivers.base import END, Device
 from softfinger.proxy.kernels.native.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.pack import flatten, unpack
+from softfinger.proxy.kernels.native.seqlock import Slot, make_slot, publish, refresh
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import wayout
 from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, period_ns, sleep_until
@@ -42,7 +43,6 @@ from softfinger.server.loop.exchange import (
 )
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.shared.ring import Feed, Ring, make_ring, push, take
-from softfinger.server.loop.shared.seqlock import Slot, make_slot, publish, refresh
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
 from softfinger.server.loop.wayout import CRASHED, FINISHED, READ_FAILED, STOPPED, WRITE_FAILED, Ended
 

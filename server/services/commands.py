@@ -18,7 +18,8 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
-from softfinger.proxy.record import RECORD_SIZE
+from softfinger.drivers.simulated.lead import Wanted
+from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import wayout
 from softfinger.server.services.base import Worker
 from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
@@ -79,6 +80,8 @@ class Commands(Worker):
         self._heard_s = 0.0
         self._logged_s = -LOG_PERIOD_S
         self._newest: NDArray[np.float64] | None = None
+        self._led: Final = set[int]()
+        """Fingers whose hands a program leads."""
         self._router = Router(bound.listener, self._answer, self._each_period)
         self._scenes = SceneChanges(doing.replace)
         self.sink: Final = Sink("commands", self._keep)
@@ -231,6 +234,41 @@ class Commands(Worker):
         self._tell("drive", request.command_id, {"object": names[number]} | pose)
         return wire.Applied(tick)
 
+    def _hand(self, request: Request) -> wire.Applied:
+        asked: wire.Hand = request.params
+        place = self._finger(asked.finger)
+        if asked.release == (asked.position_m is not msgspec.UNSET):  # both, or neither
+            raise Declined("bad_params", "say either position_m, where the hand is to be, or release")
+        wanted = None
+        if asked.position_m is not msgspec.UNSET:
+            turn = None if asked.orientation_wxyz is msgspec.UNSET else asked.orientation_wxyz
+            wanted = Wanted(asked.position_m, turn, self._turned(place))
+        self._rendering.lead(place, wanted)
+        if (place in self._led) == asked.release:  # where it is meanwhile is in every tick
+            (self._led.discard if asked.release else self._led.add)(place)
+            name = self._rendering.scene.fingers[place].name
+            self._tell("hand", request.command_id, {"finger": name, "led": not asked.release})
+        return wire.Applied(self._rendering.servo.ticks)
+
+    def _turned(self, place: int) -> wire.Quaternion:
+        """How a finger is turned."""
+        if self._newest is None:
+            raise Declined("refused", "there has been no tick yet: ask again later")
+        at = AT.probe_orientation
+        w, x, y, z = self._newest.reshape(-1, RECORD_SIZE)[place][at : at + 4].tolist()
+        return w, x, y, z
+
+    def _finger(self, asked: str | int | msgspec.UnsetType) -> int:
+        """Place of the finger that is asked for by name or number, of one without being said; raises Declined."""
+        names = [finger.name for finger in self._rendering.scene.fingers]
+        if asked is msgspec.UNSET and len(names) > 1:
+            raise Declined("bad_params", f"there are several fingers: say finger, one of {', '.join(names)}")
+        given = 0 if asked is msgspec.UNSET else asked
+        place = given if isinstance(given, int) else names.index(given) if given in names else len(names)
+        if place >= len(names):
+            raise Declined("bad_params", f"no finger is {shown(given)}: there are {', '.join(names)}")
+        return place
+
     def _arm(self, request: Request) -> wire.Armed:
         before = self._rendering.armed
         self._rendering.arm(_COMMANDED, _SILENT)
@@ -248,13 +286,7 @@ class Commands(Worker):
 
     def _zero(self, request: Request) -> wire.Zeroed:
         asked: wire.Zero = request.params
-        names = [finger.name for finger in self._rendering.scene.fingers]
-        if asked.finger is msgspec.UNSET and len(names) > 1:
-            raise Declined("bad_params", f"there are several fingers: say finger, one of {', '.join(names)}")
-        given = 0 if asked.finger is msgspec.UNSET else asked.finger
-        place = given if isinstance(given, int) else names.index(given) if given in names else len(names)
-        if place >= len(names):
-            raise Declined("bad_params", f"no finger is {shown(given)}: there are {', '.join(names)}")
+        place = self._finger(asked.finger)
         if self._rendering.armed:
             raise Declined(
                 "refused", "there may be force, and the probe would jump under it: disarm first, and arm after"
@@ -264,7 +296,9 @@ class Commands(Worker):
         seen = self._newest.reshape(-1, RECORD_SIZE)[place]
         tick = self._rendering.move(place, None if asked.reset else asked.position_m, seen)
         offset = self._rendering.offsets[place]
-        self._tell("zero", request.command_id, {"finger": names[place], "offset_m": offset})
+        self._tell(
+            "zero", request.command_id, {"finger": self._rendering.scene.fingers[place].name, "offset_m": offset}
+        )
         return wire.Zeroed(offset, tick)
 
     def _mark(self, request: Request) -> wire.Applied:

@@ -21,16 +21,21 @@ PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq
 def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
     """The answer to `describe`, but for the wire itself; plain values."""
     servo, scene = rendering.servo, rendering.scene
-    devices = [msgspec.to_builtins(device.info) for device in servo.devices]
     return {
         "rig": describe(rendering.rig),
         "scene": describe(scene),
         "scene_name": scene_name,
+        "since": rendering.since,
         "fingers": [
-            {"name": finger.name, "device": device, "offset_m": offset}
-            for finger, device, offset in zip(scene.fingers, devices, rendering.offsets, strict=True)
+            {
+                "name": finger.name,
+                "device": msgspec.to_builtins(device.info),
+                "offset_m": offset,
+                "led": device.hand() is not None,
+            }
+            for finger, device, offset in zip(scene.fingers, servo.devices, rendering.offsets, strict=True)
         ],
-        "device": devices[0],
+        "device": msgspec.to_builtins(servo.devices[0].info),
         "rate_hz": NS_PER_S / servo.period_ns,
         "armed": rendering.armed,
         "ticks": servo.ticks,

@@ -18,6 +18,7 @@ from softfinger.config.load import overridden
 from softfinger.config.schema.pairing import pair
 from softfinger.drivers import registry
 from softfinger.drivers.base import Device
+from softfinger.drivers.simulated.lead import Wanted, lead
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
@@ -79,6 +80,7 @@ class Rendering:
     ) -> None:
         self._rig, self._scene = rig, scene
         self._started = self._stopped = False
+        self._since = 0
         self._pauses = 0
         """A handler that pauses may be interrupted by another; with the last of them force comes back."""
         self._replacing = threading.Lock()
@@ -137,6 +139,7 @@ class Rendering:
                 first = servo.replace(
                     (lambda: self._loop(scene, rig)) if keeps else (lambda: self._opened(scene, rig)), keeps
                 )
+                self._since = first
                 self._rig, self._scene, self._force, self._due = rig, scene, servo.tuning.guards[0].armed, 0
                 self._tuning = _armed(servo.tuning, 1.0)
             self.advance()
@@ -148,6 +151,11 @@ class Rendering:
     def scene(self) -> schema.Scene:
         """What is rendered."""
         return self._scene
+
+    @property
+    def since(self) -> int:
+        """The first tick of this loop, at which what moves by itself began."""
+        return self._since
 
     @property
     def rig(self) -> schema.Rig:
@@ -204,6 +212,14 @@ class Rendering:
             self._tuning = self._tuning._replace(offsets=tuple(offsets))
             self._moved = self._tune()
             return self._moved
+
+    def lead(self, finger: int, wanted: Wanted | None) -> None:
+        """Have a finger's hand, which is computed, want to be there, and stay; None: do what it does by itself.
+
+        Raises NoHand where none is computed, ConfigError for what its device does not reach or sense, Replacing.
+        """
+        with self._change():
+            lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], wanted)
 
     def disarmed_for(self, why: str) -> bool:
         """Whether the force is kept off for this reason."""

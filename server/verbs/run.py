@@ -6,8 +6,10 @@ import argparse
 import logging
 import shlex
 import shutil
+import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +28,10 @@ from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
 
+RIG: Final = "replay"
+LED_RIG: Final = "simulated-hand"
+"""Of --view: its hand is the mouse."""
+
 TERMINAL_PERIOD_S: Final = 0.25
 PLAIN_PERIOD_S: Final = 10.0
 
@@ -43,7 +49,7 @@ OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")
+    parser.add_argument("--rig", help=f"rig file or the name of a shipped one (default: {RIG}; with --view {LED_RIG})")
     parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
     for flag, _, kind, metavar, text in OVERRIDES:
         parser.add_argument(flag, type=kind, metavar=metavar, help=text)
@@ -52,6 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--watcher", action="store_true", help="a small process that takes the force off if this one is killed"
     )
     parser.add_argument("--record", metavar="FILE", help="record every tick and event into a new .mcap file")
+    parser.add_argument("--view", action="store_true", help="open a page in the browser, with a mouse for a hand")
     parser.add_argument("--duration", type=duration, metavar="S", help="stop after so many seconds of ticks")
 
 
@@ -63,7 +70,9 @@ def run(args: argparse.Namespace) -> int:
             changes[key], sources[key] = value, f"command line {flag}"
     if args.once:
         changes["device.loop"], sources["device.loop"] = False, "command line --once"
-    rig = load_rig(args.rig, changes, sources)
+    if args.view:
+        check_viewer()
+    rig = load_rig(args.rig or (LED_RIG if args.view else RIG), changes, sources)
     scene = load_scene(args.scene)
     rate = rig.servo.rate_hz
     ticks = None if args.duration is None else max(1, round(args.duration * rate))
@@ -72,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--forces: one file cannot keep the force of several fingers: give each its own in the rig")
 
     daemon, watchers = Daemon(rig, scene, ticks, report_settings, scene_name=args.scene), list[Watcher]()
+    page = None
     try:
         if args.record is not None:
             daemon.recordings.record(args.record, args.scene)
@@ -84,6 +94,8 @@ def run(args: argparse.Namespace) -> int:
             log.info("%s for other machines on %s, by key", name, endpoint)
         if daemon.metrics_endpoint is not None:
             log.info("metrics on %s/metrics", daemon.metrics_endpoint)
+        if args.view:
+            page = show_page(daemon)
         log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(daemon.publisher.endpoint))
         begun = time.monotonic()
         with compiling("the kernels (once for each version and scene)"):
@@ -100,6 +112,9 @@ def run(args: argparse.Namespace) -> int:
             daemon.close()
             for watcher in watchers:
                 watcher.dismiss()
+            if page is not None:
+                page.terminate()
+                page.wait()
     return signals.code_of_stop()
 
 
@@ -108,6 +123,20 @@ def shown_by(endpoint: str) -> str:
     called = Path(sys.argv[0])
     program = str(called) if called.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
     return f"{program} monitor" + ("" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}")
+
+
+def check_viewer() -> None:
+    """Raise ConfigError where a page cannot be shown."""
+    if find_spec("viser") is None:
+        raise ConfigError("--view: the page needs viser: pip install 'softfinger[viewer]'")
+
+
+def show_page(daemon: Daemon) -> subprocess.Popen[bytes]:
+    """Start `softfinger view` of a daemon, a process of its own; it says where the page is."""
+    if daemon.commands_endpoint is None:
+        raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
+    endpoints = ["--endpoint", daemon.publisher.endpoint, "--commands", daemon.commands_endpoint]
+    return subprocess.Popen([sys.executable, "-m", "softfinger.server.cli", "view", *endpoints])
 
 
 def report_settings(settings: list[Setting]) -> None:

@@ -118,6 +118,16 @@ class Drive(Struct, frozen=True, forbid_unknown_fields=True):
     orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
 
 
+class Hand(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where a hand that is computed is to hold the fingertip, and how turned; of which of several fingers; or
+    `release`, back to what it does by itself."""
+
+    position_m: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType = msgspec.UNSET
+    orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
+    finger: Name | Annotated[int, Meta(ge=0)] | msgspec.UnsetType = msgspec.UNSET
+    release: bool = False
+
+
 class Applied(Struct, frozen=True):
     """How many ticks had begun without it at the least."""
 
@@ -199,6 +209,7 @@ METHODS: Final = {
     "set_params": Method(Values, Changed, "parameters of the scene, all of them between the same two ticks, or none"),
     "set_scene": Method(SetScene, SceneSet, "another scene: compiled, then put in from zero force"),
     "drive": Method(Drive, Applied, "the pose of a driven object"),
+    "hand": Method(Hand, Applied, "where the hand on a simulated device wants to be"),
     "arm": Method(Empty, Armed, "the force fades in"),
     "disarm": Method(Empty, Armed, "the force fades out, and stays out"),
     "zero": Method(Zero, Zeroed, "the probe is at a position now; without force only"),

@@ -34,6 +34,7 @@ from softfinger.server.wire.commands import (
     Changed,
     Drive,
     Empty,
+    Hand,
     Mark,
     Quaternion,
     RecordStart,
@@ -162,6 +163,15 @@ class Control(Closing):
         """Put a driven object, by name or number, at a place (m, world) with an orientation (w, x, y, z)."""
         return self._ask("drive", _pose(what, position_m, orientation_wxyz), Applied)
 
+    def hand(
+        self,
+        position_m: Vector | None = None,
+        orientation_wxyz: Quaternion | None = None,
+        finger: str | int | None = None,
+        release: bool = False,
+    ) -> Applied:
+        return self._ask("hand", _hand(position_m, orientation_wxyz, finger, release), Applied)
+
     def arm(self) -> Armed:
         """Let the force fade in along the guard's ramp."""
         return self._ask("arm", Empty(), Armed)
@@ -256,6 +266,15 @@ class AsyncControl:
     async def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
         return await self._ask("drive", _pose(what, position_m, orientation_wxyz), Applied)
 
+    async def hand(
+        self,
+        position_m: Vector | None = None,
+        orientation_wxyz: Quaternion | None = None,
+        finger: str | int | None = None,
+        release: bool = False,
+    ) -> Applied:
+        return await self._ask("hand", _hand(position_m, orientation_wxyz, finger, release), Applied)
+
     async def arm(self) -> Armed:
         return await self._ask("arm", Empty(), Armed)
 
@@ -307,6 +326,17 @@ def _scene(scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None, 
 
 def _pose(what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None) -> Drive:
     return Drive(what, position_m, msgspec.UNSET if orientation_wxyz is None else orientation_wxyz)
+
+
+def _hand(
+    position_m: Vector | None, orientation_wxyz: Quaternion | None, finger: str | int | None, release: bool
+) -> Hand:
+    return Hand(
+        msgspec.UNSET if position_m is None else position_m,
+        msgspec.UNSET if orientation_wxyz is None else orientation_wxyz,
+        msgspec.UNSET if finger is None else finger,
+        release,
+    )
 
 
 def _zero(position_m: Vector, finger: str | int | None, reset: bool) -> Zero:

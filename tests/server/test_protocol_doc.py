@@ -12,6 +12,7 @@ import zmq
 from helpers.telemetry_records import join, put, synthetic
 
 from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.system.discovery import Attached
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.app import Daemon
@@ -182,6 +183,11 @@ def test_methods_and_errors_are_the_codes():
     assert f"{REQUEST_MAX} bytes, {commands.NODES_MAX} values and a depth of {commands.DEPTH_MAX}" in DOC
     assert f"may ask {BURST} times in {BURST_S:g} s" in DOC and f"There are {router.PEERS_MAX} connections" in DOC
     assert f"A frame of more than {REQUEST_MAX} bytes" in DOC and f"more than\n{EVENT_BYTES_MAX} bytes" in DOC
+
+
+def test_speeds_of_a_led_hand_are_the_codes():
+    """As the text on `hand` has them."""
+    assert f"at {SPEED_MAX_M_PER_S:g} m/s and {TURN_MAX_RAD_PER_S:g} rad/s at most" in DOC
 
 
 def test_schema_of_the_commands_has_every_method():

@@ -9,7 +9,7 @@ from helpers.compiled_code import functions
 
 from softfinger.proxy.kernels.native.atomics import load_relaxed, store_relaxed
 from softfinger.proxy.kernels.native.jit import OPTIONS, entry
-from softfinger.server.loop.shared.seqlock import make_slot, publish, refresh
+from softfinger.proxy.kernels.native.seqlock import make_slot, publish, refresh
 
 READS = 10_000_000
 WIDTH = 64

@@ -72,6 +72,14 @@ def about_tip_of_tool(tool: Tool, tip: Quaternion, force: Vec3, torque: Vec3) ->
     return vec3.sub(torque, vec3.cross(rotate(tip, tool.lever), force))
 
 
+def handle_of(tool: Tool | None, tip: Pose) -> Pose:
+    """Pose of the handle whose tip is there: the inverse of `tip_of`."""
+    if tool is None:
+        return tip
+    turn = multiply(tip.orientation, conjugate(tool.turn))
+    return Pose(vec3.sub(tip.position, rotate(tip.orientation, tool.lever)), turn)
+
+
 def make_tool(offset: Vec3, orientation: Quaternion) -> Tool:
     """The tool whose tip is at `offset` (3,) m on the handle, turned by `orientation` (not zero), tip to handle."""
     turn = normalize(orientation)

@@ -1,4 +1,5 @@
-"""What makes numba compile kernels as the loop needs: options and cache, dispatch, memory, arrays, atomics, C calls.
+"""What makes numba compile kernels as the loop needs: options and cache, dispatch, memory, arrays, atomics,
+a sequence lock, C calls.
 
 Nothing of geometry or contact.
 """

@@ -1,4 +1,4 @@
-"""Memory that the loop shares with Python: records on their way out, parameters on their way in.
+"""Memory that the loop shares with Python: records on their way out.
 
-No lock, and nobody waits: each has one writer and one reader.
+No lock, and nobody waits: one writer, and one reader.
 """

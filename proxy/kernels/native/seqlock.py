@@ -1,4 +1,4 @@
-"""Parameters into the running servo: a sequence lock with one writer, which readers never hold up.
+"""Numbers into the running servo: a sequence lock with one writer, which readers never hold up.
 
 The counter is odd while the writer is at work. A reader that meets a write, or is overtaken by one,
 keeps what it had and tries again at its next tick.

@@ -1,0 +1,79 @@
+"""`view`: a page in the browser, of a running daemon or of a recording."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import threading
+import webbrowser
+from typing import Final
+
+from softfinger.config.errors import ConfigError
+from softfinger.server import keys, signals
+from softfinger.server.arguments import duration
+from softfinger.server.wire.client import DEFAULT_ENDPOINT
+from softfinger.server.wire.control import DEFAULT_COMMANDS
+
+log: Final = logging.getLogger(__name__)
+
+PORT: Final = 8080
+HOST: Final = "127.0.0.1"
+NICE: Final = 5
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.description = "A page in the browser: what a running daemon renders, and a mouse for a hand; or a recording."
+    parser.add_argument(
+        "recording", nargs="?", metavar="RECORDING", help="an .mcap, results, poses, or the name of a shipped recording"
+    )
+    parser.add_argument("--scene", help="of a recording that does not say its own, or in place of that")
+    parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
+    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
+    parser.add_argument("--commands", default=DEFAULT_COMMANDS, help="commands endpoint (default: %(default)s)")
+    keys.add_options(parser)
+    parser.add_argument("--host", default=HOST, help="address of the page; who opens it may command (%(default)s)")
+    parser.add_argument("--port", type=int, default=PORT, help="of the page, or the next free one (%(default)s)")
+    parser.add_argument("--no-open", action="store_true", help="do not open a browser")
+    parser.add_argument("--duration", type=duration, metavar="S", help="leave after S seconds (default: stay)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the page until a signal, or for a duration; ConfigError without viser."""
+    try:
+        from softfinger.server.viewer.page import Page, each_frame
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "viser":
+            raise
+        raise ConfigError("the page needs viser: pip install 'softfinger[viewer]'") from None
+    if not 0 <= args.port < 65536:
+        raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
+    from softfinger.server.viewer.live import Daemon, LivePage
+    from softfinger.server.viewer.playback import RecordedPage, load
+
+    recording = None if args.recording is None else load(args.recording, args.scene)
+    if args.host == HOST:  # beside a servo, most likely, and one that may have no priority
+        os.nice(NICE)
+    daemon = Daemon(args.endpoint, args.commands, keys.of_options(args))
+    page, stop = Page(args.host, args.port), threading.Event()
+    try:
+        fed = LivePage(page, daemon) if recording is None else RecordedPage(page, recording, args.tick)
+        try:
+            log.info("the page is %s; to stop it: Ctrl-C", page.address)
+            if args.host != HOST:
+                log.warning("whoever reaches %s may command the daemon: there is no password", args.host)
+            if not args.no_open and _can_open():
+                webbrowser.open(page.address)
+            with signals.asked(stop.set):
+                each_frame(fed.step, stop, args.duration)
+        finally:
+            fed.close()
+    finally:
+        page.close()
+    return signals.code_of_stop()
+
+
+def _can_open() -> bool:
+    """Whether there is a screen for a browser; without one, some would start in the terminal."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or os.name == "nt"

@@ -1,0 +1,153 @@
+"""The page of a running daemon: its ticks as a picture, its scene as sliders, a mouse for the hand."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from softfinger.config import schema
+from softfinger.config.errors import HapticError
+from softfinger.config.load import describe
+from softfinger.server.keys import ClientKeys
+from softfinger.server.viewer.hand import Hand, Led, Target
+from softfinger.server.viewer.page import Page, scene_of
+from softfinger.server.viewer.tuning import Tuning
+from softfinger.server.viewer.wire import Asker, Live, Request
+
+WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
+COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one goes on meanwhile"
+ASK_AGAIN_S: Final = 1.0
+
+
+class Daemon(NamedTuple):
+    """Where a daemon publishes and takes commands, and the keys that it wants."""
+
+    telemetry: str
+    commands: str
+    keys: ClientKeys | None = None
+
+
+class LivePage:
+    """Feeds a page from a daemon, whether or not it runs yet; call `step` for each frame."""
+
+    def __init__(self, page: Page, daemon: Daemon) -> None:
+        self._page = page
+        self._live = Live(daemon.telemetry, daemon.keys)
+        self._asker = Asker(daemon.commands, daemon.keys)
+        self._slow = Asker(daemon.commands, daemon.keys)  # a scene is compiled while the hand goes on
+        self._described: dict[str, Any] | None = None
+        self._fresh = threading.Event()
+        self._scene: schema.Scene | None = None
+        self._since = 0.0
+        gui = page.server.gui
+        with page.tabs.add_tab("Hand"):
+            self._hand = Hand(gui, page.server.scene, self._send)
+            gui.add_button_group("force", ("on", "off")).on_click(self._switch)
+        with page.tabs.add_tab("Feel"):
+            self._tuning = Tuning(gui, self._set_params, self._set_scene)
+        page.add_views()
+        page.say(WAITING)
+
+    def step(self, dt: float) -> None:
+        """Show what has come in the `dt` s since the last time."""
+        news = self._live.take()
+        if self._fresh.is_set():
+            self._fresh.clear()
+            self._change()
+        self._since += dt
+        if self._scene is None and self._since > ASK_AGAIN_S:
+            self._look()
+        for event in news.events:
+            self._hear(event)
+        if self._live.problem:
+            self._page.say(self._live.problem)
+        for finger, rows in news.ticks.items():
+            self._hand.see(finger, rows[-1])
+        self._page.show(news.ticks)
+
+    def _look(self) -> None:
+        """Ask what the daemon is, and renders."""
+        self._since = 0.0
+        self._asker.ask("describe", Request("describe", {}, self._is_described, lambda text: None))
+
+    def _is_described(self, described: dict[str, Any]) -> None:
+        self._described = described
+        self._fresh.set()
+
+    def _change(self) -> None:
+        """Show the scene that has been described."""
+        described = self._described
+        assert described is not None
+        try:
+            scene = scene_of(described)
+        except HapticError as error:
+            self._page.say(str(error))
+            return
+        if self._scene is None:
+            self._page.say("")
+        elif self._page.fingers and _form(scene) == _form(self._scene):
+            self._scene = scene
+            for nodes in self._page.fingers.values():
+                nodes.change(scene)
+            self._tuning.change(scene, described["scene_name"])
+            return
+        self._scene = scene
+        self._page.change(scene, int(described["since"]), 1.0 / described["rate_hz"])
+        self._tuning.change(scene, described["scene_name"])
+        parts = {finger.name: finger for finger in scene.fingers}
+        self._hand.change([_led(each, parts[each["name"]]) for each in described["fingers"] if each["led"]])
+        for name, nodes in self._page.fingers.items():
+            self._hand.take(name, nodes.ball)
+
+    def _hear(self, event: dict[str, Any]) -> None:
+        if event["kind"] == "command" and event["name"] == "drive" and self._scene is not None:
+            what = event["what"]
+            names = [thing.name for thing in self._scene.object]
+            if what.get("object") in names:
+                self._page.drive(names.index(what["object"]), what["position_m"], what.get("orientation_wxyz"))
+        elif event["kind"] == "lifecycle" or (event["kind"] == "command" and event["name"].startswith("set_")):
+            self._look()
+
+    def _send(self, finger: str, target: Target | None) -> None:
+        params: dict[str, Any] = {"finger": finger} if finger else {}
+        if target is None:
+            params["release"] = True
+        else:
+            params["position_m"] = [float(x) for x in target.position]
+            params["orientation_wxyz"] = list(target.orientation)
+        self._asker.ask(f"hand {finger}", Request("hand", params, lambda result: None, self._refused))
+
+    def _switch(self, event: Any) -> None:
+        method = "arm" if event.target.value == "on" else "disarm"
+        self._asker.ask(
+            "force", Request(method, {}, lambda result: self._page.say(f"force {event.target.value}"), self._refused)
+        )
+
+    def _set_params(self, name: str, values: dict[str, Any]) -> None:
+        self._asker.ask(name, Request("set_params", values, lambda result: self._look(), self._refused))
+
+    def _set_scene(self, name: str, values: dict[str, Any]) -> None:
+        self._page.say(COMPILING)
+        self._slow.ask(name, Request("set_scene", values, lambda result: self._page.say(""), self._refused))
+
+    def _refused(self, text: str) -> None:
+        self._page.say(text, "Not done:")
+        self._tuning.restore()
+
+    def close(self) -> None:
+        for part in (self._live, self._asker, self._slow):
+            part.close()
+
+
+def _form(scene: schema.Scene) -> dict[str, Any]:
+    """What of a scene is to be seen."""
+    plain = describe(scene)
+    objects = [{key: value for key, value in each.items() if key != "material"} for each in plain["object"]]
+    return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects}
+
+
+def _led(described: dict[str, Any], finger: schema.FingerParts) -> Led:
+    low, high = (np.array(described["device"][f"workspace_{end}_m"]) + described["offset_m"] for end in ("min", "max"))
+    return Led(finger.name, finger.radius_m, low, high)

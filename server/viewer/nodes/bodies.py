@@ -1,0 +1,94 @@
+"""The objects of a scene as nodes of the page, each where it is at a tick."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from softfinger.config import schema
+from softfinger.proxy.actions import kernel_motion
+from softfinger.proxy.kernels.geometry.motion import pose_at
+from softfinger.proxy.kernels.model import Pose
+from softfinger.server.viewer.nodes.glyphs import Quaternion
+from softfinger.server.viewer.nodes.looks import CM, OBJECTS
+from softfinger.server.viewer.nodes.meshes import PLANE_M, mesh_of
+
+Place = tuple[tuple[float, float, float], Quaternion]
+
+
+class Bodies:
+    """Nodes `/objects/N`, a frame each with its surface below.
+
+    first     the tick with which the scene began, for objects that move by themselves
+    period_s  of a tick
+    """
+
+    def __init__(self, api: Any, scene: schema.Scene, first: int, period_s: float) -> None:
+        self._first, self._period_s = first, period_s
+        self._root = api.add_frame("/objects", show_axes=False)
+        self._frames: list[Any] = []
+        self.places: Final[list[Place]] = []
+        """Where each is: position (3,) m and orientation, object to world."""
+        self._moving: Final[dict[int, tuple[Any, Pose]]] = {}
+        for number, thing in enumerate(scene.object):
+            place = (thing.position_m, thing.orientation_wxyz)
+            self.places.append(place)
+            self._frames.append(api.add_frame(f"/objects/{number}", show_axes=False))
+            self._put(number)
+            if thing.motion is not None:
+                self._moving[number] = (kernel_motion(thing.motion), Pose(*place))
+            _draw(api, f"/objects/{number}", thing, OBJECTS[number % len(OBJECTS)])
+
+    def show(self, tick: int) -> None:
+        """Put those that move by themselves where they are at a tick."""
+        time = (tick - self._first + 1) * self._period_s
+        for number, (motion, rest) in self._moving.items():
+            pose = pose_at(motion, rest, time)
+            self.places[number] = (pose.position, pose.orientation)
+            self._put(number)
+
+    def drive(self, number: int, position: Any, orientation: Any = None) -> None:
+        """A driven object has been moved."""
+        place = (tuple(position), self.places[number][1] if orientation is None else tuple(orientation))
+        self.places[number] = place
+        if number in self._moving:
+            self._moving[number] = (self._moving[number][0], Pose(*place))
+        self._put(number)
+
+    def _put(self, number: int) -> None:
+        (x, y, z), turn = self.places[number]
+        self._frames[number].position = (CM * x, CM * y, CM * z)
+        self._frames[number].wxyz = turn
+
+    def remove(self) -> None:
+        """With all that hangs on them."""
+        self._root.remove()
+
+
+def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None:
+    mesh = mesh_of(thing)
+    if mesh is None:
+        api.add_label(f"{node}/name", f"{thing.name}: no picture of a {thing.shape}")
+        return
+    if thing.shape == "plane":  # as one layer: a page without a graphics card counts the pixels it paints
+        edge = CM * PLANE_M
+        api.add_grid(
+            f"{node}/surface",
+            width=edge,
+            height=edge,
+            cell_size=1.0,
+            section_size=5.0,
+            plane_color=colour,
+            plane_opacity=0.7,
+        )
+        return
+    inside = getattr(thing, "inside", False)
+    api.add_mesh_simple(
+        f"{node}/surface",
+        CM * mesh.vertices,
+        mesh.faces,
+        color=colour,
+        opacity=0.88,
+        flat_shading=mesh.flat,
+        side="back" if inside else "double",  # of a hollow the far wall alone
+        cast_shadow=False,
+    )

@@ -1,0 +1,194 @@
+"""A fingertip as nodes of the page: where the proxy is and the probe, what touches it, and what it feels."""
+
+from __future__ import annotations
+
+from math import radians
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.proxy.record import AT, FREE, NAMED, PATCHES
+from softfinger.server.viewer.nodes.bodies import Bodies
+from softfinger.server.viewer.nodes.glyphs import UNTURNED, Way, arc, circles, inverse, rotated, towards
+from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, MARKS, NORMAL, OF_MODE, SKIN, TORSION, Looks
+from softfinger.server.viewer.nodes.meshes import cone, ellipsoid
+
+Array = NDArray[np.float64]
+
+APART_M: Final = 2e-5
+"""Proxy and probe nearer than this are shown as one."""
+STEP_M: Final = 2e-4
+"""Shortest piece of a trace."""
+ABOVE_M: Final = 2e-4
+"""Traces lie so far above their surface, lest it hide them."""
+TRACED_EVERY: Final = 5
+"""Ticks between two points of a trace."""
+NOTHING_N: Final = 1e-4
+"""Force that has no arrow."""
+NOTHING_NM: Final = 2e-5
+"""Moment that has no arc."""
+
+
+def _three(at: int) -> slice:
+    return slice(at, at + 3)
+
+
+class Patch(NamedTuple):
+    """First columns of a patch in a record."""
+
+    object: int
+    point: int
+    normal: int
+    mode: int
+
+
+_PATCHES: Final = [Patch(*(NAMED[f"contacts{k}.{name}"].at for name in Patch._fields)) for k in range(PATCHES)]
+
+
+class FingerNodes:
+    """Nodes `/fingers/NAME`; `ball` is what a mouse may take hold of.
+
+    bodies  on whose frames the trace on the objects lies
+    """
+
+    def __init__(self, api: Any, scene: schema.Scene, finger: schema.FingerParts, bodies: Bodies) -> None:
+        self._api, self._scene, self._bodies = api, scene, bodies
+        self._node = f"/fingers/{finger.name or 'finger'}"
+        self._radii = finger.radii_m or (finger.radius_m,) * 3
+        shape = ellipsoid(self._radii)
+        vertices = CM * rotated(finger.orientation_wxyz, shape.vertices)
+        rings = CM * 1.004 * rotated(finger.orientation_wxyz, circles(self._radii))
+        self._root = api.add_frame(self._node, show_axes=False)
+        self._tip = api.add_frame(f"{self._node}/tip", show_axes=False)
+        self.ball = api.add_mesh_simple(
+            f"{self._node}/tip/ball", vertices, shape.faces, color=SKIN, opacity=0.75, cast_shadow=False
+        )
+        self._lines("tip/marks", rings, MARKS, 0.035)
+        self._ghost = self._lines("probe", rings, GHOST, 0.035)
+        self._apart = self._lines("apart", np.zeros((1, 2, 3)), GHOST, 0.08)
+        self._force = api.add_arrows(
+            f"{self._node}/force", np.zeros((1, 2, 3)), SKIN, shaft_radius=0.07, head_radius=0.18, head_length=0.35
+        )
+        self._normals = self._lines("normals", np.zeros((PATCHES, 2, 3)), NORMAL, 0.05)
+        self._dots = [
+            api.add_icosphere(f"{self._node}/contact{k}", radius=0.12, color=SKIN, cast_shadow=False)
+            for k in range(PATCHES)
+        ]
+        self._arc = self._lines("torsion", arc(1.0, 1.0), TORSION, 0.13)
+        self._cone = api.add_mesh_simple(
+            f"{self._node}/cone", *cone(1.0, 0.5)[:2], color=CONE, opacity=0.35, side="double", cast_shadow=False
+        )
+        self._slope = 0.5
+        self._on_tip = Way(STEP_M)
+        self._tip_trace = self._lines("tip/trace", self._on_tip.segments, SKIN, 0.09)
+        self._on_objects: dict[int, tuple[Way, Any]] = {}
+        self._touched = -1
+
+    def _lines(self, node: str, segments: Array, colour: Any, thickness: float) -> Any:
+        return self._api.add_line_segments(f"{self._node}/{node}", segments, colour, thickness=thickness)
+
+    def show(self, rows: Array, looks: Looks) -> None:
+        """The ticks (n, RECORD_SIZE) since the last time: the newest as a picture, all of them as a trace."""
+        row = rows[-1]
+        probe, proxy = row[_three(AT.probe_position)], row[_three(AT.proxy_position)]
+        mode = int(row[AT.contact_mode])
+        apart = bool(np.linalg.norm(probe - proxy) > APART_M) and mode != FREE
+        turn = tuple(row[AT.probe_orientation : AT.probe_orientation + 4])
+        self._tip.position, self._tip.wxyz = CM * (proxy if apart else probe), turn
+        self._ghost.position, self._ghost.wxyz = CM * probe, turn
+        self._ghost.visible = self._apart.visible = apart and looks.ghost
+        self._apart.points = CM * np.array([[probe, proxy]])
+        self._show_wrench(row, mode, looks)
+        self._show_patches(row, mode != FREE and looks.patches)
+        self._show_cone(row, mode != FREE and looks.cone, looks)
+        self._trace(rows[::-1][::TRACED_EVERY][::-1], looks.traces)
+
+    def _show_wrench(self, row: Array, mode: int, looks: Looks) -> None:
+        point, normal = row[_three(AT.contact_point)], row[_three(AT.contact_normal)]
+        force = row[_three(AT.force)]
+        begins = CM * (point if mode != FREE else row[_three(AT.probe_position)])
+        self._force.visible = bool(np.linalg.norm(force) > NOTHING_N)
+        self._force.points = np.array([[begins, begins + looks.cm_per_newton * force]])
+        self._force.colors = np.array(OF_MODE[mode], np.uint8)
+        moment = float(row[AT.contact_torsion])
+        self._arc.visible = mode != FREE and abs(moment) > NOTHING_NM
+        if self._arc.visible:
+            self._arc.points = arc(radians(1e3 * moment * looks.degrees_per_mnm), 1.35 * CM * max(self._radii))
+            self._arc.position = CM * (point + 0.15 * self._radii[0] * normal)
+            self._arc.wxyz = towards(normal)
+
+    def _show_patches(self, row: Array, shown: bool) -> None:
+        lines = np.zeros((PATCHES, 2, 3))
+        for k, at in enumerate(_PATCHES):
+            here = shown and row[at.object] >= 0.0
+            self._dots[k].visible = here
+            if here:
+                point, normal = row[_three(at.point)], row[_three(at.normal)]
+                self._dots[k].position, self._dots[k].color = CM * point, OF_MODE[int(row[at.mode])]
+                lines[k] = CM * point, CM * point + 2.5 * CM * max(self._radii) * normal
+        self._normals.visible, self._normals.points = shown, lines
+
+    def _show_cone(self, row: Array, shown: bool, looks: Looks) -> None:
+        number, load = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
+        friction = self._scene.object[number].material.friction if 0 <= number < len(self._scene.object) else None
+        self._cone.visible = shown and friction is not None and load > NOTHING_N
+        if not self._cone.visible or friction is None:
+            return
+        if friction.static != self._slope:
+            self._slope = friction.static
+            self._cone.vertices = cone(1.0, self._slope).vertices
+        self._cone.position = CM * row[_three(AT.contact_point)]
+        self._cone.wxyz = towards(row[_three(AT.contact_normal)])
+        self._cone.scale = looks.cm_per_newton * load
+
+    def _trace(self, rows: Array, shown: bool) -> None:
+        drawn = False
+        for row in rows:
+            mode, number = int(row[AT.contact_mode]), int(row[AT.contact_object])
+            if mode == FREE or number != self._touched:
+                self._lift(number if mode != FREE else -1)
+            if mode == FREE:
+                continue
+            way = self._object_way(number)[0]
+            on_tip, up = row[_three(AT.contact_finger_point)], row[_three(AT.contact_normal)]
+            position, turn = self._bodies.places[number]
+            above = row[_three(AT.contact_point)] + ABOVE_M * up - position
+            on_tip = on_tip * (1.0 + 2.0 * ABOVE_M / max(float(np.linalg.norm(on_tip)), ABOVE_M))
+            drawn |= way.add(rotated(inverse(turn), above), OF_MODE[mode])
+            drawn |= self._on_tip.add(on_tip, OF_MODE[mode])
+        self._tip_trace.visible = shown
+        for way, node in self._on_objects.values():
+            node.visible = shown
+            if drawn:
+                node.points, node.colors = CM * way.segments, way.colours
+        if drawn:
+            self._tip_trace.points, self._tip_trace.colors = CM * self._on_tip.segments, self._on_tip.colours
+
+    def _object_way(self, number: int) -> tuple[Way, Any]:
+        if number not in self._on_objects:
+            way, name = Way(STEP_M), self._node.replace("/", "-")
+            node = self._api.add_line_segments(
+                f"/objects/{number}/trace{name}", way.segments, way.colours, thickness=0.09, wxyz=UNTURNED
+            )
+            self._on_objects[number] = (way, node)
+        return self._on_objects[number]
+
+    def _lift(self, number: int) -> None:
+        self._touched = number
+        for way in (self._on_tip, *(way for way, _ in self._on_objects.values())):
+            way.lift()
+
+    def forget(self) -> None:
+        """Wipe the traces off."""
+        for way, node in (*self._on_objects.values(), (self._on_tip, self._tip_trace)):
+            way.clear()
+            node.points = way.segments
+
+    def change(self, scene: schema.Scene) -> None:
+        """Other parameters of the same objects."""
+        self._scene = scene
+
+    def remove(self) -> None:
+        self._root.remove()

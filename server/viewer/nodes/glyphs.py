@@ -1,0 +1,117 @@
+"""Lines that stand for what cannot be seen: a moment as an arc, marks that show a turn, the way a contact has gone."""
+
+from __future__ import annotations
+
+from math import copysign, cos, pi, sin, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Quaternion = tuple[float, float, float, float]
+
+ARC_PIECES: Final = 48
+ARC_MAX: Final = 1.85 * pi
+"""An arc that closed would not show where it ends."""
+HEAD_RAD: Final = 0.32
+"""Length of an arc's arrow head."""
+
+UNTURNED: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
+
+
+def arc(angle: float, radius: float) -> Array:
+    """Segments (ARC_PIECES + 2, 2, 3) of an arc about +z, right-handed from the x axis, with an arrow head at its end.
+
+    angle  rad  its sign is the way round; at most ARC_MAX of it is drawn
+    """
+    angle = copysign(min(abs(angle), ARC_MAX), angle)
+    turn = np.linspace(0.0, angle, ARC_PIECES + 1)
+    line = radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
+    back = angle - copysign(min(HEAD_RAD, 0.6 * abs(angle)), angle)
+    barbs = [(r * radius * cos(back), r * radius * sin(back), 0.0) for r in (0.82, 1.18)]
+    head = [(line[-1], barb) for barb in barbs]
+    return np.concatenate([np.stack([line[:-1], line[1:]], axis=1), np.array(head)])
+
+
+def circles(radii: tuple[float, float, float], pieces: int = 48) -> Array:
+    """Segments (3 pieces, 2, 3) of the three ellipses in which an ellipsoid meets its planes."""
+    turn = np.linspace(0.0, 2.0 * pi, pieces + 1)
+    c, s, none = np.cos(turn), np.sin(turn), np.zeros_like(turn)
+    lines = [np.column_stack(each) * radii for each in ((c, s, none), (none, c, s), (s, none, c))]
+    return np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+
+
+def towards(normal: Array) -> Quaternion:
+    """A rotation that takes +z to the unit vector `normal` (3,)."""
+    x, y, z = (float(n) for n in normal)
+    if z < -0.999999:
+        return (0.0, 1.0, 0.0, 0.0)
+    w = sqrt(0.5 * (1.0 + z))
+    return (w, -y / (2.0 * w), x / (2.0 * w), 0.0)
+
+
+def rotated(q: Quaternion, points: Array) -> Array:
+    """Points (..., 3) turned by the unit quaternion `q`."""
+    w, v = q[0], np.array(q[1:])
+    across = 2.0 * np.cross(v, points)
+    return np.asarray(points + w * across + np.cross(v, across))
+
+
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """First `b`, then `a`."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def inverse(q: Quaternion) -> Quaternion:
+    """Of a unit quaternion."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def about(axis: Array, angle: float) -> Quaternion:
+    """The rotation by `angle` rad about an axis (3,) of any length but 0."""
+    x, y, z = axis / np.linalg.norm(axis) * sin(0.5 * angle)
+    return (cos(0.5 * angle), float(x), float(y), float(z))
+
+
+class Way:
+    """The newest part of a way, as segments with a colour each.
+
+    least  shortest segment: what is nearer to the last point is left out
+    """
+
+    def __init__(self, least: float, segments: int = 300) -> None:
+        self.segments = np.zeros((segments, 2, 3))
+        self.colours = np.zeros((segments, 2, 3), np.uint8)
+        self.count = 0
+        """Segments drawn so far; those not drawn yet have no length."""
+        self._least, self._last = least, None
+
+    _last: Array | None
+
+    def lift(self) -> None:
+        """The next point begins anew, away from the last."""
+        self._last = None
+
+    def clear(self) -> None:
+        self.segments[:], self.count, self._last = 0.0, 0, None
+
+    def add(self, point: Array, colour: tuple[int, int, int]) -> bool:
+        """Go on to a point (3,); True where that drew a segment."""
+        if self._last is None:
+            self._last = point
+            return False
+        if np.linalg.norm(point - self._last) < self._least:
+            return False
+        place = self.count % len(self.segments)
+        self.segments[place] = self._last, point
+        self.colours[place] = colour
+        self.count, self._last = self.count + 1, point
+        return True

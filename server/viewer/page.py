@@ -1,0 +1,182 @@
+"""The page: a scene and its fingertips in the middle, what is to be read and done beside it, some 30 times a second."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.load import build
+from softfinger.proxy.record import AT, MODE_NAMES
+from softfinger.server.viewer.nodes.bodies import Bodies
+from softfinger.server.viewer.nodes.fingers import FingerNodes
+from softfinger.server.viewer.nodes.looks import Looks
+from softfinger.server.viewer.plots import Plots
+
+Array = NDArray[np.float64]
+
+FRAME_S: Final = 1.0 / 30.0
+TEXT_S: Final = 0.2
+PLOT_S: Final = 0.33
+TITLE: Final = "softfinger"
+PANEL: Final = 380
+"""Width of the controls, pixels."""
+
+
+class Camera(NamedTuple):
+    """Where a page is looked at from at first, in its units, and the angle from top to bottom, rad."""
+
+    position: tuple[float, float, float]
+    look_at: tuple[float, float, float]
+    fov: float
+
+
+FIRST_CAMERA: Final = Camera((4.5, -8.5, 5.5), (0.0, 0.0, 0.6), 0.75)
+
+
+class Page:
+    """A page on `host`:`port`, or the next port that is free. What feeds it calls `change`, `show` and `say`."""
+
+    def __init__(self, host: str, port: int) -> None:
+        logging.getLogger("websockets").setLevel(logging.WARNING)  # it tells of every page that is opened
+        with contextlib.redirect_stdout(io.StringIO()):  # it draws a box with its address
+            self.server: Final = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
+        self.address: Final = f"http://{'localhost' if host == '127.0.0.1' else host}:{self.server.get_port()}"
+        self.server.scene.configure_default_lights(cast_shadow=False)  # a second picture for each frame
+        for name, value in FIRST_CAMERA._asdict().items():
+            setattr(self.server.initial_camera, name, value)
+        self.looks: Final = Looks()
+        self.fingers: Final[dict[str, FingerNodes]] = {}
+        self._bodies: Bodies | None = None
+        self._newest: dict[str, Array] = {}
+        self._told, self._plotted, self._closed = 0.0, 0.0, False
+        gui = self.server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL)
+        self._said = gui.add_markdown("")
+        self._state = gui.add_markdown("waiting for the first tick")
+        self._paused = gui.add_checkbox("pause the picture", False)
+        self.tabs: Final = gui.add_tab_group()
+
+    def add_views(self) -> None:
+        """The tabs for what is shown and for plots; behind those of who feeds the page."""
+        gui, looks = self.server.gui, self.looks
+        with self.tabs.add_tab("Show"):
+            for name, text in (
+                ("cone", "friction cone"),
+                ("traces", "trace of the contact"),
+                ("ghost", "probe apart from proxy"),
+                ("patches", "contact points and normals"),
+            ):
+                _bound(gui.add_checkbox(text, getattr(looks, name)), looks, name)
+            _bound(gui.add_slider("force, cm/N", 0.2, 5.0, 0.1, looks.cm_per_newton), looks, "cm_per_newton")
+            _bound(
+                gui.add_slider("torsion, deg/mN m", 5.0, 200.0, 5.0, looks.degrees_per_mnm), looks, "degrees_per_mnm"
+            )
+            gui.add_button("wipe traces").on_click(lambda event: self.forget())
+        with self.tabs.add_tab("Plots"):
+            self._plots = Plots(gui)
+
+    def change(self, scene: schema.Scene, first: int, period_s: float) -> None:
+        """Another scene, which began with tick `first`; its nodes take the place of those before."""
+        with self.server.atomic():
+            for nodes in self.fingers.values():
+                nodes.remove()
+            if self._bodies is not None:
+                self._bodies.remove()
+            self._bodies = Bodies(self.server.scene, scene, first, period_s)
+            self.fingers.clear()
+            self._newest.clear()
+            for finger in scene.fingers:
+                self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self._bodies)
+
+    def drive(self, number: int, position: Any, orientation: Any) -> None:
+        """A driven object of the scene has been moved."""
+        if self._bodies is not None:
+            self._bodies.drive(number, position, orientation)
+
+    def show(self, ticks: dict[str, Array]) -> None:
+        """Ticks (n, RECORD_SIZE) of each finger since the last time."""
+        known = {name: rows for name, rows in ticks.items() if name in self.fingers and len(rows)}
+        for name, rows in known.items():
+            self._newest[name] = rows[-1]
+        first = next(iter(self.fingers), "")
+        if first in known:
+            self._plots.add(known[first])
+        if not self._paused.value and known:
+            with self.server.atomic():
+                if self._bodies is not None:
+                    self._bodies.show(int(next(iter(known.values()))[-1, AT.tick]))
+                for name, rows in known.items():
+                    self.fingers[name].show(rows, self.looks)
+        self._keep_up()
+
+    def forget(self) -> None:
+        """Wipe off the traces."""
+        for nodes in self.fingers.values():
+            nodes.forget()
+
+    def say(self, text: str, title: str = "") -> None:
+        """Something that the viewer is told, until something else is; with a title it is shown in front, too."""
+        if self._closed:  # an answer that came late
+            return
+        self._said.content = f"**{title}** {text}" if title else text
+        if title:
+            for client in self.server.get_clients().values():
+                client.add_notification(title, text, auto_close_seconds=8.0, color="orange")
+
+    def _keep_up(self) -> None:
+        now = time.monotonic()
+        if now - self._told > TEXT_S and self._newest and not self._paused.value:
+            self._told = now
+            self._state.content = "\n\n".join(told(name, row) for name, row in self._newest.items())
+        if now - self._plotted > PLOT_S and not self._paused.value:
+            self._plotted = now
+            self._plots.show()
+
+    def close(self) -> None:
+        self._closed = True
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+
+def _bound(control: Any, looks: Looks, name: str) -> None:
+    control.on_update(lambda event: setattr(looks, name, control.value))
+
+
+def told(name: str, row: Array) -> str:
+    """A tick in words."""
+    mode = MODE_NAMES[int(row[AT.contact_mode])]
+    row = np.round(row, 9) + 0.0  # no minus before a zero
+    return (
+        f"{name + ': ' if name else ''}**{mode}** · normal {row[AT.contact_normal_force]:.2f} N · "
+        f"tangential {row[AT.contact_tangential_force]:.2f} N · depth {1e3 * row[AT.contact_penetration]:.2f} mm · "
+        f"torsion {1e3 * row[AT.contact_torsion]:.2f} mN m · spin {np.degrees(row[AT.contact_spin]):.1f}° · "
+        f"rolled {np.degrees(row[AT.contact_rolled]):.1f}° · tick {row[AT.tick]:.0f}"
+    )
+
+
+def scene_of(described: dict[str, Any]) -> schema.Scene:
+    """The scene that a daemon describes; ConfigError for one with a shape that is not known here."""
+    return build(schema.Scene, described["scene"], "the daemon's scene")
+
+
+def each_frame(work: Callable[[float], None], stop: threading.Event, duration: float | None) -> None:
+    """Call `work(dt)` some 30 times a second until told to stop; never faster than the page is drawn."""
+    began = last = time.monotonic()
+    while not stop.wait(max(0.0, last + FRAME_S - time.monotonic())):
+        now = time.monotonic()
+        work(now - last)
+        last = now
+        if duration is not None and now - began >= duration:
+            return

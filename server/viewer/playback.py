@@ -1,0 +1,138 @@
+"""A recording on the page: read, played, and scrubbed through."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.errors import RecordingError
+from softfinger.config.load import build, load_scene
+from softfinger.proxy.record import AT
+from softfinger.server.offline.results import read_results
+from softfinger.server.offline.simulate import run_recording
+from softfinger.server.recording.reader import Note, Ticks, contents
+from softfinger.server.viewer.page import Page
+
+Array = NDArray[np.float64]
+
+BEFORE: Final = 2000
+"""Ticks whose trace is drawn where one has jumped to."""
+SPEEDS: Final = ("0.1", "0.25", "0.5", "1", "2")
+DEFAULT_SCENE: Final = "paper-plane"
+
+
+class Recording(NamedTuple):
+    """Records (n, RECORD_SIZE) of each finger by name, as many of each; the scene, and what it is called."""
+
+    fingers: dict[str, Array]
+    scene: schema.Scene
+    name: str
+    rate_hz: float
+
+
+def load(recording: str, scene: str | None) -> Recording:
+    """An .mcap; a .csv or .npz of results, or of poses, which are rendered first; or a shipped recording's name.
+
+    scene  in place of the recording's, or of poses: `paper-plane` without it
+
+    Raises RecordingError and ConfigError for what cannot be shown.
+    """
+    path = Path(recording)
+    notes: dict[str, Any] = {}
+    if path.suffix.lower() == ".mcap":
+        fingers, notes = _mcap(path)
+    elif path.suffix.lower() in (".csv", ".npz"):
+        try:
+            fingers = {"": read_results(path)}
+        except RecordingError:  # no results: poses, or neither
+            fingers = {"": np.asarray(run_recording(path, scene or DEFAULT_SCENE))}
+    else:
+        fingers = {"": np.asarray(run_recording(recording, scene or DEFAULT_SCENE))}
+    if scene is None and "scene" in notes:
+        shown = build(schema.Scene, notes["scene"], f"{path}: scene")
+    else:
+        shown = load_scene(scene or DEFAULT_SCENE)
+    named = {each.name for each in shown.fingers}
+    if named != set(fingers) and not (len(named) == 1 and set(fingers) == {""}):
+        raise RecordingError(f"{path}: has fingers {sorted(fingers)}, and the scene {sorted(named)}: give its --scene")
+    rate = notes.get("rate_hz", 1000.0)
+    return Recording(fingers, shown, str(notes.get("scene_name", scene or DEFAULT_SCENE)), float(rate))
+
+
+def _mcap(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+    blocks: dict[str, list[Array]] = {}
+    notes: dict[str, Any] = {}
+    for part in contents(path):
+        if isinstance(part, Ticks):
+            blocks.setdefault(part.finger, []).append(part.records())
+        elif isinstance(part, Note):
+            notes[part.name] = part.value
+    if not blocks:
+        raise RecordingError(f"{path}: holds no tick")
+    fingers = {name: np.concatenate(each) for name, each in blocks.items()}
+    count = min(len(rows) for rows in fingers.values())
+    return {name: rows[:count] for name, rows in fingers.items()}, notes
+
+
+class Player:
+    """Play, pause and scrub: which ticks are to be shown next."""
+
+    def __init__(self, gui: Any, recording: Recording, tick: int) -> None:
+        self._fingers, self._rate_hz = recording.fingers, recording.rate_hz
+        self._count = len(next(iter(self._fingers.values())))
+        self._shown, self._place = -BEFORE, float(min(max(tick, 0), self._count - 1))
+        self._slider = gui.add_slider("tick", 0, self._count - 1, 1, int(self._place))
+        self._slider.on_update(self._scrubbed)
+        self._play = gui.add_checkbox("play", False)
+        self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+
+    def _scrubbed(self, event: Any) -> None:
+        if event.client is not None:
+            self._place = float(self._slider.value)
+
+    def advance(self, dt: float) -> None:
+        """`dt` s have gone by."""
+        if self._play.value:
+            self._place += dt * self._rate_hz * float(self._speed.value)
+            if self._place > self._count - 1:
+                self._place = 0.0
+            self._slider.value = int(self._place)
+
+    def take(self) -> tuple[dict[str, Array], bool]:
+        """Records of each finger to be shown, none where nothing has changed; and whether one has jumped there."""
+        here = int(self._place)
+        if here == self._shown:
+            return {}, False
+        jumped = not 0 < here - self._shown < BEFORE
+        first = max(0, here - BEFORE) if jumped else self._shown + 1
+        self._shown = here
+        return {name: rows[first : here + 1] for name, rows in self._fingers.items()}, jumped
+
+
+class RecordedPage:
+    """Feeds a page from a recording; call `step` for each frame."""
+
+    def __init__(self, page: Page, recording: Recording, tick: int) -> None:
+        self._page = page
+        with page.tabs.add_tab("Recording"):
+            self._player = Player(page.server.gui, recording, tick)
+        page.add_views()
+        first = int(next(iter(recording.fingers.values()))[0, AT.tick])
+        page.change(recording.scene, first, 1.0 / recording.rate_hz)
+        names = list(page.fingers)
+        self._names = dict(zip(recording.fingers, names, strict=True)) if len(names) == 1 else {n: n for n in names}
+
+    def step(self, dt: float) -> None:
+        """`dt` s have gone by."""
+        self._player.advance(dt)
+        ticks, jumped = self._player.take()
+        if jumped:
+            self._page.forget()
+        self._page.show({self._names[name]: rows for name, rows in ticks.items()})
+
+    def close(self) -> None:
+        """Nothing to be closed."""

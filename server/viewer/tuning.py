@@ -1,0 +1,133 @@
+"""Sliders and choices: what of a scene may change while it is felt, and which scene it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, get_args
+
+from softfinger.config import schema
+from softfinger.config.load import describe, shipped
+from softfinger.config.schema.contact import RollingMethod
+
+NO_ROLLING: Final = "none"
+Change = Callable[[str, dict[str, Any]], None]
+
+
+class Knob:
+    """A slider for one number of a material: `read` gives it, None where the scene has none; `keys` what sets it."""
+
+    def __init__(
+        self,
+        slider: Any,
+        read: Callable[[schema.Material], float | None],
+        keys: Callable[[schema.Material, float], dict[str, float]],
+    ) -> None:
+        self.slider, self._read, self._keys = slider, read, keys
+
+    def show(self, material: schema.Material) -> None:
+        """Put the slider where the material has it."""
+        value = self._read(material)
+        self.slider.disabled = value is None
+        if value is not None:
+            self.slider.max = max(self.slider.max, 2.0 * value)
+            self.slider.value = value
+
+    def wanted(self, material: schema.Material) -> dict[str, float]:
+        """Keys below the material, and the values that the slider asks for."""
+        return self._keys(material, float(self.slider.value))
+
+
+def _friction(material: schema.Material, static: float) -> dict[str, float]:
+    """Both coefficients, in the proportion that they have."""
+    friction = material.friction
+    share = friction.kinetic / friction.static if friction is not None and friction.static > 0.0 else 1.0
+    return {"friction.static": static, "friction.kinetic": static * share}
+
+
+class Tuning:
+    """The sliders and choices; `params(name, values)` and `scene(name, values)` ask the daemon."""
+
+    def __init__(self, gui: Any, params: Change, scene: Change) -> None:
+        self._params, self._set_scene = params, scene
+        self._scene: schema.Scene | None = None
+        self._name = ""
+        self._object = gui.add_dropdown("object", ("",), visible=False)
+        self._object.on_update(lambda event: self._show())
+        self._knobs = {
+            "stiffness": Knob(
+                gui.add_slider("stiffness, N/m", 0.0, 3000.0, 10.0, 0.0),
+                lambda made: made.stiffness_n_per_m,
+                lambda made, value: {"stiffness_n_per_m": value},
+            ),
+            "damping": Knob(
+                gui.add_slider("damping, N s/m", 0.0, 10.0, 0.1, 0.0),
+                lambda made: made.damping_ns_per_m,
+                lambda made, value: {"damping_ns_per_m": value},
+            ),
+            "friction": Knob(
+                gui.add_slider("friction", 0.0, 1.5, 0.01, 0.0),
+                lambda made: None if made.friction is None else made.friction.static,
+                _friction,
+            ),
+            "torsion": Knob(
+                gui.add_slider("torsion, N m/rad", 0.0, 0.2, 0.001, 0.0),
+                lambda made: None if made.torsion is None else made.torsion.stiffness_nm_per_rad,
+                lambda made, value: {"torsion.stiffness_nm_per_rad": value},
+            ),
+        }
+        for name, knob in self._knobs.items():
+            knob.slider.on_update(lambda event, name=name: self._slid(event, name))
+        self._rolling = gui.add_dropdown("rolling", (*get_args(RollingMethod), NO_ROLLING))
+        self._rolling.on_update(self._rolled)
+        self._choice = gui.add_dropdown("scene", tuple(shipped(schema.Scene)))
+        self._choice.on_update(self._chosen)
+
+    def change(self, scene: schema.Scene, name: str) -> None:
+        """What is rendered now."""
+        self._scene, self._name = scene, name
+        names = tuple(thing.name for thing in scene.object)
+        if self._object.options != names:
+            self._object.options = names
+        self._object.visible = len(names) > 1
+        self._show()
+
+    def restore(self) -> None:
+        """Show again what is rendered, after something else was asked for in vain."""
+        self._show()
+
+    def _number(self) -> int:
+        return self._object.options.index(self._object.value) if self._object.value in self._object.options else 0
+
+    def _show(self) -> None:
+        if self._scene is None:
+            return
+        for knob in self._knobs.values():
+            knob.show(self._scene.object[self._number()].material)
+        self._rolling.value = NO_ROLLING if self._scene.rolling is None else self._scene.rolling.method
+        names = tuple(shipped(schema.Scene))
+        if self._name not in names:
+            names = (*names, self._name)
+        if self._choice.options != names:
+            self._choice.options = names
+        self._choice.value = self._name
+
+    def _slid(self, event: Any, name: str) -> None:
+        if event.client is None or self._scene is None:  # set by this program, not by a person
+            return
+        number = self._number()
+        wanted = self._knobs[name].wanted(self._scene.object[number].material)
+        self._params(name, {f"object.{number}.material.{key}": value for key, value in wanted.items()})
+
+    def _rolled(self, event: Any) -> None:
+        if event.client is None or self._scene is None:
+            return
+        scene, method = describe(self._scene), self._rolling.value
+        if method == NO_ROLLING:
+            scene.pop("rolling", None)
+        else:
+            scene["rolling"] = scene.get("rolling", {}) | {"method": method}
+        self._set_scene("scene", {"scene": scene, "name": self._name})
+
+    def _chosen(self, event: Any) -> None:
+        if event.client is not None and self._choice.value != self._name:
+            self._set_scene("scene", {"scene": self._choice.value})

@@ -1,0 +1,123 @@
+"""The wire as the page needs it: ticks and events gathered by one thread, commands asked by another."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import HapticError
+from softfinger.server.keys import ClientKeys
+from softfinger.server.wire.client import record_of, subscribe
+from softfinger.server.wire.control import Control
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, finger_of
+
+KEPT: Final = 8192
+"""Ticks of a finger that are kept until they are taken."""
+WAIT_S: Final = 0.2
+"""How long a thread waits before it looks whether it is to end."""
+
+
+class News(NamedTuple):
+    """What has come since the last time: records (n, RECORD_SIZE) by finger, and events."""
+
+    ticks: dict[str, NDArray[np.float64]]
+    events: list[dict[str, Any]]
+
+
+class Live:
+    """What a running daemon publishes. `problem` says why nothing comes that can be shown, or is empty."""
+
+    def __init__(self, endpoint: str, keys: ClientKeys | None) -> None:
+        self._samples = subscribe(endpoint, (CONTACT, FINGERS, EVENT), keys=keys)
+        self._rows: dict[str, deque[list[float]]] = {}
+        self._events = deque[dict[str, Any]](maxlen=KEPT)
+        self._closing = threading.Event()
+        self.problem = ""
+        self._thread = threading.Thread(target=self._gather, name="ticks", daemon=True)
+        self._thread.start()
+
+    def _gather(self) -> None:
+        while not self._closing.is_set():
+            try:
+                sample = self._samples.receive(WAIT_S)
+            except HapticError as error:
+                self.problem = str(error)
+                continue
+            if sample is None:
+                continue
+            finger = finger_of(sample.topic)
+            if finger is None:
+                self._events.append(sample.data)
+            else:
+                self._rows.setdefault(finger, deque(maxlen=KEPT)).append(record_of(sample))
+
+    def take(self) -> News:
+        """What has come since the last time."""
+        ticks = {finger: np.array(rows) for finger, held in list(self._rows.items()) if (rows := _emptied(held))}
+        return News(ticks, _emptied(self._events))
+
+    def close(self) -> None:
+        self._closing.set()
+        self._thread.join()
+        self._samples.close()
+
+
+def _emptied(queue: deque[Any]) -> list[Any]:
+    """All that is in a queue, which another thread may go on to fill."""
+    return [queue.popleft() for _ in range(len(queue))]
+
+
+class Request(NamedTuple):
+    """A command, and what is to be called with its result, and with what kept it from being done."""
+
+    method: str
+    params: dict[str, Any]
+    done: Callable[[Any], None]
+    failed: Callable[[str], None]
+
+
+class Asker:
+    """Commands to the daemon, one at a time, by a thread; of those that wait under one name the newest is sent."""
+
+    def __init__(self, endpoint: str, keys: ClientKeys | None, timeout_s: float | None = None) -> None:
+        self._control = Control(endpoint, timeout_s, keys)
+        self._waiting: dict[str, Request] = {}
+        self._changed = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._work, name="commands", daemon=True)
+        self._thread.start()
+
+    def ask(self, name: str, request: Request) -> None:
+        """Send it in its turn; what waits under the same name is not sent any more."""
+        with self._changed:
+            self._waiting[name] = request
+            self._changed.notify()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                while not self._waiting and not self._closing:
+                    self._changed.wait()
+                if self._closing:
+                    return
+                request = self._waiting.pop(next(iter(self._waiting)))
+            try:
+                result = self._control.ask(request.method, request.params)
+            except HapticError as error:
+                request.failed(str(error))
+            else:
+                request.done(result)
+
+    def close(self) -> None:
+        """What waits is not sent any more; what is under way is waited for until its time is over."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(WAIT_S)
+        if not self._thread.is_alive():
+            self._control.close()

@@ -1,0 +1,120 @@
+"""The hand of a simulated device that a program leads: its way, its bounds, and what it does when nobody asks."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.driver_contract import Servo
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import Rig
+from softfinger.drivers import registry
+from softfinger.drivers.simulated.device import Options, Simulated, open_device
+from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
+from softfinger.drivers.simulated.lead import NoHand, Wanted, lead
+from softfinger.proxy.kernels.geometry.tool import make_tool
+
+AT = (0.0, 0.0, 0.02)
+BARE = {"damping_ns_per_m": [0, 0, 0], "friction_n": [0, 0, 0], "lag_s": 0, "delay_ticks": 0, "resolution_m": 0}
+FIRM = {"hand": {"mass_kg": 0.0, "damping_ns_per_m": 200.0, "stiffness_n_per_m": 1e5}, **BARE}
+"""A hand that is where it wants to be, but for 3 kg m/s^2 / 1e5 N/m."""
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+RATE_HZ = 1000.0
+
+
+def opened(**options: Any) -> Simulated:
+    return open_device(build(Options, options, "[device]"), RATE_HZ)
+
+
+def read(servo: Servo, count: int) -> np.ndarray:
+    """Samples (count, 7) of so many reads."""
+    return np.array([servo.read()[1][:7] for _ in range(count)])
+
+
+def test_it_goes_where_it_is_asked_to_be_no_faster_than_a_hand_and_stays() -> None:
+    """40 mm and a quarter turn away: within both bounds all the way, there after some tenths, and still there later."""
+    turned = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
+    with opened(position_m=AT, **FIRM) as device:
+        servo = Servo(device)
+        read(servo, 10)
+        device.hand().lead((0.04, 0.0, 0.02), turned)
+        way = read(servo, 1500)
+    speeds = np.linalg.norm(way[50:, :3] - way[:-50, :3], axis=1) * RATE_HZ / 50  # over which the spring swings out
+    assert 0.9 * SPEED_MAX_M_PER_S < speeds.max() < 1.05 * SPEED_MAX_M_PER_S
+    turns = 2.0 * np.arccos(np.clip(np.abs((way[1:, 3:] * way[:-1, 3:]).sum(axis=1)), 0.0, 1.0)) * RATE_HZ
+    assert turns.max() < TURN_MAX_RAD_PER_S * (1.0 + 1e-6)
+    np.testing.assert_allclose(way[-500:, :3], [[0.04, 0.0, 0.02]] * 500, atol=1e-8)  # 30 time constants
+    np.testing.assert_allclose(way[-1, 3:], turned, atol=1e-8)
+
+
+def test_without_an_orientation_it_stays_turned() -> None:
+    """Only the place is asked for: the turn of before is kept to the bit."""
+    with opened(position_m=AT, **FIRM) as device:
+        servo = Servo(device)
+        device.hand().lead(AT, (0.6, 0.8, 0.0, 0.0))
+        before = read(servo, 1500)[-1]
+        device.hand().lead((0.01, 0.0, 0.02))
+        after = read(servo, 500)[-1]
+    assert before[4] == pytest.approx(0.8, abs=1e-8)  # 40 time constants
+    np.testing.assert_allclose(after[3:], before[3:], atol=1e-14)  # a normalisation a tick
+
+
+def test_it_comes_back_to_its_recording_to_the_bit() -> None:
+    """Led away and released, it intends again exactly what the recording has; a run that nobody leads is as ever."""
+    with opened(recording="tap", loop=True, **FIRM) as led, opened(recording="tap", loop=True, **FIRM) as alone:
+        ours, theirs = Servo(led), Servo(alone)
+        read(ours, 100), read(theirs, 100)
+        led.hand().lead((0.03, 0.0, 0.03))
+        assert np.abs(read(ours, 400) - read(theirs, 400)).max() > 0.02
+        led.hand().release()
+        read(ours, 2000), read(theirs, 2000)
+        # The plant forgets how it came there: time constants of a millisecond.
+        np.testing.assert_allclose(read(ours, 500), read(theirs, 500), atol=1e-12)
+
+
+def test_a_recording_that_is_over_ends_a_run_that_is_led() -> None:
+    """It ends when it would have ended."""
+    with opened(recording="tap", loop=False, **FIRM) as led, opened(recording="tap", loop=False, **FIRM) as alone:
+        led.hand().lead(AT)
+        ours, theirs = Servo(led), Servo(alone)
+        statuses = [(ours.read()[0], theirs.read()[0]) for _ in range(2400)]
+    assert all(a == b for a, b in statuses) and statuses[-1][0] != statuses[0][0]
+
+
+def test_what_the_device_cannot_is_refused_with_the_reason() -> None:
+    """Out of reach, turned without a wrist, no orientation at all, and a device whose hand is nobody's to lead."""
+    rig = load_rig("replay")
+    with opened(position_m=AT) as device, opened(position_m=AT, preset="omega.3") as wristless:
+        with pytest.raises(ConfigError, match=r"position_m = \[0.0, 0.0, 0.5\] is out of reach of simulated omega.6"):
+            lead(device, None, (0.0, 0.0, 0.0), Wanted((0.0, 0.0, 0.5), None, UPRIGHT))
+        with pytest.raises(ConfigError, match=r"omega\.3 senses no rotation: leave orientation_wxyz out"):
+            lead(wristless, None, (0.0, 0.0, 0.0), Wanted(AT, UPRIGHT, UPRIGHT))
+        with pytest.raises(ConfigError, match="all zero is no orientation"):
+            lead(device, None, (0.0, 0.0, 0.0), Wanted(AT, (0.0, 0.0, 0.0, 0.0), UPRIGHT))
+    replay = registry.open_device(rig.device, rig.servo.rate_hz, "[device]")
+    with replay, pytest.raises(NoHand, match="no program leads the hand on replay"):
+        lead(replay, None, (0.0, 0.0, 0.0), None)
+
+
+def test_the_tip_of_a_tool_is_what_is_led() -> None:
+    """With a stylus 50 mm long and a tare of 10 mm, the handle goes where the tip is then where it was asked to be."""
+    tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
+    with opened(position_m=AT, **FIRM) as device:
+        servo = Servo(device)
+        lead(device, tool, (0.01, 0.0, 0.0), Wanted((0.02, 0.0, -0.03), (0.0, 1.0, 0.0, 0.0), UPRIGHT))
+        sample = read(servo, 2000)[-1]
+    # The tip is turned half about x on the handle, so an upright handle holds it so, 50 mm above it, 10 mm aside.
+    np.testing.assert_allclose(sample, [0.01, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0], atol=1e-7)
+
+
+def test_the_shipped_rig_waits_above_the_scenes() -> None:
+    """Its hand is where the rig says until it is led."""
+    rig: Rig = load_rig("simulated-hand")
+    with registry.open_device(rig.device, rig.servo.rate_hz, "[device]") as device:
+        assert device.hand() is not None
+        samples = read(Servo(device), 100)
+    np.testing.assert_allclose(samples, [[*AT, *UPRIGHT]] * 100, atol=1e-12)

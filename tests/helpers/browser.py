@@ -1,0 +1,124 @@
+"""A real browser without a screen: Debian's Chromium with WebGL in software, driven by playwright."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+WAIT_S = 180.0
+"""A generous bound: a page drawn in software, on a machine that does much else and stands still at times."""
+SIZE = (840, 520)
+"""Of the window, pixels: small, since each is painted by a processor."""
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+def why_none() -> str:
+    """Why there is no browser here; empty where there is one."""
+    if shutil.which("chromium") is None:
+        return "no Chromium: make browser (Debian's package chromium)"
+    try:
+        import playwright.sync_api  # noqa: F401
+    except ImportError:
+        return "no playwright: make setup"
+    return ""
+
+
+def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:
+    """What `true` returns once it is true, or in the end."""
+    until = time.monotonic() + WAIT_S
+    while not (found := true()) and time.monotonic() < until:
+        time.sleep(every_s)
+    return found
+
+
+class Screen:
+    """A page in the browser."""
+
+    def __init__(self, page: Any) -> None:
+        self.page = page
+
+    def picture(self) -> NDArray[np.int64]:
+        """Colours (height, width, 3) of the picture, without what stands beside it."""
+        from PIL import Image
+
+        box = self.page.locator("canvas").first.bounding_box()
+        image = Image.open(io.BytesIO(self.page.screenshot(timeout=1e3 * WAIT_S))).convert("RGB")
+        x, y, w, h = (round(box[key]) for key in ("x", "y", "width", "height"))
+        return np.array(image.crop((x, y, x + w, y + h))).astype(np.int64)
+
+    def at(self, point: tuple[float, float, float], camera: Any) -> tuple[float, float]:
+        """Where a point of the page's world is on the screen, seen by a `Camera` of the viewer."""
+        box = self.page.locator("canvas").first.bounding_box()
+        look = np.asarray(camera.look_at) - np.asarray(camera.position)
+        look /= np.linalg.norm(look)
+        right = np.cross(look, (0.0, 0.0, 1.0))
+        right /= np.linalg.norm(right)
+        way = np.asarray(point) - np.asarray(camera.position)
+        scale = 0.5 * box["height"] / np.tan(0.5 * camera.fov) / (way @ look)
+        x, y = scale * (way @ right), scale * (way @ np.cross(right, look))
+        return box["x"] + 0.5 * box["width"] + x, box["y"] + 0.5 * box["height"] - y
+
+    def drag(self, start: tuple[float, float], way: tuple[float, float], key: str | None = None) -> None:
+        """Take hold there and go so far, in steps, with a key held or none."""
+        mouse, keyboard = self.page.mouse, self.page.keyboard
+        if key is not None:
+            keyboard.down(key)
+        mouse.move(*start)
+        mouse.down()
+        for share in np.linspace(0.1, 1.0, 10):
+            mouse.move(start[0] + share * way[0], start[1] + share * way[1])
+            time.sleep(0.1)
+        mouse.up()
+        if key is not None:
+            keyboard.up(key)
+
+    def fill(self, label: str, value: str) -> None:
+        """Write a number into the field beside a slider."""
+        field = self.page.locator(f"xpath=//label[normalize-space()={label!r}]/following::input[@type='text'][1]")
+        field.fill(value, timeout=1e3 * WAIT_S)
+        field.press("Enter")
+
+    def tab(self, name: str) -> None:
+        self.page.get_by_role("tab", name=name).click(timeout=1e3 * WAIT_S)
+
+    def shows(self, text: str) -> bool:
+        """Whether a text is to be read."""
+        return bool(self.page.get_by_text(text).count())
+
+
+@contextmanager
+def opened(address: str) -> Iterator[Screen]:
+    """A page in a new browser, once its picture is there."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as tool:
+        browser = tool.chromium.launch(
+            executable_path=shutil.which("chromium"), args=ARGUMENTS, headless=True, timeout=1e3 * WAIT_S
+        )
+        try:
+            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+            page.set_default_timeout(1e3 * WAIT_S)
+            page.goto(address)
+            page.locator("canvas").first.wait_for()
+            page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # it lies over the picture
+            yield Screen(page)
+        finally:
+            browser.close()

@@ -1,0 +1,145 @@
+"""The page in a real browser: it shows the scene, its pictures tell, and what is done there arrives in the daemon."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.browser import Screen, eventually, opened, why_none
+from numpy.typing import NDArray
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+from softfinger.server.offline.results import write_results
+from softfinger.server.offline.simulate import run_recording
+from softfinger.server.remote import Client
+from softfinger.server.viewer.nodes.looks import CM
+from softfinger.server.viewer.page import FIRST_CAMERA
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+
+ROLL, SPIN, SLIDE = 4300, 7000, 9000
+"""Ticks of the shipped recording: half way through its roll, wound up, and dragged along."""
+
+
+@contextmanager
+def page(*words: str) -> Iterator[Screen]:
+    """`softfinger view` with these words in a process of its own, in a browser."""
+    command = [sys.executable, "-m", "softfinger.server.cli", "view", *words, "--no-open"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            said = ""
+            while (found := re.search(r"the page is (\S+);", said)) is None:
+                line = process.stderr.readline()
+                assert line, f"it ended: {said}"
+                said += line
+            with opened(found[1]) as screen:
+                yield screen
+        finally:
+            process.terminate()
+
+
+def coloured(picture: NDArray[np.int64]) -> dict[str, int]:
+    """Pixels of each colour that has a meaning: red and blue of the modes, orange of the torsional moment."""
+    r, g, b = picture[..., 0], picture[..., 1], picture[..., 2]
+    return {
+        "red": int(((r - g > 70) & (abs(g - b) < 40)).sum()),
+        "blue": int(((b - r > 70) & (b - g > 25)).sum()),
+        "orange": int(((r - b > 120) & (g - b > 60)).sum()),
+    }
+
+
+def test_a_roll_a_spin_and_a_slide_are_told_apart_by_their_colours(tmp_path: Path) -> None:
+    """Scrubbed to one of each: a roll has blue alone, a spin an orange arc as well, a slide red in place of blue."""
+    file = tmp_path / "run.mcap"
+    write_results(file, run_recording("press-roll-spin-drag"))
+    seen = {}
+    with page(str(file)) as screen:
+        assert eventually(lambda: screen.shows("tick 0"))
+        for tick in (ROLL, SPIN, SLIDE):
+            screen.fill("tick", str(tick))
+            assert eventually(lambda tick=tick: screen.shows(f"tick {tick}"))
+            wanted = {ROLL: "blue", SPIN: "orange", SLIDE: "red"}[tick]
+            seen[tick] = eventually(lambda w=wanted: (found := coloured(screen.picture()))[w] > 100 and found)
+            assert seen[tick], f"no {wanted} at tick {tick}"
+    # A dot of 2 mm has some 30 pixels here, an arrow or an arc some hundred.
+    assert seen[ROLL]["red"] < 30 and seen[ROLL]["orange"] < 30
+    assert seen[SPIN]["blue"] > 100 and seen[SPIN]["red"] < 30
+    assert seen[SLIDE]["blue"] < 30
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    """A hand that waits to be led, above the paper's plane."""
+    ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
+    rig = load_rig("simulated-hand", ends | {"servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as running:
+        running.start()
+        yield running
+
+
+@pytest.fixture(scope="module")
+def screen(daemon: Daemon) -> Iterator[Screen]:
+    endpoint, commands = daemon.publisher.endpoint, str(daemon.commands_endpoint)
+    with page("--endpoint", endpoint, "--commands", commands) as screen:
+        yield screen
+
+
+@pytest.fixture
+def client(daemon: Daemon) -> Iterator[Client]:
+    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=60.0) as client:
+        yield client
+
+
+def test_the_page_shows_what_is_rendered(screen: Screen) -> None:
+    """The mode in words, the scene's name among the choices, and a white ball on a plane that is not white."""
+    assert eventually(lambda: screen.shows("free"))
+    for name in ("Hand", "Feel", "Show", "Plots"):
+        screen.tab(name)
+    screen.tab("Hand")
+    assert eventually(lambda: (screen.picture().std(axis=(0, 1)) > 5.0).all())
+
+
+def test_a_drag_of_the_mouse_is_felt_by_the_daemon(screen: Screen, client: Client) -> None:
+    """Shift and down presses the fingertip into the plane; a drag to the right takes it along; and it stays there."""
+    assert client.get_state().force[2] == 0.0
+
+    def ball() -> tuple[float, float]:
+        x, y, z = client.get_state().position
+        return screen.at((CM * x, CM * y, CM * z), FIRST_CAMERA)
+
+    def pressed() -> bool:
+        screen.drag(ball(), (0.0, 30.0), "Shift")
+        return client.get_state().force[2] > 0.3
+
+    assert eventually(pressed, every_s=1.0)
+    before = client.get_state().position
+
+    def moved() -> bool:
+        screen.drag(ball(), (40.0, 0.0))
+        return float(np.linalg.norm(np.subtract(client.get_state().position, before)[:2])) > 0.002
+
+    assert eventually(moved, every_s=1.0)
+    assert eventually(lambda: client.get_state().force[2] > 0.3)
+    assert screen.shows("rolling") or screen.shows("sliding")
+
+
+def test_a_slider_arrives_in_the_daemon(screen: Screen, client: Client) -> None:
+    """What is written beside it is the scene's stiffness; both coefficients of friction keep their proportion."""
+
+    def material() -> dict[str, object]:
+        made: dict[str, object] = client.describe()["scene"]["object"][0]["material"]
+        return made
+
+    screen.tab("Feel")
+    screen.fill("stiffness, N/m", "740")
+    assert eventually(lambda: material()["stiffness_n_per_m"] == 740.0)
+    screen.fill("friction", "0.3")
+    assert eventually(lambda: material()["friction"] == {"static": 0.3, "kinetic": pytest.approx(0.25)})

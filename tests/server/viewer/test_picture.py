@@ -1,0 +1,184 @@
+"""What the page draws, against closed forms: surfaces, arcs, cones, and what a drag of the mouse makes of a hand."""
+
+from __future__ import annotations
+
+from math import atan2, cos, pi, radians, sin, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import paper_mapping
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfinger.config import schema
+from softfinger.config.load import build
+from softfinger.server.viewer.hand import Target, from_angles, hit, moved, to_angles
+from softfinger.server.viewer.nodes.glyphs import (
+    ARC_MAX,
+    ARC_PIECES,
+    UNTURNED,
+    Way,
+    about,
+    arc,
+    circles,
+    inverse,
+    product,
+    rotated,
+    towards,
+)
+from softfinger.server.viewer.nodes.meshes import Mesh, cone, mesh_of
+
+SOLIDS = [
+    ({"shape": "sphere", "radius_m": 0.02}, 4 / 3 * pi * 0.02**3),
+    ({"shape": "cylinder", "radius_m": 0.02, "length_m": 0.05}, pi * 0.02**2 * 0.05),
+    ({"shape": "capsule", "radius_m": 0.02, "length_m": 0.05}, pi * 0.02**2 * 0.05 + 4 / 3 * pi * 0.02**3),
+    ({"shape": "box", "size_m": [0.02, 0.03, 0.04]}, 0.02 * 0.03 * 0.04),
+    ({"shape": "ellipsoid", "semi_axes_m": [0.02, 0.03, 0.04]}, 4 / 3 * pi * 0.02 * 0.03 * 0.04),
+    ({"shape": "torus", "major_radius_m": 0.04, "minor_radius_m": 0.01}, 2 * pi**2 * 0.04 * 0.01**2),
+]
+UP = np.array([0.0, 0.0, 1.0])
+units = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
+
+
+def thing(table: dict[str, Any]) -> Any:
+    mapping = paper_mapping(table={"shape": None, **table})
+    return build(schema.Scene, mapping, "test scene").object[0]
+
+
+def volume(mesh: Mesh) -> float:
+    """Enclosed by the triangles, positive where they face outwards: the divergence theorem."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return float((a * np.cross(b, c)).sum() / 6.0)
+
+
+@pytest.mark.parametrize(("table", "exact"), SOLIDS, ids=lambda each: each["shape"] if isinstance(each, dict) else "")
+def test_solids_have_their_volume_and_face_outwards(table: dict[str, Any], exact: float) -> None:
+    """Circles of 64 corners lack 0.16 % of their area, and half as much again along a meridian of 32 steps."""
+    assert volume(mesh_of(thing(table))) == pytest.approx(exact, rel=0.01)
+
+
+def test_a_plane_faces_along_its_normal() -> None:
+    """Flat, about the origin, its triangles counter-clockwise seen from above."""
+    mesh = mesh_of(thing({"shape": "plane"}))
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    assert (mesh.vertices[:, 2] == 0.0).all() and (np.cross(b - a, c - a) @ UP > 0.0).all()
+
+
+def test_an_endless_cylinder_has_no_ends() -> None:
+    """Every corner lies on its side."""
+    mesh = mesh_of(thing({"shape": "cylinder", "radius_m": 0.02}))
+    np.testing.assert_allclose(np.hypot(*mesh.vertices[:, :2].T), 0.02, rtol=1e-12)  # rounding of a sine
+
+
+def test_a_shape_from_elsewhere_has_no_picture() -> None:
+    """Nothing is drawn, rather than something wrong."""
+
+    class Elsewhere:
+        shape = "elsewhere"
+
+    assert mesh_of(Elsewhere()) is None  # type: ignore[arg-type]
+
+
+@given(st.floats(-3.0 * pi, 3.0 * pi), st.floats(0.1, 10.0))
+def test_an_arc_is_as_long_as_its_moment(angle: float, radius: float) -> None:
+    """Its chords add up to the arc, its sign is the way round, and it never closes."""
+    line = arc(angle, radius)[:ARC_PIECES]
+    drawn = min(abs(angle), ARC_MAX)
+    chord = 2.0 * radius * sin(drawn / ARC_PIECES / 2.0)
+    assert np.linalg.norm(line[:, 1] - line[:, 0], axis=1).sum() == pytest.approx(ARC_PIECES * chord, abs=1e-9)
+    assert np.cross(line[:, 0], line[:, 1])[:, 2].sum() * angle >= 0.0
+    np.testing.assert_allclose(np.linalg.norm(line[:, 1], axis=1), radius, rtol=1e-12)
+
+
+def test_a_cone_has_the_slope_of_the_friction() -> None:
+    """Rim at height 1 and radius mu: the angle whose tangent is mu."""
+    rim = cone(1.0, 0.6).vertices[-1]
+    assert atan2(np.hypot(rim[0], rim[1]), rim[2]) == pytest.approx(atan2(0.6, 1.0), rel=1e-12)
+
+
+def test_marks_lie_on_the_fingertip() -> None:
+    """Each point of the three ellipses fulfils the equation of the ellipsoid."""
+    points = circles((0.8, 0.7, 1.2)).reshape(-1, 3)
+    np.testing.assert_allclose(((points / (0.8, 0.7, 1.2)) ** 2).sum(axis=1), 1.0, rtol=1e-12)
+
+
+@given(units)
+def test_what_stands_on_a_normal_points_along_it(normal: np.ndarray) -> None:
+    """+z is taken to the normal, for all directions."""
+    normal = normal / np.linalg.norm(normal)
+    np.testing.assert_allclose(rotated(towards(normal), UP), normal, atol=2e-3)  # straight down is not divided by
+
+
+@given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.floats(-3.0, 3.0))
+def test_angles_of_the_sliders_come_back(x: float, y: float, z: float) -> None:
+    """Three angles, a rotation, and the same three angles."""
+    np.testing.assert_allclose(to_angles(from_angles(x, y, z)), (x, y, z), atol=1e-9)
+
+
+def test_a_rotation_and_its_inverse_are_none() -> None:
+    """To rounding."""
+    q = about(np.array([1.0, 2.0, 3.0]), 0.7)
+    np.testing.assert_allclose(product(q, inverse(q)), UNTURNED, atol=1e-15)
+
+
+def test_a_way_keeps_its_newest_part() -> None:
+    """Short steps are left out, the oldest give way, and a lift draws no segment."""
+    way = Way(0.1, segments=3)
+    drawn = [way.add(np.array([x, 0.0, 0.0]), (1, 2, 3)) for x in (0.0, 0.05, 0.1, 0.2, 0.35, 0.5)]
+    assert drawn == [False, False, True, True, True, True]
+    way.lift()
+    assert not way.add(np.array([9.0, 0.0, 0.0]), (1, 2, 3))
+    assert sorted(way.segments[:, 1, 0].round(6).tolist()) == [0.2, 0.35, 0.5]
+
+
+EYE = np.array([0.3, -0.4, 0.5])
+START = Target(np.array([0.01, 0.0, 0.02]), UNTURNED)
+GRABBED = np.array([0.01, -0.01, 0.02])
+
+
+def pointer(to: np.ndarray) -> np.ndarray:
+    """Where the pointer is on a plane that faces the camera, when it looks at `to`."""
+    look = GRABBED - EYE
+    found = hit(EYE, to, GRABBED, look)
+    assert found is not None
+    return found
+
+
+def test_a_drag_moves_level() -> None:
+    """The point that was grabbed follows the mouse in its level plane, and the hand with it, unturned."""
+    to = GRABBED + np.array([0.02, 0.01, 0.0])
+    target = moved(START, EYE, GRABBED, pointer(to), "move", 0.01)
+    assert target is not None and target.orientation == UNTURNED
+    np.testing.assert_allclose(target.position, START.position + np.array([0.02, 0.01, 0.0]), atol=1e-12)
+
+
+def test_a_drag_presses_upright() -> None:
+    """With shift the hand goes straight down by as much as the mouse."""
+    target = moved(START, EYE, GRABBED, pointer(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
+    assert target is not None
+    np.testing.assert_allclose(target.position, START.position - (0.0, 0.0, 0.015), atol=1e-12)
+
+
+def test_a_drag_rolls_like_a_ball() -> None:
+    """A quarter of the circumference along +x is a quarter turn about +y, without slip."""
+    way = 0.5 * pi * 0.01
+    target = moved(START, EYE, GRABBED, pointer(GRABBED + np.array([way, 0.0, 0.0])), "roll", 0.01)
+    assert target is not None
+    np.testing.assert_allclose(target.position, START.position + np.array([way, 0.0, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(target.orientation, (sqrt(0.5), 0.0, sqrt(0.5), 0.0), atol=1e-9)
+
+
+def test_a_look_along_a_plane_tells_nothing() -> None:
+    """Straight down there is no upright plane, along the table no level one: the hand stays."""
+    above = GRABBED + np.array([0.0, 0.0, 0.5])
+    assert moved(START, above, GRABBED, GRABBED, "press", 0.01) is None
+    beside = GRABBED + np.array([0.0, -0.5, 0.0])
+    assert moved(START, beside, GRABBED, GRABBED + np.array([0.01, 0.0, 0.0]), "move", 0.01) is None
+    assert hit(EYE, EYE + UP, np.zeros(3), UP) is None  # behind the eye
+
+
+def test_angles_are_about_the_axes_of_the_world() -> None:
+    """Spin comes last: a roll about x, spun by 90 degrees, is one about y."""
+    rolled = rotated(from_angles(radians(30.0), 0.0, radians(90.0)), UP)
+    np.testing.assert_allclose(rolled, (sin(radians(30.0)), 0.0, cos(radians(30.0))), atol=1e-12)

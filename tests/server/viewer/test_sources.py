@@ -1,0 +1,108 @@
+"""What feeds the page: recordings of every kind, and a daemon whose scene, events and refusals are heard."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.config.errors import RecordingError
+from softfinger.server.cli import main
+from softfinger.server.offline.results import write_results
+from softfinger.server.offline.simulate import run_recording
+from softfinger.server.viewer.live import Daemon, LivePage
+from softfinger.server.viewer.page import Page
+from softfinger.server.viewer.playback import BEFORE, Player, load
+
+pytestmark = pytest.mark.real_time
+
+WAIT_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def results() -> np.ndarray:
+    return np.asarray(run_recording("tap"))
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
+def test_results_are_shown_as_they_are(tmp_path: Path, results: np.ndarray, ending: str) -> None:
+    """To the bit, of one finger, on the scene that is named."""
+    file = tmp_path / f"run{ending}"
+    write_results(file, results)
+    shown = load(str(file), None)
+    assert list(shown.fingers) == [""] and shown.fingers[""].tobytes() == results.tobytes()
+    assert shown.scene.object[0].shape == "plane"
+
+
+def test_poses_are_rendered_first(results: np.ndarray) -> None:
+    """A shipped recording's name, and what the daemon would make of it."""
+    assert load("tap", None).fingers[""].tobytes() == results.tobytes()
+
+
+def test_what_is_no_recording_is_told(tmp_path: Path) -> None:
+    """A file of something else, and fingers that the scene does not have."""
+    (tmp_path / "no.mcap").write_bytes(b"no recording")
+    with pytest.raises(RecordingError, match=r"no\.mcap"):
+        load(str(tmp_path / "no.mcap"), None)
+    assert main(["view", str(tmp_path / "no.mcap"), "--no-open"]) == RecordingError.exit_code
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    """A page that no browser has opened."""
+    page = Page("127.0.0.1", 8300)
+    yield page
+    page.close()
+
+
+def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.ndarray) -> None:
+    """Played on, all ticks come once; a jump brings the ticks before it; behind the end it begins anew."""
+    file = tmp_path / "run.npz"
+    write_results(file, results)
+    player = Player(page.server.gui, load(str(file), None), tick=0)
+    ticks, jumped = player.take()
+    assert len(ticks[""]) == 1 and jumped
+    assert player.take() == ({}, False)
+    player._play.value = True
+    player.advance(0.1)
+    ticks, jumped = player.take()
+    assert ticks[""][:, 1].tolist() == list(range(1, 101)) and not jumped
+    player._place = len(results) - 1.0
+    ticks, jumped = player.take()
+    assert len(ticks[""]) == BEFORE + 1 and jumped
+    player.advance(0.1)
+    assert player.take()[0][""][:, 1].tolist() == [0]
+
+
+def fed(live: LivePage, until: Any) -> bool:
+    """Step until something is true."""
+    end = time.monotonic() + WAIT_S
+    while not until():
+        if time.monotonic() > end:
+            return False
+        live.step(0.05)
+        time.sleep(0.05)
+    return True
+
+
+def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> None:
+    """It draws the described scene, hears what others change, and says why something is not done."""
+    live = LivePage(page, Daemon(*endpoints))
+    try:
+        assert fed(live, lambda: page.fingers)
+        knob = live._tuning._knobs["stiffness"].slider
+        assert fed(live, lambda: knob.value == 1000.0)
+        assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
+        assert fed(live, lambda: knob.value == 640.0)
+        live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
+        assert fed(live, lambda: "Not done:" in page._said.content and "stiffness_n_per_m" in page._said.content)
+        live._send("", None)
+        assert fed(live, lambda: "no program leads the hand on replay" in page._said.content)
+        live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
+        assert fed(live, lambda: knob.value == 1000.0)
+    finally:
+        live.close()
