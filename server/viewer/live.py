@@ -40,6 +40,7 @@ class LivePage:
         self._described: dict[str, Any] | None = None
         self._fresh = threading.Event()
         self._scene: schema.Scene | None = None
+        self._first = -1
         self._since = 0.0
         gui = page.server.gui
         with page.tabs.add_tab("Hand"):
@@ -87,14 +88,14 @@ class LivePage:
             return
         if self._scene is None:
             self._page.say("")
-        elif self._page.fingers and _form(scene) == _form(self._scene):
+        elif described["since"] == self._first and _form(scene) == _form(self._scene):
             self._scene = scene
             for nodes in self._page.fingers.values():
                 nodes.change(scene)
             self._tuning.change(scene, described["scene_name"])
             return
-        self._scene = scene
-        self._page.change(scene, int(described["since"]), 1.0 / described["rate_hz"])
+        self._scene, self._first = scene, int(described["since"])
+        self._page.change(scene, self._first, 1.0 / described["rate_hz"])
         self._tuning.change(scene, described["scene_name"])
         parts = {finger.name: finger for finger in scene.fingers}
         self._hand.change([_led(each, parts[each["name"]]) for each in described["fingers"] if each["led"]])

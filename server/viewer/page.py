@@ -51,7 +51,10 @@ class Page:
         with contextlib.redirect_stdout(io.StringIO()):  # it draws a box with its address
             self.server: Final = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
         self.address: Final = f"http://{'localhost' if host == '127.0.0.1' else host}:{self.server.get_port()}"
-        self.server.scene.configure_default_lights(cast_shadow=False)  # a second picture for each frame
+        # Without a graphics card each would cost a third of a frame.
+        self.server.scene.configure_environment_map(None)
+        self.server.scene.configure_default_lights(cast_shadow=False)
+        self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=2.2)
         for name, value in FIRST_CAMERA._asdict().items():
             setattr(self.server.initial_camera, name, value)
         self.looks: Final = Looks()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
 
-ARC_PIECES: Final = 48
+ARC_PIECES: Final = 32
 ARC_MAX: Final = 1.85 * pi
 """An arc that closed would not show where it ends."""
 HEAD_RAD: Final = 0.32
@@ -34,7 +34,7 @@ def arc(angle: float, radius: float) -> Array:
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1), np.array(head)])
 
 
-def circles(radii: tuple[float, float, float], pieces: int = 48) -> Array:
+def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
     """Segments (3 pieces, 2, 3) of the three ellipses in which an ellipsoid meets its planes."""
     turn = np.linspace(0.0, 2.0 * pi, pieces + 1)
     c, s, none = np.cos(turn), np.sin(turn), np.zeros_like(turn)
@@ -87,7 +87,7 @@ class Way:
     least  shortest segment: what is nearer to the last point is left out
     """
 
-    def __init__(self, least: float, segments: int = 300) -> None:
+    def __init__(self, least: float, segments: int = 200) -> None:
         self.segments = np.zeros((segments, 2, 3))
         self.colours = np.zeros((segments, 2, 3), np.uint8)
         self.count = 0

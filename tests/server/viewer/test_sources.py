@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -49,6 +51,15 @@ def test_what_is_no_recording_is_told(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"no\.mcap"):
         load(str(tmp_path / "no.mcap"), None)
     assert main(["view", str(tmp_path / "no.mcap"), "--no-open"]) == RecordingError.exit_code
+
+
+@pytest.mark.parametrize("words", [["view", "--no-open"], ["run", "--view"]])
+def test_without_viser_one_line_says_what_to_install(words: list[str]) -> None:
+    """The page is an extra."""
+    code = f"import sys; sys.modules['viser'] = None; from softfinger.server.cli import main; sys.exit(main({words}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 2 and "the page needs viser: pip install 'softfinger[viewer]'" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.fixture
