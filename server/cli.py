@@ -43,6 +43,7 @@ VERBS: Final = {
     "record": Verb("softfinger.server.verbs.record", "a running daemon into a file: everything, or the poses"),
     "info": Verb("softfinger.server.recording.verbs.info", "what is in a recording"),
     "export": Verb("softfinger.server.recording.verbs.export", "a recording as CSV, Parquet or npz"),
+    "import": Verb("softfinger.server.recording.verbs.tables", "poses of another program, from any table of numbers"),
     "replay": Verb("softfinger.server.recording.verbs.replay", "a recording as a test: its poses through today's code"),
     "ctl": Verb("softfinger.server.verbs.ctl", "command a running daemon: parameters, scene, force, marks"),
     "forward": Verb(

@@ -1,0 +1,41 @@
+"""`softfinger import`: poses of another program, a table of numbers in any layout, as a recording to replay."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.server.recording.tables import layout_of, read_table, write_poses
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("table", type=Path, metavar="TABLE", help="text; commas, semicolons, tabs or blanks between")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE.csv", help="poses, for --recording and --poses"
+    )
+    parser.add_argument(
+        "--columns", required=True, metavar="NAMES",
+        help="what each column is, such as t,x,y,z,-,-,-: of t,x,y,z,qw,qx,qy,qz, or - to leave it out",
+    )  # fmt: skip
+    parser.add_argument("--unit-s", type=float, default=1.0, metavar="S", help="unit of t in s (0.001 for ms)")
+    parser.add_argument("--unit-m", type=float, default=1.0, metavar="M", help="unit of x, y, z in m (0.001 for mm)")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="rows per second of a table without times")
+    parser.add_argument("--skip", type=int, default=0, metavar="N", help="lines to leave out at the beginning")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read and write it; returns 0."""
+    layout = layout_of(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
+    if args.out.suffix.lower() != ".csv":
+        raise ConfigError(f"--out {args.out}: poses are written as .csv")
+    poses = read_table(args.table, layout)
+    try:
+        write_poses(args.out, poses)
+    except OSError as error:
+        raise RecordingError(f"{args.out}: cannot be written: {error.strerror or error}") from error
+    low, high = poses.position.min(axis=0), poses.position.max(axis=0)
+    box = ", ".join(f"{axis} {1e3 * a:.4g} to {1e3 * b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    print(f"{args.out}: {len(poses.t)} poses over {poses.t[-1]:.6g} s; {box} mm")
+    return 0

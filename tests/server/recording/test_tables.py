@@ -1,0 +1,99 @@
+"""Tables of other programs as poses: what is said of the columns comes out; what makes no poses is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.drivers.poses import load_poses
+from softfinger.server.cli import main
+from softfinger.server.recording.tables import Layout, layout_of, read_table
+
+COUNT = 200
+TIME = np.arange(COUNT) * 1e-3
+PLACE = np.stack([0.03 * np.sin(TIME), 0.02 * np.cos(TIME), 0.01 + TIME / 7.0], axis=1)
+TURN = np.stack([np.cos(TIME), np.sin(TIME), 0.0 * TIME, 0.0 * TIME], axis=1)
+
+
+def table(path: Path, rows: np.ndarray, between: str = " ", before: str = "") -> Path:
+    path.write_text(before + "".join(between.join(f"{x:.17g}" for x in row) + "\n" for row in rows))
+    return path
+
+
+@pytest.mark.parametrize("between", [" ", "\t", ",", ";", ", ", "   "])
+def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -> None:
+    """Milliseconds and millimetres among columns of no interest: the same motion, as far as the units round it."""
+    rows = np.column_stack((PLACE[:, 1] * 1e3, np.full(COUNT, 7.0), 500.0 + TIME * 1e3, PLACE[:, [0, 2]] * 1e3))
+    file = table(tmp_path / "theirs.txt", rows, between, "# made by hand\n\n")
+    poses = read_table(file, layout_of("y,-,t,x,z", 1e-3, 1e-3, None, 0))
+    # a float64 of 500 ms plus t, of which 500 is taken again; a multiplication for each unit
+    np.testing.assert_allclose(poses.t, TIME, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(poses.position, PLACE, rtol=4e-16)
+    assert (poses.orientation == [1.0, 0.0, 0.0, 0.0]).all()
+
+
+def test_the_verb_writes_what_a_replay_plays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A table at a rate, turned, with two lines of another kind in front: poses to the bit, and what they span."""
+    file = table(tmp_path / "theirs.txt", np.column_stack((PLACE, TURN)), before="Haptic Table 1.0\n7 columns\n")
+    out = tmp_path / "poses.csv"
+    words = ["--columns", "x,y,z,qw,qx,qy,qz", "--rate", "1000", "--skip", "2", "--out", str(out)]
+    assert main(["import", str(file), *words]) == 0
+    assert "200 poses over 0.199 s; x 0 to 5.931, y 19.61 to 20, z 10 to 38.43 mm" in capsys.readouterr().out
+    poses = load_poses(out)
+    np.testing.assert_array_equal(poses.t, np.arange(COUNT) / 1000.0)
+    np.testing.assert_array_equal(poses.position, PLACE)
+    np.testing.assert_allclose(poses.orientation, TURN, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("parts", "fault"),
+    [
+        (("t,x,y", 1.0, 1.0, None, 0), "needs x, y and z"),
+        (("t,x,y,z,qw", 1.0, 1.0, None, 0), "all or none"),
+        (("t,x,y,z,x", 1.0, 1.0, None, 0), "'x' is not one of"),
+        (("t,x,y,z,force", 1.0, 1.0, None, 0), "'force' is not one of"),
+        (("x,y,z", 1.0, 1.0, None, 0), "one of the two"),
+        (("t,x,y,z", 1.0, 1.0, 1000.0, 0), "one of the two"),
+        (("t,x,y,z", 0.0, 1.0, None, 0), "--unit-s 0: must be above 0"),
+        (("t,x,y,z", 1.0, float("nan"), None, 0), "--unit-m nan: must be above 0"),
+        (("x,y,z", 1.0, 1.0, -1.0, 0), "--rate -1: must be above 0"),
+        (("t,x,y,z", 1.0, 1.0, None, -1), "--skip -1"),
+    ],
+)
+def test_a_layout_that_makes_no_poses_is_refused(parts: tuple, fault: str) -> None:
+    """By the option, its value and what it must be."""
+    with pytest.raises(ConfigError, match=fault):
+        layout_of(*parts)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (b"0 0 0 0\n1 0 0\n", "line 2: 3 values where --columns has 4"),
+        (b"0 0 0 0\n1 0 0 up\n", r"line 2, column 'z': 'up' is not a number"),
+        (b"0 0 0 0\n0 0 0 0\n", r"line 2, column 't': 0 s does not follow 0 s"),
+        (b"0 0 0 0\n1 0 0 nan\n", "line 2, column 'z': nan is not a finite number"),
+        (b"0 0 0 0\n", "1 pose"),
+        (b"", "0 pose"),
+        (b"\xff\xfe0 0 0\n", "line 1: not a text file"),
+        (b"0 0 0 0\n1 0 0 1e9\n", "outside"),
+    ],
+)
+def test_a_file_that_is_no_such_table_is_refused_where_it_is_wrong(text: bytes, fault: str, tmp_path: Path) -> None:
+    """With the line and the value."""
+    file = tmp_path / "theirs.txt"
+    file.write_bytes(text)
+    with pytest.raises(RecordingError, match=fault):
+        read_table(file, Layout(("t", "x", "y", "z")))
+
+
+def test_what_is_refused_writes_nothing(tmp_path: Path) -> None:
+    """Neither a file that is half of one, nor one in the place of another kind."""
+    file = table(tmp_path / "theirs.txt", np.zeros((3, 4)))
+    for out in ("poses.csv", "poses.npz"):
+        assert main(["import", str(file), "--columns", "t,x,y,z", "--out", str(tmp_path / out)]) != 0
+    assert main(["import", str(tmp_path / "none"), "--columns", "t,x,y,z", "--out", str(tmp_path / "poses.csv")]) != 0
+    assert [path.name for path in tmp_path.iterdir()] == ["theirs.txt"]
