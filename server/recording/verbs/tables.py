@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.server.recording.tables import layout_of, read_table, write_poses
+from softfinger.server.offline.tables import layout_of, read_table, write_poses
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

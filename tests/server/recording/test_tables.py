@@ -10,7 +10,7 @@ import pytest
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.drivers.poses import load_poses
 from softfinger.server.cli import main
-from softfinger.server.recording.tables import Layout, layout_of, read_table
+from softfinger.server.offline.tables import Layout, layout_of, read_table
 
 COUNT = 200
 TIME = np.arange(COUNT) * 1e-3
