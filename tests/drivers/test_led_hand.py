@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.driver_contract import Servo
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
@@ -17,6 +16,7 @@ from softfinger.drivers.simulated.device import Options, Simulated, open_device
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.simulated.lead import NoHand, Wanted, lead
 from softfinger.proxy.kernels.geometry.tool import make_tool
+from softfinger.server.driver_contract import Servo
 
 AT = (0.0, 0.0, 0.02)
 BARE = {"damping_ns_per_m": [0, 0, 0], "friction_n": [0, 0, 0], "lag_s": 0, "delay_ticks": 0, "resolution_m": 0}
