@@ -19,11 +19,11 @@ collect_ignore = ["outside_driver"]
 settings.register_profile("full")  # tests/proxy/test_invariants.py says what it is
 SceneFactory = Callable[..., Scene]
 
-# A shell starts what it puts into the background with these ignored. The program leaves it at that, and so would every
-# one that a test starts to send it a signal.
-for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL)):
+# A shell starts what it puts into the background with two of these ignored, nohup with the third. The program leaves it
+# at that, and so would every one that a test starts to send it a signal.
+for _number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
     if signal.getsignal(_number) is signal.SIG_IGN:
-        signal.signal(_number, _handler)
+        signal.signal(_number, signal.default_int_handler if _number == signal.SIGINT else signal.SIG_DFL)
 
 
 def pytest_configure(config: pytest.Config) -> None:
