@@ -26,7 +26,7 @@ class TestCases(Cases):
     packets, force = "steps", "motors"
     felt = 100  # motor counts: 1 N is some 240
     held = "is held by another program: close that one first"
-    forbidden = "may not be opened by this user: put the line SUBSYSTEM"
+    forbidden = "may not be opened by this user: .*install --system"
 
     def test_it_is_found(self, tmp_path: Path) -> None:
         """`devices` lists it under its driver: usable with a firmware file, and gone once it is unplugged."""
