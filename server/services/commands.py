@@ -242,7 +242,8 @@ class Commands(Worker):
         wanted = None
         if asked.position_m is not msgspec.UNSET:
             turn = None if asked.orientation_wxyz is msgspec.UNSET else asked.orientation_wxyz
-            wanted = Wanted(asked.position_m, turn, self._turned(place))
+            led = self._rendering.servo.devices[place].hand() is not None  # without one that is said, tick or no tick
+            wanted = Wanted(asked.position_m, turn, self._turned(place) if led else (1.0, 0.0, 0.0, 0.0))
         self._rendering.lead(place, wanted)
         if (place in self._led) == asked.release:  # where it is meanwhile is in every tick
             (self._led.discard if asked.release else self._led.add)(place)
