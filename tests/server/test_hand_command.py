@@ -29,11 +29,22 @@ def eventually(true: Callable[[], bool]) -> bool:
     return True
 
 
+def has_ticked(client: Client) -> bool:
+    """Whether there is a state to be asked for."""
+    try:
+        client.get_state()
+    except CommandRefused:
+        return False
+    return True
+
+
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
     rig = load_rig("simulated-hand", ENDPOINTS | {"servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as running:
         running.start()
+        with Client(running.publisher.endpoint, str(running.commands_endpoint), timeout_s=WAIT_S) as first:
+            assert eventually(lambda: has_ticked(first))
         yield running
 
 
