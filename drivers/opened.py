@@ -20,13 +20,12 @@ devices: Final[weakref.WeakSet[Stoppable]] = weakref.WeakSet()
 """Until nobody holds a device any more, it can be stopped and closed any number of times."""
 
 
-def stop_all() -> None:
-    """Stop every one of them, whatever becomes of the one before; the first error is raised at the end."""
-    failures = []
+def stop_all() -> list[BaseException]:
+    """Stop every one of them, whatever becomes of the one before; returns what those said that could not be."""
+    failures: list[BaseException] = []
     for device in list(devices):
         try:
             device.stop()
         except BaseException as error:
             failures.append(error)
-    if failures:
-        raise failures[0]
+    return failures

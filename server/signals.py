@@ -107,7 +107,7 @@ def handled(to_the_end: bool = False) -> Iterator[None]:
         yield
     finally:
         with held():
-            opened.stop_all()  # what an interrupt left between its opening and its context
+            _stop_all()  # what an interrupt left between its opening and its context
             for number, handler in before.items():
                 signal.signal(number, signal.SIG_IGN if to_the_end else handler)
         signal.set_wakeup_fd(wakeup)
@@ -170,7 +170,7 @@ def _pause(number: int, _: FrameType | None) -> None:
     devices = [] if state.pause is not None else list(opened.devices)
     go_on = None if state.pause is None else state.pause()
     if devices:
-        opened.stop_all()
+        _stop_all()
     # The system's own action, so that shells see what they know, and a group of processes without a shell goes on.
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)
@@ -197,10 +197,20 @@ def _leave(number: int) -> None:
     for device in list(opened.devices):
         with contextlib.suppress(Exception):
             device.close()
-    line = f"softfinger: ended by {named(number)}\n".encode()
-    with contextlib.suppress(OSError):
-        os.write(2, b"\r\x1b[K" + line if os.isatty(2) else line)
+    _say(f"ended by {named(number)}")
     os._exit(code_of(number))
+
+
+def _stop_all() -> None:
+    """Zero what is open. One that refuses is named and changes nothing else: not the way out, not the exit code."""
+    for error in opened.stop_all():
+        _say(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
+
+
+def _say(line: str) -> None:
+    """A line on standard error from wherever this is: a signal may have come while another was being written."""
+    with contextlib.suppress(OSError):
+        os.write(2, (b"\r\x1b[K" if os.isatty(2) else b"") + f"softfinger: {line}\n".encode())
 
 
 def _unraisable(otherwise: Callable[[Any], Any]) -> Callable[[Any], None]:

@@ -12,6 +12,7 @@ from hypothesis import settings
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
+from softfinger.drivers import opened
 
 collect_ignore = ["outside_driver"]
 """A package of its own, whose tests need it installed: tests/test_packaging.py runs them."""
@@ -24,6 +25,13 @@ SceneFactory = Callable[..., Scene]
 for _number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, signal.default_int_handler if _number == signal.SIGINT else signal.SIG_DFL)
+
+
+@pytest.fixture(autouse=True)
+def _no_device_of_another_test() -> Iterator[None]:
+    """A device that a test left hanging, so that somebody still holds it, is not stopped by the next one's program."""
+    yield
+    opened.devices.clear()
 
 
 def pytest_configure(config: pytest.Config) -> None:

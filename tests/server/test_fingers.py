@@ -131,8 +131,7 @@ def test_a_signal_stops_every_open_device(monkeypatch: pytest.MonkeyPatch) -> No
     """What a signal does to devices that nobody runs: each is stopped though the one before fails, which is told."""
     devices = [FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options())]
     monkeypatch.setattr(opened, "devices", devices)
-    with pytest.raises(OSError, match="the port has gone"):
-        opened.stop_all()
+    assert [str(error) for error in opened.stop_all()] == ["the port has gone"] * 2
     assert [[act for act, *_ in device.acts] for device in devices] == [["stop"]] * 3
 
 

@@ -255,6 +255,47 @@ def test_end_wherever_the_main_thread_is(where: str) -> None:
     assert time.monotonic() - begun < END_S / 2
 
 
+REFUSING = """
+import os, signal, sys, threading
+from softfinger.drivers import opened
+from softfinger.server import cli
+class Device:
+    def stop(self): raise OSError("the port has gone")
+    def close(self): pass
+device = Device()
+opened.devices.add(device)
+if sys.argv[1] == "TSTP":
+    from softfinger.server import signals
+    os.setsid()  # nobody there who would stop us: the system leaves an orphaned group running
+    with signals.handled():
+        signals.imported()
+        try:
+            signal.raise_signal(signal.SIGTSTP)
+        except signals.Interrupted as error:
+            sys.exit(signals.code_of(error.number))
+sys.argv = ["softfinger", *sys.argv[1:]]
+sys.exit(cli.main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "code"), [(["scenes"], 0), (["check", "no-such.toml"], 2), (["TSTP"], 128 + signal.SIGTSTP)]
+)
+def test_a_device_that_cannot_be_stopped_is_named_and_changes_no_way_out(words: list[str], code: int) -> None:
+    """What cannot be zeroed at the very end is one line, and what the verb came to stays what it was."""
+    done = subprocess.run(
+        [sys.executable, "-c", REFUSING, *words],
+        capture_output=True,
+        text=True,
+        timeout=END_S,
+        check=False,
+        start_new_session=words != ["TSTP"],
+    )
+    assert done.returncode == code, done.stderr
+    assert "could not be stopped (OSError: the port has gone): it may still push" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def state(pid: int) -> str:
     """State of a process as the kernel lists it: T is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
