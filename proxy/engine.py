@@ -91,6 +91,7 @@ class Step:
     patch_radius = Part(float, "contact.patch_radius")
     patch_normal = Part(_vector, "contact.patch_normal")
     patch_stretch = Part(_vector, "contact.patch_stretch")
+    budget = Part(int, "contact.budget")
 
     def __init__(self, record: Array) -> None:
         self.record = record

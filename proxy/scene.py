@@ -66,7 +66,7 @@ def _entries(bodies: list[model.Object]) -> tuple[model.Object | Rows, ...]:
     """
     alike: dict[Any, list[model.Object]] = {}
     for body in bodies:
-        if body.motion is None and not body.effects and body.texture is None:
+        if body.motion is None and not body.effects and body.texture is None and not isinstance(body.shape, model.Mesh):
             alike.setdefault(_type(body), []).append(body)
     many = [those for those in alike.values() if len(those) >= ROWS_FROM]
     if len(many) == 1 and len(many[0]) == len(bodies):
@@ -134,8 +134,9 @@ def start_state(scene: model.Scene) -> model.State:
 
 
 def patches_of(objects: tuple[model.Object, ...]) -> int:
-    """How many patches of contact a fingertip can have at once: one body is touched in one place."""
-    return 1 if len(objects) == 1 else 3
+    """How many patches of contact a fingertip can have at once: one body is touched in one place, a mesh in several."""
+    alone = len(objects) == 1 and not isinstance(objects[0].shape, model.Mesh)
+    return 1 if alone else 3
 
 
 def _placed(

@@ -54,6 +54,7 @@ def write_contact(
     put3(row, AT.contact_patch_normal, contact.patch_normal)
     put3(row, AT.contact_patch_stretch, contact.patch_stretch)
     write_patches(contact.patches, row)
+    row[AT.contact_budget] = contact.budget
 
 
 @by_count

@@ -14,6 +14,7 @@ from softfinger.proxy.kernels.contact.constraints import (
     INSIDE,
     NONE,
     Constraints,
+    held_by,
     one_constraint,
     settle_among_several,
     settle_on_one,
@@ -31,7 +32,7 @@ from softfinger.proxy.kernels.friction.footprint import footprint, torsion_under
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.machine import react
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, number_of, pose_of
+from softfinger.proxy.kernels.geometry.bodies import any_faceted, closest_to, deepest, number_of, pose_of
 from softfinger.proxy.kernels.geometry.world import advance, place_all
 from softfinger.proxy.kernels.model import (
     NO_PATCH,
@@ -97,17 +98,19 @@ def step_finger(
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
-    return touch_or_stay(seen, scene, finger, state, probe, dt)
+    return touch_or_stay(state.patches, seen, scene, finger, state, probe, dt)
 
 
 @by_count
-def touch_or_stay(objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float) -> Any:
+def touch_or_stay(
+    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+) -> Any:
     """The finger's state and Contact: with one object there is one patch, and the proxy follows it where it slips."""
 
 
 @touch_or_stay.of(1)
 def on_the_only_object(
-    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     position, form = probe.position, finger.form
     touches = state.mode == FREE
@@ -226,26 +229,32 @@ def on_the_only_object(
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(deflection, normal)),
         patches=(touched,),
+        budget=0.0,
     )
     return after, contact
 
 
 @jit
-def beside(objects: Any, radius: float, center: Vec3, way: Vec3) -> Vec3:
+def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3) -> Vec3:
     """The proxy (3,) m that friction keeps `way` (3,) m beside `center`: on what is nearest there, outside of all."""
     if way == (0.0, 0.0, 0.0):
         return center
     there = vec3.add(center, way)
-    _, at = deepest(objects, there)
+    gap, at, _ = deepest(objects, there, radius, known)
+    if any_faceted(objects):
+        if gap >= radius:  # beside a convex edge it is a little above the surface
+            return there
+        if at < 0.0:
+            return center
     _, point, normal = closest_to(objects, at, there)
     there = vec3.add_scaled(point, radius, normal)
-    gap, _ = deepest(objects, there)
+    gap, _, _ = deepest(objects, there, radius, known)
     return there if gap >= radius * (1.0 - INSIDE) else center
 
 
 @touch_or_stay.of(2)
 def among_several_objects(
-    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     radius, position = finger.radius, probe.position
     start, center, active = state.center, state.center, one_constraint(NONE, (0.0, 0.0, 1.0))
@@ -259,10 +268,10 @@ def among_several_objects(
     if active.first < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt)
 
-    center, active = settle_among_several(objects, radius, position, start, center, active)
+    center, active, bounded = settle_among_several(objects, radius, position, start, center, active)
     last = carried_patches(objects, state.patches)
-    patches = hand_on(objects, last, active)
-    way = aside(last, patches)
+    held = hand_on(objects, last, active)
+    way = aside(last, held)
     motion = Motion(
         radius=radius,
         form=finger.form,
@@ -277,9 +286,9 @@ def among_several_objects(
         touches=touches,
     )
     rough = roughened(objects, active, center)
-    one = wrench_of(scene, finger, rough, patches[0], motion)
-    two = wrench_of(scene, finger, rough, patches[1], motion)
-    three = wrench_of(scene, finger, rough, patches[2], motion)
+    one = wrench_of(scene, finger, rough, held[0], motion)
+    two = wrench_of(scene, finger, rough, held[1], motion)
+    three = wrench_of(scene, finger, rough, held[2], motion)
 
     normal, rolled, mode = active.n1, state.rolled + one.theta, one.after.mode
     pressing = vec3.add(vec3.add(one.normal_force, two.normal_force), three.normal_force)
@@ -287,7 +296,7 @@ def among_several_objects(
     lag = vec3.scale(one.after.share, one.after.deflection)
     lag = vec3.add_scaled(lag, two.after.share, two.after.deflection)
     lag = vec3.add_scaled(lag, three.after.share, three.after.deflection)
-    shown = beside(objects, radius, center, tangent_to_all(active, lag))
+    shown = beside(objects, radius, center, tangent_to_all(active, lag), held_by(active))
     against = velocity_against(carry(objects, active.first), probe.velocity, state.probe.position, dt)
     extra, states = all_effects(scene, radius, objects, state, active, probe, against, dt)
     cause = one.cause
@@ -329,6 +338,7 @@ def among_several_objects(
             outcome_of(objects, two, finger, probe.orientation, shown),
             outcome_of(objects, three, finger, probe.orientation, shown),
         ),
+        budget=bounded,
     )
     return after, contact
 
@@ -391,6 +401,7 @@ def no_contact(state: FingerState, probe: Probe, force: Vec3) -> Contact:
         patch_normal=zero,
         patch_stretch=zero,
         patches=same_for(state.patches, NO_PATCH_CONTACT),
+        budget=0.0,
     )
 
 

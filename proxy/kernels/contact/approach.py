@@ -14,7 +14,16 @@ from softfinger.proxy.kernels.contact.constraints import INSIDE, NONE, Constrain
 from softfinger.proxy.kernels.contact.half_spaces import Push
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_to, deepest, is_inside, roll_on, swings_on, transport_on
+from softfinger.proxy.kernels.geometry.bodies import (
+    EVERYWHERE,
+    NOBODY,
+    closest_to,
+    deepest,
+    is_inside,
+    roll_on,
+    swings_on,
+    transport_on,
+)
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import (
     NO_PATCH,
@@ -62,17 +71,17 @@ class Approach(NamedTuple):
 
 
 @by_count
-def rest_of(objects: Any, position: Vec3, met: Vec3, active: Constraints) -> Any:
+def rest_of(patches: Any, position: Vec3, met: Vec3, active: Constraints) -> Any:
     """Where the proxy (3,) m of a contact begins that was met at `met`."""
 
 
 @rest_of.of(1)
-def rest_over_the_probe(objects: Any, position: Vec3, met: Vec3, active: Constraints) -> Vec3:
+def rest_over_the_probe(patches: Any, position: Vec3, met: Vec3, active: Constraints) -> Vec3:
     return vec3.add(position, vec3.scale(active.push.first, active.n1))
 
 
 @rest_of.of(2)
-def rest_where_it_met(objects: Any, position: Vec3, met: Vec3, active: Constraints) -> Vec3:
+def rest_where_it_met(patches: Any, position: Vec3, met: Vec3, active: Constraints) -> Vec3:
     """Over the probe there may be another object: `settle_among_several` finds its way there."""
     return met
 
@@ -80,7 +89,7 @@ def rest_where_it_met(objects: Any, position: Vec3, met: Vec3, active: Constrain
 @jit
 def is_outside(objects: Any, radius: float, position: Vec3) -> bool:
     """Whether the fingertip at `position` touches nothing, but for rounding."""
-    gap, _ = deepest(objects, position)
+    gap, _, _ = deepest(objects, position, radius, NOBODY)
     return gap >= radius * (1.0 - INSIDE)
 
 
@@ -94,13 +103,13 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
     radius = finger.radius
     start = position
     if state.started == 0.0:
-        gap, index = deepest(objects, position)
+        gap, index, _ = deepest(objects, position, EVERYWHERE, NOBODY)
         met = position
         if gap >= radius:
             index = NONE
     else:
         start = state.center
-        index, met = first_hit(objects, start, position, radius, False, (NONE, NONE, NONE))
+        index, met = first_hit(objects, start, position, radius, False, NOBODY)
     active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position
     if index >= 0.0:
         _, point, normal = closest_to(objects, index, met)
@@ -110,7 +119,7 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
         if state.mode != FREE and push.first <= INSIDE * radius and is_outside(objects, radius, position):
             active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position  # what has just ended, rounded
         else:
-            center = rest_of(objects, position, center, active)
+            center = rest_of(state.patches, position, center, active)
     if not any_moves(objects):
         start = center
     return Meeting(start, center, active)

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.half_spaces import FACING, Push, displacement, hold
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_on, closest_to, deepest, material_of
+from softfinger.proxy.kernels.geometry.bodies import any_faceted, beside_on, closest_on, closest_to, deepest, material_of
+from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
 from softfinger.proxy.kernels.geometry.surfaces import is_hollow, rest_on
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import Plane, Vec3
@@ -19,7 +20,8 @@ from softfinger.proxy.kernels.native.jit import jit
 ROUNDS = 10
 """Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""
 SLIDING_ROUNDS = 2
-"""The same for a proxy that slides: what is left is far below the slip of one tick, and the next tick takes it up."""
+"""The same for a proxy that slides, and on facets, whose edges alone are curved: what is left is far below the slip of
+one tick, and the next tick takes it up. Short of the end the proxy is outside, not inside."""
 SAME_SIDE = 0.5
 """Cosine between two normals of one side of an object, one tick apart: a fingertip does not turn round it in a tick."""
 SETTLED = 1e-13
@@ -28,6 +30,10 @@ INSIDE = 1e-10
 """Depth, as a share of the fingertip's radius, that counts as inside an object and not as rounding."""
 FLAT = 1e-4
 """Volume spanned by three unit normals below which they lie in a plane, and may close in from all sides of it."""
+ATTEMPTS, ATTEMPTS_ON_FACETS = 4, 8
+"""Times that something found in the way is added to what holds the proxy, before it stays where it was for a tick."""
+EDGES = 3
+"""Edges that a fingertip goes over in a tick before all of the mesh is asked."""
 NONE = -1.0
 
 
@@ -46,6 +52,15 @@ class Constraints(NamedTuple):
     n2: Vec3
     n3: Vec3
     push: Push
+
+
+class Rest(NamedTuple):
+    """Where the proxy (3,) m comes to rest, what holds it there, and 1 if it stays where it was since the budget of a
+    mesh was used up before anything better was known to be outside."""
+
+    center: Vec3
+    active: Constraints
+    bounded: float
 
 
 @jit
@@ -129,18 +144,42 @@ def rest_on_curved(
 @jit
 def settle_among_several(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints
-) -> tuple[Vec3, Constraints]:
+) -> Rest:
     """Bring the proxy to rest among several objects, where it would be without friction.
 
     start   (3,) m  where its way in this tick begins, for what may be met on it: see `first_hit`
     center  (3,) m  where what holds it has carried it
     active          what holds it, pushing
+
+    Over facets it goes no farther in a tick than a fingertip can go without crossing what is thin. A probe that asks for
+    more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
     """
-    before, active_before = center, active
+    if not any_faceted(objects):
+        return settle_for(objects, radius, probe, start, center, active)
+    rest, whole = Rest(center, active, 0.0), probe
+    for _ in range(2):
+        rest = settle_for(objects, radius, whole, start, center, active)
+        way, deep = vec3.sub(rest.center, center), vec3.sub(probe, center)
+        if vec3.dot(way, way) <= (STRIDE * radius) ** 2:
+            break
+        whole = vec3.add_scaled(center, 0.5 * STRIDE * radius / vec3.norm(deep), deep)
+    if whole != probe:
+        _, held = relax(objects, radius, probe, rest.center, rest.active, 1)
+        rest = Rest(rest.center, held, rest.bounded)
+    return rest
+
+
+@jit
+def settle_for(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints
+) -> Rest:
+    """`settle_among_several` in one step."""
+    faceted = any_faceted(objects)
+    rounds = SLIDING_ROUNDS if faceted else ROUNDS
+    before, active_before, near = center, active, (SETTLED * radius) ** 2
     goal = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
     for _ in range(4):
-        skip = (active.first, active.second, active.third)
-        hit, stop = first_hit(objects, start, goal, radius, True, skip)
+        hit, stop = first_hit(objects, start, goal, radius, True, held_by(active))
         if hit < 0.0:
             break
         _, point, normal = closest_to(objects, hit, stop)
@@ -150,14 +189,24 @@ def settle_among_several(
             break
         active = with_another(active, hit, normal)
         goal, active = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1)
+    if faceted:
+        goal, active = step_over(objects, radius, probe, goal, active)
     # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
-    center, active = goal, with_touched(objects, radius, goal, active)
+    gap, at, bounded = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active))
+    center, active = goal, with_touched(objects, radius, goal, active, gap, at)
     found = False
-    for _ in range(4):
-        center, active = relax(objects, radius, probe, center, active, ROUNDS)
-        gap, at = deepest(objects, center)
+    for _ in range(ATTEMPTS_ON_FACETS if faceted else ATTEMPTS):
+        moved = center
+        center, active = relax(objects, radius, probe, center, active, rounds)
+        moved = vec3.sub(center, moved)
+        if faceted and gap >= radius * (1.0 - INSIDE) and vec3.dot(moved, moved) <= near:
+            found = True  # as asked
+            break
+        gap, at, bounded = deepest(objects, center, radius, held_by(active))
         if gap >= radius * (1.0 - INSIDE):
             found = True
+            break
+        if bounded != 0.0:
             break
         if at != active.first and at != active.second and at != active.third:
             if active.second >= 0.0 and active.third >= 0.0:
@@ -166,11 +215,36 @@ def settle_among_several(
             active = with_another(active, at, normal)
     if not found:
         # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
-        gap, _ = deepest(objects, before)
+        gap, _, _ = deepest(objects, before, radius, held_by(active_before))
         if gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
             center = before
             _, active = relax(objects, radius, probe, before, active_before, 1)
-    return center, strongest_first(objects, active)
+    return Rest(center, strongest_first(objects, active), 0.0 if found else bounded)
+
+
+@jit
+def step_over(
+    objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Constraints
+) -> tuple[Vec3, Constraints]:
+    """The proxy's goal (3,) m, and what holds it, after a way over the edge of the facet that holds it alone.
+
+    What is beside the facet is nearer at hand than what a search of the whole mesh finds, which then only agrees.
+    """
+    for _ in range(EDGES):
+        if active.second >= 0.0:
+            break
+        beyond = beside_on(objects, active.first, goal)
+        if beyond == active.first:
+            break
+        active = one_constraint(beyond, active.n1)
+        goal, active = relax(objects, radius, probe, goal, active, 1)
+    return goal, active
+
+
+@jit
+def held_by(active: Constraints) -> Vec3:
+    """Places of the objects, -1 for none."""
+    return active.first, active.second, active.third
 
 
 @jit
@@ -236,9 +310,10 @@ def with_another(active: Constraints, index: float, normal: Vec3) -> Constraints
 
 
 @jit
-def with_touched(objects: Any, radius: float, center: Vec3, active: Constraints) -> Constraints:
-    """And the object nearest to the proxy, if it touches it and there is room for one more."""
-    gap, at = deepest(objects, center)
+def with_touched(
+    objects: Any, radius: float, center: Vec3, active: Constraints, gap: float, at: float
+) -> Constraints:
+    """And the object nearest to the proxy, `at` with that gap, if it touches it and there is room for one more."""
     if gap > radius * (1.0 + INSIDE) or active.third >= 0.0 or at == active.first or at == active.second:
         return active
     _, _, normal = closest_to(objects, at, center)

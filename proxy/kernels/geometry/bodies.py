@@ -5,7 +5,7 @@ unrolled loop. Many of one type stand together in it as `Rows`; `index` is an ob
 `entries`.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from numba import literal_unroll
 
@@ -13,12 +13,17 @@ from softfinger.proxy.kernels.contact.rolling import Roll, roll
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.entries import has, member, places
 from softfinger.proxy.kernels.geometry.frames import into, out_of, pose_values, turn_into, turn_out_of
+from softfinger.proxy.kernels.geometry.mesh.contact import nearest_facet
+from softfinger.proxy.kernels.geometry.mesh.triangle import beyond_edge
 from softfinger.proxy.kernels.geometry.surfaces import bend, closest, is_hollow, tangent_plane, transport
-from softfinger.proxy.kernels.model import Material, Pose, Quaternion, Vec3
+from softfinger.proxy.kernels.model import Facet, Material, Mesh, Pose, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.rows import Rows
 
+NOBODY: Vec3 = (-1.0, -1.0, -1.0)
+"""Places of no objects."""
+EVERYWHERE = 1e300
 SWING = 0.2
 """Turn of the contact round a hollow in a tick, rad, past which it slides: no hand follows it thirty times a second."""
 
@@ -175,35 +180,132 @@ def transport_on(objects: Any, index: float, v: Vec3, normal_from: Vec3, normal_
 
 
 @by_type
-def nearest_in(entry: Any, x: Vec3) -> Any:
-    """Smallest gap of `x` over the objects of an entry, and that object's number in it."""
+def beside_of(shape: Any, x: Vec3) -> Any:
+    """How far on in the tuple the object is that lies beyond the edge of this one at which `x` is; 0 for itself."""
+
+
+@beside_of.otherwise
+def beside_nothing(shape: Any, x: Vec3) -> float:
+    return 0.0
+
+
+@beside_of.of(Facet)
+def beside_facet(shape: Facet, x: Vec3) -> float:
+    return beyond_edge(shape.mesh, shape.number, x) - shape.number
+
+
+@jit
+def beside_on(objects: Any, index: float, x: Vec3) -> float:
+    """Place of the object that is nearer to `x` (3,) m than the one with that place, whose edge it is beyond."""
+    beyond = index
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            body = member(entry, index - at)
+            beyond = index + beside_of(body.shape, into(body.pose, x))
+        at += places(entry)
+    return beyond
+
+
+class Deepest(NamedTuple):
+    """The object nearest to a point: the gap (m), its place, -1 for none, and 1 where the gap is only a bound below
+    which nothing is, since the budget of a mesh was used up."""
+
+    gap: float
+    index: float
+    bounded: float
+
+
+@by_type
+def is_faceted(shape: Any) -> Any:
+    """1 for a shape that is many flat ones."""
+
+
+@is_faceted.otherwise
+def is_whole(shape: Any) -> float:
+    return 0.0
+
+
+@is_faceted.of(Mesh)
+def is_mesh(shape: Mesh) -> float:
+    return 1.0
+
+
+@jit
+def any_faceted(objects: Any) -> bool:
+    """Whether there is a mesh among them: known when the scene is compiled."""
+    found = 0.0
+    for entry in literal_unroll(objects):
+        found += faceted_in(entry)
+    return found > 0.0
+
+
+@by_type
+def faceted_in(entry: Any) -> Any: ...
+
+
+@faceted_in.otherwise
+def faceted_object(entry: Any) -> float:
+    return is_faceted(entry.shape)
+
+
+@faceted_in.of(Rows)
+def faceted_rows(entry: Any) -> float:
+    return 0.0
+
+
+@by_type
+def nearest_in(entry: Any, x: Vec3, within: float, at: float, known: Vec3) -> Any:
+    """`deepest` among the objects of an entry that begins with the place `at`, as numbers in it."""
 
 
 @nearest_in.otherwise
-def gap_of_it(entry: Any, x: Vec3) -> tuple[float, float]:
-    gap, _, _ = closest(entry.shape, into(entry.pose, x))
-    return gap, 0.0
+def nearest_of_object(entry: Any, x: Vec3, within: float, at: float, known: Vec3) -> Deepest:
+    return nearest_of_shape(entry.shape, into(entry.pose, x), within, at, known)
+
+
+@by_type
+def nearest_of_shape(shape: Any, x: Vec3, within: float, at: float, known: Vec3) -> Any:
+    """The same of a shape, in its frame."""
+
+
+@nearest_of_shape.otherwise
+def gap_of_it(shape: Any, x: Vec3, within: float, at: float, known: Vec3) -> Deepest:
+    gap, _, _ = closest(shape, x)
+    return Deepest(gap, 0.0, 0.0)
+
+
+@nearest_of_shape.of(Mesh)
+def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, at: float, known: Vec3) -> Deepest:
+    gap, number, bounded = nearest_facet(shape, x, within, (known[0] - at, known[1] - at, known[2] - at))
+    return Deepest(gap, number, bounded)
 
 
 @nearest_in.of(Rows)
-def smallest_gap_in_rows(entry: Any, x: Vec3) -> tuple[float, float]:
+def smallest_gap_in_rows(entry: Any, x: Vec3, within: float, at: float, known: Vec3) -> Deepest:
     smallest, number = 1e300, 0.0
     for i in range(len(entry)):
         body = entry[i]
         gap, _, _ = closest(body.shape, into(body.pose, x))
         if gap < smallest:
             smallest, number = gap, float(i)
-    return smallest, number
+    return Deepest(smallest, number, 0.0)
 
 
 @jit
-def deepest(objects: Any, x: Vec3) -> tuple[float, float]:
-    """Smallest gap of `x` over all objects, and that object's place."""
-    smallest, index = 1e300, -1.0
+def deepest(objects: Any, x: Vec3, within: float, known: Vec3) -> Deepest:
+    """Smallest gap of `x` (3,) m over all objects.
+
+    within        m  gaps beyond it may be left out; of no object, then, is the gap 1e300
+    known   (3,)     places of up to three objects, -1 for none, to which no equally near triangle of their mesh is
+                     preferred
+    """
+    smallest, index, bounded = 1e300, -1.0, 0.0
     at = 0.0
     for entry in literal_unroll(objects):
-        gap, number = nearest_in(entry, x)
+        gap, number, bound = nearest_in(entry, x, within, at, known)
         if gap < smallest:
             smallest, index = gap, at + number
+        bounded = max(bounded, bound)
         at += places(entry)
-    return smallest, index
+    return Deepest(smallest, index, bounded)

@@ -11,8 +11,9 @@ from softfinger.proxy.kernels.contact.carry import ridden
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.entries import places
 from softfinger.proxy.kernels.geometry.frames import into
+from softfinger.proxy.kernels.geometry.mesh.contact import travel_to_facet
 from softfinger.proxy.kernels.geometry.surfaces import NO_HIT, closest, travel
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.model import Mesh, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.rows import Rows
@@ -65,8 +66,23 @@ def meets_it(
     met, begin = NO_HIT, start
     if at != skip[0] and at != skip[1] and at != skip[2]:
         begin = ridden(entry.was, entry.pose, start)
-        met = travel(entry.shape, into(entry.pose, begin), into(entry.pose, end), radius, leaves)
-    return met, at, begin
+        met, number = meets(entry.shape, into(entry.pose, begin), into(entry.pose, end), radius, leaves)
+    return met, at + number, begin
+
+
+@by_type
+def meets(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> Any:
+    """`travel`, and the number of what is met on the shape."""
+
+
+@meets.otherwise
+def meets_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> tuple[float, float]:
+    return travel(shape, start, end, radius, leaves), 0.0
+
+
+@meets.of(Mesh)
+def meets_facet(shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool) -> tuple[float, float]:
+    return travel_to_facet(shape, start, end, radius, leaves)
 
 
 @first_in.of(Rows)

@@ -31,6 +31,7 @@ from softfinger.proxy.kernels.model.laws import (
     Stribeck,
     Torsion,
 )
+from softfinger.proxy.kernels.model.mesh import Facet, Mesh, Triangles
 from softfinger.proxy.kernels.model.methods import EulerZxz, EulerZyx, Midpoint, MontanaRk4, MontanaRk45, RotationVector
 from softfinger.proxy.kernels.model.motions import Driven, Place, Pose, Sinusoid, Turntable
 from softfinger.proxy.kernels.model.normal import HuntCrossley, LinearNormal, PowerNormal
@@ -83,6 +84,7 @@ __all__ = [
     "EllipsoidTip",
     "EulerZxz",
     "EulerZyx",
+    "Facet",
     "Finger",
     "FingerState",
     "Friction",
@@ -94,6 +96,7 @@ __all__ = [
     "LinearNormal",
     "Magnet",
     "Material",
+    "Mesh",
     "Midpoint",
     "MontanaRk4",
     "MontanaRk45",
@@ -131,6 +134,7 @@ __all__ = [
     "Texture",
     "Torsion",
     "Torus",
+    "Triangles",
     "Touching",
     "Turntable",
     "Vec3",

@@ -1,0 +1,286 @@
+"""The tree over a mesh's triangles: eight equal parts, and eight of each, cut where they are longest.
+
+Compiled, on arrays that the caller has made: `proxy/meshes` has them.
+"""
+
+from math import acos, sqrt
+from typing import Any
+
+import numpy as np
+
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.mesh.lanes import FIELDS, LANES, NODE
+from softfinger.proxy.kernels.geometry.surfaces.contract import Z_AXIS, any_tangent, direction
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import entry, jit
+
+INFLATED = 1e-6
+"""Share of the mesh's size by which discs are larger than what they hold: float32 has 6e-8 of it."""
+NOTHING = -1e18
+"""Radius of a disc that holds nothing: it is farther than anything."""
+
+
+@jit
+def parts(count: int) -> int:
+    """Into how many parts a node with so many triangles is cut: lanes of eight triangles, or eight of any size."""
+    return LANES if count > LANES * LANES else (count + LANES - 1) // LANES
+
+
+@entry
+def count_nodes(triangles: int, low: Any, high: Any) -> int:
+    """Nodes of a tree over so many triangles, and which triangles (int64 arrays, long enough) are in each.
+
+    A node's parts follow one another, and come behind all nodes of its level that come before it.
+    """
+    low[0], high[0] = 0, triangles
+    count, node = 1, 0
+    while node < count:
+        size = high[node] - low[node]
+        if size > LANES:
+            k = parts(size)
+            for i in range(k):
+                low[count + i] = low[node] + size * i // k
+                high[count + i] = low[node] + size * (i + 1) // k
+            count += k
+        node += 1
+    return count
+
+
+@jit
+def swap(middles: Any, order: Any, i: int, j: int) -> None:
+    order[i], order[j] = order[j], order[i]
+    for axis in range(3):
+        middles[i, axis], middles[j, axis] = middles[j, axis], middles[i, axis]
+
+
+@jit
+def longest(middles: Any, low: int, high: int) -> int:
+    """The axis along which the middles of some triangles are farthest apart."""
+    axis, widest = 0, np.float32(-1.0)
+    for k in range(3):
+        least, most = middles[low, k], middles[low, k]
+        for i in range(low + 1, high):
+            least, most = min(least, middles[i, k]), max(most, middles[i, k])
+        if most - least > widest:
+            axis, widest = k, most - least
+    return axis
+
+
+@jit
+def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
+    """Bring those that are first along the longest axis below `at`, the others from there on (Hoare's selection).
+
+    Equal ones are shared out, so that a mesh folded into one point takes no longer.
+    """
+    axis = longest(middles, low, high)
+    left, right = low, high - 1
+    while left < right:
+        one, two, three = middles[left, axis], middles[(left + right) // 2, axis], middles[right, axis]
+        pivot = max(min(one, two), min(max(one, two), three))
+        i, j = left, right
+        while i <= j:
+            while middles[i, axis] < pivot:
+                i += 1
+            while middles[j, axis] > pivot:
+                j -= 1
+            if i <= j:
+                swap(middles, order, i, j)
+                i += 1
+                j -= 1
+        if at <= j:
+            right = j
+        elif at >= i:
+            left = i
+        else:
+            return
+
+
+@entry
+def arrange(middles: Any, order: Any, low: Any, high: Any, nodes: int, first_node: int) -> int:
+    """Sort triangles into the tree, as many nodes as a part of a second takes; returns the next node, `nodes` at the end.
+
+    middles  (triangles, 3)  float32, moved along with
+    order    (triangles,)    int32   which triangle is where
+    """
+    work, node = 0, first_node
+    while node < nodes and work < 4_000_000:
+        begin, size = low[node], high[node] - low[node]
+        if size > LANES:
+            k = parts(size)
+            step = k
+            # Halves, their halves and theirs: each cut is where parts meet.
+            while step > 1:
+                half = (step + 1) // 2
+                i = 0
+                while i + half < k:
+                    there = min(i + step, k)
+                    cut(middles, order, begin + size * i // k, begin + size * there // k, begin + size * (i + half) // k)
+                    i += step
+                step = half
+            work += 3 * size
+        node += 1
+    return node
+
+
+@jit
+def corner(vertices: Any, corners: Any, triangle: int, i: int) -> Vec3:
+    at = corners[triangle, i]
+    return (vertices[at, 0], vertices[at, 1], vertices[at, 2])
+
+
+@jit
+def area_normal(vertices: Any, corners: Any, triangle: int) -> Vec3:
+    """Normal (3,) of the triangle, twice its area long."""
+    a = corner(vertices, corners, triangle, 0)
+    return vec3.cross(
+        vec3.sub(corner(vertices, corners, triangle, 1), a), vec3.sub(corner(vertices, corners, triangle, 2), a)
+    )
+
+
+@jit
+def put_disc(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, slack: float) -> None:
+    """The disc round some triangles into a lane, `at` its first number; thin along their mean normal."""
+    total = (0.0, 0.0, 0.0)
+    for k in range(low, high):
+        total = vec3.add(total, area_normal(vertices, corners, k))
+    _, up = direction(total, Z_AXIS)
+    one = any_tangent(up)
+    two = vec3.cross(up, one)
+    least, most = (1e300, 1e300, 1e300), (-1e300, -1e300, -1e300)
+    for k in range(low, high):
+        for i in range(3):
+            x = corner(vertices, corners, k, i)
+            y = (vec3.dot(x, one), vec3.dot(x, two), vec3.dot(x, up))
+            least = (min(least[0], y[0]), min(least[1], y[1]), min(least[2], y[2]))
+            most = (max(most[0], y[0]), max(most[1], y[1]), max(most[2], y[2]))
+    middle = vec3.scale(0.5, vec3.add(least, most))
+    radius = 0.0
+    for k in range(low, high):
+        for i in range(3):
+            x = corner(vertices, corners, k, i)
+            u, v = vec3.dot(x, one) - middle[0], vec3.dot(x, two) - middle[1]
+            radius = max(radius, u * u + v * v)
+    place = vec3.add(vec3.add(vec3.scale(middle[0], one), vec3.scale(middle[1], two)), vec3.scale(middle[2], up))
+    for i in range(3):
+        lanes[at + LANES * i] = place[i] - center[i]
+        lanes[at + LANES * (3 + i)] = up[i]
+    lanes[at + LANES * 6] = sqrt(radius) + slack
+    lanes[at + LANES * 7] = 0.5 * (most[2] - least[2]) + slack
+
+
+@entry
+def enclose(
+    vertices: Any, corners: Any, low: Any, high: Any, nodes: int, first_node: int, center: Vec3, size: float,
+    lanes: Any, first: Any, child: int,
+) -> tuple[int, int]:  # fmt: skip
+    """Discs of some nodes' lanes, and where their children are; returns the next node and the next child.
+
+    lanes  (nodes * NODE,) float32, first (nodes,) int32: see `model.Mesh`
+    """
+    work, node, slack = 0, first_node, INFLATED * size
+    while node < nodes and work < 2_000_000:
+        count = high[node] - low[node]
+        k = count if count <= LANES else parts(count)
+        leaf = count <= LANES
+        first[node] = ~low[node] if leaf else child
+        for i in range(LANES):
+            at = node * NODE + i
+            if i >= k:
+                for field in range(FIELDS):
+                    lanes[at + LANES * field] = 0.0
+                lanes[at + LANES * 6] = NOTHING
+            elif leaf:
+                put_disc(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, slack)
+            else:
+                put_disc(lanes, at, vertices, corners, low[child + i], high[child + i], center, slack)
+        if not leaf:
+            child += k
+        work += count
+        node += 1
+    return node, child
+
+
+@entry
+def renumber(corners: Any, order: Any, arranged: Any, place: Any) -> int:
+    """Triangles in their order in the tree, vertices in that of their first triangle; returns how many are used.
+
+    arranged  (triangles, 3)  int32, filled
+    place     (vertices,)     int32, -1 each; filled with where each vertex goes
+    """
+    used = 0
+    for k in range(len(order)):
+        for i in range(3):
+            vertex = corners[order[k], i]
+            if place[vertex] < 0:
+                place[vertex] = used
+                used += 1
+            arranged[k, i] = place[vertex]
+    return used
+
+
+@entry
+def join(corners: Any, begin: Any, around: Any, across: Any) -> int:
+    """What is beyond each edge; returns how many edges have no other triangle, or more than one, or one the other way.
+
+    begin   (vertices + 1,)    int32, 0 each    where in `around` the edges from a vertex begin
+    around  (triangles * 3,)   int32            edges, 3 triangle + i, by the lower of their vertices
+    across  (triangles, 3)     int32            filled: the other triangle, -1 for none or for several
+    """
+    count = len(corners)
+    for k in range(count):
+        for i in range(3):
+            begin[min(corners[k, i], corners[k, (i + 1) % 3]) + 1] += 1
+            across[k, i] = -1
+    for v in range(1, len(begin)):
+        begin[v] += begin[v - 1]
+    for k in range(count):  # each fills its place from the end of the one before, which moves it up
+        for i in range(3):
+            v = min(corners[k, i], corners[k, (i + 1) % 3])
+            around[begin[v]] = 3 * k + i
+            begin[v] += 1
+    loose, start = 0, 0
+    for v in range(len(begin) - 1):
+        end = begin[v]
+        for one in range(start, end):
+            k, i = around[one] // 3, around[one] % 3
+            there = max(corners[k, i], corners[k, (i + 1) % 3])
+            met, against = 0, False
+            for other in range(start, end):
+                m, j = around[other] // 3, around[other] % 3
+                if other != one and max(corners[m, j], corners[m, (j + 1) % 3]) == there:
+                    met += 1
+                    against = corners[m, j] != corners[k, i]
+                    across[k, i] = m
+            if met != 1 or not against:
+                loose += 1
+                across[k, i] = -1
+        start = end
+    return loose
+
+
+@jit
+def angle_at(a: Vec3, b: Vec3, c: Vec3) -> float:
+    """Angle (rad) of a triangle at `a`."""
+    _, one = direction(vec3.sub(b, a), Z_AXIS)
+    _, two = direction(vec3.sub(c, a), Z_AXIS)
+    return acos(max(-1.0, min(1.0, vec3.dot(one, two))))
+
+
+@entry
+def raise_normals(vertices: Any, corners: Any, upward: Any) -> None:
+    """Normals at the vertices, (vertices, 3), 0 each, filled: unit, each triangle counting as its angle there does."""
+    for k in range(len(corners)):
+        _, normal = direction(area_normal(vertices, corners, k), (0.0, 0.0, 0.0))
+        for i in range(3):
+            angle = angle_at(
+                corner(vertices, corners, k, i),
+                corner(vertices, corners, k, (i + 1) % 3),
+                corner(vertices, corners, k, (i + 2) % 3),
+            )
+            at = corners[k, i]
+            for axis in range(3):
+                upward[at, axis] += angle * normal[axis]
+    for v in range(len(upward)):
+        _, normal = direction((upward[v, 0], upward[v, 1], upward[v, 2]), Z_AXIS)
+        for axis in range(3):
+            upward[v, axis] = normal[axis]

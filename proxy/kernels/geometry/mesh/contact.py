@@ -1,0 +1,96 @@
+"""What a contact asks of a mesh: the nearest of its triangles, and what is met on a way.
+
+A fingertip's centre that has not gone farther than its distance from the mesh has not crossed it, whatever it touches
+now: so the short way of a tick asks nothing, and what is touched at its end is found there.
+"""
+
+from math import sqrt
+
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
+from softfinger.proxy.kernels.geometry.mesh.triangle import closest_on_triangle
+from softfinger.proxy.kernels.geometry.surfaces.contract import (
+    NO_HIT,
+    X_AXIS,
+    any_tangent,
+    closest,
+    curvature,
+)
+from softfinger.proxy.kernels.model import Facet, Mesh, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+
+NO_TRIANGLE: Vec3 = (-1.0, -1.0, -1.0)
+STRIDE = 0.9
+"""Share of its radius that a fingertip's centre goes between two looks at what is around it."""
+STRIDES = 16
+"""Looks on one way, at most: past so many a fingertip that went along the surface is stopped there."""
+ANYWHERE = 1e300
+
+
+@jit
+def nearest_facet(mesh: Mesh, x: Vec3, within: float, known: Vec3) -> tuple[float, float, float]:
+    """Distance (m) of `x` (3,) m from the mesh if it is smaller than `within`, else 1e300; the number of the nearest
+    triangle, -1 for none, and 1 if the distance is only a bound.
+
+    It is signed where all distances count: at the first pose, which may be inside. From there on no centre crosses it.
+    """
+    found = nearest(mesh, x, within, known, BUDGET)
+    if found.bound < found.square:
+        return sqrt(found.bound), float(found.number), 1.0
+    if found.number < 0:
+        return 1e300, -1.0, 0.0
+    gap = sqrt(found.square)
+    if within >= ANYWHERE:
+        gap, _, _ = closest_on_triangle(mesh, float(found.number), x)
+    return gap, float(found.number), 0.0
+
+
+@jit
+def travel_to_facet(shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool) -> tuple[float, float]:
+    """Share of the way at which something is met, and the number of the triangle; see `travel`.
+
+    A fingertip that `leaves` rests on triangles, and is held by what it touches at the end of a short way.
+    """
+    way = vec3.sub(end, start)
+    length = vec3.norm(way)
+    if length <= STRIDE * radius:
+        if leaves:
+            return NO_HIT, 0.0
+        gap, number, _ = nearest_facet(shape, end, radius, NO_TRIANGLE)
+        return (1.0, number) if number >= 0.0 and gap < radius else (NO_HIT, 0.0)
+    gone, number = 0.0, -1.0
+    for _ in range(STRIDES):
+        x = vec3.add_scaled(start, gone / length, way)
+        gap, number, bounded = nearest_facet(shape, x, radius + length - gone, NO_TRIANGLE)
+        if number < 0.0 and bounded == 0.0:
+            return NO_HIT, 0.0
+        if gone > 0.0 and gap < radius and number >= 0.0:
+            return gone / length, number
+        gone += max(gap - (1.0 - STRIDE) * radius, (1.0 - STRIDE) * radius)
+        if gone >= length:
+            gap, number, _ = nearest_facet(shape, end, radius, NO_TRIANGLE)
+            return (1.0, number) if number >= 0.0 and gap < radius else (NO_HIT, 0.0)
+    return (gone / length, number) if number >= 0.0 else (NO_HIT, 0.0)
+
+
+@closest.of(Facet)
+def closest_on_facet(shape: Facet, x: Vec3) -> tuple[float, Vec3, Vec3]:
+    return closest_on_triangle(shape.mesh, shape.number, x)
+
+
+@curvature.of(Facet)
+def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
+    """Flat: over an edge the fingertip rolls in one tangent plane after the other."""
+    return 0.0, 0.0, any_tangent(normal)
+
+
+@closest.of(Mesh)
+def closest_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3]:
+    """Of the whole mesh, for what is not a contact: an effect that draws to the surface."""
+    found = nearest(shape, x, ANYWHERE, NO_TRIANGLE, BUDGET)
+    return closest_on_triangle(shape, float(max(found.number, 0)), x)
+
+
+@curvature.of(Mesh)
+def curvature_of_mesh(shape: Mesh, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
+    return 0.0, 0.0, X_AXIS

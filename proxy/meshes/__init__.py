@@ -1,0 +1,1 @@
+"""Meshes: from their files, through what is mended of them, to what the kernels take. No contact."""

@@ -1,0 +1,72 @@
+"""A mesh as the kernels take it: the tree over its triangles, built by them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.kernels.geometry.mesh import build
+from softfinger.proxy.kernels.geometry.mesh.lanes import NODE
+
+BUILDER: Final = 1
+"""Changed with anything that is built differently: what is kept of older ones is not used."""
+
+Doubles = NDArray[np.float64]
+Whole = NDArray[np.int32]
+
+
+class Tree(NamedTuple):
+    """Arrays and numbers of a `model.Mesh`; the triangles are those given, in another order.
+
+    closed  whether every edge has one triangle on either side, both the same way round
+    """
+
+    nodes: NDArray[np.float32]
+    first: Whole
+    vertices: Doubles
+    corners: Whole
+    across: Whole
+    upward: Doubles
+    center: Doubles
+    size: float
+    closed: bool
+
+
+def build_tree(vertices: Doubles, triangles: Whole, told: Callable[[float], None] = lambda share: None) -> Tree:
+    """The tree over `triangles` (m, 3) of `vertices` (n, 3) m; `told` gets the share that is done, now and then."""
+    count = len(triangles)
+    middles = np.empty((count, 3), np.float32)
+    least, most = vertices.min(axis=0), vertices.max(axis=0)
+    center = 0.5 * (least + most)
+    for axis in range(3):
+        along = vertices[:, axis] - center[axis]
+        middles[:, axis] = along[triangles].sum(axis=1)
+    room = count // 2 + 64  # at the worst nine triangles make two leaves, under a node of their own
+    low, high = np.empty(room, np.int64), np.empty(room, np.int64)
+    nodes = build.count_nodes(count, low, high)
+    order = np.arange(count, dtype=np.int32)
+    node = 0
+    while node < nodes:
+        node = build.arrange(middles, order, low, high, nodes, node)
+        told(0.5 * node / nodes)
+    corners, place = np.empty((count, 3), np.int32), np.full(len(vertices), -1, np.int32)
+    used = build.renumber(np.ascontiguousarray(triangles, np.int32), order, corners, place)
+    arranged = np.empty((used, 3))
+    kept = place >= 0
+    arranged[place[kept]] = vertices[kept]
+    middle = (float(center[0]), float(center[1]), float(center[2]))
+    size = float(np.sqrt(((most - least) ** 2).sum()))
+    lanes, first = np.empty(nodes * NODE, np.float32), np.empty(nodes, np.int32)
+    node, child = 0, 1
+    while node < nodes:
+        node, child = build.enclose(arranged, corners, low, high, nodes, node, middle, size, lanes, first, child)
+        told(0.5 + 0.4 * node / nodes)
+    across = np.empty((count, 3), np.int32)
+    loose = build.join(corners, np.zeros(used + 1, np.int32), np.empty(3 * count, np.int32), across)
+    upward = np.zeros((used, 3))
+    build.raise_normals(arranged, corners, upward)
+    told(1.0)
+    return Tree(lanes, first, arranged, corners, across, upward, center, size, loose == 0)
