@@ -91,8 +91,8 @@ def mend(given: Arrays, loose: bool) -> Mended:
 
 
 def _check_size(vertices: Vertices) -> None:
-    with np.errstate(over="ignore"):
-        size, reach = float(np.ptp(vertices, axis=0).max()), float(np.abs(vertices).max())
+    low, high = _ends(vertices)
+    size, reach = _size(vertices), max(map(abs, low + high))
     if not limits.MESH_SIZE_M.low <= size <= limits.MESH_SIZE_M.high:
         raise ValueError(
             f"is {size:g} m in size, must be {limits.MESH_SIZE_M.low:g} to {limits.MESH_SIZE_M.high:g}: `scale` is how "
@@ -103,6 +103,16 @@ def _check_size(vertices: Vertices) -> None:
             f"has a coordinate of {reach:g} m, {limits.COORDINATE_M.high:g} is the most: move it to its origin, and "
             "place it by position_m"
         )
+
+
+def _ends(vertices: Vertices) -> tuple[list[float], list[float]]:
+    """The least and the largest of each coordinate; one by one, which takes numpy a tenth of the time."""
+    columns = vertices.T
+    return [float(each.min()) for each in columns], [float(each.max()) for each in columns]
+
+
+def _size(vertices: Vertices) -> float:
+    return max(high - low for low, high in zip(*_ends(vertices), strict=True))
 
 
 def _used(given: Arrays) -> tuple[NDArray[np.int64], Triangles]:
@@ -119,7 +129,7 @@ def _merged(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray
     kept, place = _places(first)
     if not loose:
         return kept, place
-    tolerance = MERGED_WITHIN * float(np.ptp(vertices, axis=0).max())
+    tolerance = MERGED_WITHIN * _size(vertices)
     steps = np.stack([_steps(vertices[kept, axis], tolerance) for axis in range(3)], axis=1)
     again, number = _places(first_alike(steps))
     return kept[again], number[place]

@@ -113,7 +113,9 @@ def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
     try:
         vertices, triangles = arrays_of(thing.file, data)
         loose = thing.file.lower().endswith(".stl")
-        mended = mend(Arrays(vertices * thing.scale, triangles), loose)
+        with np.errstate(over="ignore"):  # what is infinite then is refused
+            vertices = vertices * thing.scale
+        mended = mend(Arrays(vertices, triangles), loose)
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:

@@ -61,7 +61,7 @@ def arrays_of(path: str | Path, data: bytes) -> Arrays:
         raise ConfigError(f"{path}: {_line(error)}") from error
     except Exception as error:  # what trimesh puts off until it is asked for
         raise ConfigError(f"{path}: is damaged, or no {kind.upper()} file: {_line(error)}") from error
-    return Arrays(vertices, np.ascontiguousarray(triangles, dtype=np.int32))
+    return Arrays(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles, dtype=np.int32))
 
 
 def _kind(path: str | Path) -> str:
@@ -121,10 +121,12 @@ def _joined(scene: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             vertices = vertices @ place[:3, :3].T + place[:3, 3]
             triangles = triangles[:, ::-1] if np.linalg.det(place[:3, :3]) < 0.0 else triangles
         points.append(vertices)
-        corners.append(triangles + start)
+        corners.append(triangles + start if start else triangles)
         start += len(vertices)
     if not points:
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
+    if len(points) == 1:
+        return points[0], corners[0]
     return np.concatenate(points), np.concatenate(corners)
 
 
@@ -135,10 +137,10 @@ def _check(vertices: NDArray[np.float64], triangles: NDArray[np.int64], promised
         raise ValueError(f"has {len(triangles):,} triangles, {limits.MESH_TRIANGLES.high:,} are the most: decimate it")
     if promised > len(triangles):
         raise ValueError(f"promises {promised:,} faces, and has {len(triangles):,}: it was cut off, or is damaged")
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if len(bad):
-        x, y, z = vertices[bad[0]]
-        raise ValueError(f"vertex {bad[0]} is ({x:g}, {y:g}, {z:g}): coordinates must be finite; clean the mesh")
+    if not np.isfinite(vertices).all():
+        bad = np.argmin(np.isfinite(vertices).all(axis=1))
+        x, y, z = vertices[bad]
+        raise ValueError(f"vertex {bad} is ({x:g}, {y:g}, {z:g}): coordinates must be finite; clean the mesh")
 
 
 def _check_shapes(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> None:
@@ -147,10 +149,10 @@ def _check_shapes(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> 
         raise ValueError(f"is damaged: its vertices are of the shape {points.shape}, must have three coordinates")
     if triangles.ndim != 2 or triangles.shape[1:] != (3,):
         raise ValueError(f"has faces of {triangles.shape[1:]} corners, must have triangles: triangulate it")
-    bad = np.flatnonzero(((triangles < 0) | (triangles >= vertices)).any(axis=1))
-    if len(bad):
-        corners = ", ".join(map(str, triangles[bad[0]]))
-        raise ValueError(f"triangle {bad[0]} has the corners {corners}, and there are vertices 0 to {vertices - 1}")
+    if len(triangles) and not (triangles.min() >= 0 and triangles.max() < vertices):
+        bad = np.argmax(((triangles < 0) | (triangles >= vertices)).any(axis=1))
+        corners = ", ".join(map(str, triangles[bad]))
+        raise ValueError(f"triangle {bad} has the corners {corners}, and there are vertices 0 to {vertices - 1}")
 
 
 def _line(error: Exception) -> str:

@@ -183,6 +183,8 @@ def test_scale_makes_metres(tmp_path: Path) -> None:
     report = about(thing(tmp_path / "ball.stl", scale=0.001)).report
     assert report.volume_m3 == pytest.approx(meshes.volume(BALL) * 0.02**3, rel=3 * FLOAT32)
     assert "m in size, must be 1e-06 to 1000" in refusal(tmp_path / "ball.stl", scale=100.0)
+    (tmp_path / "far.ply").write_bytes(ply_text(Mesh(1e300 * BALL.vertices, BALL.triangles)))
+    assert "is inf m in size" in refusal(tmp_path / "far.ply", scale=1e9)
 
 
 def spoilt(value: float) -> Mesh:
