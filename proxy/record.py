@@ -94,7 +94,9 @@ class Offsets(NamedTuple):
     contact_patch_stretch: Annotated[
         int, 3, "float", "m", "fingertip", "displacement of the skin against the fingertip along the surface"
     ]
-    contact_budget: Annotated[int, 1, "int", "1", "", "1 if a mesh could not be searched to the end and the proxy stayed"]
+    contact_budget: Annotated[
+        int, 1, "int", "1", "", "1 if a mesh could not be searched to the end and the proxy stayed"
+    ]
 
 
 @dataclass(frozen=True)

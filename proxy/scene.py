@@ -14,8 +14,11 @@ from softfinger.config.load import overridden
 from softfinger.proxy.actions import kernel_effects, kernel_motion
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
+from softfinger.proxy.kernels.native.arrays import ReadOnly
 from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
+from softfinger.proxy.meshes.prepared import Builder, tree_of
+from softfinger.proxy.meshes.tree import Tree, build_tree
 from softfinger.proxy.record import FREE
 from softfinger.proxy.textures import kernel_texture
 
@@ -236,6 +239,27 @@ def _ellipsoid(thing: schema.Ellipsoid) -> list[Body]:
 @shape_bodies.register
 def _torus(thing: schema.Torus) -> list[Body]:
     return [Body(model.Torus(thing.major_radius_m, thing.minor_radius_m, _side(thing.inside)))]
+
+
+@shape_bodies.register
+def _mesh(thing: schema.Mesh) -> list[Body]:
+    tree = tree_of(thing, Builder(build_tree, Tree))
+    x, y, z = tree.center.tolist()
+    side = _side(thing.inside) if tree.closed else 0.0
+    triangles = model.Triangles(
+        nodes=ReadOnly(tree.nodes),
+        first=ReadOnly(tree.first),
+        vertices=ReadOnly(tree.vertices),
+        corners=ReadOnly(tree.corners),
+        across=ReadOnly(tree.across),
+        upward=ReadOnly(tree.upward),
+        count=float(len(tree.corners)),
+        center=(x, y, z),
+        size=tree.size,
+        side=side,
+        shade=float(thing.shading == "normals"),
+    )
+    return [Body(model.Mesh(Rows([triangles])))]
 
 
 def _side(inside: bool) -> float:

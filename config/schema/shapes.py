@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, TypeVar, get_args
+from typing import Annotated, ClassVar, Literal, TypeVar, get_args
 
 from msgspec import Struct
 
@@ -29,6 +29,7 @@ from softfinger.config.schema.textures import Texture
 CLOSES = 1e-3
 """Share of its width by which a texture round a cylinder may miss itself, since sizes are written with a few digits."""
 
+Shading = Literal["none", "normals"]
 Inside = Annotated[bool, said("touched from inside: a hollow, and the fingertip in it", False)]
 
 
@@ -223,13 +224,39 @@ class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus
             yield "major_radius_m", major, _too_tight(fingertip_m, "radius", hole)
 
 
+class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh"):
+    """The triangles of a file, in the object's frame. One with holes is a sheet, felt from both sides."""
+
+    shape: ClassVar[str] = "mesh"
+    unrolls: ClassVar[bool] = True  # in one triangle's plane after the other
+    endings: ClassVar[tuple[str, ...]] = (".ply", ".stl", ".obj", ".glb")
+    file: Annotated[
+        str,
+        sized(
+            limits.FILE_NAME_LENGTH,
+            "triangles as .ply, .stl, .obj or .glb; where its name has no root, in the scene's folder",
+            "part.ply",
+        ),
+    ]
+    scale: Annotated[float, within(limits.MESH_SCALE, "metres that a unit of the file has: 0.001 for mm", 0.001)] = 1.0
+    inside: Inside = False
+    shading: Annotated[
+        Shading, said("none: every triangle is flat; normals: the force turns smoothly from one to the next", "none")
+    ] = "none"
+
+    def faults(self) -> Iterator[Complaint]:
+        yield from super().faults()
+        if known(self.file) and not self.file.lower().endswith(self.endings):
+            yield "file", self.file, f"must end in {', '.join(self.endings)}: export the mesh as one of these"
+
+
 def _too_tight(least_m: float, measure: str = "radius", what: str = "") -> str:
     """Why the fingertip does not fit; `least_m` is its radius or diameter."""
     room = f"must be above {least_m:g} m, the {measure} of the fingertip that has to fit in"
     return f"{what} {room}".strip() + ": widen it, or take a smaller fingertip"
 
 
-Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus
+Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus | Mesh
 """Any object: the key `shape` tells them apart."""
 
 Added = TypeVar("Added", bound=type[ObjectBase])

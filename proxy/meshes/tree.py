@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.geometry.mesh import build
 from softfinger.proxy.kernels.geometry.mesh.lanes import NODE
-
-BUILDER: Final = 1
-"""Changed with anything that is built differently: what is kept of older ones is not used."""
 
 Doubles = NDArray[np.float64]
 Whole = NDArray[np.int32]

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 from softfinger.config import schema
 from softfinger.drivers.base import DeviceInfo
+from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.geometry.tool import make_tool
 from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import UNMOVED, Tuning
+from softfinger.server.progress import progress
 
 log: Final = logging.getLogger(__name__)
 
@@ -37,7 +40,16 @@ def make_tuning(
     guards = guards or (guard_limits(guard),) * len(scene.fingers)
     held = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
     held = held or (None,) * len(scene.fingers)
-    return Tuning(build_scene(scene), guards, _passivity(scene.passivity), held, (UNMOVED,) * len(scene.fingers))
+    return Tuning(_built(scene), guards, _passivity(scene.passivity), held, (UNMOVED,) * len(scene.fingers))
+
+
+def _built(scene: schema.Scene) -> model.Scene:
+    """The scene as it is rendered; what its meshes need may take seconds the first time, and shows that it goes on."""
+    files = [Path(thing.file).name for thing in scene.object if isinstance(thing, schema.Mesh)]
+    if not files:
+        return build_scene(scene)
+    with progress(f"reading {', '.join(files)}"):
+        return build_scene(scene)
 
 
 def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:

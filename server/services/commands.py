@@ -19,6 +19,7 @@ from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
 from softfinger.drivers.simulated.lead import Wanted
+from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import wayout
 from softfinger.server.services.base import Worker
@@ -216,23 +217,26 @@ class Commands(Worker):
 
     def _drive(self, request: Request) -> wire.Applied:
         asked: wire.Drive = request.params
-        objects = self._rendering.scene.object
-        names = [thing.name for thing in objects]
-        number = asked.object if isinstance(asked.object, int) else next(
-            (i for i, name in enumerate(names) if name == asked.object), len(names)
-        )  # fmt: skip
-        if number >= len(names):
-            raise Declined("bad_params", f"no object is {shown(asked.object)}: there are {', '.join(names)}")
-        if not isinstance(objects[number].motion, schema.Driven):
+        number, thing = self._object(asked.object)
+        if not isinstance(thing.motion, schema.Driven):
             raise Declined(
-                "refused", f'object {names[number]} is not driven: its scene says motion = {{ kind = "driven" }}'
+                "refused", f'object {thing.name} is not driven: its scene says motion = {{ kind = "driven" }}'
             )
         pose: dict[str, Any] = {"position_m": list(asked.position_m)}
         if asked.orientation_wxyz is not msgspec.UNSET:
             pose["orientation_wxyz"] = list(asked.orientation_wxyz)
         _, _, tick = self._rendering.set_parameters({f"object.{number}.{k}": v for k, v in pose.items()}, "drive")
-        self._tell("drive", request.command_id, {"object": names[number]} | pose)
+        self._tell("drive", request.command_id, {"object": thing.name} | pose)
         return wire.Applied(tick)
+
+    def _object(self, asked: str | int) -> tuple[int, schema.Object]:
+        """The number of an object, and itself."""
+        objects = self._rendering.scene.object
+        names = [thing.name for thing in objects]
+        number = asked if isinstance(asked, int) else names.index(asked) if asked in names else len(names)
+        if number >= len(names):
+            raise Declined("bad_params", f"no object is {shown(asked)}: there are {', '.join(names)}")
+        return number, objects[number]
 
     def _hand(self, request: Request) -> wire.Applied:
         asked: wire.Hand = request.params
@@ -313,6 +317,15 @@ class Commands(Worker):
     def _describe(self, request: Request) -> dict[str, Any]:
         about = described(self._rendering, self._scene_name)
         return {"wire": wire_schema(), "ring": self._doing.ring(), "commands": wire.schema()} | about
+
+    def _mesh(self, request: Request) -> wire.Triangles:
+        _, thing = self._object(request.params.object)
+        if not isinstance(thing, schema.Mesh):
+            raise Declined("refused", f"object {thing.name} is a {thing.shape} and no mesh: its table says all")
+        report, picture = about(thing)
+        return wire.Triangles(
+            picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
+        )
 
     def _record_start(self, request: Request) -> wire.RecordStarted:
         asked: wire.RecordStart = request.params

@@ -6,8 +6,9 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 from msgspec import Struct
 
 from softfinger.config.errors import ConfigError, DeviceError, HapticError, RecordingError
@@ -16,6 +17,7 @@ from softfinger.config.schema import (
     DeviceConfig,
     FingerParts,
     Guard,
+    Mesh,
     Object,
     ObjectBase,
     Rig,
@@ -26,18 +28,22 @@ from softfinger.config.schema import (
 )
 from softfinger.config.words import near, shown
 
+if TYPE_CHECKING:  # with the kernels behind it, which no rig needs
+    from softfinger.proxy.meshes.report import Report
+
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
 
 
 class Finding(NamedTuple):
-    """What one file is: kind (scene, rig, or empty), summary rows, errors, and its content as read."""
+    """What one file is: kind (scene, rig, or empty), summary rows, errors, its content as read; by object its mesh."""
 
     file: str
     kind: str
     summary: list[tuple[str, str]]
     errors: list[str]
     content: dict[str, Any]
+    meshes: dict[str, Any]
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -82,10 +88,16 @@ def examine_file(file: str) -> Finding:
                 _check_recording(device, table, file)
             summary = rig_summary(config)
     except FaultyConfig as error:
-        return Finding(file, kind, [], [str(fault) for fault in error.faults], {})
+        return Finding(file, kind, [], [str(fault) for fault in error.faults], {}, {})
     except (ConfigError, DeviceError) as error:
-        return Finding(file, kind, [], [str(error)], {})
-    return Finding(file, kind, summary, [], describe(config))
+        return Finding(file, kind, [], [str(error)], {}, {})
+    return Finding(file, kind, summary, [], describe(config), _reports(config))
+
+
+def _reports(config: Scene | Rig) -> dict[str, Any]:
+    """What was found of each mesh, by the name of its object."""
+    meshes = [thing for thing in config.object if isinstance(thing, Mesh)] if isinstance(config, Scene) else []
+    return {thing.name: msgspec.to_builtins(_report(thing)) for thing in meshes}
 
 
 def with_costs(finding: Finding) -> Finding:
@@ -204,7 +216,17 @@ def _object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
         rows.append((f"  motion {item.motion.kind}", _values(item.motion)))
     if isinstance(item, Textured) and item.texture is not None:
         rows += _texture_rows(item, item.texture)
+    if isinstance(item, Mesh):
+        rows += [(f"  {name}", text) for name, text in _report(item).rows()]
     return rows
+
+
+def _report(item: Mesh) -> Report:
+    from softfinger.proxy.meshes.prepared import about
+    from softfinger.server.progress import progress
+
+    with progress(f"reading {item.file}"):
+        return about(item).report
 
 
 def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:

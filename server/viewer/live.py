@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -12,9 +14,11 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.hand import Hand, Led, Target
+from softfinger.server.viewer.nodes import meshes
 from softfinger.server.viewer.page import Page, scene_of
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
+from softfinger.server.wire.commands import Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
 COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one goes on meanwhile"
@@ -39,6 +43,8 @@ class LivePage:
         self._slow = Asker(daemon.commands, daemon.keys)  # a scene is compiled while the hand goes on
         self._described: dict[str, Any] | None = None
         self._fresh = threading.Event()
+        self._sent = deque[tuple[int, int, Triangles]]()
+        """Triangles of objects that are meshes: of the scene that began with which tick, of which object."""
         self._scene: schema.Scene | None = None
         self._first = -1
         self._since = 0.0
@@ -60,6 +66,8 @@ class LivePage:
         self._since += dt
         if self._scene is None and self._since > ASK_AGAIN_S:
             self._look()
+        while self._sent:
+            self._draw(*self._sent.popleft())
         for event in news.events:
             self._hear(event)
         if self._live.problem:
@@ -97,10 +105,26 @@ class LivePage:
         self._scene, self._first = scene, int(described["since"])
         self._page.change(scene, self._first, 1.0 / described["rate_hz"])
         self._tuning.change(scene, described["scene_name"])
+        for number, thing in enumerate(scene.object):
+            if isinstance(thing, schema.Mesh):
+                came = partial(self._keep, self._first, number)
+                self._asker.ask(f"mesh {number}", Request("mesh", {"object": number}, came, self._page.say))
         parts = {finger.name: finger for finger in scene.fingers}
         self._hand.change([_led(each, parts[each["name"]]) for each in described["fingers"] if each["led"]])
         for name, nodes in self._page.fingers.items():
             self._hand.take(name, nodes.ball)
+
+    def _keep(self, first: int, number: int, triangles: Triangles) -> None:
+        self._sent.append((first, number, triangles))
+
+    def _draw(self, first: int, number: int, sent: Triangles) -> None:
+        """Show the triangles of an object, if it is still there."""
+        if first != self._first:
+            return
+        try:
+            self._page.draw(number, meshes.sent(sent.vertices, sent.triangles))
+        except ValueError as error:
+            self._page.say(f"object {number}: {error}")
 
     def _hear(self, event: dict[str, Any]) -> None:
         if event["kind"] == "command" and event["name"] == "drive" and self._scene is not None:

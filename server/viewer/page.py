@@ -20,6 +20,7 @@ from softfinger.proxy.record import AT, MODE_NAMES
 from softfinger.server.viewer.nodes.bodies import Bodies
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.looks import Looks
+from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.plots import Plots
 
 Array = NDArray[np.float64]
@@ -107,6 +108,11 @@ class Page:
         """A driven object of the scene has been moved."""
         if self._bodies is not None:
             self._bodies.drive(number, position, orientation)
+
+    def draw(self, number: int, mesh: Mesh) -> None:
+        """The triangles of an object of the scene that is a mesh."""
+        if self._bodies is not None:
+            self._bodies.draw(number, mesh)
 
     def show(self, ticks: dict[str, Array]) -> None:
         """Ticks (n, RECORD_SIZE) of each finger since the last time."""

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
-from softfinger.config.errors import RecordingError
+from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import build, load_scene
+from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.record import AT
 from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.reader import Note, Ticks, contents
+from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.page import Page
 
 Array = NDArray[np.float64]
@@ -123,6 +125,9 @@ class RecordedPage:
         page.add_views()
         first = int(next(iter(recording.fingers.values()))[0, AT.tick])
         page.change(recording.scene, first, 1.0 / recording.rate_hz)
+        for number, thing in enumerate(recording.scene.object):
+            if isinstance(thing, schema.Mesh):
+                self._draw(number, thing)
         names = list(page.fingers)
         self._names = dict(zip(recording.fingers, names, strict=True)) if len(names) == 1 else {n: n for n in names}
 
@@ -133,6 +138,15 @@ class RecordedPage:
         if jumped:
             self._page.forget()
         self._page.show({self._names[name]: rows for name, rows in ticks.items()})
+
+    def _draw(self, number: int, thing: schema.Mesh) -> None:
+        """Show the triangles of a mesh, if its file is still there."""
+        try:
+            picture = about(thing).picture
+        except ConfigError as error:
+            self._page.say(str(error))
+            return
+        self._page.draw(number, Mesh(picture.vertices, picture.triangles.astype(np.uint32), flat=True))
 
     def close(self) -> None:
         """Nothing to be closed."""

@@ -189,6 +189,21 @@ class RecordStopped(Struct, frozen=True):
     worst_write_s: float
 
 
+class OfObject(Struct, frozen=True, forbid_unknown_fields=True):
+    """An object, by name or number."""
+
+    object: Name | Annotated[int, Meta(ge=0)]
+
+
+class Triangles(Struct, frozen=True):
+    """A mesh in the frame of its object, for pictures: x, y, z of each vertex as float32, m, and three vertices of
+    each triangle as uint32, little-endian; of how many triangles it is made when it is touched."""
+
+    vertices: bytes
+    triangles: bytes
+    of: int
+
+
 class Stopping(Struct, frozen=True):
     """The daemon ends."""
 
@@ -217,6 +232,7 @@ METHODS: Final = {
     "record_start": Method(RecordStart, RecordStarted, "every tick and event into a new MCAP file of the daemon's"),
     "record_stop": Method(Empty, RecordStopped, "the end of that"),
     "describe": Method(Empty, dict[str, Any], "wire, rig, scene, fingers, versions, and what was compiled"),
+    "mesh": Method(OfObject, Triangles, "the triangles of an object that is a mesh, thinned out for a picture"),
     "stop": Method(Empty, Stopping, "the daemon ends in order"),
 }
 """Every method."""
@@ -351,6 +367,14 @@ def _field(field: inspect.Field) -> str:
     return said if field.required else f"[{said}]"
 
 
+_PLAIN: Final = {
+    inspect.StrType: "text",
+    inspect.BytesType: "bytes",
+    inspect.IntType: "integer",
+    inspect.FloatType: "number",
+}
+
+
 def _words(info: inspect.Type) -> str:
     match info:
         case inspect.Metadata():
@@ -361,9 +385,7 @@ def _words(info: inspect.Type) -> str:
             return f"{len(info.item_types)} numbers"
         case inspect.DictType():
             return "map"
-    return {inspect.StrType: "text", inspect.IntType: "integer", inspect.FloatType: "number"}.get(
-        type(info), "true or false"
-    )
+    return _PLAIN.get(type(info), "true or false")
 
 
 def table() -> Mapping[str, tuple[str, str, str]]:

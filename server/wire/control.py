@@ -36,6 +36,7 @@ from softfinger.server.wire.commands import (
     Empty,
     Hand,
     Mark,
+    OfObject,
     Quaternion,
     RecordStart,
     RecordStarted,
@@ -44,6 +45,7 @@ from softfinger.server.wire.commands import (
     SetScene,
     State,
     Stopping,
+    Triangles,
     Vector,
     Zero,
     Zeroed,
@@ -205,6 +207,10 @@ class Control(Closing):
         """Rig, scene, device, fingers, versions, and the wire itself as data."""
         return self._ask("describe", Empty(), dict)
 
+    def mesh(self, what: str | int) -> Triangles:
+        """The triangles of an object that is a mesh, by name or number, thinned out for a picture."""
+        return self._ask("mesh", OfObject(what), Triangles)
+
     def stop(self) -> Stopping:
         """End the daemon in order."""
         return self._ask("stop", Empty(), Stopping)
@@ -297,6 +303,9 @@ class AsyncControl:
 
     async def describe(self) -> dict[str, Any]:
         return await self._ask("describe", Empty(), dict)
+
+    async def mesh(self, what: str | int) -> Triangles:
+        return await self._ask("mesh", OfObject(what), Triangles)
 
     async def stop(self) -> Stopping:
         return await self._ask("stop", Empty(), Stopping)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from softfinger.config import limits, schema
-from softfinger.config.load import FaultyConfig, build, describe
+from softfinger.config.load import FaultyConfig, build, describe, load_scene
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.geometry.surfaces import closest
 from softfinger.proxy.scene import shape_bodies
@@ -22,7 +23,10 @@ SHAPES: dict[str, dict[str, Any]] = {
     "box": {"size_m": [0.1, 0.2, 0.3]},
     "ellipsoid": {"semi_axes_m": [0.06, 0.05, 0.04]},
     "torus": {"major_radius_m": 0.06, "minor_radius_m": 0.02},
+    "mesh": {"file": "part.ply"},
 }
+UNSIZED = ("plane", "mesh")
+"""Shapes whose tables have no length."""
 
 
 def mapping(shape: str, fingertip: float = 0.01, **keys: Any) -> dict[str, Any]:
@@ -82,7 +86,7 @@ def sized(shape: str, size: float) -> dict[str, Any]:
     return {key: [size] * 3 if isinstance(value, list) else size for key, value in SHAPES[shape].items()}
 
 
-@pytest.mark.parametrize("shape", [name for name in SHAPES if name != "plane"])
+@pytest.mark.parametrize("shape", [name for name in SHAPES if name not in UNSIZED])
 def test_dimensions_have_the_range_the_geometry_is_tested_in(shape: str) -> None:
     """Lengths of 1e-5 m and of 1e3 m are accepted, those just outside refused with the range."""
     low, high, _ = limits.LENGTH_M
@@ -136,6 +140,35 @@ def test_a_fingertip_must_fit(shape: str, radius: float, keys: dict[str, Any], a
 def test_outside_any_fingertip_fits(shape: str) -> None:
     """From outside a convex shape is touched by a fingertip of any size."""
     assert thing_of(shape, limits.LENGTH_M.high).shape == shape
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        ({"file": "part.step"}, "object[0].file = 'part.step': must end in .ply, .stl, .obj, .glb"),
+        ({"file": ""}, "object[0].file = '': must be text of 1 to 4096 characters"),
+        ({"scale": 0.0}, "object[0].scale = 0.0: must be a number from 1e-09 to 1e+09"),
+        ({"scale": -1.0}, "object[0].scale = -1.0: must be a number from 1e-09 to 1e+09"),
+        ({"shading": "phong"}, "object[0].shading = 'phong': must be one of 'none', 'normals'"),
+        ({"inside": 1}, "object[0].inside = 1: must be true or false"),
+        ({"size_m": 1.0}, "object[0].size_m"),
+    ],
+)
+def test_what_a_mesh_cannot_be(keys: dict[str, Any], text: str) -> None:
+    """One fault each, with key, value and what is allowed."""
+    (fault,) = faults_of("mesh", **keys)
+    assert text in fault
+
+
+def test_the_file_of_a_mesh_is_beside_its_scene(tmp_path: Path) -> None:
+    """A name without a root is in the scene's folder, wherever the process runs."""
+    (tmp_path / "scene.toml").write_text(
+        '[fingertip]\nradius_m = 0.01\n[[object]]\nname = "part"\nshape = "mesh"\nfile = "parts/a.STL"\n'
+        "scale = 0.001\n[object.material]\nstiffness_n_per_m = 1000.0\n"
+    )
+    (part,) = load_scene(tmp_path / "scene.toml").object
+    assert isinstance(part, schema.Mesh) and part.scale == 0.001
+    assert part.file == str(tmp_path / "parts" / "a.STL")
 
 
 def test_a_ring_has_a_hole() -> None:
@@ -232,5 +265,5 @@ def test_the_reference_has_the_dimensions_of_every_shape() -> None:
     for shape, keys in SHAPES.items():
         at = text.index(f'| `shape` |  | `"{shape}"` |')
         table = text[at:].split("\n\n")[0]
-        assert all(f"| `{key}` | m |" in table for key in keys)
+        assert all(f"| `{key}` | {'' if shape in UNSIZED else 'm'} |" in table for key in keys)
         assert ("`inside`" in table) == (shape != "plane")

@@ -203,6 +203,10 @@ def test_every_method_answers(rig):
         # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
         normal = kept.since(moved.tick + 2)[0, AT.contact_normal_force]
         assert normal == pytest.approx(500.0 * (DEPTH_M + 0.0005), rel=ROUNDING)
+        with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
+            control.mesh("lid.top")
+        with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
+            control.mesh(7)
         said = control.describe()
         assert said["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and said["scene_name"] == "pressed"
         assert said["rig"]["guard"]["force_slew_n_per_s"] == SLEW and set(said["commands"]["methods"]) == set(METHODS)

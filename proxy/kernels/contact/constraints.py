@@ -10,7 +10,14 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.half_spaces import FACING, Push, displacement, hold
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import any_faceted, beside_on, closest_on, closest_to, deepest, material_of
+from softfinger.proxy.kernels.geometry.bodies import (
+    any_faceted,
+    beside_on,
+    closest_on,
+    closest_to,
+    deepest,
+    material_of,
+)
 from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
 from softfinger.proxy.kernels.geometry.surfaces import is_hollow, rest_on
 from softfinger.proxy.kernels.geometry.sweep import first_hit
@@ -151,8 +158,8 @@ def settle_among_several(
     center  (3,) m  where what holds it has carried it
     active          what holds it, pushing
 
-    Over facets it goes no farther in a tick than a fingertip can go without crossing what is thin. A probe that asks for
-    more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
+    Over facets it goes no farther in a tick than a fingertip can go without crossing what is thin. A probe that asks
+    for more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
     """
     if not any_faceted(objects):
         return settle_for(objects, radius, probe, start, center, active)
@@ -170,9 +177,7 @@ def settle_among_several(
 
 
 @jit
-def settle_for(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints
-) -> Rest:
+def settle_for(objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints) -> Rest:
     """`settle_among_several` in one step."""
     faceted = any_faceted(objects)
     rounds = SLIDING_ROUNDS if faceted else ROUNDS
@@ -215,17 +220,15 @@ def settle_for(
             active = with_another(active, at, normal)
     if not found:
         # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
-        gap, _, _ = deepest(objects, before, radius, held_by(active_before))
-        if gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
+        gap, _, unknown = deepest(objects, before, radius, held_by(active_before))
+        if gap >= radius * (1.0 - INSIDE) or bounded + unknown > 0.0 or not leaves_no_room(active):
             center = before
             _, active = relax(objects, radius, probe, before, active_before, 1)
     return Rest(center, strongest_first(objects, active), 0.0 if found else bounded)
 
 
 @jit
-def step_over(
-    objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Constraints
-) -> tuple[Vec3, Constraints]:
+def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Constraints) -> tuple[Vec3, Constraints]:
     """The proxy's goal (3,) m, and what holds it, after a way over the edge of the facet that holds it alone.
 
     What is beside the facet is nearer at hand than what a search of the whole mesh finds, which then only agrees.
@@ -310,9 +313,7 @@ def with_another(active: Constraints, index: float, normal: Vec3) -> Constraints
 
 
 @jit
-def with_touched(
-    objects: Any, radius: float, center: Vec3, active: Constraints, gap: float, at: float
-) -> Constraints:
+def with_touched(objects: Any, radius: float, center: Vec3, active: Constraints, gap: float, at: float) -> Constraints:
     """And the object nearest to the proxy, `at` with that gap, if it touches it and there is room for one more."""
     if gap > radius * (1.0 + INSIDE) or active.third >= 0.0 or at == active.first or at == active.second:
         return active

@@ -24,8 +24,9 @@ from softfinger.proxy.kernels.friction.torsion import gripped
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.entries import has, member, places
 from softfinger.proxy.kernels.geometry.frames import into, turn_into, turn_out_of
+from softfinger.proxy.kernels.geometry.mesh.triangle import shaded_normal
 from softfinger.proxy.kernels.geometry.surfaces.charts import Chart, chart
-from softfinger.proxy.kernels.model import Grip, Material, Object, Relief, Texture, Vec3
+from softfinger.proxy.kernels.model import Facet, Grip, Material, Object, Relief, Texture, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_count, by_type
 from softfinger.proxy.kernels.native.jit import jit
 
@@ -101,7 +102,27 @@ def emboss(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) 
 
 @emboss.of(None)
 def emboss_nothing(texture: None, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    return depth, normal
+    return depth, shaded(body.shape, body.pose, normal, position)
+
+
+@by_type
+def shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Any:
+    """Unit vector (3,) along which a shape without a texture presses on the probe at `position` (3,) m."""
+
+
+@shaded.otherwise
+def not_shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
+    return normal
+
+
+@shaded.of(Facet)
+def shaded_facet(shape: Facet, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
+    """Between the vertices' normals, as the contact point lies between the vertices: Morgenbesser and Srinivasan,
+    Force shading for haptic shape perception, 1996. Only the direction of the force changes, not where the proxy is."""
+    triangles = shape.mesh.row[0]
+    if triangles.shade == 0.0:
+        return normal
+    return turn_out_of(pose, shaded_normal(shape.mesh, shape.number, into(pose, position), turn_into(pose, normal)))
 
 
 @emboss.of(Texture)

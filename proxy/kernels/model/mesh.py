@@ -14,7 +14,7 @@ class Triangles(NamedTuple):
 
     nodes      (nodes * 8 * 8,)  float32: x, y, z of the discs' centres from `center`, m, x, y, z of their axes, radius
                                  and half height, m; each of the eight lanes after another
-    first      (nodes,)          int32: first child, whose lanes go on from there; ~ first triangle where lanes are those
+    first      (nodes,)          int32: first child, the others behind it; ~ first triangle where lanes are those
     vertices   (vertices * 3,)   m, float64
     corners    (triangles * 3,)  int32: vertices of a triangle, counter-clockwise as seen from outside
     across     (triangles * 3,)  int32: the triangle beyond each edge, edge i from corner i to the next; -1 for none

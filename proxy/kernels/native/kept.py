@@ -17,10 +17,10 @@ import pickle
 import secrets
 import stat
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import llvmlite.binding as llvm
 from numba import types
@@ -42,10 +42,15 @@ class Unsound(Exception):
 
 
 class Folder:
-    """The folder `path` of kept kernels; None: there is none. It is made, and looked at, when first used."""
+    """The folder `path` of kept kernels; None: there is none. It is made, and looked at, when first used.
 
-    def __init__(self, path: Path | None) -> None:
-        self.path = path
+    unkept  what it means that nothing can be kept there, for the log
+    """
+
+    def __init__(
+        self, path: Path | None, unkept: str = "compiled kernels are not kept, so every start compiles them"
+    ) -> None:
+        self.path, self._unkept = path, unkept
         self._problem: str | None = None
         self._looked = self._said = False
 
@@ -67,12 +72,8 @@ class Folder:
         """What was kept under a name; None if it is not there, or not sound."""
         if self.path is None or self.problem() is not None:
             return None
-        path = self.path / name
         try:
-            with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
-                found = os.fstat(file.fileno())
-                if not stat.S_ISREG(found.st_mode) or _complaint(found, path) is not None:
-                    raise Unsound("not a file of this user alone")
+            with self.opened(name) as file:
                 data = file.read()
             head = len(MAGIC) + hashlib.sha256().digest_size
             body = data[head:]
@@ -85,25 +86,42 @@ class Folder:
             return None
         return body
 
+    def opened(self, name: str) -> IO[bytes]:
+        """What was kept under a name, to be read; FileNotFoundError, OSError, or Unsound if others can write to it."""
+        why = self.problem()
+        if why is not None or self.path is None:
+            raise Unsound(why)
+        path = self.path / name
+        fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        found = os.fstat(fd)
+        if not stat.S_ISREG(found.st_mode) or _complaint(found, path) is not None:
+            os.close(fd)
+            raise Unsound("not a file of this user alone")
+        return open(fd, "rb")
+
     def reject(self, name: str, why: Exception) -> None:
         """Say that what is kept under a name is not used."""
         log.warning("kept kernel %s is not used but compiled anew: %s", name, _reason(why))
 
     def write(self, name: str, body: bytes) -> None:
-        """Keep `body` under a name, whole or not at all. Where that cannot be it is said, once."""
+        """Keep `body` under a name, for `read`."""
+        self.put(name, [MAGIC, hashlib.sha256(body).digest(), body])
+
+    def put(self, name: str, parts: Iterable[Any]) -> None:
+        """Keep bytes under a name, whole or not at all, for `opened`. Where that cannot be it is said, once."""
         if self.path is not None and self.problem() is None:
             part = self.path / f".{secrets.token_hex(8)}.part"
             try:
                 flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
                 with open(os.open(part, flags, 0o600), "wb") as file:
-                    file.write(MAGIC + hashlib.sha256(body).digest() + body)
+                    file.writelines(parts)
                 os.replace(part, self.path / name)
             except OSError as error:
                 self._problem = f"{self.path} cannot be written to: {_reason(error)}: make room, or {OWN_FOLDER}"
                 part.unlink(missing_ok=True)
         if self._problem is not None and not self._said:
             self._said = True
-            log.warning("compiled kernels are not kept, so every start compiles them: %s", self._problem)
+            log.warning("%s: %s", self._unkept, self._problem)
 
 
 def make_private(folder: Path) -> None:

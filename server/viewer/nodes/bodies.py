@@ -10,7 +10,7 @@ from softfinger.proxy.kernels.geometry.motion import pose_at
 from softfinger.proxy.kernels.model import Pose
 from softfinger.server.viewer.nodes.glyphs import Quaternion
 from softfinger.server.viewer.nodes.looks import CM, OBJECTS
-from softfinger.server.viewer.nodes.meshes import PLANE_M, mesh_of
+from softfinger.server.viewer.nodes.meshes import PLANE_M, Mesh, mesh_of
 
 Place = tuple[tuple[float, float, float], Quaternion]
 
@@ -24,6 +24,7 @@ class Bodies:
 
     def __init__(self, api: Any, scene: schema.Scene, first: int, period_s: float) -> None:
         self._first, self._period_s = first, period_s
+        self._api, self._scene = api, scene
         self._root = api.add_frame("/objects", show_axes=False)
         self._frames: list[Any] = []
         self.places: Final[list[Place]] = []
@@ -36,7 +37,11 @@ class Bodies:
             self._put(number)
             if thing.motion is not None:
                 self._moving[number] = (kernel_motion(thing.motion), Pose(*place))
-            _draw(api, f"/objects/{number}", thing, OBJECTS[number % len(OBJECTS)])
+            _draw(api, f"/objects/{number}", thing, _colour(number))
+
+    def draw(self, number: int, mesh: Mesh) -> None:
+        """The triangles of an object that is a mesh have come."""
+        _put_surface(self._api, f"/objects/{number}", self._scene.object[number], mesh, _colour(number))
 
     def show(self, tick: int) -> None:
         """Put those that move by themselves where they are at a tick."""
@@ -64,7 +69,13 @@ class Bodies:
         self._root.remove()
 
 
+def _colour(number: int) -> tuple[int, int, int]:
+    return OBJECTS[number % len(OBJECTS)]
+
+
 def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None:
+    if isinstance(thing, schema.Mesh):  # `Bodies.draw` is called later, or it cannot be had
+        return
     mesh = mesh_of(thing)
     if mesh is None:
         api.add_label(f"{node}/name", f"{thing.name}: no picture of a {thing.shape}")
@@ -81,6 +92,10 @@ def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None
             plane_opacity=0.7,
         )
         return
+    _put_surface(api, node, thing, mesh, colour)
+
+
+def _put_surface(api: Any, node: str, thing: Any, mesh: Mesh, colour: tuple[int, int, int]) -> None:
     inside = getattr(thing, "inside", False)
     api.add_mesh_simple(
         f"{node}/surface",

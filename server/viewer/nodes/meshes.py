@@ -29,8 +29,18 @@ class Mesh(NamedTuple):
     flat: bool = False
 
 
+def sent(vertices: bytes, triangles: bytes) -> Mesh:
+    """Triangles as the command `mesh` gives them. ValueError for what cannot be some."""
+    points = np.frombuffer(vertices, "<f4").reshape(-1, 3).astype(np.float64)
+    faces = np.frombuffer(triangles, "<u4").reshape(-1, 3)
+    if len(faces) and faces.max() >= len(points):
+        raise ValueError(f"a triangle of vertex {faces.max()}, and there are {len(points)}")
+    return Mesh(points, faces, flat=True)
+
+
 def mesh_of(thing: shapes.ObjectBase) -> Mesh | None:
-    """The surface of an object; None for a shape of another package, which is not known here."""
+    """The surface of an object; None for a shape of another package, which is not known here, and for a mesh, whose
+    triangles are in no table."""
     match thing:
         case shapes.Plane():
             return plane(PLANE_M)

@@ -97,7 +97,7 @@ def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
 
 @entry
 def arrange(middles: Any, order: Any, low: Any, high: Any, nodes: int, first_node: int) -> int:
-    """Sort triangles into the tree, as many nodes as a part of a second takes; returns the next node, `nodes` at the end.
+    """Sort triangles into the tree, as many nodes as a part of a second takes; returns the next node, of all `nodes`.
 
     middles  (triangles, 3)  float32, moved along with
     order    (triangles,)    int32   which triangle is where
@@ -113,8 +113,8 @@ def arrange(middles: Any, order: Any, low: Any, high: Any, nodes: int, first_nod
                 half = (step + 1) // 2
                 i = 0
                 while i + half < k:
-                    there = min(i + step, k)
-                    cut(middles, order, begin + size * i // k, begin + size * there // k, begin + size * (i + half) // k)
+                    there, at = begin + size * min(i + step, k) // k, begin + size * (i + half) // k
+                    cut(middles, order, begin + size * i // k, there, at)
                     i += step
                 step = half
             work += 3 * size

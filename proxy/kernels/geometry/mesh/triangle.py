@@ -145,6 +145,20 @@ def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
 
 
 @outlined
+def shaded_normal(whole: Mesh, number: float, x: Vec3, normal: Vec3) -> Vec3:
+    """Unit normal (3,) at the point of a triangle nearest to `x` (3,) m, the vertices' counting as they do in it; on
+    the side of `normal`, which is taken where they cancel."""
+    mesh, k = whole.row[0], int(number)
+    foot = foot_on(corners_of(mesh, k), x)
+    total = (0.0, 0.0, 0.0)
+    for i in range(3):
+        at = 3 * int(mesh.corners[3 * k + i])
+        total = vec3.add_scaled(total, foot.weights[i], (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2]))
+    _, smooth = direction(total, normal)
+    return smooth if vec3.dot(smooth, normal) >= 0.0 else vec3.scale(-1.0, smooth)
+
+
+@outlined
 def closest_on_triangle(whole: Mesh, number: float, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Signed gap (m) of `x` (3,) m from a triangle, its nearest point (3,) m, and the unit normal (3,) there, to the
     side where a fingertip may be; of an open mesh to the one where x is."""

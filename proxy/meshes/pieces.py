@@ -1,0 +1,139 @@
+"""Rows that are alike, and triangles that hang together, found in compiled code: in a pass over millions."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.kernels.native.jit import entry
+
+Rows = NDArray[Any]
+Numbers = NDArray[np.int32]
+
+_SEED: Final = secrets.randbits(63) | 1
+"""Unlike in every process: nobody can write a file whose rows all meet in one place of the table."""
+
+
+class Edges(NamedTuple):
+    """The edges of triangles (m, 3). Side s of them, of 3 m, goes from corner s % 3 of triangle s // 3 to the next.
+
+    first    (3 m,)  the first side along the same edge
+    forward  (3 m,)  whether a side goes from the lower vertex to the higher
+    many     (3 m,)  at the first side of an edge how many there are, else 0
+    """
+
+    first: Numbers
+    forward: NDArray[np.bool_]
+    many: Numbers
+
+
+class Pieces(NamedTuple):
+    """Triangles that hang together over edges that just two of them share.
+
+    body       (m,)  number of each triangle's piece, from 0
+    turned     (m,)  whether it is wound against the first triangle of its piece
+    one_sided  (bodies,)  whether no winding suits all triangles of the piece
+    """
+
+    body: Numbers
+    turned: NDArray[np.bool_]
+    one_sided: NDArray[np.bool_]
+
+
+def first_alike(rows: Rows) -> Numbers:
+    """For each row (n, k) of uint64 or uint32 the number of the first that is the same."""
+    slots = 1 << max(4, (2 * len(rows)).bit_length())
+    first = np.empty(len(rows), np.int32)
+    _alike(rows, np.uint64(_SEED), np.full(slots, -1, np.int32), first)
+    return first
+
+
+def edges_of(triangles: Numbers) -> Edges:
+    """The edges of triangles (m, 3)."""
+    a = triangles.ravel()
+    b = np.roll(triangles, -1, axis=1).ravel()
+    first = first_alike(np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1).view(np.uint32))
+    return Edges(first, a < b, np.bincount(first, minlength=len(a)).astype(np.int32))
+
+
+def pieces_of(edges: Edges) -> Pieces:
+    """Which triangles hang together, and how each is wound."""
+    sides = len(edges.first)
+    parent, turned = np.arange(sides // 3, dtype=np.int32), np.zeros(sides // 3, np.bool_)
+    torn = np.zeros(sides // 3, np.bool_)
+    _unite(edges.first, edges.forward, edges.many, parent, turned, torn)
+    roots = parent == np.arange(len(parent))
+    body = (np.cumsum(roots, dtype=np.int32) - np.int32(1))[parent]
+    return Pieces(body, turned, torn[roots])
+
+
+@entry
+def _alike(rows: Rows, seed: np.uint64, table: Numbers, first: Numbers) -> None:
+    """`first_alike` with a table of a power of two places, all -1, more than rows.
+
+    Open addressing: a row is looked for from the place that its mixed bits name, onward to the first free one.
+    """
+    mask = np.uint64(len(table) - 1)
+    for i in range(rows.shape[0]):
+        mixed = seed
+        for k in range(rows.shape[1]):
+            mixed = (mixed ^ np.uint64(rows[i, k])) * np.uint64(0x9E3779B97F4A7C15)
+            mixed ^= mixed >> np.uint64(29)
+        place = mixed & mask
+        while True:
+            other = table[place]
+            if other < 0:
+                table[place] = i
+                first[i] = i
+                break
+            same = True
+            for k in range(rows.shape[1]):
+                same = same and rows[other, k] == rows[i, k]
+            if same:
+                first[i] = other
+                break
+            place = (place + np.uint64(1)) & mask
+
+
+@entry
+def _unite(
+    first: Numbers,
+    forward: NDArray[np.bool_],
+    count: Numbers,
+    parent: Numbers,
+    turned: NDArray[np.bool_],
+    torn: NDArray[np.bool_],
+) -> None:
+    """Union by the lower root, with the parity of the winding on the way to it; in the end every parent is a root."""
+    for side in range(len(first)):
+        other = first[side]
+        if other == side or count[other] != 2:
+            continue
+        a, b = side // 3, other // 3
+        against = forward[side] == forward[other]
+        while parent[a] != a:  # halving the way as it is gone
+            above = parent[a]
+            turned[a] ^= turned[above]
+            parent[a] = parent[above]
+            against ^= turned[a]
+            a = parent[a]
+        while parent[b] != b:
+            above = parent[b]
+            turned[b] ^= turned[above]
+            parent[b] = parent[above]
+            against ^= turned[b]
+            b = parent[b]
+        if a == b:
+            torn[a] |= against
+        elif a < b:
+            parent[b], turned[b] = a, against
+        else:
+            parent[a], turned[a] = b, against
+    for each in range(len(parent)):  # a parent is a lower one, and has its root already
+        above = parent[each]
+        if above != each:
+            turned[each] ^= turned[above]
+            parent[each] = parent[above]

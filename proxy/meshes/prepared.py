@@ -1,0 +1,162 @@
+"""A scene's mesh, from its file to the tree that is rendered: read and mended, or as it was kept the last time.
+
+What was made of a file is remembered while the file, its scale and the program stay the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final, Generic, NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+
+from softfinger.config import limits, schema
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.kernels.native.jit import SOURCE_HASH
+from softfinger.proxy.kernels.native.kept import Folder
+from softfinger.proxy.meshes import kept
+from softfinger.proxy.meshes.mending import mend
+from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices, arrays_of, read_bytes
+from softfinger.proxy.meshes.report import Report, report_of
+from softfinger.proxy.meshes.thinning import thinned
+
+Tree = TypeVar("Tree", bound=tuple[Any, ...])
+
+TREES: Final = 16
+"""Meshes whose trees stay in memory; others are found on disk."""
+ABOUTS: Final = int(limits.OBJECTS.high)
+"""Of which more is known: a megabyte each, at most."""
+
+
+class Builder(NamedTuple, Generic[Tree]):
+    """What makes a tree of a mended mesh, m: a named tuple of arrays and numbers of the type `kind`."""
+
+    build: Callable[[Vertices, Triangles], Tree]
+    kind: type[Tree]
+
+
+class About(NamedTuple):
+    """What a mesh is, and the triangles of its picture, m."""
+
+    report: Report
+    picture: Arrays
+
+
+class _Memory:
+    """The newest of what was made, by what it was made of."""
+
+    def __init__(self, most: int) -> None:
+        self._made: OrderedDict[Any, Any] = OrderedDict()
+        self._most = most
+        self._lock = threading.Lock()
+
+    def get(self, key: Any) -> Any:
+        with self._lock:
+            if key in self._made:
+                self._made.move_to_end(key)
+            return self._made.get(key)
+
+    def put(self, key: Any, value: Any) -> None:
+        with self._lock:
+            self._made[key] = value
+            while len(self._made) > self._most:
+                self._made.popitem(last=False)
+
+
+_abouts: Final = _Memory(ABOUTS)
+_trees: Final = _Memory(TREES)
+
+
+def about(thing: schema.Mesh) -> About:
+    """What an object's mesh is. ConfigError for a file that cannot be used, naming the object."""
+    state = _state(thing)
+    found: About | None = _abouts.get(state)
+    if found is None:
+        found = _about(_mended(thing, _bytes(thing)))
+        _abouts.put(state, found)
+    return found
+
+
+def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KEPT) -> Tree:
+    """The tree of an object's mesh, kept on disk for the next time. ConfigError as from `about`."""
+    state = _state(thing)
+    tree: Tree | None = _trees.get((state, builder))
+    if tree is not None:
+        return tree
+    data = _bytes(thing)
+    key = _key(data, thing, builder)
+    tree, found = _from_disk(key, builder, folder) or (None, None)
+    if tree is None or found is None:
+        mended = _mended(thing, data)
+        tree, found = builder.build(*mended[0]), _about(mended)
+        kept.save(key, _to_disk(tree, found), folder)
+    _abouts.put(state, found)
+    _trees.put((state, builder), tree)
+    return tree
+
+
+def _bytes(thing: schema.Mesh) -> bytes:
+    try:
+        return read_bytes(thing.file)
+    except ConfigError as error:
+        raise ConfigError(f"object '{thing.name}': file: {error}") from error
+
+
+def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
+    try:
+        vertices, triangles = arrays_of(thing.file, data)
+        loose = thing.file.lower().endswith(".stl")
+        with np.errstate(over="ignore"):  # what is infinite then is refused
+            vertices = vertices * thing.scale
+        mended = mend(Arrays(vertices, triangles), loose)
+    except ConfigError as error:
+        raise ConfigError(f"object '{thing.name}': file: {error}") from error
+    except ValueError as error:
+        raise ConfigError(f"object '{thing.name}': file: {thing.file}: {error}") from error
+    return mended.arrays, report_of(mended, loose)
+
+
+def _about(mended: tuple[Arrays, Report]) -> About:
+    return About(mended[1], thinned(mended[0]))
+
+
+def _state(thing: schema.Mesh) -> Any:
+    """What tells whether a file may have changed."""
+    try:
+        found = os.stat(thing.file)
+    except (OSError, ValueError):
+        return None, thing.file, thing.scale
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, thing.file, thing.scale
+
+
+def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
+    """A name for what is made of these bytes by this program."""
+    digest = hashlib.sha256(data)
+    made = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, builder.kind
+    digest.update(repr(made).encode())
+    return digest.hexdigest()
+
+
+def _to_disk(tree: Any, found: About) -> kept.Kept:
+    fields = tree._asdict()
+    arrays = {name: each for name, each in fields.items() if isinstance(each, np.ndarray)}
+    numbers = {name: np.asarray(each).item() for name, each in fields.items() if name not in arrays}
+    pictures = {f"picture.{name}": each for name, each in found.picture._asdict().items()}
+    return kept.Kept(arrays | pictures, {"numbers": numbers, "report": asdict(found.report)})
+
+
+def _from_disk(key: str, builder: Builder[Tree], folder: Folder) -> tuple[Tree, About] | None:
+    there = kept.load(key, folder)
+    if there is None:
+        return None
+    arrays, values = dict(there.arrays), there.values
+    picture = Arrays(arrays.pop("picture.vertices"), arrays.pop("picture.triangles"))
+    report = msgspec.convert(values["report"], Report)
+    return builder.kind(**arrays, **values["numbers"]), About(report, picture)

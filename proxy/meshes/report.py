@@ -1,0 +1,94 @@
+"""What a mesh is, what was mended of it, and what was only noted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softfinger.proxy.meshes.mending import MERGED_WITHIN, Mended
+
+
+@dataclass(frozen=True)
+class Report:
+    """A mesh as it is rendered: counts, m, m^3.
+
+    size_m      along its axes, scaled
+    watertight  every edge has two triangles, which agree on which side is outside
+    volume_m3   None where it is not watertight
+    bodies      pieces that hang together over edges of two triangles
+    """
+
+    triangles: int
+    vertices: int
+    size_m: tuple[float, float, float]
+    watertight: bool
+    volume_m3: float | None
+    bodies: int
+    open_edges: int
+    non_manifold_edges: int
+    merged_vertices: int
+    unused_vertices: int
+    degenerate_triangles: int
+    duplicate_triangles: int
+    turned_triangles: int
+    mended: tuple[str, ...]
+    noted: tuple[str, ...]
+
+    def rows(self) -> list[tuple[str, str]]:
+        """For people: what, and what about it."""
+        size = " x ".join(f"{edge:.4g}" for edge in self.size_m)
+        bodies = "" if self.bodies == 1 else f", {self.bodies:,} bodies"
+        found = [("triangles", f"{self.triangles:,} on {self.vertices:,} vertices{bodies}"), ("size", f"{size} m")]
+        found.append(("surface", self._surface()))
+        found.append(("mended", "; ".join(self.mended) or "nothing was to be"))
+        found.append(("noted", "; ".join(self.noted)))
+        return found
+
+    def _surface(self) -> str:
+        if self.watertight:
+            return f"watertight, {self.volume_m3:.4g} m^3"
+        if self.open_edges:
+            return f"open, {self.open_edges:,} edges have one triangle: felt from both sides, as a sheet"
+        return "closed, but not watertight: see what is noted"
+
+
+def report_of(mended: Mended, loose: bool) -> Report:
+    """The report on a mesh that `mend` gave."""
+    wound, (vertices, triangles) = mended.wound, mended.arrays
+    x, y, z = (float(edge) for edge in np.ptp(vertices, axis=0))
+    within = f" within {MERGED_WITHIN:g} of its size" if loose else ""
+    done = [
+        (mended.merged, f"vertices that coincide{within} merged"),
+        (mended.unused, "vertices that no triangle has dropped"),
+        (mended.degenerate, "triangles without area dropped"),
+        (mended.duplicate, "triangles that were there already dropped"),
+        (wound.alike, "triangles turned, that were wound against those beside them"),
+        (wound.outward, "triangles turned, whose body was wound inward"),
+    ]
+    left = [
+        (mended.open_edges, "edges have one triangle: holes, or the border of a sheet"),
+        (mended.crowded_edges, "edges have more than two triangles"),
+        (wound.one_sided, "bodies have one side only, as a Moebius strip has: there no winding is right"),
+        (wound.hollows, "bodies within another are wound inward: taken for the walls of hollows"),
+    ]
+    return Report(
+        triangles=len(triangles),
+        vertices=len(vertices),
+        size_m=(x, y, z),
+        watertight=mended.watertight,
+        volume_m3=wound.volume if mended.watertight else None,
+        bodies=wound.bodies,
+        open_edges=mended.open_edges,
+        non_manifold_edges=mended.crowded_edges,
+        merged_vertices=mended.merged,
+        unused_vertices=mended.unused,
+        degenerate_triangles=mended.degenerate,
+        duplicate_triangles=mended.duplicate,
+        turned_triangles=wound.alike + wound.outward,
+        mended=tuple(f"{count:,} {text}" for count, text in done if count),
+        noted=(
+            *(f"{count:,} {text}" for count, text in left if count),
+            "not looked for: triangles that go through each other",
+        ),
+    )

@@ -1,0 +1,97 @@
+"""How the triangles of a mesh are wound: alike within each piece, and outward where there is an outside."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.meshes.measures import add_volumes
+from softfinger.proxy.meshes.pieces import Edges, Pieces, pieces_of
+from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
+
+HOLDERS: Final = 16
+"""So many of the largest pieces are looked at for one that a hollow could be in."""
+
+
+class Wound(NamedTuple):
+    """Triangles (m, 3) int32 after those that were wrong have been turned.
+
+    bodies     pieces that hang together over edges of two triangles
+    alike      triangles turned because they were wound against those beside them
+    outward    triangles turned because their piece was wound inward as a whole
+    hollows    pieces left wound inward, since they lie within another: the walls of a hollow in it
+    one_sided  pieces that no winding suits
+    volume     m^3, of pieces without open edges, hollows subtracted
+    """
+
+    triangles: Triangles
+    bodies: int
+    alike: int
+    outward: int
+    hollows: int
+    one_sided: int
+    volume: float
+
+
+def wind(mesh: Arrays, edges: Edges) -> Wound:
+    """Wind the triangles of a mesh (m) so that each piece agrees with itself, and its front is outside."""
+    pieces = pieces_of(edges)
+    bodies = len(pieces.one_sided)
+    turned = _majority(pieces) & ~pieces.one_sided[pieces.body]
+    triangles = _turned(mesh.triangles, turned)
+    closed = ~pieces.one_sided
+    # An edge with another count than two is at the rim of all pieces that it belongs to.
+    rim = (edges.many[edges.first] != 2).nonzero()[0] // 3
+    closed[pieces.body[rim]] = False
+    volumes = np.zeros(bodies)
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    add_volumes(mesh.vertices, triangles, middle, pieces.body, volumes)
+    volumes[~closed] = 0.0
+    hollow = _within(mesh.vertices, triangles, pieces.body, volumes)
+    inward = (volumes < 0.0) & ~hollow
+    volumes[inward] *= -1.0
+    outward = inward[pieces.body]
+    return Wound(
+        _turned(triangles, outward),
+        bodies=bodies,
+        alike=int(turned.sum()),
+        outward=int(outward.sum()),
+        hollows=int(hollow.sum()),
+        one_sided=int(pieces.one_sided.sum()),
+        volume=float(volumes.sum()),
+    )
+
+
+def _majority(pieces: Pieces) -> NDArray[np.bool_]:
+    """Which triangles to turn so that all of a piece are wound as most of it is."""
+    bodies = len(pieces.one_sided)
+    against = np.bincount(pieces.body, pieces.turned, bodies)
+    most = 2.0 * against > np.bincount(pieces.body, minlength=bodies)
+    return pieces.turned ^ most[pieces.body]
+
+
+def _turned(triangles: Triangles, which: NDArray[np.bool_]) -> Triangles:
+    if not which.any():
+        return triangles
+    wound = triangles.copy()
+    wound[which, 1], wound[which, 2] = triangles[which, 2], triangles[which, 1]
+    return wound
+
+
+def _within(
+    vertices: Vertices, triangles: Triangles, body: NDArray[np.int32], volumes: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which pieces (bodies,) are wound inward and lie, by their extents, within one of the largest wound outward."""
+    hollow = np.zeros(len(volumes), np.bool_)
+    if not (volumes < 0.0).any() or not (volumes > 0.0).any():
+        return hollow
+    low, high = np.full((len(volumes), 3), np.inf), np.full((len(volumes), 3), -np.inf)
+    for corner in range(3):
+        np.minimum.at(low, body, vertices[triangles[:, corner]])
+        np.maximum.at(high, body, vertices[triangles[:, corner]])
+    for holder in np.argsort(-volumes)[:HOLDERS]:
+        if volumes[holder] > 0.0:
+            hollow |= (volumes < 0.0) & ((low > low[holder]) & (high < high[holder])).all(axis=1)
+    return hollow

@@ -1,0 +1,202 @@
+"""Trees of meshes on disk: found again to the bit, never trusted when damaged, bounded in size."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from helpers import meshes
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from softfinger.config import schema
+from softfinger.proxy.kernels.native.kept import Folder
+from softfinger.proxy.meshes import kept, prepared
+from softfinger.proxy.meshes.prepared import Builder, about, tree_of
+
+BUILT: list[int] = []
+
+
+class Tree(NamedTuple):
+    """As trees are: arrays of several kinds, and numbers."""
+
+    boxes: np.ndarray
+    corners: np.ndarray
+    numbers: np.ndarray
+    size: float
+    count: int
+
+
+def build(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
+    """Any function of the arrays will do."""
+    BUILT.append(len(triangles))
+    corners = vertices[triangles]
+    return Tree(corners.mean(axis=1).astype(np.float32), corners, triangles, float(np.ptp(vertices)), len(triangles))
+
+
+BUILDER = Builder(build, Tree)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    """Where trees are kept, for this test alone."""
+    os.chmod(tmp_path, 0o700)
+    return Folder(tmp_path / "kept", "nothing is kept")
+
+
+def part(folder: Path, frequency: int = 3, **keys: float) -> schema.Mesh:
+    """An object that is a ball in a file of that folder."""
+    ball, path = meshes.geodesic(frequency), folder / f"ball{frequency}.obj"
+    rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in ball.vertices.tolist()]
+    path.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (ball.triangles + 1).tolist())]) + "\n")
+    return schema.Mesh(name="ball", file=str(path), material=schema.Material(stiffness_n_per_m=1000.0), **keys)
+
+
+def forget(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a new process."""
+    monkeypatch.setattr(prepared, "_trees", prepared._Memory(4))
+    monkeypatch.setattr(prepared, "_abouts", prepared._Memory(4))
+    BUILT.clear()
+
+
+def same(a: Tree, b: Tree) -> bool:
+    """To the bit, with their types."""
+    return all(
+        (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
+        if isinstance(x, np.ndarray)
+        else (type(x), x) == (type(y), y)
+        for x, y in zip(a, b, strict=True)
+    )
+
+
+def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process it is remembered, in the next one loaded, with its report and its picture."""
+    thing = part(tmp_path)
+    forget(monkeypatch)
+    first = tree_of(thing, BUILDER, folder)
+    told = about(thing)
+    assert tree_of(thing, BUILDER, folder) is first and BUILT == [180]
+    forget(monkeypatch)
+    again = tree_of(thing, BUILDER, folder)
+    assert BUILT == [] and same(first, again) and not again.corners.flags.writeable
+    monkeypatch.setattr(prepared, "_mended", None)  # nothing is read for what is known already
+    assert about(thing).report == told.report
+    assert about(thing).picture.vertices.tobytes() == told.picture.vertices.tobytes()
+
+
+def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same bytes under another name are the same."""
+    forget(monkeypatch)
+    thing = part(tmp_path)
+    tree_of(thing, BUILDER, folder)
+    assert tree_of(part(tmp_path, scale=0.5), BUILDER, folder).size == 1.0 * tree_of(thing, BUILDER, folder).size / 2
+    tree_of(part(tmp_path, 4), BUILDER, folder)
+    assert BUILT == [180, 180, 320]
+    (tmp_path / "copy.obj").write_bytes(Path(thing.file).read_bytes())
+    copy = schema.Mesh(name="copy", file=str(tmp_path / "copy.obj"), material=thing.material)
+    assert same(tree_of(copy, BUILDER, folder), tree_of(thing, BUILDER, folder)) and len(BUILT) == 3
+
+
+def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What another version of the program built is not found."""
+    forget(monkeypatch)
+    thing = part(tmp_path)
+    tree_of(thing, BUILDER, folder)
+    forget(monkeypatch)
+    monkeypatch.setattr(prepared, "SOURCE_HASH", "another")
+    tree_of(thing, BUILDER, folder)
+    assert BUILT == [180]
+
+
+def one(folder: Folder) -> Path:
+    """The one file that is kept."""
+    assert folder.path is not None
+    (file,) = folder.path.iterdir()
+    return file
+
+
+ARRAYS = {"a": np.arange(100.0), "b": np.arange(30, dtype=np.int32).reshape(-1, 3), "c": np.zeros((0, 3), np.float32)}
+KEY = "ab" * 32
+
+
+def test_arrays_come_back_as_they_were(folder: Folder) -> None:
+    """Their kinds, shapes and bits, an empty one too; each begins where a vector register may."""
+    kept.save(KEY, kept.Kept(ARRAYS, {"size": 0.1, "count": 3}), folder)
+    found = kept.load(KEY, folder)
+    assert found is not None and found.values == {"size": 0.1, "count": 3}
+    for name, array in ARRAYS.items():
+        again = found.arrays[name]
+        assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes())
+        assert again.ctypes.data % 64 == 0
+    assert kept.load("cd" * 32, folder) is None
+    assert one(folder).stat().st_mode & 0o777 == 0o600
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
+    """A bit flipped anywhere, the file cut off anywhere, bytes behind it: nothing is loaded, or it is as it was."""
+    kept.save(KEY, kept.Kept(ARRAYS, {"size": 0.1}), folder)
+    file = one(folder)
+    whole = file.read_bytes()
+    at = data.draw(st.integers(0, len(whole) - 1), "at")
+    bit = data.draw(st.integers(0, 7), "bit")
+    damaged = {
+        "bit": whole[:at] + bytes([whole[at] ^ (1 << bit)]) + whole[at + 1 :],
+        "cut": whole[:at],
+        "more": whole + bytes(bit + 1),
+    }[data.draw(st.sampled_from(["bit", "cut", "more"]), "kind")]
+    file.write_bytes(damaged)
+    found = kept.load(KEY, folder)
+    if found is not None:  # between two arrays lie bytes that mean nothing
+        assert all(found.arrays[name].tobytes() == array.tobytes() for name, array in ARRAYS.items())
+        assert found.values == {"size": 0.1}
+
+
+def test_a_damaged_tree_is_built_anew(
+    tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is said, and kept whole again."""
+    forget(monkeypatch)
+    thing = part(tmp_path)
+    first = tree_of(thing, BUILDER, folder)
+    file = one(folder)
+    whole = bytearray(file.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    file.write_bytes(whole)
+    forget(monkeypatch)
+    assert same(tree_of(thing, BUILDER, folder), first) and BUILT == [180]
+    assert "its numbers are damaged" in caplog.text
+    forget(monkeypatch)
+    assert same(tree_of(thing, BUILDER, folder), first) and BUILT == []
+
+
+def test_a_folder_of_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody else may write to it; without one trees are built in memory."""
+    forget(monkeypatch)
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    thing = part(tmp_path)
+    for folder in (Folder(tmp_path / "open" / "kept"), Folder(tmp_path / "open"), Folder(None)):
+        forget(monkeypatch)
+        assert tree_of(thing, BUILDER, folder).count == 180 and BUILT == [180]
+    assert list((tmp_path / "open").iterdir()) == []
+
+
+def test_what_was_not_used_for_longest_makes_room(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The newest stays, however large it is."""
+    some = kept.Kept({"a": np.zeros(1000)}, {})
+    names = [f"{number:02d}" * 32 for number in range(4)]
+    for age, name in enumerate(names[:3]):
+        kept.save(name, some, folder)
+        os.utime(folder.path / f"{name}{kept.ENDING}", (age, age))
+    assert kept.load(names[0], folder) is not None  # now the newest
+    monkeypatch.setattr(kept, "BYTES_MAX", 3 * 9000)
+    kept.save(names[3], some, folder)
+    assert [kept.load(name, folder) is not None for name in names] == [True, False, True, True]
+    monkeypatch.setattr(kept, "BYTES_MAX", 1)
+    kept.save(names[1], some, folder)
+    assert [kept.load(name, folder) is not None for name in names] == [False, True, False, False]

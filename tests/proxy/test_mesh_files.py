@@ -1,0 +1,335 @@
+"""Meshes from files: each format read back equal, damage answered with one error or a sound mesh, bombs left alone."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import struct
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from helpers import meshes
+from helpers.meshes import Mesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.meshes.prepared import about
+from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
+
+BALL = meshes.geodesic(3)
+FLOAT32 = 1.2e-7
+"""Relative rounding of what STL and the binary formats of trimesh hold."""
+
+
+def thing(path: Path | str, **keys: Any) -> schema.Mesh:
+    """An object of that file."""
+    return schema.Mesh(name="part", file=str(path), material=schema.Material(stiffness_n_per_m=1000.0), **keys)
+
+
+def refusal(path: Path, **keys: Any) -> str:
+    """What is said of a file that cannot be used: one line, with object and file."""
+    with pytest.raises(ConfigError) as caught:
+        about(thing(path, **keys))
+    text = str(caught.value)
+    assert "\n" not in text and text.startswith(f"object 'part': file: {path}: ") and len(text) < 600
+    return text.removeprefix(f"object 'part': file: {path}: ")
+
+
+def corners(mesh: Arrays | Mesh) -> np.ndarray:
+    """Coordinates of all corners (m, 3, 3): the triangles in any order, each from its least corner on."""
+    found = mesh.vertices[mesh.triangles]
+    keys = np.round(found, 6)
+    least = np.array([min(range(3), key=lambda k: tuple(each[k])) for each in keys])
+    turned = np.array([np.roll(each, -start, axis=0) for each, start in zip(found, least, strict=True)])
+    order = np.lexsort(np.round(turned, 6).reshape(len(turned), -1).T[::-1])
+    return turned[order]
+
+
+def ply_text(mesh: Mesh) -> bytes:
+    """An ASCII PLY file, written by hand."""
+    rows = [" ".join(map(repr, map(float, each))) for each in mesh.vertices]
+    faces = [" ".join(map(str, (3, *each))) for each in mesh.triangles]
+    head = [
+        "ply", "format ascii 1.0", "comment by hand",
+        f"element vertex {len(rows)}", *(f"property double {axis}" for axis in "xyz"),
+        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header",
+    ]  # fmt: skip
+    return "\n".join([*head, *rows, *faces, ""]).encode()
+
+
+def stl_binary(mesh: Mesh) -> bytes:
+    """A binary STL file, written by hand; its normals are left zero, as many programs do."""
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *mesh.vertices[each].ravel(), 0) for each in mesh.triangles)
+    return b"by hand".ljust(80) + struct.pack("<I", len(mesh.triangles)) + body
+
+
+def obj_text(mesh: Mesh) -> bytes:
+    """An OBJ file, written by hand, with a material library that is nowhere."""
+    rows = ["v {!r} {!r} {!r}".format(*map(float, each)) for each in mesh.vertices]
+    faces = ["f {} {} {}".format(*(each + 1)) for each in mesh.triangles]
+    return "\n".join(["mtllib ../../etc/passwd", *rows, "usemtl skin", *faces, ""]).encode()
+
+
+def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda head: None) -> bytes:
+    """A GLB file, written by hand; `changes` are made to its JSON."""
+    body = mesh.vertices.astype("<f4").tobytes() + mesh.triangles.astype("<u4").tobytes()
+    split, n, m = 12 * len(mesh.vertices), len(mesh.vertices), len(mesh.triangles)
+    head = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": n, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5125, "count": 3 * m, "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": split},
+            {"buffer": 0, "byteOffset": split, "byteLength": len(body) - split},
+        ],
+        "buffers": [{"byteLength": len(body)}],
+    }
+    changes(head)
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    size = 28 + len(text) + len(body)
+    return (
+        b"glTF"
+        + struct.pack("<IIII", 2, size, len(text), 0x4E4F534A)
+        + text
+        + struct.pack("<II", len(body), 0x4E4942)
+        + body
+    )
+
+
+def written(mesh: Mesh, kind: str) -> bytes:
+    """A file's bytes, as trimesh writes them."""
+    made = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
+    if kind == "ply text":
+        return trimesh.exchange.ply.export_ply(made, encoding="ascii")
+    found = made.export(file_type={"stl text": "stl_ascii"}.get(kind, kind))
+    return found if isinstance(found, bytes) else found.encode()
+
+
+FILES: dict[str, tuple[str, bytes]] = {
+    "ply": (".ply", written(BALL, "ply")),
+    "ply text": (".ply", written(BALL, "ply text")),
+    "stl": (".stl", written(BALL, "stl")),
+    "stl text": (".stl", written(BALL, "stl text")),
+    "obj": (".obj", written(BALL, "obj")),
+    "glb": (".glb", written(BALL, "glb")),
+    "ply by hand": (".ply", ply_text(BALL)),
+    "stl by hand": (".stl", stl_binary(BALL)),
+    "obj by hand": (".obj", obj_text(BALL)),
+    "glb by hand": (".glb", glb_binary(BALL)),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_format_is_read_back_equal(tmp_path: Path, name: str) -> None:
+    """Each triangle of the ball, wound as it was; vertices of STL files, which lie there six times, are one again."""
+    ending, data = FILES[name]
+    path = tmp_path / f"ball{ending}"
+    path.write_bytes(data)
+    report, picture = about(thing(path))
+    assert (report.triangles, report.vertices, report.bodies, report.watertight) == (180, 92, 1, True)
+    assert report.turned_triangles == report.duplicate_triangles == report.degenerate_triangles == 0
+    # Text of trimesh has eight digits; the rest is float32, or as it was.
+    np.testing.assert_allclose(corners(picture), corners(BALL), atol=1e-7)
+    # A float32 of the volume: three coordinates, each rounded.
+    assert report.volume_m3 == pytest.approx(meshes.volume(BALL), rel=3 * FLOAT32)
+
+
+def test_numbers_of_text_keep_every_digit(tmp_path: Path) -> None:
+    """float64 in, float64 out, to the bit."""
+    (tmp_path / "ball.ply").write_bytes(ply_text(BALL))
+    read = arrays_of("ball.ply", read_bytes(tmp_path / "ball.ply"))
+    assert read.vertices.tobytes() == BALL.vertices.tobytes() and read.triangles.tobytes() == BALL.triangles.tobytes()
+
+
+def test_parts_of_a_glb_stand_where_its_nodes_have_them(tmp_path: Path) -> None:
+    """One mesh in two nodes: moved, and mirrored and halved, which leaves its outside outside."""
+
+    def two(head: dict[str, Any]) -> None:
+        head["nodes"] = [{"mesh": 0, "translation": [5, 0, 0]}, {"mesh": 0, "scale": [-0.5, 0.5, 0.5]}]
+        head["scenes"] = [{"nodes": [0, 1]}]
+
+    (tmp_path / "two.glb").write_bytes(glb_binary(BALL, two))
+    report, picture = about(thing(tmp_path / "two.glb"))
+    assert report.bodies == 2 and report.watertight and report.turned_triangles == 0
+    assert report.volume_m3 == pytest.approx(1.125 * meshes.volume(BALL), rel=3 * FLOAT32)
+    np.testing.assert_allclose(picture.vertices[:, 0].max(), 5.0 + BALL.vertices[:, 0].max(), rtol=FLOAT32)
+
+
+def test_squares_become_triangles(tmp_path: Path) -> None:
+    """Faces of four corners, as text; no face may be missing."""
+    square = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
+    (tmp_path / "square.obj").write_bytes(square)
+    report = about(thing(tmp_path / "square.obj")).report
+    assert report.triangles == 2 and report.open_edges == 4
+
+
+def test_scale_makes_metres(tmp_path: Path) -> None:
+    """A ball of 20 mm in a file of millimetres."""
+    (tmp_path / "ball.stl").write_bytes(stl_binary(meshes.geodesic(3, 20.0)))
+    report = about(thing(tmp_path / "ball.stl", scale=0.001)).report
+    assert report.volume_m3 == pytest.approx(meshes.volume(BALL) * 0.02**3, rel=3 * FLOAT32)
+    assert "m in size, must be 1e-06 to 1000" in refusal(tmp_path / "ball.stl", scale=100.0)
+    (tmp_path / "far.ply").write_bytes(ply_text(Mesh(1e300 * BALL.vertices, BALL.triangles)))
+    assert "is inf m in size" in refusal(tmp_path / "far.ply", scale=1e9)
+
+
+def spoilt(value: float) -> Mesh:
+    """The ball with a few coordinates that are no numbers."""
+    return Mesh(np.where(BALL.vertices > 0.9, value, BALL.vertices), BALL.triangles)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "text"),
+    [
+        ("a.ply", b"", "is no PLY file: it begins with b''"),
+        ("a.ply", FILES["stl"][1], "is no PLY file"),
+        ("a.stl", FILES["ply"][1], "it was cut off, or is no STL file"),
+        ("a.glb", FILES["obj"][1], "is no GLB file"),
+        ("a.obj", FILES["stl by hand"][1], "is no OBJ file: that is text"),
+        ("a.obj", b"hello\n", "is no OBJ file: it has no line of a vertex"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no triangles"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "is damaged, or no OBJ file: index 8 is out of bounds"),
+        ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles[:0])), "has no triangles"),
+        ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles + 60)), "there are vertices 0 to 91"),
+        ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles - 1)), "there are vertices 0 to 91"),
+        ("a.obj", b"v 0\nv 1\nv 2\nf 1 2 3\n", "must have three coordinates"),
+        ("a.ply", ply_text(spoilt(np.nan)), "must be finite"),
+        ("a.ply", ply_text(spoilt(np.inf)), "must be finite"),
+        ("a.ply", ply_text(Mesh(0.0 * BALL.vertices, BALL.triangles)), "is 0 m in size, must be 1e-06 to 1000"),
+        ("a.ply", ply_text(Mesh(4e-7 * BALL.vertices, BALL.triangles)), "`scale` is how many metres a unit"),
+        ("a.ply", ply_text(Mesh(600.0 * BALL.vertices, BALL.triangles)), "must be 1e-06 to 1000"),
+        ("a.ply", ply_text(Mesh(1e300 * BALL.vertices, BALL.triangles)), "must be 1e-06 to 1000"),
+        ("a.ply", ply_text(Mesh(BALL.vertices + 2e3, BALL.triangles)), "move it to its origin"),
+        ("a.ply", ply_text(Mesh(BALL.vertices[:3] * [1, 0, 0], np.array([[0, 1, 2]]))), "has no triangle with an area"),
+        ("a.ply", FILES["ply by hand"][1][:-30], "it was cut off, or is damaged"),
+        ("a.ply", FILES["ply"][1][:-1], "is damaged, or no PLY file"),
+        ("a.stl", FILES["stl"][1][:-1], "it was cut off"),
+        ("a.stl", FILES["stl text"][1][:-500], "has no endsolid at its end: it was cut off"),
+        ("a.glb", FILES["glb"][1][:-1], "it was cut off"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_said_in_a_line(tmp_path: Path, name: str, data: bytes, text: str) -> None:
+    """Each with file, fault and remedy."""
+    (tmp_path / name).write_bytes(data)
+    assert text in refusal(tmp_path / name)
+
+
+def test_no_file_is_said_in_a_line(tmp_path: Path) -> None:
+    """Neither is a folder one, nor a name of another ending."""
+    assert "No such file" in refusal(tmp_path / "none.ply")
+    (tmp_path / "folder.stl").mkdir()
+    assert "Is a directory" in refusal(tmp_path / "folder.stl")
+    assert "is none of .ply, .stl, .obj, .glb" in refusal(tmp_path / "part.step")
+
+
+def primitives(head: dict[str, Any]) -> list[Any]:
+    """Parts of the first mesh of a GLB file."""
+    return list(head["meshes"][0]["primitives"])
+
+
+BOMBS: list[tuple[str, bytes, str]] = [
+    ("a.ply", FILES["ply"][1].replace(b"face 180", b"face 19999999"), "promises 92 of vertex, 19,999,999 of face"),
+    ("a.ply", ply_text(BALL).replace(b"face 180", b"face 1800000"), "only"),
+    ("a.ply", ply_text(BALL).replace(b"face 180", b"face 181"), "promises 181 faces, and has 180"),
+    ("a.ply", FILES["ply"][1].replace(b"face 180", b"face -5"), "that is no count"),
+    ("a.ply", FILES["ply"][1].replace(b"face 180", b"face 9" + 30 * b"9"), "that is no count"),
+    ("a.stl", stl_binary(BALL)[:80] + b"\xff\xff\xff\xff" + stl_binary(BALL)[84:], "says that it has 4,294,967,295"),
+    ("a.glb", glb_binary(BALL, lambda head: head["accessors"][0].update(count=1 << 40)), "promises"),
+    ("a.glb", glb_binary(BALL, lambda head: head["accessors"][1].update(count=-3)), "-3 is no count"),
+    ("a.glb", glb_binary(BALL, lambda head: head["accessors"].extend(500 * head["accessors"][:1])), "promises"),
+    ("a.glb", glb_binary(BALL, lambda head: head.update(extensionsRequired=["KHR_draco_mesh_compression"])),
+     "is compressed (KHR_draco_mesh_compression)"),
+    ("a.glb", glb_binary(BALL, lambda head: head["buffers"][0].update(uri="../../etc/passwd")), "in another file"),
+    ("a.glb", glb_binary(BALL, lambda head: head["buffers"][0].update(uri="http://example.org/x")), "in another file"),
+    ("a.glb", glb_binary(BALL, lambda head: head.update(nodes=[{"children": [1, 2]}, {"children": [2]}, {"mesh": 0}])),
+     "has a node below two others"),
+    ("a.glb", glb_binary(BALL, lambda head: head.update(nodes=20000 * [{"mesh": 0}])), "has 20,000 nodes"),
+    ("a.glb", glb_binary(BALL, lambda head: head["meshes"].__setitem__(0, {"primitives": 300000 * primitives(head)})),
+     "has 54,000,001 triangles"),
+    ("a.glb", glb_binary(BALL, lambda head: head.update(nodes=None)), "does not describe its meshes"),
+    ("a.glb", glb_binary(BALL, lambda head: head.update(nodes=[{"children": [0]}])), ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "data", "text"), BOMBS, ids=range(len(BOMBS)))
+def test_a_promise_is_not_believed(tmp_path: Path, name: str, data: bytes, text: str) -> None:
+    """A few bytes that stand for billions of triangles, or lead elsewhere, are refused before memory is taken."""
+    (tmp_path / name).write_bytes(data)
+    assert text in refusal(tmp_path / name)
+
+
+def test_trimesh_missing_is_said_in_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is an extra."""
+    (tmp_path / "ball.ply").write_bytes(ply_text(BALL))
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(ConfigError, match=r"a mesh needs trimesh: pip install 'softfinger\[mesh\]'"):
+        about(thing(tmp_path / "ball.ply"))
+
+
+def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
+    """What is remembered of a file is so while it stays as it is."""
+    path = tmp_path / "ball.ply"
+    path.write_bytes(ply_text(BALL))
+    first = about(thing(path))
+    assert about(thing(path)) is first
+    path.write_bytes(ply_text(meshes.geodesic(4)))
+    assert about(thing(path)).report.triangles == 320
+
+
+NUMBERS = itertools.count()
+"""Files by number: one of the same name, size and moment as another would be taken for it."""
+
+
+def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
+    """One ConfigError, or a mesh that can be rendered: never another exception."""
+    path = folder / f"{next(NUMBERS)}{ending}"
+    path.write_bytes(data)
+    said = ""
+    try:
+        report, (vertices, triangles) = about(thing(path))
+    except ConfigError as error:
+        said = str(error)
+    if said:
+        assert "\n" not in said
+        return
+    assert report.triangles == len(triangles) > 0 and report.vertices == len(vertices)
+    assert np.isfinite(vertices).all() and np.abs(vertices).max() <= 1e3
+    assert triangles.min() >= 0 and triangles.max() == len(vertices) - 1
+    a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+    assert (np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0.0).all()
+    assert len({tuple(sorted(each)) for each in triangles.tolist()}) == len(triangles)
+    assert len(np.unique(vertices, axis=0)) == len(vertices)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(name=st.sampled_from(sorted(FILES)), data=st.data())
+def test_damage_is_refused_or_mended(tmp_path: Path, name: str, data: st.DataObject) -> None:
+    """A bit flipped, bytes changed, cut out or doubled, the end cut off: anywhere."""
+    ending, whole = FILES[name]
+    at = data.draw(st.integers(0, len(whole) - 1), "at")
+    kind = data.draw(st.sampled_from(["bit", "bytes", "without", "cut", "doubled", "head"]), "kind")
+    few = data.draw(st.binary(min_size=1, max_size=8), "few")
+    near = at % 300
+    damaged = {
+        "bit": whole[:at] + bytes([whole[at] ^ (1 << few[0] % 8)]) + whole[at + 1 :],
+        "bytes": whole[:at] + few + whole[at + len(few) :],
+        "without": whole[:at] + whole[at + few[0] :],
+        "cut": whole[:at],
+        "doubled": whole[: at + few[0]] + whole[at:],
+        "head": whole[:near] + few + whole[near + len(few) :],
+    }[kind]
+    sound_or_refused(ending, damaged, tmp_path)

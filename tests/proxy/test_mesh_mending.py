@@ -1,0 +1,192 @@
+"""What is mended of a mesh, what is only noted, and that nothing else changes: meshes from formulas are the truth."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from helpers import meshes
+from helpers.meshes import Mesh
+
+from softfinger.proxy.meshes.mending import MERGED_WITHIN, mend
+from softfinger.proxy.meshes.pieces import edges_of, first_alike, pieces_of
+from softfinger.proxy.meshes.reading import Arrays
+from softfinger.proxy.meshes.report import Report, report_of
+from softfinger.proxy.meshes.thinning import thinned
+
+BALL = meshes.icosphere(2)
+TURNED = Mesh(BALL.vertices, BALL.triangles[:, ::-1])
+
+
+def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, Report]:
+    """The mesh as it is rendered, and what is said of it."""
+    result = mend(Arrays(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.triangles)), loose)
+    return result.arrays, report_of(result, loose)
+
+
+def soup(mesh: Mesh) -> Mesh:
+    """The same triangles, each with vertices of its own."""
+    return Mesh(
+        mesh.vertices[mesh.triangles].reshape(-1, 3), np.arange(mesh.triangles.size, dtype=np.int32).reshape(-1, 3)
+    )
+
+
+@pytest.mark.parametrize(
+    ("mesh", "euler", "volume", "share"),
+    [
+        (meshes.icosphere(0), 2, 2.5361507101204097, 1e-12),
+        (meshes.icosphere(4), 2, 4.0 / 3.0 * math.pi, 3e-3),
+        (meshes.geodesic(7, 0.5), 2, 4.0 / 3.0 * math.pi * 0.125, 3e-2),
+        (meshes.torus(1.0, 0.4, 128, 64), 0, 2.0 * math.pi**2 * 0.16, 3e-3),
+        (meshes.cylinder(1.0, 2.0, 128, 5), 2, 2.0 * math.pi, 1e-3),
+        (meshes.bumpy_sphere(30, 1.0, 0.02), 2, 4.0 / 3.0 * math.pi, 1e-2),
+    ],
+    ids=["icosahedron", "ball", "geodesic", "torus", "cylinder", "bumpy"],
+)
+def test_closed_meshes_are_left_as_they_are(mesh: Mesh, euler: int, volume: float, share: float) -> None:
+    """The generators' meshes have Euler's number and the volume of what they are of; nothing is mended."""
+    (vertices, triangles), report = mended(mesh)
+    assert triangles.tobytes() == mesh.triangles.tobytes() and vertices.tobytes() == mesh.vertices.tobytes()
+    assert report.watertight and report.bodies == 1 and report.mended == ()
+    assert len(vertices) - len(triangles) * 3 // 2 + len(triangles) == euler
+    assert report.volume_m3 == pytest.approx(volume, rel=share)  # polyhedra are smaller, by the square of an edge
+
+
+def test_a_geodesic_ball_has_its_count() -> None:
+    """20 n^2 triangles on 10 n^2 + 2 vertices, all of them on the sphere; n = 158 is half a million."""
+    ball = meshes.geodesic(158, 0.05)
+    assert len(ball.triangles) == 499280 and len(ball.vertices) == 249642
+    assert np.abs(np.linalg.norm(ball.vertices, axis=1) - 0.05).max() < 1e-16 * 4
+    assert edges_of(ball.triangles).many.max() == 2
+
+
+@pytest.mark.parametrize(
+    ("mesh", "edges"),
+    [(meshes.sheet(columns=8, rows=5), 26), (meshes.cylinder(around=32, along=3, ends=False), 64)],
+    ids=["sheet", "tube"],
+)
+def test_open_meshes_have_their_rims(mesh: Mesh, edges: int) -> None:
+    """Every edge of the border is counted, and an open mesh has no volume."""
+    _, report = mended(mesh)
+    assert report.open_edges == edges and not report.watertight and report.volume_m3 is None
+    assert f"open, {edges} edges" in dict(report.rows())["surface"]
+
+
+def test_a_hole_is_noted_and_not_filled() -> None:
+    """A triangle that is missing leaves three open edges."""
+    (_, triangles), report = mended(Mesh(BALL.vertices, BALL.triangles[1:]))
+    assert len(triangles) == 319 and report.open_edges == 3 and not report.watertight
+
+
+def test_a_moebius_strip_has_no_winding() -> None:
+    """It is said, and none of its triangles is turned."""
+    (_, triangles), report = mended(meshes.moebius())
+    assert triangles.tobytes() == meshes.moebius().triangles.tobytes()
+    assert any("one side only" in text for text in report.noted) and report.turned_triangles == 0
+
+
+@pytest.mark.parametrize("loose", [False, True])
+def test_vertices_that_coincide_are_merged(loose: bool) -> None:
+    """A soup of triangles becomes the ball it was; minus zero is zero."""
+    mesh = soup(BALL)
+    mesh.vertices[mesh.vertices == 0.0] = -0.0
+    (vertices, triangles), report = mended(mesh, loose)
+    assert report.watertight and len(vertices) == len(BALL.vertices)
+    assert report.merged_vertices == 960 - 162
+    np.testing.assert_array_equal(vertices[triangles], BALL.vertices[BALL.triangles])
+
+
+def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
+    """A tenth of it apart they are one, wherever they lie; ten times it apart they are not; others are never merged."""
+    rng = np.random.default_rng(3)
+    mesh = soup(BALL)
+    near = Mesh(mesh.vertices + rng.uniform(-0.1, 0.1, mesh.vertices.shape) * MERGED_WITHIN, mesh.triangles)
+    far = Mesh(mesh.vertices + rng.uniform(-20, 20, mesh.vertices.shape) * MERGED_WITHIN, mesh.triangles)
+    assert mended(near, loose=True)[1].watertight
+    assert mended(near)[1].bodies == 320
+    assert not mended(far, loose=True)[1].watertight
+    assert "vertices that coincide within 1e-09 of its size merged" in mended(near, loose=True)[1].mended[0]
+
+
+def test_triangles_twice_or_without_area_are_dropped() -> None:
+    """Turned or rotated they are the same; with two corners in one place, or all on a line, there is no normal."""
+    a, b, c = BALL.triangles[0]
+    middle = 0.5 * (BALL.vertices[a] + BALL.vertices[b])
+    vertices = np.concatenate([BALL.vertices, [middle, [9.0, 9.0, 9.0]]])
+    more = [[b, c, a], [c, b, a], [a, a, b], [a, b, 162]]
+    (kept, triangles), report = mended(Mesh(vertices, np.concatenate([BALL.triangles, more]).astype(np.int32)))
+    assert (report.duplicate_triangles, report.degenerate_triangles, report.unused_vertices) == (2, 2, 1)
+    assert triangles.tobytes() == BALL.triangles.tobytes() and len(kept) == 162 and report.watertight
+
+
+@pytest.mark.parametrize("thinness", [1e-3, 1e-6])
+def test_needles_are_kept(thinness: float) -> None:
+    """A triangle a million times as long as it is high has an area, at any size."""
+    for size in (1e-6, 1e3):
+        vertices = size * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, thinness, 0.0]])
+        (_, triangles), report = mended(Mesh(vertices, np.array([[0, 1, 2]], np.int32)))
+        assert len(triangles) == 1 and report.degenerate_triangles == 0
+
+
+def test_an_edge_of_three_triangles_is_noted() -> None:
+    """A fin on the ball."""
+    a, b, _ = BALL.triangles[0]
+    fin = np.concatenate([BALL.triangles, [[a, b, 162]]]).astype(np.int32)
+    _, report = mended(Mesh(np.concatenate([BALL.vertices, [[0.0, 0.0, 3.0]]]), fin))
+    assert report.non_manifold_edges == 1 and not report.watertight and report.bodies == 2
+
+
+def test_a_ball_inside_out_is_turned() -> None:
+    """By the sign of its volume, whole; a share of its triangles by those beside them."""
+    (_, triangles), report = mended(TURNED)
+    assert report.turned_triangles == 320 and report.volume_m3 == pytest.approx(meshes.volume(BALL))
+    wound = BALL.triangles.copy()
+    some = np.random.default_rng(1).random(320) < 0.3
+    wound[some] = wound[some][:, ::-1]
+    (_, triangles), report = mended(Mesh(BALL.vertices, wound))
+    assert report.turned_triangles == some.sum() and report.watertight
+    assert meshes.volume(Mesh(BALL.vertices, triangles)) == pytest.approx(meshes.volume(BALL))
+
+
+def test_a_sheet_is_wound_as_most_of_it_is() -> None:
+    """It has no outside: the fewest of its triangles are turned."""
+    mesh = meshes.sheet()
+    wound = mesh.triangles.copy()
+    wound[:20] = wound[:20][:, ::-1]
+    (_, triangles), report = mended(Mesh(mesh.vertices, wound))
+    assert report.turned_triangles == 20
+    assert edges_of(triangles).many.max() == 2 and not pieces_of(edges_of(triangles)).turned.any()
+
+
+def test_a_hollow_stays_one_and_a_body_beside_it_does_not() -> None:
+    """Wound inward within another it is the wall of a hollow; wound inward elsewhere it is a mistake."""
+    small = meshes.icosphere(2, 0.5)
+    inward = Mesh(small.vertices, small.triangles[:, ::-1])
+    _, report = mended(meshes.joined(BALL, inward))
+    assert report.turned_triangles == 0 and report.bodies == 2 and report.watertight
+    assert report.volume_m3 == pytest.approx(0.875 * meshes.volume(BALL))
+    _, report = mended(meshes.joined(BALL, meshes.moved(inward, (3.0, 0.0, 0.0))))
+    assert report.turned_triangles == 320 and report.volume_m3 == pytest.approx(1.125 * meshes.volume(BALL))
+
+
+def test_rows_that_are_alike_are_found() -> None:
+    """Against Python's own dictionary, with many of them alike, and rows that differ in one bit."""
+    rng = np.random.default_rng(7)
+    rows = rng.integers(0, 3, (2000, 3)).astype(np.uint64) << np.uint64(62)
+    seen: dict[bytes, int] = {}
+    expected = [seen.setdefault(row.tobytes(), number) for number, row in enumerate(rows)]
+    assert first_alike(rows).tolist() == expected and len(seen) == 27
+
+
+def test_pictures_are_thin_and_still_show_the_shape() -> None:
+    """No more triangles than asked for, all of them near the surface, wound outward; a small mesh stays itself."""
+    ball = meshes.geodesic(60)
+    thin = thinned(Arrays(*ball), 5000)
+    assert 1000 < len(thin.triangles) <= 5000
+    # A cell is a twentieth of the radius at most: vertices in the middle of one lie in by the square of half of it.
+    assert np.abs(np.linalg.norm(thin.vertices, axis=1) - 1.0).max() < 0.02
+    assert meshes.volume(Mesh(*thin)) == pytest.approx(meshes.volume(ball), rel=0.05)
+    assert thinned(Arrays(*BALL), 320).triangles is BALL.triangles
+    flat = meshes.sheet(columns=100, rows=100)
+    assert 100 < len(thinned(Arrays(*flat), 500).triangles) <= 500

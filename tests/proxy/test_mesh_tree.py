@@ -1,0 +1,182 @@
+"""The nearest triangle of a mesh: against all of them asked in turn, by a formula of its own."""
+
+import numpy as np
+import pytest
+from helpers import meshes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from references.triangles import distances
+
+from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
+from softfinger.proxy.kernels.geometry.mesh.triangle import closest_on_triangle
+from softfinger.proxy.kernels.model import Mesh, Triangles
+from softfinger.proxy.kernels.native.arrays import ReadOnly
+from softfinger.proxy.kernels.native.rows import Rows
+from softfinger.proxy.meshes.tree import Tree, build_tree
+
+WHOLE = 10**7
+"""A budget that no query here uses up."""
+EQUAL = 1e-9
+"""Share of a mesh's size by which two ways to a distance in float64 may differ: both lose a few digits on slivers."""
+
+
+def mesh_of(tree: Tree, side: float = 1.0, shade: float = 0.0) -> Mesh:
+    arrays = (ReadOnly(each) for each in tree[:6])
+    x, y, z = tree.center.tolist()
+    count = float(len(tree.corners))
+    return Mesh(Rows([Triangles(*arrays, count, (x, y, z), tree.size, side if tree.closed else 0.0, shade)]))
+
+
+def soup(rng, count, size):
+    """Triangles that belong to nothing, needles among them, (vertices, triangles)."""
+    middle = rng.normal(size=(count, 1, 3)) * size
+    spread = rng.normal(size=(count, 3, 3)) * size * 10.0 ** rng.uniform(-6.0, 0.0, (count, 1, 1))
+    return (middle + spread).reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+
+
+CASES = {
+    "one": (np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([[0, 1, 2]], np.int32)),
+    "nine": soup(np.random.default_rng(1), 9, 1.0),
+    "ball": meshes.geodesic(12, 0.05),
+    "torus": meshes.torus(0.05, 0.02, 40, 24),
+    "bumpy": meshes.bumpy_sphere(20, 0.05),
+    "moebius": meshes.moebius(0.05, 0.02),
+    "sheet": meshes.sheet(0.2, 0.1, 30, 20),
+    "cylinder": meshes.cylinder(0.02, 0.1, 48, 7),
+    "soup": soup(np.random.default_rng(2), 3000, 0.1),
+    "far": meshes.moved(meshes.geodesic(8, 1e-6), (3.0, -2.0, 1.0)),
+    "folded": (np.zeros((300, 3)) + np.array([[1.0, 2.0, 3.0]]), np.arange(300, dtype=np.int32).reshape(-1, 3)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_distance_is_that_of_the_nearest_of_all(name):
+    """Near and far, above, on and inside: the distance to 1e-9 of the mesh's size, as if each triangle was asked."""
+    vertices, triangles = CASES[name]
+    tree = build_tree(np.asarray(vertices, float), np.asarray(triangles, np.int32))
+    mesh, rng = mesh_of(tree), np.random.default_rng(3)
+    size, middle = max(tree.size, 1e-9), np.asarray(vertices).mean(axis=0)
+    on = np.asarray(vertices)[np.asarray(triangles)[rng.integers(0, len(triangles), 60)]].mean(axis=1)
+    points = np.concatenate([middle + size * rng.normal(size=(60, 3)), on + 0.02 * size * rng.normal(size=(60, 3)), on])
+    for x in points:
+        expected = distances(np.asarray(vertices), np.asarray(triangles), x).min()
+        found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE)
+        assert abs(np.sqrt(found.square) - expected) <= EQUAL * size
+        assert found.bound == found.square
+        gap, point, normal = closest_on_triangle(mesh, float(found.number), tuple(x.tolist()))
+        assert abs(abs(gap) - expected) <= EQUAL * size
+        assert abs(np.linalg.norm(normal) - 1.0) < 1e-12
+        assert np.linalg.norm(np.array(point) + gap * np.array(normal) - x) <= EQUAL * size
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(-6.0, 3.0), st.floats(0.1, 1e4))
+def test_any_triangles_at_any_size(seed, count, exponent, away):
+    """From micrometres to kilometres, from a point on a triangle to far off."""
+    rng, size = np.random.default_rng(seed), 10.0**exponent
+    vertices, triangles = soup(rng, count, size)
+    tree = build_tree(vertices, triangles)
+    mesh = mesh_of(tree)
+    x = away * size * rng.normal(size=3)
+    found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE)
+    # Far away it is one of the nearest to 1e-6 of the mesh's size, which is all that float32 tells there.
+    slack = EQUAL * (tree.size + np.linalg.norm(x)) + 1e-6 * tree.size * (away > 100.0)
+    assert abs(np.sqrt(found.square) - distances(vertices, triangles, x).min()) <= slack
+
+
+def test_inside_is_told_by_every_feature():
+    """Of a ball and of a bumpy one, points within and without, most of them nearest to an edge or a corner."""
+    rng = np.random.default_rng(4)
+    for made in (meshes.geodesic(3, 1.0), meshes.bumpy_sphere(6, 1.0, height=0.2)):
+        tree = build_tree(*made)
+        assert tree.closed
+        outward, inward = mesh_of(tree), mesh_of(tree, side=-1.0)
+        for _ in range(300):
+            direction = rng.normal(size=3)
+            direction /= np.linalg.norm(direction)
+            # Where a ray from the middle meets the surface, which is star-shaped: Cramer's rule for each triangle.
+            a, b, c = (made.vertices[made.triangles[:, i]] for i in range(3))
+            pierced = [
+                np.linalg.solve(np.stack([q - p, r - p, -direction], 1), -p) for p, q, r in zip(a, b, c, strict=True)
+            ]
+            u, v, t = np.array(pierced).T
+            reach = t[(u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12) & (t > 0.0)].max()
+            x = tuple((reach * rng.choice([0.3, 0.9, 0.999, 1.001, 1.1, 3.0]) * direction).tolist())
+            number = float(nearest(outward, x, 1e300, NO_TRIANGLE, WHOLE).number)
+            gap = closest_on_triangle(outward, number, x)[0]
+            assert (gap > 0.0) == (np.linalg.norm(x) > reach)
+            assert closest_on_triangle(inward, number, x)[0] == -gap
+
+
+def test_an_open_mesh_is_a_sheet_with_two_sides():
+    """Its normal points to where the point is, above and below."""
+    tree = build_tree(*meshes.sheet(1.0, 1.0, 4, 4))
+    assert not tree.closed
+    for z in (0.3, -0.3):
+        gap, point, normal = closest_on_triangle(mesh_of(tree), 3.0, (0.01, 0.02, z))
+        assert gap > 0.0 and normal[2] * z > 0.0 and abs(point[2]) < 1e-12
+
+
+def test_a_limit_and_known_triangles_change_no_answer():
+    """Nothing is found beyond the limit; a known triangle is kept on the edge that it shares, and given up for a nearer
+    one."""
+    tree = build_tree(*meshes.geodesic(10, 0.05))
+    mesh, rng = mesh_of(tree), np.random.default_rng(5)
+    for _ in range(200):
+        x = rng.normal(size=3)
+        x = tuple((0.06 * x / np.linalg.norm(x)).tolist())
+        found = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE)
+        distance = np.sqrt(found.square)
+        assert nearest(mesh, x, distance * (1.0 - 1e-9), NO_TRIANGLE, WHOLE).number == -1
+        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE).number == found.number
+        for known in (float(found.number), float(rng.integers(0, len(tree.corners)))):
+            other = nearest(mesh, x, 1e300, (known, -1.0, -1.0), WHOLE)
+            assert other.square == pytest.approx(found.square, rel=1e-9)
+    corner = tree.vertices[0] * 1.2
+    around = np.flatnonzero((tree.corners == 0).any(axis=1))
+    for known in around:  # five or six are equally near
+        assert nearest(mesh, tuple(corner.tolist()), 1.0, (float(known), -1.0, -1.0), WHOLE).number == known
+
+
+def test_a_budget_that_is_used_up_leaves_a_true_bound():
+    """From the middle of a ball every triangle is equally near: the bound is below the distance, and no more than the
+    budget is spent, but for the lanes of the last node."""
+    vertices, triangles = meshes.geodesic(40, 0.05)
+    mesh = mesh_of(build_tree(vertices, triangles))
+    x = (1e-7, 2e-7, -1e-7)
+    true = distances(vertices, triangles, np.array(x)).min()
+    found = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET)
+    assert found.spent <= BUDGET + 8 and found.bound < found.square
+    assert 0.0 < np.sqrt(found.bound) <= true <= np.sqrt(found.square) + 1e-15
+    assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE).spent > 4 * BUDGET
+
+
+def test_the_tree_holds_each_triangle_once():
+    """Every triangle is below one lane, and in the disc of every lane above it."""
+    vertices, triangles = meshes.bumpy_sphere(15, 0.05)
+    tree = build_tree(vertices, triangles)
+    seen = np.zeros(len(triangles), int)
+    lanes = tree.nodes.reshape(-1, 8, 8).astype(float)
+
+    def below(node):
+        first = tree.first[node]
+        held = []
+        for lane in range(8):
+            fields = lanes[node, :, lane]
+            if fields[6] < 0.0:
+                continue
+            inside = [~first + lane] if first < 0 else below(first + lane)
+            held += inside
+            x = tree.vertices[tree.corners[inside]].reshape(-1, 3) - tree.center - fields[:3]
+            along = x @ fields[3:6]
+            assert (np.abs(along) <= fields[7]).all()
+            assert (np.linalg.norm(x - along[:, None] * fields[3:6], axis=1) <= fields[6]).all()
+            if first < 0:
+                seen[inside] += 1
+        return held
+
+    assert len(below(0)) == len(triangles)
+    assert (seen == 1).all()
+    original = np.sort(vertices[triangles].sum(axis=1), axis=0)
+    assert np.allclose(np.sort(tree.vertices[tree.corners].sum(axis=1), axis=0), original, rtol=0.0, atol=1e-15)

@@ -1,0 +1,222 @@
+"""Touching a mesh: against the shapes that it is made of or close to, and against closed forms."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import meshes
+from references.triangles import distances
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import AT
+
+R = 0.01
+FRICTION = {"static": 0.6, "kinetic": 0.5}
+TORSION = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
+
+
+def saved(folder: Path, vertices, triangles, name="part.ply") -> str:
+    """A binary PLY."""
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+        "property double x\nproperty double y\nproperty double z\n"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(triangles), [("n", "u1"), ("i", "<i4", 3)])
+    faces["n"], faces["i"] = 3, triangles
+    path = folder / name
+    path.write_bytes(head.encode() + np.asarray(vertices, "<f8").tobytes() + faces.tobytes())
+    return str(path)
+
+
+def box(x, y, z):
+    """Twelve triangles of a box with these half extents, wound outward."""
+    corners = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (x, y, z)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
+
+
+def thing(name, shape, **keys):
+    material = {"stiffness_n_per_m": 1000.0, "friction": FRICTION, "torsion": TORSION} | keys.pop("material", {})
+    return {"name": name, "shape": shape, "material": {k: v for k, v in material.items() if v is not None}, **keys}
+
+
+def engine(*objects, **tables):
+    scene = {
+        "fingertip": {"radius_m": R},
+        "rolling": {"method": "midpoint"},
+        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0},
+        "probe": {"velocity_time_constant_s": 0.0},
+        "object": list(objects),
+        **tables,
+    }
+    return Engine(build(Scene, {k: v for k, v in scene.items() if v is not None}, "meshes"))
+
+
+def go(running, points, turned=None):
+    """Records of a visit to each of `points` (n, 3)."""
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
+    return running.run(np.hstack([np.asarray(points, float), upright if turned is None else turned]))
+
+
+def spun(axis, angles):
+    """Quaternions (n, 4) of rotations by `angles` (n,) rad about a unit vector."""
+    half = 0.5 * np.asarray(angles)[:, None]
+    return np.hstack([np.cos(half), np.sin(half) * np.asarray(axis, float)])
+
+
+def wander(seed, ticks, reach, speed=1e-4):
+    """Points (ticks, 3) m: a smooth way through a box of half extent `reach`, some 0.1 mm a tick."""
+    rng = np.random.default_rng(seed)
+    waves = rng.normal(size=(6, 3, 2)) / np.arange(1, 7)[:, None, None]
+    t = np.arange(ticks)[:, None] * speed / reach
+    way = sum(a[:, 0] * np.sin((k + 1) * t) + a[:, 1] * np.cos((k + 1) * t) for k, a in enumerate(waves))
+    return reach * way / np.abs(way).max()
+
+
+def field(records, at, count=3):
+    return np.asarray(records)[:, at : at + count]
+
+
+def test_a_box_of_triangles_is_a_box(tmp_path):
+    """Over faces, edges and corners, pressed, dragged and turned: forces of the shape box, which knows no triangles. On a
+    face to rounding; round an edge the proxy is what two rounds of projecting leave behind in a tick, below 5 % of its
+    way of 0.1 mm."""
+    ticks = 4000
+    points = wander(1, ticks, 0.034)
+    points[:, 2] = 0.0295 + 0.1 * points[:, 2]
+    turned = spun((0.6, 0.0, 0.8), 0.8 * np.sin(np.arange(ticks) * 2e-3))
+    far = thing("far", "plane", position_m=[0.0, 0.0, -5.0])
+    of_triangles = thing("part", "mesh", file=saved(tmp_path, *box(0.03, 0.025, 0.02)))
+    shape = thing("part", "box", size_m=[0.06, 0.05, 0.04])
+    mesh, solid = (go(engine(each, far), points, turned) for each in (of_triangles, shape))
+    assert len(np.unique(field(solid, AT.contact_mode, 1))) == 3
+    for at, left in ((AT.force, 5e-3), (AT.torque, 5e-3 * R), (AT.contact_point, 5e-6)):
+        np.testing.assert_allclose(field(mesh, at), field(solid, at), rtol=0.0, atol=left)
+    # Where one wall holds it there is nothing to converge to, and it is the same to rounding.
+    flat = (np.abs(field(solid, AT.contact_normal)) == 1.0).any(axis=1)
+    assert flat.mean() > 0.3
+    assert np.abs(field(mesh, AT.contact_normal_force, 1) - field(solid, AT.contact_normal_force, 1))[flat].max() < 1e-9
+
+
+def groove(width=0.1):
+    """Two sheets that meet at a right angle along y: z = |x|, three triangles to a side."""
+    y = np.linspace(-width, width, 4)
+    vertices = np.array([(x, v, abs(x)) for v in y for x in (-width, 0.0, width)])
+    cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(3) for j in range(2)]
+    return vertices, np.array([t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))], np.int32)
+
+
+def test_a_crease_holds_by_both_its_sides(tmp_path):
+    """Pressed 1 mm down into a right angle each side bears 1/sqrt(2) N; dragged along it each rubs with mu of that,
+    over the edges between triangles too. Turned about the groove, both resist: r mu (f1 + f2)."""
+    running = engine(thing("groove", "mesh", file=saved(tmp_path, *groove())))
+    top = R * np.sqrt(2.0)
+    press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 200)
+    drag = np.linspace((0.0, -0.05, top - 1e-3), (0.0, 0.05, top - 1e-3), 1500)
+    records = go(running, np.concatenate([press, drag]))
+    each = 1.0 / np.sqrt(2.0)
+    assert records[199, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
+    late = np.asarray(records)[700:]
+    assert late[:, AT.force + 1] == pytest.approx(-0.5 * 2.0 * each, abs=1e-6)
+    assert late[:, AT.force + 2] == pytest.approx(1.0, abs=1e-6)
+    held = go(running, np.tile(drag[-1], (900, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 900)))
+    assert abs(held[-1, AT.torque + 1]) == pytest.approx(R * 0.5 * 2.0 * each, rel=0.2)
+
+
+SMOOTH = {"friction": None, "torsion": None}
+
+
+def errors_of_ball(tmp_path, frequency, shading="none"):
+    """Largest differences in force, N, and contact point, m, between a faceted ball and its sphere; largest step, N."""
+    part = meshes.geodesic(frequency, 0.05)
+    t = np.linspace(0.0, 1.0, 800)
+    way = np.stack([np.cos(t) * np.cos(0.3 * t), np.sin(t) * np.cos(0.3 * t), np.sin(0.3 * t)], axis=1)
+    points = way * (0.0601 - 1.1e-3 * np.minimum(8.0 * t, 1.0))[:, None]
+    turned = spun((0.0, 0.6, 0.8), 0.5 * t)
+    file = saved(tmp_path, *part, name=f"{frequency}.ply")
+    far = thing("far", "plane", position_m=[0.0, 0.0, -5.0], material=SMOOTH)
+    mesh = go(
+        engine(thing("ball", "mesh", file=file, shading=shading, material=SMOOTH), far, rolling=None), points, turned
+    )
+    ball = go(engine(thing("ball", "sphere", radius_m=0.05, material=SMOOTH), far, rolling=None), points, turned)
+    return [
+        np.linalg.norm(field(mesh, at) - field(ball, at), axis=1)[150:].max() for at in (AT.force, AT.contact_point)
+    ] + [np.linalg.norm(np.diff(field(mesh, AT.force), axis=0), axis=1)[150:].max()]
+
+
+def test_a_faceted_ball_becomes_the_ball(tmp_path):
+    """Twice as fine: the surface four times as near. With shaded forces the steps from facet to facet are gone, too."""
+    coarse, fine = errors_of_ball(tmp_path, 16), errors_of_ball(tmp_path, 64)
+    assert fine[0] < coarse[0] / 3.0  # a normal is of first order
+    assert coarse[1] < 2e-3 and fine[1] < coarse[1] / 3.0
+    shaded = errors_of_ball(tmp_path, 16, "normals")
+    assert shaded[0] < 0.4 * coarse[0] and shaded[2] < 0.5 * coarse[2]
+
+
+@pytest.mark.parametrize("name", ["bumpy", "torus", "moebius"])
+def test_the_proxy_is_never_inside(tmp_path, name):
+    """Dragged and turned over and into hills, rings and a sheet of one side: outside to 1e-9 of the radius."""
+    vertices, triangles = {
+        "bumpy": meshes.bumpy_sphere(24, 0.05, height=0.06),
+        "torus": meshes.torus(0.06, 0.02, 48, 24),
+        "moebius": meshes.moebius(0.06, 0.04, 96, 6),
+    }[name]
+    running = engine(thing("part", "mesh", file=saved(tmp_path, vertices, triangles)))
+    ticks = 6000
+    points = wander(7, ticks, 0.055)
+    points *= np.maximum(1.0, 0.05 / np.linalg.norm(points, axis=1))[:, None]
+    records = go(running, points, spun((0.0, 0.6, 0.8), np.sin(np.arange(ticks) * 2e-3)))
+    assert np.isfinite(np.asarray(records)).all()
+    touched = field(records, AT.contact_mode, 1)[:, 0] > 0
+    assert touched.mean() > 0.05
+    for row in np.asarray(records)[touched][::7]:
+        proxy = row[AT.proxy_position : AT.proxy_position + 3]
+        assert distances(vertices, triangles, proxy).min() >= R * (1.0 - 1e-9)
+
+
+def test_a_socket_that_fits_uses_up_the_budget_and_holds(tmp_path):
+    """In the middle of a hollow ball just wider than the fingertip every triangle is as near: the proxy stays where it
+    was, outside, says so, and goes on when the hand does."""
+    vertices, triangles = meshes.geodesic(60, 0.0101)
+    running = engine(thing("socket", "mesh", file=saved(tmp_path, vertices, triangles), inside=True))
+    out = np.linspace((0.0, 0.0, 0.0), (0.0, 3e-3, 0.0), 300)
+    records = go(running, np.concatenate([np.zeros((50, 3)), out]))
+    assert np.isfinite(np.asarray(records)).all()
+    for row in np.asarray(records)[::9]:
+        proxy = row[AT.proxy_position : AT.proxy_position + 3]
+        assert distances(vertices, triangles, proxy).min() >= R * (1.0 - 1e-9)
+    assert records[-1, AT.force + 1] == pytest.approx(-2.9, abs=0.05)  # 3 mm less the room of 0.1 mm, at 1000 N/m
+
+
+def test_it_lets_out_what_begins_inside(tmp_path):
+    """The first pose of all is in contact where it stands, as with every shape, and comes out to the nearest face."""
+    running = engine(thing("part", "mesh", file=saved(tmp_path, *box(0.03, 0.03, 0.03))))
+    records = go(running, np.tile((0.0, 0.0, 0.028), (5, 1)))
+    assert records[-1, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 12.0], abs=1e-9)
+
+
+def test_nothing_thin_is_crossed_in_a_tick(tmp_path):
+    """A sheet is met from either side by a finger that would be past it in the next tick."""
+    running = engine(thing("sheet", "mesh", file=saved(tmp_path, *meshes.sheet(0.2, 0.2, 20, 20))))
+    for side in (1.0, -1.0):
+        running.reset()
+        records = go(
+            running, [(0.003, 0.004, side * 0.05), (0.003, 0.004, -side * 0.02)] + [(0.003, 0.004, -side * 0.02)] * 9
+        )
+        assert np.sign(records[-1, AT.force + 2]) == side
+        assert abs(records[-1, AT.force + 2]) == pytest.approx(30.0, abs=1e-6)
+
+
+def test_a_mesh_that_moves_carries_and_presses(tmp_path):
+    """A box of triangles that rises under a still finger presses as the shape does, and takes a stuck finger along."""
+    motion = {"kind": "sinusoid", "translation_m": [0.004, 0.0, 0.003], "frequency_hz": 1.0}
+    far = thing("far", "plane", position_m=[0.0, 0.0, -5.0])
+    of_triangles = thing("part", "mesh", file=saved(tmp_path, *box(0.03, 0.03, 0.02)), motion=motion)
+    shape = thing("part", "box", size_m=[0.06, 0.06, 0.04], motion=motion)
+    points = np.tile((0.0, 0.0, 0.0295), (1500, 1))
+    mesh, solid = (go(engine(each, far), points) for each in (of_triangles, shape))
+    assert np.abs(field(solid, AT.force)).max() > 1.0
+    np.testing.assert_allclose(field(mesh, AT.force), field(solid, AT.force), rtol=0.0, atol=1e-9)

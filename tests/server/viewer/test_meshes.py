@@ -1,0 +1,104 @@
+"""Triangles of a mesh on their way to the page: thinned, sent, checked, and drawn on the object they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import msgspec
+import numpy as np
+import pytest
+from conftest import paper_mapping
+from helpers import meshes
+
+from softfinger.config import schema
+from softfinger.config.load import build
+from softfinger.proxy.meshes.prepared import about
+from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server.viewer.nodes.meshes import sent
+from softfinger.server.viewer.page import Page
+from softfinger.server.viewer.playback import RecordedPage, Recording
+from softfinger.server.wire import control
+from softfinger.server.wire.commands import Triangles, answered
+
+
+def scene_of(path: Path) -> schema.Scene:
+    """A scene of a plane and a mesh."""
+    mapping = paper_mapping(rolling=None)
+    part = {"name": "part", "shape": "mesh", "file": str(path), "material": {"stiffness_n_per_m": 500.0}}
+    return build(schema.Scene, mapping | {"object": [*mapping["object"], part]}, "test scene")
+
+
+def scan(folder: Path, frequency: int) -> Path:
+    """A ball in a PLY file of numbers as they lie in memory."""
+    ball = meshes.geodesic(frequency, 0.04)
+    head = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(ball.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(ball.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(ball.triangles), [("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, ball.triangles
+    path = folder / f"ball{frequency}.ply"
+    path.write_bytes(head.encode() + ball.vertices.astype("<f4").tobytes() + rows.tobytes())
+    return path
+
+
+def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
+    """The answer to `mesh` is what a client takes at most, even of the largest picture, and comes out the same."""
+    report, picture = about(scene_of(scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
+    assert report.triangles == 72000 and 20000 < len(picture.triangles) <= PICTURE_TRIANGLES
+    message = answered(
+        "7",
+        Triangles(
+            picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
+        ),
+    )
+    assert PICTURE_TRIANGLES * (3 * 12 + 12) < control._ANSWER_MAX  # each corner with a vertex of its own
+    got = msgspec.convert(msgpack.unpackb(message)["result"], Triangles)
+    mesh = sent(got.vertices, got.triangles)
+    assert got.of == 72000 and mesh.faces.tolist() == picture.triangles.tolist()
+    np.testing.assert_allclose(mesh.vertices, picture.vertices, rtol=6e-8)  # float32
+
+
+@pytest.mark.parametrize(
+    ("vertices", "triangles"), [(bytes(13), bytes(12)), (bytes(12), bytes(11)), (bytes(12), b"\x01" + bytes(11))]
+)
+def test_what_is_no_mesh_is_not_drawn(vertices: bytes, triangles: bytes) -> None:
+    """Half a vertex, half a triangle, a triangle of a vertex that is not there."""
+    with pytest.raises(ValueError, match=r"buffer size|reshape|a triangle of vertex 1, and there are 1"):
+        sent(vertices, triangles)
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    """A page that no browser has opened."""
+    page = Page("127.0.0.1", 8350)
+    yield page
+    page.close()
+
+
+def surfaces(page: Page) -> dict[str, Any]:
+    """What is drawn of the objects, by node."""
+    found = page.server.scene._handle_from_node_name
+    return {name: handle for name, handle in found.items() if name.startswith("/objects/")}
+
+
+def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
+    """From the file, in centimetres, as the second object; a file that is gone is told, and the rest is shown."""
+    path = scan(tmp_path, 5)
+    records = {"": np.zeros((3, RECORD_SIZE))}
+    RecordedPage(page, Recording(records, scene_of(path), "part", 1000.0), 0)
+    drawn = surfaces(page)["/objects/1/surface"]
+    np.testing.assert_allclose(
+        np.abs(drawn.vertices).max(), 100 * 0.04 * np.abs(meshes.geodesic(5).vertices).max(), rtol=1e-6
+    )
+    assert len(drawn.faces) == 500
+    path.unlink()
+    page.change(scene_of(path), 0, 1e-3)
+    assert "/objects/1/surface" not in surfaces(page)
+    RecordedPage(page, Recording(records, scene_of(path), "part", 1000.0), 0)
+    assert "No such file" in page._said.content and "/objects/0/surface" in surfaces(page)
