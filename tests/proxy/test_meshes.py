@@ -81,9 +81,9 @@ def field(records, at, count=3):
 
 
 def test_a_box_of_triangles_is_a_box(tmp_path):
-    """Over faces, edges and corners, pressed, dragged and turned: forces of the shape box, which knows no triangles. On a
-    face to rounding; round an edge the proxy is what two rounds of projecting leave behind in a tick, below 5 % of its
-    way of 0.1 mm."""
+    """Over faces, edges and corners, pressed, dragged and turned: forces of the shape box, which knows no triangles. On
+    a face to rounding; round an edge the proxy is what two rounds of projecting leave behind in a tick, below 5 % of
+    its way of 0.1 mm."""
     ticks = 4000
     points = wander(1, ticks, 0.034)
     points[:, 2] = 0.0295 + 0.1 * points[:, 2]
