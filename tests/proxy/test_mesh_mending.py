@@ -191,5 +191,7 @@ def test_pictures_are_thin_and_still_show_the_shape() -> None:
     assert np.abs(np.linalg.norm(thin.vertices, axis=1) - 1.0).max() < 0.02
     assert meshes.volume(Mesh(*thin)) == pytest.approx(meshes.volume(ball), rel=0.05)
     assert thinned(Arrays(*BALL), 320).triangles is BALL.triangles
-    flat = meshes.sheet(columns=100, rows=100)
-    assert 100 < len(thinned(Arrays(*flat), 500).triangles) <= 500
+    for width in (1.0, 1e-3, 1e-9):  # the narrower, the fewer cells there are
+        strip = meshes.sheet(width, 1.0, columns=100, rows=100)
+        assert len(thinned(Arrays(*strip), 500).triangles) <= 500
+    assert len(thinned(Arrays(*meshes.sheet(columns=100, rows=100)), 500).triangles) > 100
