@@ -1,8 +1,8 @@
-"""Arrays on disk, found again in a hundredth of the time that they take to compute.
+"""Arrays on disk, found again in a small part of the time that they take to compute.
 
-A file has a head of JSON, with a checksum, and behind it the arrays as they lie in memory, 64 bytes apart. They are
-mapped, not read. Who else may write to the folder is looked at as for compiled kernels; what the head says of each
-array, and the sum of its words, is held against what is there. A file that fails in any of this is not used.
+A file has a head of JSON, with a checksum, and behind it the arrays as they lie in memory, 64 bytes apart. Who else
+may write to the folder is looked at as for compiled kernels; what the head says of each array, and the sum of its
+words, is held against what is there. A file that fails in any of this is not used.
 """
 
 from __future__ import annotations
@@ -53,7 +53,10 @@ def load(key: str, folder: Folder = KEPT) -> Kept | None:
     name = f"{key}{ENDING}"
     try:
         with folder.opened(name) as file:
-            seen = mmap.mmap(file.fileno(), 0, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE, prot=mmap.PROT_READ)
+            # Read, not mapped: what becomes of the file later is nothing to a process that renders.
+            seen = mmap.mmap(-1, max(1, os.fstat(file.fileno()).st_size))
+            if file.readinto(seen) != len(seen):  # type: ignore[attr-defined]
+                raise Unsound("it was cut off")
             with contextlib.suppress(OSError):  # of another user's folder only its age is lost
                 os.utime(file.fileno())
         return _read(key, seen)
@@ -106,6 +109,7 @@ def _array(seen: mmap.mmap, start: int, said: Mapping[str, Any]) -> NDArray[Any]
     array = np.frombuffer(seen, said["dtype"], count, start + said["at"])
     if _sum(array) != said["sum"]:
         raise Unsound("its numbers are damaged")
+    array.setflags(write=False)
     return array.reshape(said["shape"])
 
 

@@ -31,8 +31,8 @@ Tree = TypeVar("Tree", bound=tuple[Any, ...])
 
 TREES: Final = 16
 """Meshes whose trees stay in memory; others are found on disk."""
-ABOUTS: Final = int(limits.OBJECTS.high)
-"""Of which more is known: a megabyte each, at most."""
+ABOUTS: Final = 2 * int(limits.OBJECTS.high)
+"""Reports and pictures, a megabyte each at most; each is remembered by its file's state, and by its name."""
 
 
 class Builder(NamedTuple, Generic[Tree]):
@@ -80,8 +80,14 @@ def about(thing: schema.Mesh) -> About:
     found: About | None = _abouts.get(state)
     if found is None:
         found = _about(_mended(thing, _bytes(thing)))
-        _abouts.put(state, found)
+        _remember(thing, state, found)
     return found
+
+
+def rendered(thing: schema.Mesh) -> About:
+    """What was known of an object's mesh when it was built last, whatever has become of its file; else as `about`."""
+    found: About | None = _abouts.get((thing.file, thing.scale))
+    return about(thing) if found is None else found
 
 
 def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KEPT) -> Tree:
@@ -97,9 +103,14 @@ def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KE
         mended = _mended(thing, data)
         tree, found = builder.build(*mended[0]), _about(mended)
         kept.save(key, _to_disk(tree, found), folder)
-    _abouts.put(state, found)
+    _remember(thing, state, found)
     _trees.put((state, builder), tree)
     return tree
+
+
+def _remember(thing: schema.Mesh, state: Any, found: About) -> None:
+    _abouts.put(state, found)
+    _abouts.put((thing.file, thing.scale), found)
 
 
 def _bytes(thing: schema.Mesh) -> bytes:

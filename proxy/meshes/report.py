@@ -49,7 +49,7 @@ class Report:
         if self.watertight:
             return f"watertight, {self.volume_m3:.4g} m^3"
         if self.open_edges:
-            return f"open, {self.open_edges:,} edges have one triangle: felt from both sides, as a sheet"
+            return f"open, {self.open_edges:,} edges of one triangle: felt from both sides, as a sheet"
         return "closed, but not watertight: see what is noted"
 
 
@@ -59,18 +59,18 @@ def report_of(mended: Mended, loose: bool) -> Report:
     x, y, z = (float(edge) for edge in np.ptp(vertices, axis=0))
     within = f" within {MERGED_WITHIN:g} of its size" if loose else ""
     done = [
-        (mended.merged, f"vertices that coincide{within} merged"),
-        (mended.unused, "vertices that no triangle has dropped"),
-        (mended.degenerate, "triangles without area dropped"),
-        (mended.duplicate, "triangles that were there already dropped"),
-        (wound.alike, "triangles turned, that were wound against those beside them"),
-        (wound.outward, "triangles turned, whose body was wound inward"),
+        (mended.merged, f"vertices merged that coincide{within}"),
+        (mended.unused, "vertices dropped that no triangle has"),
+        (mended.degenerate, "triangles dropped that have no area"),
+        (mended.duplicate, "triangles dropped that were there already"),
+        (wound.alike, "triangles turned that were wound against those beside them"),
+        (wound.outward, "triangles turned whose body was wound inward"),
     ]
     left = [
-        (mended.open_edges, "edges have one triangle: holes, or the border of a sheet"),
-        (mended.crowded_edges, "edges have more than two triangles"),
-        (wound.one_sided, "bodies have one side only, as a Moebius strip has: there no winding is right"),
-        (wound.hollows, "bodies within another are wound inward: taken for the walls of hollows"),
+        (mended.open_edges, "edges of one triangle, at holes or the border of a sheet"),
+        (mended.crowded_edges, "edges of more than two triangles"),
+        (wound.one_sided, "bodies with one side only, as a Moebius strip, where no winding is right"),
+        (wound.hollows, "bodies wound inward within another, taken for the walls of hollows"),
     ]
     return Report(
         triangles=len(triangles),
@@ -86,9 +86,9 @@ def report_of(mended: Mended, loose: bool) -> Report:
         degenerate_triangles=mended.degenerate,
         duplicate_triangles=mended.duplicate,
         turned_triangles=wound.alike + wound.outward,
-        mended=tuple(f"{count:,} {text}" for count, text in done if count),
+        mended=tuple(f"{text}: {count:,}" for count, text in done if count),
         noted=(
-            *(f"{count:,} {text}" for count, text in left if count),
+            *(f"{text}: {count:,}" for count, text in left if count),
             "not looked for: triangles that go through each other",
         ),
     )

@@ -11,6 +11,8 @@ from softfinger.proxy.meshes.reading import Arrays
 
 PICTURE_TRIANGLES: Final = 50_000
 """A page draws them 30 times a second, without a graphics card too; sent they are one megabyte."""
+FINEST: Final = 1e-6
+"""Least size of a cell, of the mesh's: a needle's box has hardly a surface."""
 _COARSER: Final = 1.1
 
 
@@ -21,7 +23,7 @@ def thinned(mesh: Arrays, most: int = PICTURE_TRIANGLES) -> Arrays:
     """
     edges = np.ptp(mesh.vertices, axis=0)
     around = 2.0 * float(edges @ np.roll(edges, 1))
-    cell = float(np.sqrt(3.0 * around / most))
+    cell = max(float(np.sqrt(3.0 * around / most)), FINEST * float(edges.max()))
     thin = mesh
     while len(thin.triangles) > most:
         thin = _clustered(mesh, cell)

@@ -19,7 +19,7 @@ from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
 from softfinger.drivers.simulated.lead import Wanted
-from softfinger.proxy.meshes.prepared import about
+from softfinger.proxy.meshes.prepared import rendered
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import wayout
 from softfinger.server.services.base import Worker
@@ -322,7 +322,7 @@ class Commands(Worker):
         _, thing = self._object(request.params.object)
         if not isinstance(thing, schema.Mesh):
             raise Declined("refused", f"object {thing.name} is a {thing.shape} and no mesh: its table says all")
-        report, picture = about(thing)
+        report, picture = rendered(thing)
         return wire.Triangles(
             picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
         )

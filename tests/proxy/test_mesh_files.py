@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import struct
 import sys
 from collections.abc import Callable
@@ -20,8 +21,9 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.meshes.prepared import about
+from softfinger.proxy.meshes.prepared import about, rendered
 from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
+from softfinger.server.cli import main
 
 BALL = meshes.geodesic(3)
 FLOAT32 = 1.2e-7
@@ -192,6 +194,28 @@ def spoilt(value: float) -> Mesh:
     return Mesh(np.where(BALL.vertices > 0.9, value, BALL.vertices), BALL.triangles)
 
 
+def test_check_prints_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For people a row each, as JSON every figure; of a file that cannot be used the fault, and exit code 2."""
+    (tmp_path / "ball.stl").write_bytes(stl_binary(BALL))
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        '[fingertip]\nradius_m = 0.01\n[[object]]\nname = "part"\nshape = "mesh"\nfile = "ball.stl"\n'
+        "[object.material]\nstiffness_n_per_m = 1000.0\n"
+    )
+    assert main(["check", str(scene)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"triangles +180 on 92 vertices\n", said) and re.search(
+        r"surface +watertight, 3\.9\d+ m\^3\n", said
+    )
+    assert re.search(r"mended +vertices merged that coincide within 1e-09 of its size: 448\n", said)
+    assert main(["check", "--json", str(scene)]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found["meshes"]["part"]["triangles"] == 180 and found["meshes"]["part"]["open_edges"] == 0
+    (tmp_path / "ball.stl").write_bytes(stl_binary(BALL)[:-7])
+    assert main(["check", str(scene)]) == 2
+    assert "object 'part': file:" in (said := capsys.readouterr().err) and "it was cut off" in said
+
+
 @pytest.mark.parametrize(
     ("name", "data", "text"),
     [
@@ -287,7 +311,10 @@ def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
     first = about(thing(path))
     assert about(thing(path)) is first
     path.write_bytes(ply_text(meshes.geodesic(4)))
+    assert rendered(thing(path)) is first  # what is rendered does not change with it
     assert about(thing(path)).report.triangles == 320
+    path.unlink()
+    assert rendered(thing(path)).report.triangles == 320
 
 
 NUMBERS = itertools.count()

@@ -41,7 +41,8 @@ class Bodies:
 
     def draw(self, number: int, mesh: Mesh) -> None:
         """The triangles of an object that is a mesh have come."""
-        _put_surface(self._api, f"/objects/{number}", self._scene.object[number], mesh, _colour(number))
+        if len(mesh.faces):  # of crumbs alone nothing may be left
+            _put_surface(self._api, f"/objects/{number}", self._scene.object[number], mesh, _colour(number))
 
     def show(self, tick: int) -> None:
         """Put those that move by themselves where they are at a tick."""
