@@ -8,9 +8,13 @@ from softfinger.config import schema
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.geometry.motion import pose_at
 from softfinger.proxy.kernels.model import Pose
+from softfinger.server.viewer.nodes.board import add_board
 from softfinger.server.viewer.nodes.glyphs import Quaternion
 from softfinger.server.viewer.nodes.looks import CM, OBJECTS
 from softfinger.server.viewer.nodes.meshes import PLANE_M, mesh_of
+
+SQUARES: Final = 13
+"""Of a side of a plane's board, a centimetre each."""
 
 Place = tuple[tuple[float, float, float], Quaternion]
 
@@ -69,17 +73,8 @@ def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None
     if mesh is None:
         api.add_label(f"{node}/name", f"{thing.name}: no picture of a {thing.shape}")
         return
-    if thing.shape == "plane":  # as one layer: a page without a graphics card counts the pixels it paints
-        edge = CM * PLANE_M
-        api.add_grid(
-            f"{node}/surface",
-            width=edge,
-            height=edge,
-            cell_size=1.0,
-            section_size=5.0,
-            plane_color=colour,
-            plane_opacity=0.7,
-        )
+    if thing.shape == "plane":
+        add_board(api, f"{node}/surface", CM * PLANE_M, SQUARES, colour, opacity=0.85)
         return
     inside = getattr(thing, "inside", False)
     api.add_mesh_simple(
