@@ -12,7 +12,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.hand import Hand, Led, Target
-from softfinger.server.viewer.page import Page, scene_of
+from softfinger.server.viewer.page import Page, began_of, scene_of
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
 
@@ -95,7 +95,7 @@ class LivePage:
             self._tuning.change(scene, described["scene_name"])
             return
         self._scene, self._first = scene, int(described["since"])
-        self._page.change(scene, self._first, 1.0 / described["rate_hz"])
+        self._page.change(scene, began_of(described))
         self._tuning.change(scene, described["scene_name"])
         parts = {finger.name: finger for finger in scene.fingers}
         self._hand.change([_led(each, parts[each["name"]]) for each in described["fingers"] if each["led"]])

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.geometry.motion import pose_at
 from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.record import AT
 from softfinger.server.viewer.nodes.board import add_board
 from softfinger.server.viewer.nodes.glyphs import Quaternion
 from softfinger.server.viewer.nodes.looks import CM, OBJECTS
@@ -19,15 +23,31 @@ SQUARES: Final = 13
 Place = tuple[tuple[float, float, float], Quaternion]
 
 
-class Bodies:
-    """Nodes `/objects/N`, a frame each with its surface below.
+class Began(NamedTuple):
+    """When a scene began to be rendered.
 
-    first     the tick with which the scene began, for objects that move by themselves
-    period_s  of a tick
+    tick       its first one
+    missed     deadlines missed before it
+    period_s   of a tick
+    own_clock  all devices keep their own: a missed deadline is no time
     """
 
-    def __init__(self, api: Any, scene: schema.Scene, first: int, period_s: float) -> None:
-        self._first, self._period_s = first, period_s
+    tick: int
+    missed: int
+    period_s: float
+    own_clock: bool
+
+    def time(self, row: NDArray[np.float64]) -> float:
+        """The scene's time in a tick (RECORD_SIZE,), s: the sum of the time steps of all ticks, seen or not."""
+        missed = 0.0 if self.own_clock else row[AT.servo_missed] - self.missed
+        return float(row[AT.tick] - self.tick + 1 + missed) * self.period_s
+
+
+class Bodies:
+    """Nodes `/objects/N`, a frame each with its surface below; `began` counts for those that move by themselves."""
+
+    def __init__(self, api: Any, scene: schema.Scene, began: Began) -> None:
+        self._began = began
         self._root = api.add_frame("/objects", show_axes=False)
         self._frames: list[Any] = []
         self.places: Final[list[Place]] = []
@@ -42,9 +62,9 @@ class Bodies:
                 self._moving[number] = (kernel_motion(thing.motion), Pose(*place))
             _draw(api, f"/objects/{number}", thing, OBJECTS[number % len(OBJECTS)])
 
-    def show(self, tick: int) -> None:
-        """Put those that move by themselves where they are at a tick."""
-        time = (tick - self._first + 1) * self._period_s
+    def show(self, row: NDArray[np.float64]) -> None:
+        """Put those that move by themselves where they are in a tick (RECORD_SIZE,)."""
+        time = self._began.time(row)
         for number, (motion, rest) in self._moving.items():
             pose = pose_at(motion, rest, time)
             self.places[number] = (pose.position, pose.orientation)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import atan2, cos, pi, radians, sin, sqrt
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,10 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.load import build
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import AT
 from softfinger.server.viewer.hand import Target, from_angles, hit, moved, to_angles
+from softfinger.server.viewer.nodes.bodies import Began, Bodies
 from softfinger.server.viewer.nodes.glyphs import (
     ARC_MAX,
     ARC_PIECES,
@@ -165,6 +169,36 @@ def beside(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
     long = end - start
     share = np.clip((point - start) @ long / (long @ long), 0.0, 1.0)
     return float(np.linalg.norm(point - start - share * long))
+
+
+class Frames:
+    """A scene of the page that keeps nothing: where bodies are is asked of them."""
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *args, **kwargs: SimpleNamespace()
+
+
+@pytest.mark.parametrize("own_clock", [False, True])
+def test_a_body_that_moves_is_drawn_where_it_was_touched(own_clock: bool) -> None:
+    """The plane goes up and down under the fingertip; ticks are missed, before the scene began too, and few are seen.
+
+    Where it is drawn is where the contact step had it: the point of contact lies on it. With a clock of its own a
+    device is no further in its time for a missed deadline.
+    """
+    way = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.004], "frequency_hz": 3.0}
+    scene = build(schema.Scene, paper_mapping(table={"motion": way}), "test scene")
+    engine, period, begun, missed = Engine(scene), 1e-3, 500, 70
+    bodies = Bodies(Frames(), scene, Began(begun, missed, period, own_clock))
+    random = np.random.default_rng(3)
+    for tick in range(begun, begun + 400):
+        skipped = int(random.integers(0, 8)) if random.random() < 0.1 and tick > begun else 0
+        missed += skipped
+        dt = period if own_clock else period * (1 + skipped)
+        row = np.array(engine.step([0.0, 0.0, 0.004], [1.0, 0.0, 0.0, 0.0], dt).record)
+        row[AT.tick], row[AT.servo_missed] = tick, missed
+        if tick % 37 == 0:
+            bodies.show(row)
+            assert bodies.places[0][0][2] == pytest.approx(row[AT.contact_point + 2], abs=1e-12)  # a sum's rounding
 
 
 EYE = np.array([0.3, -0.4, 0.5])
