@@ -12,6 +12,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.hand import Hand, Led, Target
+from softfinger.server.viewer.inputs import Gamepad, add_keys
 from softfinger.server.viewer.page import Page, began_of, scene_of
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
@@ -45,10 +46,12 @@ class LivePage:
         gui = page.server.gui
         with page.tabs.add_tab("Hand"):
             self._hand = Hand(gui, page.server.scene, self._send)
+            add_keys(gui, self._hand.nudge)
             gui.add_button_group("force", ("on", "off")).on_click(self._switch)
         with page.tabs.add_tab("Feel"):
             self._tuning = Tuning(gui, self._set_params, self._set_scene)
         page.add_views()
+        self._gamepad = Gamepad(gui)
         page.say(WAITING)
 
     def step(self, dt: float) -> None:
@@ -64,6 +67,8 @@ class LivePage:
             self._hear(event)
         if self._live.problem:
             self._page.say(self._live.problem)
+        if (nudge := self._gamepad.moved(dt)) is not None:
+            self._hand.nudge(nudge)
         for finger, rows in news.ticks.items():
             self._hand.see(finger, rows[-1])
         self._page.show(news.ticks)
