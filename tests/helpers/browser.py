@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import io
-import re
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,22 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.tools.bench.view import ARGUMENTS, viewer
+
 WAIT_S = 180.0
 """A generous bound: a page drawn in software, on a machine that does much else and stands still at times."""
 SIZE = (840, 520)
 """Of the window, pixels: small, since each is painted by a processor."""
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 
 
 def why_none() -> str:
@@ -146,16 +133,5 @@ def opened(address: str) -> Iterator[Screen]:
 @contextmanager
 def served(*words: str) -> Iterator[Screen]:
     """`softfinger view` with these words in a process of its own, in a browser."""
-    command = [sys.executable, "-m", "softfinger.server.cli", "view", *words, "--no-open"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            said = ""
-            while (found := re.search(r"the page is (\S+);", said)) is None:
-                line = process.stderr.readline()
-                assert line, f"it ended: {said}"
-                said += line
-            with opened(found[1]) as screen:
-                yield screen
-        finally:
-            process.terminate()
+    with viewer(*words) as (_, address), opened(address) as screen:
+        yield screen
