@@ -16,7 +16,9 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.hand import Target, from_angles, hit, moved, to_angles
+from softfinger.server.viewer.hand import Target, from_angles, hit, moved, nudged, to_angles
+from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.nodes.board import squares
 from softfinger.server.viewer.nodes.bodies import Began, Bodies
 from softfinger.server.viewer.nodes.glyphs import (
     ARC_MAX,
@@ -236,6 +238,31 @@ def test_a_drag_rolls_like_a_ball() -> None:
     assert target is not None
     np.testing.assert_allclose(target.position, START.position + np.array([way, 0.0, 0.0]), atol=1e-12)
     np.testing.assert_allclose(target.orientation, (sqrt(0.5), 0.0, sqrt(0.5), 0.0), atol=1e-9)
+
+
+def test_a_nudge_moves_rolls_and_spins() -> None:
+    """Straight on without a turn; a quarter of the circumference is a quarter turn; a spin stays where it is."""
+    on = nudged(START, Nudge(x=0.001, z=-0.002), 0.01)
+    np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
+    assert on.orientation == pytest.approx(UNTURNED)
+    way = 0.5 * pi * 0.01
+    by_mouse = moved(START, EYE, GRABBED, pointer(GRABBED + np.array([0.0, way, 0.0])), "roll", 0.01)
+    by_key = nudged(START, Nudge(roll_y=way), 0.01)
+    assert by_mouse is not None and by_key.orientation == pytest.approx(by_mouse.orientation)
+    np.testing.assert_allclose(by_key.position, by_mouse.position, atol=1e-12)
+    spun = nudged(START, Nudge(spin=0.5 * pi), 0.01)
+    assert spun.orientation == pytest.approx((sqrt(0.5), 0.0, 0.0, sqrt(0.5)))
+
+
+def test_a_board_has_every_other_square() -> None:
+    """Of 13 by 13 the 85 that a chessboard has dark, level, their area a square centimetre, none beside another."""
+    corners = squares(13.0, 13)
+    assert corners.shape == (85, 4, 3) and (corners[..., 2] == 0.0).all()
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
+    np.testing.assert_allclose(across, np.tile(UP, (85, 1)), atol=1e-12)
+    middles = corners.mean(axis=1).round(6)
+    apart = np.abs(middles[:, None] - middles).sum(axis=2)
+    assert apart[apart > 0.0].min() == pytest.approx(2.0) and np.abs(middles).max() == pytest.approx(6.0)
 
 
 def test_a_look_along_a_plane_tells_nothing() -> None:
