@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import re
-import subprocess
-import sys
 from pathlib import Path
 
-from helpers.browser import eventually, opened
+from helpers.browser import eventually, served
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "page.jpg"
 RECORDING, TICK = "press-roll-spin-drag", 8900
@@ -17,20 +14,13 @@ SIZE = {"width": 1100, "height": 640}
 
 def main() -> None:
     """Serve the recording, look at it, and leave."""
-    command = [sys.executable, "-m", "softfinger.server.cli", "view", RECORDING, "--tick", str(TICK), "--no-open"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stderr is not None
-            address = next(found[1] for line in process.stderr if (found := re.search(r"the page is (\S+);", line)))
-            with opened(address) as screen:
-                screen.page.set_viewport_size(SIZE)
-                eventually(lambda: screen.shows(f"tick {TICK}"))
-                screen.tab("Plots")
-                eventually(lambda: screen.page.locator(".uplot").count() >= 3)
-                eventually(lambda: (screen.picture().std(axis=(0, 1)) > 20.0).all())
-                screen.page.screenshot(path=PICTURE, type="jpeg", quality=82)
-        finally:
-            process.terminate()
+    with served(RECORDING, "--tick", str(TICK)) as screen:
+        screen.page.set_viewport_size(SIZE)
+        eventually(lambda: screen.shows(f"tick {TICK}"))
+        screen.tab("Plots")
+        eventually(lambda: screen.page.locator(".uplot").count() >= 3)
+        eventually(lambda: (screen.picture().std(axis=(0, 1)) > 20.0).all())
+        screen.page.screenshot(path=PICTURE, type="jpeg", quality=82)
     print(f"{PICTURE}: {PICTURE.stat().st_size // 1024} kB")
 
 

@@ -224,6 +224,7 @@ class Servo:
         self._epoch_ns = _epoch_offset_ns()
         self._words = np.zeros(8, np.int64), np.zeros(8, np.int64)
         self._turns = np.zeros(8, np.int64)
+        self._missed_before = 0
         self._rings: list[Ring] = []
         """The one that is read, and after it the one of the next loop, where that has another."""
         self._dropped = 0
@@ -324,7 +325,7 @@ class Servo:
             self.shared.stop[0] = 1
         if not handover.keeps:
             self._arm()
-        handover.first = self.ticks
+        handover.first, self._missed_before = self.ticks, self.missed
         handover.begun.set()
 
     def replace(self, make: Callable[[], Loop], keeps: bool) -> int:
@@ -431,6 +432,11 @@ class Servo:
     def missed(self) -> int:
         """Deadlines missed so far."""
         return int(self.shared.progress[1])
+
+    @property
+    def missed_before(self) -> int:
+        """Deadlines missed by the loops before this one."""
+        return self._missed_before
 
     @property
     def woken_late(self) -> bool:

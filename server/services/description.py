@@ -26,6 +26,7 @@ def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
         "scene": describe(scene),
         "scene_name": scene_name,
         "since": rendering.since,
+        "since_missed": servo.missed_before,
         "fingers": [
             {
                 "name": finger.name,

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.nodes.glyphs import Quaternion, about, product
+from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.nodes.glyphs import UNTURNED, Quaternion, about, product
 from softfinger.server.viewer.nodes.looks import CM
 
 Array = NDArray[np.float64]
@@ -19,7 +20,8 @@ GRAZING: Final = 0.05
 """Of the sine of the angle between a look and a plane: below it, a pixel would be a long way."""
 HELP: Final = (
     "Take the white ball with the mouse: **drag** moves it, with **shift** up and down, which presses, with **ctrl** "
-    "it rolls like a ball. Drag anywhere else to look around."
+    "it rolls like a ball. Drag anywhere else to look around. Keys: **I J K L** level, **O** presses, **U** lifts, "
+    "**N M** spin, **shift** rolls. A gamepad: left stick, triggers; right stick rolls, bumpers spin."
 )
 NO_HAND: Final = (
     "Nothing here is to be led: a person, a puck or a recording moves the fingertip. `softfinger run --view` has a "
@@ -32,6 +34,10 @@ class Target(NamedTuple):
 
     position: Array
     orientation: Quaternion
+
+
+HOW: Final = {"moves": "move", "presses or lifts": "press", "rolls": "roll"}
+"""What a plain drag may do, by its name on the page: a touch screen has no shift and no ctrl."""
 
 
 class Led(NamedTuple):
@@ -69,11 +75,22 @@ def moved(start: Target, eye: Array, grabbed: Array, pointer: Array, how: str, r
     if found is None:
         return None
     way = (found - grabbed) * (1.0, 1.0, 0.0)
-    length = float(np.linalg.norm(way))
-    if how == "move" or length == 0.0:
+    if how == "move":
         return Target(start.position + way, start.orientation)
-    turn = about(np.cross(up, way), length / radius)
-    return Target(start.position + way, product(turn, start.orientation))
+    return Target(start.position + way, product(rolled(way, radius), start.orientation))
+
+
+def rolled(way: Array, radius: float) -> Quaternion:
+    """How a ball turns that rolls a level way (3,) m; none of it where there is no way."""
+    length = float(np.linalg.norm(way))
+    return UNTURNED if length == 0.0 else about(np.cross((0.0, 0.0, 1.0), way), length / radius)
+
+
+def nudged(start: Target, nudge: Nudge, radius: float) -> Target:
+    """The target a piece of a way further, as a ball of `radius` m where it rolls."""
+    roll = np.array([nudge.roll_x, nudge.roll_y, 0.0])
+    turn = product(about(np.array([0.0, 0.0, 1.0]), nudge.spin), rolled(roll, radius))
+    return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(turn, start.orientation))
 
 
 def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
@@ -102,6 +119,7 @@ class Hand:
         self._seen: dict[str, Target] = {}
         self._begun: dict[str, tuple[Target, Array]] = {}
         self._help = gui.add_markdown(HELP)
+        self._how = gui.add_dropdown("a drag", tuple(HOW))
         self._finger = gui.add_dropdown("finger", ("",), visible=False)
         names = (("x, mm", 60.0), ("y, mm", 60.0), ("height, mm", 60.0))
         turns = (("roll about x, deg", 90.0), ("roll about y, deg", 90.0), ("spin, deg", 180.0))
@@ -125,16 +143,16 @@ class Hand:
         if fingers:
             self._finger.options = tuple(self._fingers)
         self._finger.visible = len(fingers) > 1
-        for control in (*self._sliders, self._handles, self._let_go):
+        for control in (self._how, *self._sliders, self._handles, self._let_go):
             control.disabled = not fingers
         self._show()
 
     def take(self, finger: str, ball: Any) -> None:
         """Let a mouse take hold of a finger's ball."""
-        for modifier, how in ((None, "move"), ("shift", "press"), ("cmd/ctrl", "roll")):
+        for modifier, how in ((None, None), ("shift", "press"), ("cmd/ctrl", "roll")):
 
-            async def dragged(event: Any, how: str = how) -> None:  # in order: viser waits for one after the other
-                self._dragged(finger, event, how)
+            async def dragged(event: Any, how: str | None = how) -> None:  # in order: viser waits for one after another
+                self._dragged(finger, event, how or HOW[self._how.value])
 
             ball.on_drag("left", modifier=modifier)(dragged)
 
@@ -145,6 +163,14 @@ class Hand:
         first = finger not in self._seen
         self._seen[finger] = Target(row[AT.probe_position : AT.probe_position + 3], (w, x, y, z))
         if first:
+            self._show()
+
+    def nudge(self, nudge: Nudge) -> None:
+        """Go a piece of a way further with the finger that is chosen."""
+        finger = self._chosen()
+        target = self._target(finger)
+        if target is not None and finger in self._fingers:
+            self._go(finger, nudged(target, nudge, self._fingers[finger].radius))
             self._show()
 
     def _chosen(self) -> str:

@@ -14,8 +14,9 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.hand import Hand, Led, Target
+from softfinger.server.viewer.inputs import Gamepad, add_keys
 from softfinger.server.viewer.nodes import meshes
-from softfinger.server.viewer.page import Page, scene_of
+from softfinger.server.viewer.page import Page, began_of, scene_of
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
 from softfinger.server.wire.commands import Triangles
@@ -51,10 +52,12 @@ class LivePage:
         gui = page.server.gui
         with page.tabs.add_tab("Hand"):
             self._hand = Hand(gui, page.server.scene, self._send)
+            add_keys(gui, self._hand.nudge)
             gui.add_button_group("force", ("on", "off")).on_click(self._switch)
         with page.tabs.add_tab("Feel"):
             self._tuning = Tuning(gui, self._set_params, self._set_scene)
         page.add_views()
+        self._gamepad = Gamepad(gui)
         page.say(WAITING)
 
     def step(self, dt: float) -> None:
@@ -72,6 +75,8 @@ class LivePage:
             self._hear(event)
         if self._live.problem:
             self._page.say(self._live.problem)
+        if (nudge := self._gamepad.moved(dt)) is not None:
+            self._hand.nudge(nudge)
         for finger, rows in news.ticks.items():
             self._hand.see(finger, rows[-1])
         self._page.show(news.ticks)
@@ -103,7 +108,7 @@ class LivePage:
             self._tuning.change(scene, described["scene_name"])
             return
         self._scene, self._first = scene, int(described["since"])
-        self._page.change(scene, self._first, 1.0 / described["rate_hz"])
+        self._page.change(scene, began_of(described))
         self._tuning.change(scene, described["scene_name"])
         for number, thing in enumerate(scene.object):
             if isinstance(thing, schema.Mesh):

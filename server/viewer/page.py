@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT, MODE_NAMES
-from softfinger.server.viewer.nodes.bodies import Bodies
+from softfinger.server.viewer.nodes.bodies import Began, Bodies
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.looks import Looks
 from softfinger.server.viewer.nodes.meshes import Mesh
@@ -91,14 +91,14 @@ class Page:
         with self.tabs.add_tab("Plots"):
             self._plots = Plots(gui)
 
-    def change(self, scene: schema.Scene, first: int, period_s: float) -> None:
-        """Another scene, which began with tick `first`; its nodes take the place of those before."""
+    def change(self, scene: schema.Scene, began: Began) -> None:
+        """Another scene; its nodes take the place of those before."""
         with self.server.atomic():
             for nodes in self.fingers.values():
                 nodes.remove()
             if self._bodies is not None:
                 self._bodies.remove()
-            self._bodies = Bodies(self.server.scene, scene, first, period_s)
+            self._bodies = Bodies(self.server.scene, scene, began)
             self.fingers.clear()
             self._newest.clear()
             for finger in scene.fingers:
@@ -125,7 +125,7 @@ class Page:
         if not self._paused.value and known:
             with self.server.atomic():
                 if self._bodies is not None:
-                    self._bodies.show(int(next(iter(known.values()))[-1, AT.tick]))
+                    self._bodies.show(next(iter(known.values()))[-1])
                 for name, rows in known.items():
                     self.fingers[name].show(rows, self.looks)
         self._keep_up()
@@ -173,6 +173,12 @@ def told(name: str, row: Array) -> str:
         f"torsion {1e3 * row[AT.contact_torsion]:.2f} mN m · spin {np.degrees(row[AT.contact_spin]):.1f}° · "
         f"rolled {np.degrees(row[AT.contact_rolled]):.1f}° · tick {row[AT.tick]:.0f}"
     )
+
+
+def began_of(described: dict[str, Any]) -> Began:
+    """When the scene that a daemon describes began."""
+    own = all(finger["device"]["own_clock"] for finger in described["fingers"])
+    return Began(described["since"], described["since_missed"], 1.0 / described["rate_hz"], own)
 
 
 def scene_of(described: dict[str, Any]) -> schema.Scene:

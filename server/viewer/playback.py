@@ -16,8 +16,9 @@ from softfinger.proxy.record import AT
 from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.reader import Note, Ticks, contents
+from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.nodes.meshes import Mesh
-from softfinger.server.viewer.page import Page
+from softfinger.server.viewer.page import Page, began_of
 
 Array = NDArray[np.float64]
 
@@ -28,12 +29,13 @@ DEFAULT_SCENE: Final = "paper-plane"
 
 
 class Recording(NamedTuple):
-    """Records (n, RECORD_SIZE) of each finger by name, as many of each; the scene, and what it is called."""
+    """Records (n, RECORD_SIZE) of each finger by name, as many of each; the scene, what it is called, when it began."""
 
     fingers: dict[str, Array]
     scene: schema.Scene
     name: str
     rate_hz: float
+    began: Began
 
 
 def load(recording: str, scene: str | None) -> Recording:
@@ -62,7 +64,16 @@ def load(recording: str, scene: str | None) -> Recording:
     if named != set(fingers) and not (len(named) == 1 and set(fingers) == {""}):
         raise RecordingError(f"{path}: has fingers {sorted(fingers)}, and the scene {sorted(named)}: give its --scene")
     rate = notes.get("rate_hz", 1000.0)
-    return Recording(fingers, shown, str(notes.get("scene_name", scene or DEFAULT_SCENE)), float(rate))
+    name = str(notes.get("scene_name", scene or DEFAULT_SCENE))
+    return Recording(fingers, shown, name, float(rate), _began(notes, fingers, float(rate)))
+
+
+def _began(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> Began:
+    """When its scene began: what the daemon said, and without that with the first tick."""
+    if "since_missed" in notes:
+        return began_of(notes)
+    first = next(iter(fingers.values()))[0]
+    return Began(int(first[AT.tick]), int(first[AT.servo_missed]), 1.0 / rate_hz, own_clock=False)
 
 
 def _mcap(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -123,8 +134,7 @@ class RecordedPage:
         with page.tabs.add_tab("Recording"):
             self._player = Player(page.server.gui, recording, tick)
         page.add_views()
-        first = int(next(iter(recording.fingers.values()))[0, AT.tick])
-        page.change(recording.scene, first, 1.0 / recording.rate_hz)
+        page.change(recording.scene, recording.began)
         for number, thing in enumerate(recording.scene.object):
             if isinstance(thing, schema.Mesh):
                 self._draw(number, thing)

@@ -12,22 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.tools.bench.view import ARGUMENTS, viewer
+
 WAIT_S = 180.0
 """A generous bound: a page drawn in software, on a machine that does much else and stands still at times."""
 SIZE = (840, 520)
 """Of the window, pixels: small, since each is painted by a processor."""
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 
 
 def why_none() -> str:
@@ -90,6 +80,22 @@ class Screen:
         if key is not None:
             keyboard.up(key)
 
+    def touch(self, start: tuple[float, float], way: tuple[float, float]) -> None:
+        """Put a finger there, go so far with it, in steps, and take it away: events of a touch screen."""
+        session = self.page.context.new_cdp_session(self.page)
+        for share in np.linspace(0.0, 1.0, 11):
+            at = {"x": start[0] + share * way[0], "y": start[1] + share * way[1]}
+            kind = "touchMove" if share else "touchStart"
+            session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [at]})
+            time.sleep(0.1)
+        session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+    def choose(self, label: str, value: str) -> None:
+        """Take a value of a dropdown."""
+        field = self.page.locator(f"xpath=//label[normalize-space()={label!r}]/following::input[1]")
+        field.click(timeout=1e3 * WAIT_S)
+        self.page.get_by_role("option", name=value, exact=True).click(timeout=1e3 * WAIT_S)
+
     def fill(self, label: str, value: str) -> None:
         """Write a number into the field beside a slider."""
         field = self.page.locator(f"xpath=//label[normalize-space()={label!r}]/following::input[@type='text'][1]")
@@ -114,7 +120,7 @@ def opened(address: str) -> Iterator[Screen]:
             executable_path=shutil.which("chromium"), args=ARGUMENTS, headless=True, timeout=1e3 * WAIT_S
         )
         try:
-            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, has_touch=True)
             page.set_default_timeout(1e3 * WAIT_S)
             page.goto(address)
             page.locator("canvas").first.wait_for()
@@ -122,3 +128,10 @@ def opened(address: str) -> Iterator[Screen]:
             yield Screen(page)
         finally:
             browser.close()
+
+
+@contextmanager
+def served(*words: str) -> Iterator[Screen]:
+    """`softfinger view` with these words in a process of its own, in a browser."""
+    with viewer(*words) as (_, address), opened(address) as screen:
+        yield screen

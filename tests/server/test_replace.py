@@ -73,13 +73,14 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
     """Twenty times, the hand pressed each time: no force changes faster than the slew limit, the last of each loop is
     zero, ticks and times go on, and nothing is left of the loops before."""
     rig, kept, (first, second) = load_rig(rig_name, QUIET), Kept(), scenes()
-    begun, loops, open_before = [], [], None
+    begun, missed, loops, open_before = [], [], [], None
     with Daemon(rig, first, sinks=[kept.sink]) as running:
         running.start()
         for time_number in range(TIMES):
             assert eventually(kept.pressed)
             loops.append(weakref.ref(running.servo.shared.tuning.values))
             begun.append(running.rendering.replace(first if time_number % 2 else second))
+            missed.append(running.servo.missed_before)
             if time_number == 1:  # both are compiled
                 open_before = left_open()
             assert eventually(lambda: running.servo.ticks > begun[-1] + 5)
@@ -95,6 +96,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
         written = device._log.written().wrench
     rows = kept.all
     assert rows[:, 0].tolist() == list(range(ticks))
+    assert rows[begun, 2].tolist() == missed
     assert (np.diff(rows[:, 1]) > 0.0).all() and (np.diff(rows[:, 2]) >= 0.0).all()
     assert not rows[[number - 1 for number in begun], 3:].any()
     largest = rig.guard.force_slew_n_per_s / rig.servo.rate_hz

@@ -2,28 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.geometry.motion import pose_at
 from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.record import AT
+from softfinger.server.viewer.nodes.board import add_board
 from softfinger.server.viewer.nodes.glyphs import Quaternion
 from softfinger.server.viewer.nodes.looks import CM, OBJECTS
 from softfinger.server.viewer.nodes.meshes import PLANE_M, Mesh, mesh_of
 
+SQUARES: Final = 13
+"""Of a side of a plane's board, a centimetre each."""
+
 Place = tuple[tuple[float, float, float], Quaternion]
 
 
-class Bodies:
-    """Nodes `/objects/N`, a frame each with its surface below.
+class Began(NamedTuple):
+    """When a scene began to be rendered.
 
-    first     the tick with which the scene began, for objects that move by themselves
-    period_s  of a tick
+    tick       its first one
+    missed     deadlines missed before it
+    period_s   of a tick
+    own_clock  all devices keep their own: a missed deadline is no time
     """
 
-    def __init__(self, api: Any, scene: schema.Scene, first: int, period_s: float) -> None:
-        self._first, self._period_s = first, period_s
+    tick: int
+    missed: int
+    period_s: float
+    own_clock: bool
+
+    def time(self, row: NDArray[np.float64]) -> float:
+        """The scene's time in a tick (RECORD_SIZE,), s: the sum of the time steps of all ticks, seen or not."""
+        missed = 0.0 if self.own_clock else row[AT.servo_missed] - self.missed
+        return float(row[AT.tick] - self.tick + 1 + missed) * self.period_s
+
+
+class Bodies:
+    """Nodes `/objects/N`, a frame each with its surface below; `began` counts for those that move by themselves."""
+
+    def __init__(self, api: Any, scene: schema.Scene, began: Began) -> None:
+        self._began = began
         self._api, self._scene = api, scene
         self._root = api.add_frame("/objects", show_axes=False)
         self._frames: list[Any] = []
@@ -44,9 +68,9 @@ class Bodies:
         if len(mesh.faces):  # of crumbs alone nothing may be left
             _put_surface(self._api, f"/objects/{number}", self._scene.object[number], mesh, _colour(number))
 
-    def show(self, tick: int) -> None:
-        """Put those that move by themselves where they are at a tick."""
-        time = (tick - self._first + 1) * self._period_s
+    def show(self, row: NDArray[np.float64]) -> None:
+        """Put those that move by themselves where they are in a tick (RECORD_SIZE,)."""
+        time = self._began.time(row)
         for number, (motion, rest) in self._moving.items():
             pose = pose_at(motion, rest, time)
             self.places[number] = (pose.position, pose.orientation)
@@ -81,17 +105,8 @@ def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None
     if mesh is None:
         api.add_label(f"{node}/name", f"{thing.name}: no picture of a {thing.shape}")
         return
-    if thing.shape == "plane":  # as one layer: a page without a graphics card counts the pixels it paints
-        edge = CM * PLANE_M
-        api.add_grid(
-            f"{node}/surface",
-            width=edge,
-            height=edge,
-            cell_size=1.0,
-            section_size=5.0,
-            plane_color=colour,
-            plane_opacity=0.7,
-        )
+    if thing.shape == "plane":
+        add_board(api, f"{node}/surface", CM * PLANE_M, SQUARES, colour, opacity=0.85)
         return
     _put_surface(api, node, thing, mesh, colour)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES
 from softfinger.server.viewer.nodes.bodies import Bodies
-from softfinger.server.viewer.nodes.glyphs import UNTURNED, Way, arc, circles, inverse, rotated, towards
+from softfinger.server.viewer.nodes.glyphs import Way, arc, circles, inverse, rotated, towards
 from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, MARKS, NORMAL, OF_MODE, SKIN, TORSION, Looks
 from softfinger.server.viewer.nodes.meshes import cone, ellipsoid
 
@@ -65,29 +65,31 @@ class FingerNodes:
         self.ball = api.add_mesh_simple(
             f"{self._node}/tip/ball", vertices, shape.faces, color=SKIN, opacity=0.75, cast_shadow=False
         )
-        self._lines("tip/marks", rings, MARKS, 0.035)
-        self._ghost = self._lines("probe", rings, GHOST, 0.035)
-        self._apart = self._lines("apart", np.zeros((1, 2, 3)), GHOST, 0.08)
+        self._lines("tip/marks", rings, MARKS, 2.0)
+        self._ghost = self._lines("probe", rings, GHOST, 2.0)
+        self._apart = self._lines("apart", np.zeros((1, 2, 3)), GHOST, 3.0)
         self._force = api.add_arrows(
             f"{self._node}/force", np.zeros((1, 2, 3)), SKIN, shaft_radius=0.07, head_radius=0.18, head_length=0.35
         )
-        self._normals = self._lines("normals", np.zeros((PATCHES, 2, 3)), NORMAL, 0.05)
+        self._normals = self._lines("normals", np.zeros((PATCHES, 2, 3)), NORMAL, 2.5)
         self._dots = [
             api.add_icosphere(f"{self._node}/contact{k}", radius=0.12, color=SKIN, cast_shadow=False)
             for k in range(PATCHES)
         ]
-        self._arc = self._lines("torsion", arc(1.0, 1.0), TORSION, 0.13)
+        self._arc = self._lines("torsion", arc(1.0, 1.0), TORSION, 6.0)
         self._cone = api.add_mesh_simple(
             f"{self._node}/cone", *cone(1.0, 0.5)[:2], color=CONE, opacity=0.35, side="double", cast_shadow=False
         )
         self._slope = 0.5
         self._on_tip = Way(STEP_M)
-        self._tip_trace = self._lines("tip/trace", self._on_tip.segments, SKIN, 0.09)
+        self._tip_trace = self._lines("tip/trace", self._on_tip.segments, SKIN, 3.5)
         self._on_objects: dict[int, tuple[Way, Any]] = {}
         self._touched = -1
 
     def _lines(self, node: str, segments: Array, colour: Any, thickness: float) -> Any:
-        return self._api.add_line_segments(f"{self._node}/{node}", segments, colour, thickness=thickness)
+        return self._api.add_line_segments(
+            f"{self._node}/{node}", segments, colour, thickness=thickness, thickness_units="screen"
+        )
 
     def show(self, rows: Array, looks: Looks) -> None:
         """The ticks (n, RECORD_SIZE) since the last time: the newest as a picture, all of them as a trace."""
@@ -170,7 +172,7 @@ class FingerNodes:
         if number not in self._on_objects:
             way, name = Way(STEP_M), self._node.replace("/", "-")
             node = self._api.add_line_segments(
-                f"/objects/{number}/trace{name}", way.segments, way.colours, thickness=0.09, wxyz=UNTURNED
+                f"/objects/{number}/trace{name}", way.segments, way.colours, thickness=3.5, thickness_units="screen"
             )
             self._on_objects[number] = (way, node)
         return self._on_objects[number]

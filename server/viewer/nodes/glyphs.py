@@ -17,6 +17,13 @@ ARC_MAX: Final = 1.85 * pi
 HEAD_RAD: Final = 0.32
 """Length of an arc's arrow head."""
 
+GROWTH: Final = 20
+"""Segments by which the node of a way grows."""
+LONGEST: Final = 25.0
+"""Longest segment of a way, in its steps: 5 mm."""
+UNSEEN: Final = 0.12
+"""A point that is left out of a way lies so many of its steps beside it: 0.02 mm, and a fifth of a pixel."""
+
 UNTURNED: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -82,36 +89,63 @@ def about(axis: Array, angle: float) -> Quaternion:
 
 
 class Way:
-    """The newest part of a way, as segments with a colour each.
+    """The newest part of a way, as segments with a colour each, as few as will do: each costs the page time.
 
-    least  shortest segment: what is nearer to the last point is left out
+    least     shortest step: what is nearer to the last point is left out
+    segments  how many are kept
     """
 
-    def __init__(self, least: float, segments: int = 200) -> None:
-        self.segments = np.zeros((segments, 2, 3))
-        self.colours = np.zeros((segments, 2, 3), np.uint8)
-        self.count = 0
-        """Segments drawn so far; those not drawn yet have no length."""
-        self._least, self._last = least, None
+    def __init__(self, least: float, segments: int = 120) -> None:
+        self._segments = np.zeros((segments, 2, 3))
+        self._colours = np.zeros((segments, 2, 3), np.uint8)
+        self._least, self._count, self._last = least, 0, None
 
     _last: Array | None
 
+    @property
+    def segments(self) -> Array:
+        """Those drawn so far (n, 2, 3), and some without a length, lest there be other nodes for each one more."""
+        return self._segments[: self._shown()]
+
+    @property
+    def colours(self) -> NDArray[np.uint8]:
+        """Of the segments (n, 2, 3)."""
+        return self._colours[: self._shown()]
+
+    def _shown(self) -> int:
+        return min(self._count + GROWTH - self._count % GROWTH, len(self._segments))
+
     def lift(self) -> None:
         """The next point begins anew, away from the last."""
-        self._last = None
+        self._last, self._goes_on = None, False
+
+    _goes_on = False
 
     def clear(self) -> None:
-        self.segments[:], self.count, self._last = 0.0, 0, None
+        self._segments[:], self._count = 0.0, 0
+        self.lift()
 
     def add(self, point: Array, colour: tuple[int, int, int]) -> bool:
-        """Go on to a point (3,); True where that drew a segment."""
+        """Go on to a point (3,); True where that drew a segment or a longer one."""
         if self._last is None:
             self._last = point
             return False
         if np.linalg.norm(point - self._last) < self._least:
             return False
-        place = self.count % len(self.segments)
-        self.segments[place] = self._last, point
-        self.colours[place] = colour
-        self.count, self._last = self.count + 1, point
+        newest = (self._count - 1) % len(self._segments)
+        if self._goes_on and self._straight(newest, point) and (self._colours[newest, 0] == colour).all():
+            self._segments[newest, 1] = point
+        else:
+            place = self._count % len(self._segments)
+            self._segments[place], self._colours[place] = (self._last, point), colour
+            self._count += 1
+        self._last, self._goes_on = point, True
         return True
+
+    def _straight(self, newest: int, point: Array) -> bool:
+        """Whether the newest segment may go on to a point: it is short, and its end would lie beside it unseen."""
+        start, end = self._segments[newest]
+        long = point - start
+        length = float(np.linalg.norm(long))
+        beside = float(np.linalg.norm(np.cross(end - start, long))) / max(length, self._least)
+        return length < LONGEST * self._least and beside < UNSEEN * self._least

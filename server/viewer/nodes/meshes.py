@@ -1,9 +1,13 @@
-"""Objects and fingertips as triangles, in their own frame, m: what the model touches, fine enough to look so."""
+"""Objects and fingertips as triangles, in their own frame, m: what the model touches, fine enough to look so.
+
+A shape more is a line more in `TRIANGLES`, at the end.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import pi
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +17,9 @@ from softfinger.config.schema import shapes
 Array = NDArray[np.float64]
 Faces = NDArray[np.uint32]
 
-AROUND: Final = 64
-"""Corners of a circle."""
-PLANE_M: Final = 0.12
+AROUND: Final = 40
+"""Corners of a circle: half a pixel from round on a usual page, and each costs time without a graphics card."""
+PLANE_M: Final = 0.13
 """Edge of what is drawn of a plane, which has no end."""
 ENDLESS_M: Final = 0.2
 """Length of what is drawn of a cylinder without ends."""
@@ -41,22 +45,8 @@ def sent(vertices: bytes, triangles: bytes) -> Mesh:
 def mesh_of(thing: shapes.ObjectBase) -> Mesh | None:
     """The surface of an object; None for a shape of another package, which is not known here, and for a mesh, whose
     triangles are in no table."""
-    match thing:
-        case shapes.Plane():
-            return plane(PLANE_M)
-        case shapes.Sphere():
-            return ellipsoid((thing.radius_m,) * 3)
-        case shapes.Cylinder():
-            return cylinder(thing.radius_m, thing.length_m or ENDLESS_M, closed=thing.length_m is not None)
-        case shapes.Capsule():
-            return capsule(thing.radius_m, thing.length_m)
-        case shapes.Box():
-            return box(thing.size_m)
-        case shapes.Ellipsoid():
-            return ellipsoid(thing.semi_axes_m)
-        case shapes.Torus():
-            return torus(thing.major_radius_m, thing.minor_radius_m)
-    return None
+    triangles = TRIANGLES.get(type(thing))
+    return None if triangles is None else triangles(thing)
 
 
 def plane(edge: float) -> Mesh:
@@ -91,7 +81,7 @@ def capsule(radius: float, length: float) -> Mesh:
 
 def torus(major: float, minor: float) -> Mesh:
     """About the z axis."""
-    angle = np.linspace(0.0, 2.0 * pi, AROUND // 2 + 1)
+    angle = np.linspace(0.0, 2.0 * pi, AROUND + 1)
     return lathe(np.column_stack([major + minor * np.cos(angle), minor * np.sin(angle)]))
 
 
@@ -128,3 +118,17 @@ def joined(*parts: Mesh) -> Mesh:
     first = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])]).astype(np.uint32)
     faces = [part.faces + start for part, start in zip(parts, first, strict=True)]
     return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+
+
+TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh]]] = {
+    shapes.Plane: lambda thing: plane(PLANE_M),
+    shapes.Sphere: lambda thing: ellipsoid((thing.radius_m,) * 3),
+    shapes.Cylinder: lambda thing: cylinder(
+        thing.radius_m, thing.length_m or ENDLESS_M, closed=thing.length_m is not None
+    ),
+    shapes.Capsule: lambda thing: capsule(thing.radius_m, thing.length_m),
+    shapes.Box: lambda thing: box(thing.size_m),
+    shapes.Ellipsoid: lambda thing: ellipsoid(thing.semi_axes_m),
+    shapes.Torus: lambda thing: torus(thing.major_radius_m, thing.minor_radius_m),
+}
+"""What draws each shape: its table in a scene, to its surface."""

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import re
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.browser import Screen, eventually, opened, why_none
+from helpers.browser import Screen, eventually, served, why_none
 from numpy.typing import NDArray
 
 from softfinger.config.load import load_rig, load_scene
@@ -26,24 +22,6 @@ pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason
 
 ROLL, SPIN, SLIDE = 4300, 7000, 9000
 """Ticks of the shipped recording: half way through its roll, wound up, and dragged along."""
-
-
-@contextmanager
-def page(*words: str) -> Iterator[Screen]:
-    """`softfinger view` with these words in a process of its own, in a browser."""
-    command = [sys.executable, "-m", "softfinger.server.cli", "view", *words, "--no-open"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            said = ""
-            while (found := re.search(r"the page is (\S+);", said)) is None:
-                line = process.stderr.readline()
-                assert line, f"it ended: {said}"
-                said += line
-            with opened(found[1]) as screen:
-                yield screen
-        finally:
-            process.terminate()
 
 
 def coloured(picture: NDArray[np.int64]) -> dict[str, int]:
@@ -61,7 +39,7 @@ def test_a_roll_a_spin_and_a_slide_are_told_apart_by_their_colours(tmp_path: Pat
     file = tmp_path / "run.mcap"
     write_results(file, run_recording("press-roll-spin-drag"))
     seen = {}
-    with page(str(file)) as screen:
+    with served(str(file)) as screen:
         assert eventually(lambda: screen.shows("tick 0"))
         for tick in (ROLL, SPIN, SLIDE):
             screen.fill("tick", str(tick))
@@ -88,7 +66,7 @@ def daemon() -> Iterator[Daemon]:
 @pytest.fixture(scope="module")
 def screen(daemon: Daemon) -> Iterator[Screen]:
     endpoint, commands = daemon.publisher.endpoint, str(daemon.commands_endpoint)
-    with page("--endpoint", endpoint, "--commands", commands) as screen:
+    with served("--endpoint", endpoint, "--commands", commands) as screen:
         yield screen
 
 

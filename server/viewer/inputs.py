@@ -1,0 +1,112 @@
+"""Keys and gamepads: what else than a mouse leads the hand, a step or a speed at a time."""
+
+from __future__ import annotations
+
+import html
+import time
+from collections.abc import Callable
+from math import isfinite, radians
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+SCRIPT: Final = Path(__file__).with_name("gamepad.js")
+GAMEPAD: Final = "gamepad"
+"""Name of the text field that the script writes to."""
+NUMBERS: Final = 9
+"""Of a gamepad: a counter, two sticks, and four buttons."""
+REST: Final = 0.15
+"""A stick that is let go is seldom at 0."""
+SILENT_S: Final = 0.3
+"""A gamepad that has told nothing for so long is let go: its page may be gone."""
+SPEED: Final = 0.05
+"""m/s of a stick or trigger that is all the way down."""
+SPIN_RAD_S: Final = 1.5
+STEP_M: Final = 0.001
+"""Of a key."""
+STEP_RAD: Final = radians(5.0)
+
+
+class Nudge(NamedTuple):
+    """A piece of a way: x, y, z m in the world; roll_x, roll_y m, as a ball on a level plane; spin rad about z."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    roll_x: float = 0.0
+    roll_y: float = 0.0
+    spin: float = 0.0
+
+    def times(self, factor: float) -> Nudge:
+        """So many times as far."""
+        return Nudge(*(factor * part for part in self))
+
+
+KEYS: Final[dict[str, tuple[str, str | None, Nudge]]] = {
+    "hand to the left": ("J", None, Nudge(x=-STEP_M)),
+    "hand to the right": ("L", None, Nudge(x=STEP_M)),
+    "hand away": ("I", None, Nudge(y=STEP_M)),
+    "hand nearer": ("K", None, Nudge(y=-STEP_M)),
+    "hand up": ("U", None, Nudge(z=STEP_M)),
+    "hand down, which presses": ("O", None, Nudge(z=-STEP_M)),
+    "roll to the left": ("J", "shift", Nudge(roll_x=-STEP_M)),
+    "roll to the right": ("L", "shift", Nudge(roll_x=STEP_M)),
+    "roll away": ("I", "shift", Nudge(roll_y=STEP_M)),
+    "roll nearer": ("K", "shift", Nudge(roll_y=-STEP_M)),
+    "spin to the left": ("N", None, Nudge(spin=STEP_RAD)),
+    "spin to the right": ("M", None, Nudge(spin=-STEP_RAD)),
+}
+"""What each key does, by the name that the page's list of commands has for it: key, modifier, nudge a stroke.
+
+W, A, S, D, Q, E and the arrows move the camera already."""
+
+
+def add_keys(gui: Any, nudge: Callable[[Nudge], None]) -> None:
+    """The keys of KEYS, wherever on the page; held, they repeat."""
+    for name, (key, modifier, step) in KEYS.items():
+        gui.add_command(name, hotkey=key, modifier=modifier).on_trigger(lambda event, step=step: nudge(step))
+
+
+class Gamepad:
+    """A gamepad at the computer of whoever looks: a frame of the page that tells of it, and what it tells."""
+
+    def __init__(self, gui: Any) -> None:
+        script = html.escape(f"<script>{SCRIPT.read_text('utf-8')}</script>", quote=True)
+        gui.add_html(f'<iframe hidden srcdoc="{script}"></iframe>')
+        self._field = gui.add_text(GAMEPAD, "")
+        self._field.on_update(self._told)
+        self._speed, self._at = Nudge(), 0.0
+
+    def _told(self, event: Any) -> None:
+        if event.client is not None:
+            self._speed, self._at = speed_of(self._field.value), time.monotonic()
+
+    def moved(self, dt: float) -> Nudge | None:
+        """How far it has led the hand in `dt` s; None while it is let go."""
+        if self._speed == Nudge() or time.monotonic() - self._at > SILENT_S:
+            return None
+        return self._speed.times(dt)
+
+
+def speed_of(told: str) -> Nudge:
+    """What a gamepad's numbers ask for, each a second; nothing where they are none.
+
+    told  a counter; left stick right and down, right stick right and down; right and left bumper, right and left
+          trigger, between -1 and 1 each
+    """
+    try:
+        values = [float(part) for part in told.split()]
+    except ValueError:
+        return Nudge()
+    if len(values) != NUMBERS or not all(isfinite(value) for value in values):
+        return Nudge()
+    x, y, roll_x, roll_y, right, left, press, lift = (
+        0.0 if abs(value) < REST else min(max(value, -1.0), 1.0) for value in values[1:]
+    )
+    return Nudge(
+        x=SPEED * x,
+        y=-SPEED * y,
+        z=SPEED * (lift - press),
+        roll_x=SPEED * roll_x,
+        roll_y=-SPEED * roll_y,
+        spin=SPIN_RAD_S * (left - right),
+    )

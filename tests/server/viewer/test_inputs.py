@@ -1,0 +1,146 @@
+"""What leads the hand beside the mouse, and what is chosen on the page: each arrives in the daemon, from a browser.
+
+There is no gamepad here: a script in the page plays one, in place of the browser's list of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from helpers.browser import Screen, eventually, served, why_none
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+from softfinger.server.remote import Client
+from softfinger.server.viewer.inputs import KEYS, SPEED, SPIN_RAD_S, Nudge, speed_of
+from softfinger.server.viewer.nodes.looks import CM
+from softfinger.server.viewer.page import FIRST_CAMERA
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+
+PAD = """(axes) => {
+    const buttons = Array.from({length: 17}, () => ({pressed: false, value: 0}));
+    navigator.getGamepads = () => [{connected: true, mapping: "standard", axes, buttons}];
+}"""
+NO_PAD = "() => { navigator.getGamepads = () => [] }"
+RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    """A hand that waits to be led, above the paper's plane."""
+    with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
+        running.start()
+        yield running
+
+
+@pytest.fixture(scope="module")
+def screen(daemon: Daemon) -> Iterator[Screen]:
+    with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
+        assert eventually(lambda: screen.shows("free"))
+        yield screen
+
+
+@pytest.fixture
+def client(daemon: Daemon) -> Iterator[Client]:
+    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=180.0) as client:
+        yield client
+
+
+def place(client: Client) -> np.ndarray:
+    return np.array(client.get_state().position)
+
+
+def test_keys_lead_the_hand(screen: Screen, client: Client) -> None:
+    """Strokes to the right, then down until it presses."""
+    start = place(client)
+
+    def went_right() -> bool:
+        screen.page.keyboard.press("l")
+        return bool((place(client) - start)[0] > 0.003)
+
+    assert eventually(went_right, every_s=0.3)
+
+    def pressed() -> bool:
+        screen.page.keyboard.press("o")
+        return client.get_state().force[2] > 0.2
+
+    assert eventually(pressed, every_s=0.3)
+    assert eventually(lambda: screen.page.keyboard.press("u") or client.get_state().force[2] == 0.0, every_s=0.3)
+
+
+def test_a_finger_on_the_touch_screen_leads_the_hand(screen: Screen, client: Client) -> None:
+    """A drag moves it level; told that a drag presses, the same drag goes down or up."""
+
+    def ball() -> tuple[float, float]:
+        x, y, z = place(client)
+        return screen.at((CM * x, CM * y, CM * z), FIRST_CAMERA)
+
+    start = place(client)
+
+    def moved() -> bool:
+        screen.touch(ball(), (-40.0, 0.0))
+        return float(np.linalg.norm((place(client) - start)[:2])) > 0.002
+
+    assert eventually(moved, every_s=1.0)
+    screen.tab("Hand")
+    screen.choose("a drag", "presses or lifts")
+    lifted_from = place(client)
+
+    def lifted() -> bool:
+        screen.touch(ball(), (0.0, -30.0))
+        return bool((place(client) - lifted_from)[2] > 0.002)
+
+    assert eventually(lifted, every_s=1.0)
+    screen.choose("a drag", "moves")
+
+
+def test_a_gamepad_leads_the_hand(screen: Screen, client: Client) -> None:
+    """Its left stick held away goes on and on; let go, the hand stays; without one its field is not shown."""
+    field = screen.page.locator("xpath=//label[normalize-space()='gamepad']")
+    assert eventually(lambda: not field.is_visible())
+    start = place(client)
+    screen.page.evaluate(PAD, [0.0, -1.0, 0.0, 0.0])
+    assert eventually(lambda: (place(client) - start)[1] > 0.004)
+    assert field.is_visible()
+    screen.page.evaluate(PAD, [0.05, -0.05, 0.0, 0.0])  # as a stick at rest is
+    assert eventually(lambda: resting(client))
+    screen.page.evaluate(NO_PAD)
+
+
+def resting(client: Client) -> bool:
+    return float(np.linalg.norm(client.get_state().velocity)) < 1e-4
+
+
+def test_a_rolling_method_arrives_in_the_daemon(screen: Screen, client: Client) -> None:
+    """Compiled beside, then rendered: what the daemon describes has it."""
+    screen.tab("Feel")
+    assert client.describe()["scene"]["rolling"]["method"] == "euler_zxz"
+    screen.choose("rolling", "none")
+    assert eventually(lambda: client.describe()["scene"].get("rolling") is None)
+
+
+def test_a_scene_arrives_and_one_that_cannot_be_is_refused(screen: Screen, client: Client) -> None:
+    """The daemon renders the one; of the other, which wants two fingers, the page says why, and shows what stays."""
+    screen.tab("Feel")
+    screen.choose("scene", "frictionless-plane")
+    assert eventually(lambda: client.describe()["scene_name"] == "frictionless-plane")
+    screen.choose("scene", "pinch")
+    assert eventually(lambda: screen.shows("Not done:"))
+    assert client.describe()["scene_name"] == "frictionless-plane"
+    scene = screen.page.locator("xpath=//label[normalize-space()='scene']/following::input[1]")
+    assert eventually(lambda: scene.input_value() == "frictionless-plane")
+
+
+def test_what_is_no_gamepad_moves_nothing() -> None:
+    """Words, too few numbers, none, and a stick at rest; one that says more than it may counts as all the way."""
+    assert {speed_of(text) for text in ("", "a b", "1 2 3", "1 nan 0 0 0 0 0 0 0", "1 0.1 0 0 0 0 0 0 0")} == {Nudge()}
+    assert speed_of("1 9 0 0 0 0 1 0 0") == Nudge(x=SPEED, spin=SPIN_RAD_S)
+
+
+def test_no_key_is_two_things() -> None:
+    """Each key and modifier stands once, and none is one that moves the camera."""
+    used = [(key, modifier) for key, modifier, _ in KEYS.values()]
+    assert len(set(used)) == len(used) and not {key for key, _ in used} & set("WASDQE")

@@ -1,0 +1,79 @@
+"""Several fingers, and an object that is driven, in a real browser: where the page has them is where the daemon has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.browser import Screen, eventually, served, why_none
+from helpers.two_fingers import NAMES, two_devices, two_fingers
+
+from softfinger.server.app import Daemon
+from softfinger.server.remote import Client
+from softfinger.server.viewer.nodes.looks import CM
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+
+MATERIAL = {"stiffness_n_per_m": 1000.0}
+TABLE = {"name": "table", "shape": "plane", "material": MATERIAL}
+LID = {
+    "name": "lid",
+    "shape": "box",
+    "position_m": [0.0, 0.0, 0.06],
+    "size_m": [0.02, 0.02, 0.02],
+    "motion": {"kind": "driven"},
+    "material": MATERIAL,
+}
+NODE = "name => window.__viserMutable.nodeRefFromName[name]?.position.toArray()"
+"""What is drawn, not what was sent."""
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    """Two hands to be led, a table, and a lid above it."""
+    hand = {"driver": "simulated", "recording": "tap", "loop": True}
+    rig = two_devices(hand, hand, commands={"endpoint": "tcp://127.0.0.1:*"})
+    with Daemon(rig, two_fingers(object=[TABLE, LID]), scene_name="two") as running:
+        running.start()
+        yield running
+
+
+@pytest.fixture(scope="module")
+def screen(daemon: Daemon) -> Iterator[Screen]:
+    with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
+        yield screen
+
+
+@pytest.fixture
+def client(daemon: Daemon) -> Iterator[Client]:
+    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=60.0) as client:
+        yield client
+
+
+def stands(screen: Screen, node: str, place: list[float], within_m: float) -> bool:
+    """Whether a node of the page is there, below its parent, and at a place (3,) m."""
+    found: Any = screen.page.evaluate(NODE, node)
+    return found is not None and bool(np.allclose(np.array(found) / CM, place, atol=within_m))
+
+
+def test_each_finger_has_a_ball_that_is_led_by_itself(screen: Screen, client: Client) -> None:
+    """Both are told of in words; each goes where its hand is asked to be, and the other stays where it was."""
+    assert eventually(lambda: all(screen.shows(f"{name}: ") for name in NAMES))
+    places = {"thumb": [0.03, 0.0, 0.04], "index": [-0.03, 0.01, 0.05]}
+    for name, place in places.items():
+        client.ask("hand", {"finger": name, "position_m": place})
+    for name, place in places.items():
+        tip = f"/fingers/{name}/tip"
+        assert eventually(lambda tip=tip, place=place: stands(screen, tip, place, 1e-3)), name
+    client.ask("hand", {"finger": "thumb", "release": True})
+
+
+def test_a_driven_object_moves_on_the_page(screen: Screen, client: Client) -> None:
+    """To where the command drove it, and the other stays."""
+    assert eventually(lambda: stands(screen, "/objects/1", [0.0, 0.0, 0.06], 1e-6))
+    for x in (0.01, 0.025):
+        client.ask("drive", {"object": "lid", "position_m": [x, 0.0, 0.06]})
+        assert eventually(lambda x=x: stands(screen, "/objects/1", [x, 0.0, 0.06], 1e-6))
+    assert stands(screen, "/objects/0", [0.0, 0.0, 0.0], 0.0)

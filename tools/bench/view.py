@@ -1,0 +1,228 @@
+"""`bench view`: what pages that look on cost the servo, and how many pictures a second a page draws.
+
+One process runs the daemon, each viewer is a process of its own. Cases take turns, so that whatever the machine does
+meanwhile falls on all of them: no viewer; viewers that no browser has opened, one and several; with `--browsers` one
+viewer with a page in Chromium, and with several. Their pictures are drawn by software, as on a machine without a
+graphics card, and counted by the page itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError
+from softfinger.server.offline.figures import figure, save
+from softfinger.server.progress import progress
+from softfinger.server.wire.client import subscribe
+from softfinger.tools.bench.telemetry import await_messages, processor_s, source
+from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
+
+TURN_S: Final = 10.0
+SETTLE_S: Final = 8.0
+"""A page that is slow first lowers its resolution, twice."""
+SIZE: Final = (1100, 700)
+"""Of a page, pixels."""
+ARGUMENTS: Final = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+"""A Chromium that draws in software, and asks nobody for anything."""
+
+COUNT: Final = """() => {
+    const begun = performance.now();
+    let frames = 0;
+    const count = () => { frames += 1; requestAnimationFrame(count); };
+    requestAnimationFrame(count);
+    window.framesPerSecond = () => 1000 * frames / (performance.now() - begun);
+}"""
+
+
+class Case(NamedTuple):
+    """How many processes serve a page, and how many browsers' pages are open at the first of them."""
+
+    viewers: int
+    pages: int
+
+
+class Turn(NamedTuple):
+    """Ticks (n, 3): lateness s, busy s, deadlines missed so far; a viewer's share of a processor; frames a second."""
+
+    ticks: Array
+    load: float
+    frames: list[float]
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--viewers", type=int, default=10, metavar="N", help="viewers at once (default: %(default)s)")
+    parser.add_argument("--browsers", type=int, default=0, metavar="N", help="pages at once in Chromium (%(default)s)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="how long to measure each (default: %(default)s)")
+    parser.add_argument("--rig", default="simulated", help="rig file or name (default: %(default)s)")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    known = cases(args)
+    turns = max(1, round(args.seconds / TURN_S))
+    found: dict[str, list[Turn]] = {name: [] for name in known}
+    with tempfile.TemporaryDirectory() as folder:
+        commands = f"ipc://{folder}/commands"
+        words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", args.rig]
+        with source([*words, "--endpoint", "ENDPOINT", "--commands", commands], "ipc", Path(folder)) as shown:
+            await_messages(shown.endpoint)
+            with progress("measuring", turns * len(known)) as done:
+                for number in range(turns * len(known)):
+                    name = list(known)[number % len(known)]
+                    found[name].append(measure(known[name], shown.endpoint, commands, args.seconds / turns))
+                    done(number + 1)
+    result = {name: summary(parts) for name, parts in found.items()}
+    show({"rig": args.rig, "seconds": args.seconds, "cases": result}, args.json, table(result))
+    if args.plot:
+        draw(args.plot, found)
+    return 0
+
+
+def cases(args: argparse.Namespace) -> dict[str, Case]:
+    """What is measured, by what it is called; ConfigError for browsers that are not there."""
+    if args.viewers < 1 or args.browsers < 0:
+        raise ConfigError(f"--viewers {args.viewers} --browsers {args.browsers}: give at least 1 viewer, 0 browsers")
+    found = {"no viewer": Case(0, 0), "1 viewer": Case(1, 0)}
+    if args.viewers > 1:
+        found[f"{args.viewers} viewers"] = Case(args.viewers, 0)
+    if args.browsers:
+        if shutil.which("chromium") is None:
+            raise ConfigError("--browsers: there is no chromium here: install it (Debian: apt install chromium)")
+        found["1 page"] = Case(1, 1)
+    if args.browsers > 1:
+        found[f"{args.browsers} pages"] = Case(1, args.browsers)
+    return found
+
+
+def measure(case: Case, endpoint: str, commands: str, seconds: float) -> Turn:
+    """The daemon's ticks while so many look on."""
+    with ExitStack() as running:
+        words = ["--endpoint", endpoint, "--commands", commands]
+        served = [running.enter_context(viewer(*words)) for _ in range(case.viewers)]
+        pages = running.enter_context(opened(served[0][1], case.pages)) if case.pages else []
+        for page in pages:
+            page.evaluate(COUNT)
+        used, begun = [processor_s(process.pid) for process, _ in served], time.monotonic()
+        ticks = received(endpoint, seconds)
+        frames = [float(page.evaluate("framesPerSecond()")) for page in pages]
+        spent = [processor_s(process.pid) - before for (process, _), before in zip(served, used, strict=True)]
+        return Turn(ticks, float(np.mean(spent)) / (time.monotonic() - begun) if spent else 0.0, frames)
+
+
+def received(endpoint: str, seconds: float) -> Array:
+    """Every tick (n, 3) of so many seconds: lateness s, busy s, deadlines missed so far."""
+    rows, end = [], time.monotonic() + seconds
+    with subscribe(endpoint) as samples:
+        while (left := end - time.monotonic()) > 0.0:
+            if (sample := samples.receive(left)) is not None:
+                servo = sample.data.servo
+                rows.append((servo.late, servo.busy, servo.missed))
+    return np.array(rows).reshape(-1, 3)
+
+
+@contextmanager
+def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A process `softfinger view` with these words, and its page's address; ConfigError with what it said without."""
+    command = [sys.executable, "-m", "softfinger.server.cli", "view", "--no-open", *words]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            said = ""
+            while (found := re.search(r"the page is (\S+);", said)) is None:
+                line = process.stderr.readline()
+                if not line:
+                    raise ConfigError(f"no page was served: {said.strip() or 'it ended without a word'}")
+                said += line
+            yield process, found[1]
+        finally:
+            process.terminate()
+            process.communicate(timeout=30.0)
+
+
+@contextmanager
+def opened(address: str, count: int) -> Iterator[list[Any]]:
+    """So many pages of a Chromium without a screen, once they are drawn; ConfigError without playwright."""
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        raise ConfigError("--browsers drives Chromium by playwright: pip install playwright") from None
+    with sync_playwright() as tool:
+        browser = tool.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS, headless=True)
+        try:
+            pages = []
+            for _ in range(count):
+                page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+                page.set_default_timeout(180_000.0)
+                page.goto(address)
+                page.locator("canvas").first.wait_for()
+                pages.append(page)
+            time.sleep(SETTLE_S)
+            yield pages
+        finally:
+            browser.close()
+
+
+def summary(turns: list[Turn]) -> dict[str, Any]:
+    """What is told of a case."""
+    late, busy = (np.concatenate([turn.ticks[:, column] for turn in turns]) for column in (0, 1))
+    missed = [float(turn.ticks[-1, 2] - turn.ticks[0, 2]) for turn in turns]
+    frames = [rate for turn in turns for rate in turn.frames]
+    return {
+        "ticks": len(late),
+        "missed_of_1000": 1e3 * sum(missed) / (sum(missed) + len(late)),
+        "late": quantiles(late, 1000),
+        "busy": quantiles(busy, 1000),
+        "viewer_load": float(np.mean([turn.load for turn in turns])),
+        "frames_per_s": {"least": min(frames), "median": float(np.median(frames))} if frames else None,
+    }
+
+
+def table(result: dict[str, dict[str, Any]]) -> list[str]:
+    lines = [
+        "beside the daemon   missed of 1000   late p50        p99   busy p50        p99   a viewer   frames a second"
+    ]
+    for name, each in result.items():
+        cells = "".join(
+            microseconds(each[what]["blocks"][q]) + "  " for what in ("late", "busy") for q in ("p50", "p99")
+        )
+        frames = each["frames_per_s"]
+        told = f"{frames['median']:.0f}, least {frames['least']:.0f}" if frames else ""
+        load = f"{100.0 * each['viewer_load']:5.1f} %" if each["viewer_load"] else ""
+        lines.append(f"  {name:<18} {each['missed_of_1000']:12.2f}   {cells}   {load:<8}   {told}")
+    return [*lines, "  us; medians over blocks of 1000 ticks; a viewer: its share of one processor"]
+
+
+def draw(path: Path, found: dict[str, list[Turn]]) -> None:
+    drawing = figure()
+    axes = drawing.add_subplot()
+    for name, turns in found.items():
+        late = np.sort(np.concatenate([turn.ticks[:, 0] for turn in turns])) * 1e6
+        axes.loglog(late.clip(1.0), 1.0 - np.arange(len(late)) / len(late), label=name)
+    axes.set_xlabel("woken late, us")
+    axes.set_ylabel("share of ticks later than this")
+    axes.legend()
+    axes.grid(True, alpha=0.3)
+    save(drawing, path)
