@@ -2,10 +2,10 @@
 
     python tests/vm/run.py [--kernel PACKAGE] [--limit SECONDS] [--plain COMMAND] [--systemd] [words for pytest ...]
 
-Needs no privilege and no KVM: the processor is emulated, some twenty times slower than this one. The drivers' tests
-(`on_*.py`) and those of the service (`under_systemd.py`), which have systemd as the first process and may write, are
-run in a machine each. The exit code is that of the tests; 124 when they took longer than the limit, 1 when the machine
-could not be made or ended without a word.
+Needs no KVM, and for the drivers no privilege: the processor is emulated, some twenty times slower than this one. The
+drivers' tests (`on_*.py`) and those of the service (`under_systemd.py`), which have systemd as the first process and
+may write, are run in a machine each. The exit code is that of the tests; 124 when they took longer than the limit, 1
+when the machine could not be made or ended without a word.
 """
 
 from __future__ import annotations
@@ -81,6 +81,10 @@ def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> in
     for needed in (QEMU, UDEV, *([SYSTEMD] if systemd else [])):
         if shutil.which(needed) is None:
             raise kernel.VmError(f"{needed} is not installed: make vm-packages")
+    if systemd and not os.access("/etc/shadow", os.R_OK):
+        raise kernel.VmError(
+            "the guest of the service makes an account, and reads /etc/shadow for it: run this as root"
+        )
     cache = cache_folder()
     with step("1/4 kernel"):
         found = kernel.find(cache, package)
