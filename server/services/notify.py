@@ -46,7 +46,7 @@ class Notify(Worker):
 
     def stop(self) -> None:
         super().stop()
-        self._send("STOPPING=1", "STATUS=stopping")
+        self._send("STOPPING=1", "STATUS=stopping", "WATCHDOG_USEC=0")  # closing has TimeoutStopSec, and no ticks
 
     def failed(self, error: Exception) -> None:
         """Nothing: with no sign of life any more, systemd ends the daemon."""

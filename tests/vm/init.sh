@@ -1,5 +1,7 @@
 #!/bin/sh
-# First program of the guest: modules, the host's files as they are, then the command that the host has left.
+# First program of the guest: modules, the host's files as they are, then the command that the host has left. With
+# softfinger.systemd on the kernel's command line, systemd goes on in its place, and may write: above the host's files,
+# in memory.
 export PATH=/bin
 /bin/busybox --install -s /bin
 mkdir -p /proc /sys
@@ -17,20 +19,34 @@ done
 echo "vm: kernel $(uname -r) is up after $(cut -d' ' -f1 /proc/uptime) s"
 shared=trans=virtio,version=9p2000.L,msize=262144
 mount -t 9p -o "$shared,ro,cache=loose" host /host || echo "vm: no files of the host"
-mount -t tmpfs run /host/run
-mkdir -p /host/run/vm /host/run/tmp
-chmod 1777 /host/run/tmp
-mount -t 9p -o "$shared,rw,cache=loose" vm /host/run/vm || echo "vm: no folder to leave the outcome in"
+root=/host
+if grep -q softfinger.systemd /proc/cmdline; then
+    root=/system
+    mount -t tmpfs above /above
+    mkdir /above/files /above/work
+    mount -t overlay -o lowerdir=/host,upperdir=/above/files,workdir=/above/work overlay $root || echo "vm: no overlay"
+fi
+mount -t tmpfs run $root/run
+mkdir -p $root/run/vm $root/run/tmp
+chmod 1777 $root/run/tmp
+mount -t 9p -o "$shared,rw,cache=loose" vm $root/run/vm || echo "vm: no folder to leave the outcome in"
 # Copied, so that they are root's: kernels of another user, as they are on the host, are not loaded.
-cp -R /host/run/vm/kernels /host/run/kernels && chown -R 0:0 /host/run/kernels && chmod -R go-w /host/run/kernels
-mount -t proc proc /host/proc
-mount -t sysfs sys /host/sys
-mount -t devtmpfs dev /host/dev
-mkdir -p /host/dev/pts /host/dev/shm
-mount -t devpts pts /host/dev/pts
-mount -t tmpfs shm /host/dev/shm
-mount -t configfs config /host/sys/kernel/config
+cp -R $root/run/vm/kernels $root/run/kernels && chown -R 0:0 $root/run/kernels && chmod -R go-w $root/run/kernels
+mount -t proc proc $root/proc
+mount -t sysfs sys $root/sys
+mount -t devtmpfs dev $root/dev
+mkdir -p $root/dev/pts $root/dev/shm
+mount -t devpts pts $root/dev/pts
+mount -t tmpfs shm $root/dev/shm
+mount -t configfs config $root/sys/kernel/config
 ip link set lo up
+if [ $root = /system ]; then
+    mkdir $root/run/above $root/run/below # where a test sees all that was written, and what was there
+    mount -o bind /above $root/run/above
+    mount -o bind /host $root/run/below
+    . /systemd.sh
+    exec switch_root $root /lib/systemd/systemd
+fi
 # As on any system: programs are told of devices by udev, from its own messages.
 export SYSTEMD_IGNORE_CHROOT=1
 chroot /host /lib/systemd/systemd-udevd --daemon --resolve-names=never

@@ -1,4 +1,4 @@
-"""The guest's first file system: busybox, the kernel's modules, and init.sh, as an archive that the kernel unpacks."""
+"""The guest's first file system: busybox, the kernel's modules, and scripts, as an archive that the kernel unpacks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vm.kernel import Kernel, VmError
 
 BUSYBOX = Path("/bin/busybox")
 PT_INTERP = 3
-INIT = Path(__file__).with_name("init.sh")
+SCRIPTS = {"init": "init.sh", "systemd.sh": "systemd.sh"}
 
 
 def build(kernel: Kernel) -> bytes:
@@ -21,10 +21,11 @@ def build(kernel: Kernel) -> bytes:
     busybox = BUSYBOX.read_bytes()
     if _interpreted(busybox):
         raise VmError(f"{BUSYBOX} needs libraries, which the guest does not have: make vm-packages")
-    entries = [entry(folder, stat.S_IFDIR | 0o755) for folder in ("bin", "modules", "dev", "host")]
+    entries = [entry(folder, stat.S_IFDIR | 0o755) for folder in ("bin", "modules", "dev", "host", "above", "system")]
     entries.append(entry("bin/busybox", stat.S_IFREG | 0o755, busybox))
     entries.append(entry("bin/sh", stat.S_IFLNK | 0o777, b"busybox"))
-    entries.append(entry("init", stat.S_IFREG | 0o755, INIT.read_bytes()))
+    for name, source in SCRIPTS.items():
+        entries.append(entry(name, stat.S_IFREG | 0o755, Path(__file__).with_name(source).read_bytes()))
     for number, path in enumerate(kernel.modules):
         entries.append(entry(f"modules/{number:02d}-{path.name}", stat.S_IFREG | 0o644, path.read_bytes()))
     entries.append(entry("TRAILER!!!", 0))

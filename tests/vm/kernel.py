@@ -15,11 +15,11 @@ META_PACKAGE = "linux-image-amd64"
 """Depends on the newest kernel. The kernels for clouds have no dummy_hcd."""
 
 WANTED = (
-    *("virtio_pci", "9pnet_virtio", "9p"),
+    *("virtio_pci", "9pnet_virtio", "9p", "overlay"),
     *("dummy_hcd", "libcomposite", "usb_f_fs", "usb_f_hid", "usb_f_acm", "cdc-acm"),
     *("hid-generic", "usbhid", "uhid"),
 )
-"""The file systems of this machine; a bus with both ends in the guest, and what stands at each."""
+"""The file systems of this machine, and one above them; a bus with both ends in the guest, and what stands at each."""
 
 
 class VmError(Exception):

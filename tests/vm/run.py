@@ -1,9 +1,11 @@
 """Boot a Debian kernel in QEMU with this machine's files, and run the tests of tests/vm in it: `make test-vm`.
 
-    python tests/vm/run.py [--kernel PACKAGE] [--limit SECONDS] [--plain COMMAND] [words for pytest ...]
+    python tests/vm/run.py [--kernel PACKAGE] [--limit SECONDS] [--plain COMMAND] [--systemd] [words for pytest ...]
 
-Needs no privilege and no KVM: the processor is emulated, some twenty times slower than this one. The exit code is that
-of the tests; 124 when they took longer than the limit, 1 when the machine could not be made or ended without a word.
+Needs no KVM, and for the drivers no privilege: the processor is emulated, some twenty times slower than this one. The
+drivers' tests (`on_*.py`) and those of the service (`under_systemd.py`), which have systemd as the first process and
+may write, are run in a machine each. The exit code is that of the tests; 124 when they took longer than the limit, 1
+when the machine could not be made or ended without a word.
 """
 
 from __future__ import annotations
@@ -28,12 +30,15 @@ sys.path.insert(0, str(TESTS))
 from vm import initramfs, kernel  # noqa: E402
 
 QEMU = "qemu-system-x86_64"
-UDEV = "/lib/systemd/systemd-udevd"
+UDEV, SYSTEMD = "/lib/systemd/systemd-udevd", "/lib/systemd/systemd"
 MEMORY_MB = 2048
 LIMIT_S = 1500.0
 SILENCE_S = 20.0
 """After so long without a line from the guest, the time is said."""
+SYSTEMD_TESTS = "under_systemd.py"
 TIMED_OUT = 124
+NOT_ASKED_FOR = 5
+"""What pytest says when no test was chosen."""
 NO_WORD = 1
 
 
@@ -46,28 +51,40 @@ def main() -> int:
     parser.add_argument("--kernel", help=f"Debian package of the kernel (default: what {kernel.META_PACKAGE} names)")
     parser.add_argument("--limit", type=float, default=LIMIT_S, help="seconds, then it is ended (default: %(default)g)")
     parser.add_argument("--plain", metavar="COMMAND", help="run this in the guest's shell in place of the tests")
+    parser.add_argument("--systemd", action="store_true", help="with --plain: a guest whose first process is systemd")
     args, words = parser.parse_known_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the emulator goes too
     try:
-        return boot(args.kernel, args.limit, args.plain or shlex.join(tests(words)))
+        if args.plain:
+            return boot(args.kernel, args.limit, args.plain, args.systemd)
+        asked = [(tests(words, systemd), systemd) for systemd in (False, True)]
+        codes = [boot(args.kernel, args.limit, shlex.join(command), systemd) for command, systemd in asked if command]
+        return max(code for code in codes if code != NOT_ASKED_FOR or set(codes) == {NOT_ASKED_FOR})
     except kernel.VmError as error:
         print(f"vm: {error}", file=sys.stderr)
         return NO_WORD
 
 
-def tests(words: list[str]) -> list[str]:
-    """The command of the guest."""
-    modules = (
-        [] if any(Path(word.split("::")[0]).exists() for word in words) else sorted(Path("tests/vm").glob("on_*.py"))
-    )
-    return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *words, *map(str, modules)]
+def tests(words: list[str], systemd: bool) -> list[str]:
+    """The command of a guest, with or without systemd; nothing where tests are named, and none of them is for it."""
+    named = [word for word in words if Path(word.split("::")[0]).exists()]
+    modules = named or [*sorted(map(str, Path("tests/vm").glob("on_*.py"))), f"tests/vm/{SYSTEMD_TESTS}"]
+    modules = [module for module in modules if (SYSTEMD_TESTS in module) == systemd]
+    others = [word for word in words if word not in named]
+    if systemd:
+        others.append("--noconftest")  # the service's tests need nothing of it, and none can be run a second time
+    return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *others, *modules] if modules else []
 
 
-def boot(package: str | None, limit_s: float, command: str) -> int:
+def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> int:
     """Make the machine, run the command in it; the exit code."""
-    for needed in (QEMU, UDEV):
+    for needed in (QEMU, UDEV, *([SYSTEMD] if systemd else [])):
         if shutil.which(needed) is None:
             raise kernel.VmError(f"{needed} is not installed: make vm-packages")
+    if systemd and not os.access("/etc/shadow", os.R_OK):
+        raise kernel.VmError(
+            "the guest of the service makes an account, and reads /etc/shadow for it: run this as root"
+        )
     cache = cache_folder()
     with step("1/4 kernel"):
         found = kernel.find(cache, package)
@@ -80,10 +97,12 @@ def boot(package: str | None, limit_s: float, command: str) -> int:
             (folder / "initramfs").write_bytes(initramfs.build(found))
         shared = folder / "shared"
         shutil.copytree(cache / "kernels", shared / "kernels")
+        if systemd:
+            install_wheel(shared / "wheel")
         exports = "".join(f"export {key}={shlex.quote(value)}\n" for key, value in environment.items())
         (shared / "command").write_text(f"{exports}cd {shlex.quote(str(ROOT))}\n{command}\n")
         said(f"4/4 {QEMU}, at most {limit_s:g} s")
-        ended = stream(qemu(found, folder), limit_s)
+        ended = stream(qemu(found, folder, systemd), limit_s)
         if not ended:
             said(f"ended after {limit_s:g} s: --limit gives more")
             return TIMED_OUT
@@ -125,9 +144,19 @@ def warm(folder: Path, environment: dict[str, str]) -> None:
         raise kernel.VmError(f"the kernels of softfinger cannot be compiled (exit {done.returncode})")
 
 
-def qemu(found: kernel.Kernel, folder: Path) -> list[str]:
+def install_wheel(folder: Path) -> None:
+    """The program as one who has its wheel has it: in a folder, without this one."""
+    pip = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")
+    done = subprocess.run([*pip, "--no-build-isolation", "--target", str(folder), str(ROOT)], check=False)
+    if done.returncode != 0:
+        raise kernel.VmError(f"the wheel cannot be built and installed (exit {done.returncode})")
+
+
+def qemu(found: kernel.Kernel, folder: Path, systemd: bool) -> list[str]:
     """The command of the emulator: one serial line, two folders, no network."""
     arguments = "console=ttyS0 quiet panic=-1 mitigations=off tsc=reliable"
+    if systemd:
+        arguments += " softfinger.systemd systemd.unit=vm.service systemd.show_status=no fstab=no"
     root = "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"
     shared = f"local,path={folder / 'shared'},mount_tag=vm,security_model=none"
     return [

@@ -7,6 +7,7 @@ from softfinger.drivers.falcon import device as falcon  # noqa: F401  (compiled 
 from softfinger.drivers.hid import device as hid  # noqa: F401
 from softfinger.drivers.registry import open_device
 from softfinger.drivers.serial import device as serial  # noqa: F401
+from softfinger.drivers.simulated import device as simulated  # noqa: F401
 from softfinger.drivers.spacemouse import device as spacemouse  # noqa: F401  (compiled by their import)
 from softfinger.proxy.engine import compiled
 from softfinger.server.driver_contract import RATE_HZ, pulling

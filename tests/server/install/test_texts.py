@@ -116,6 +116,14 @@ def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> Non
         assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_the_service_is_exposed_no_more_than_its_work_asks_for(tmp_path: Path) -> None:
+    """`systemd-analyze security` counts some 2 of 10: devices, sockets, real time and compiled code are its work."""
+    file = tmp_path / "softfinger.service"
+    file.write_text(unit([str(tool("true"))], True))
+    done = run(tool("systemd-analyze"), "security", "--offline=true", "--threshold=25", file)
+    assert done.returncode == 0, done.stdout[-200:] + done.stderr
+
+
 def test_the_unit_is_fed_by_ticks_and_restarts_nothing() -> None:
     """What the daemon promises, and what safety asks for, is what systemd is told."""
     text = unit(["/bin/softfinger"], True)

@@ -1,0 +1,205 @@
+"""The service under systemd as the first process: installed from a wheel in /opt, started, starved, removed."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+if "SOFTFINGER_VM" not in os.environ:
+    raise RuntimeError("these tests install a service of the machine that they run on: make test-vm")
+
+PROGRAM = Path("/opt/softfinger")
+WHEEL = Path("/run/vm/wheel")
+RIG = PROGRAM / "slow.toml"
+TELEMETRY = Path("/run/softfinger/telemetry")
+SHIPPED = Path(__file__).resolve().parents[2] / "config/rigs/simulated.toml"
+OF_THE_SERVICE = Path("/run/systemd/system/softfinger.service.d/vm.conf")
+WRITTEN, BELOW = Path("/run/above/files"), Path("/run/below")
+"""All that was written since the start, as the overlay keeps it, above the files of the host."""
+ACCOUNTS = ("passwd", "shadow", "group", "gshadow", "subuid", "subgid")
+OTHERS = re.compile(rf"/etc/({'|'.join(ACCOUNTS)})-?$|/etc/\.pwd\.lock$|/var/log/|/var/lib/systemd/|__pycache__")
+"""What others keep: the accounts, which a test reads, the journal, Python."""
+WATCHDOG_S = 10
+"""In place of the unit's 2 s: an emulated processor may be kept waiting for as long."""
+SCHED_FIFO = 1
+POLICY, RT_PRIORITY = 38, 37
+"""Fields of /proc/PID/stat behind the name, counted from 0 (proc(5) has them as 41 and 40)."""
+
+
+def ran(*words: str | Path, code: int = 0) -> str:
+    """What a command says, which ends with `code`."""
+    done = subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=400)
+    assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}{done.stderr}\n{journal()}"
+    return done.stdout
+
+
+def journal() -> str:
+    done = subprocess.run(["journalctl", "-b", "-o", "cat", "-u", "softfinger"], capture_output=True, text=True)
+    return done.stdout
+
+
+def shown(name: str) -> str:
+    """A property of the service."""
+    return ran("systemctl", "show", "--value", "--property", name, "softfinger").strip()
+
+
+def comes(true: Callable[[], bool], seconds: float = 300.0) -> bool:
+    until = time.monotonic() + seconds
+    while not (found := true()) and time.monotonic() < until:
+        time.sleep(0.2)
+    return found
+
+
+def files() -> set[str]:
+    """Everything that was written or taken away, but for folders that were there."""
+    found = {at.relative_to(WRITTEN) for at in WRITTEN.rglob("*") if not OTHERS.search(f"/{at.relative_to(WRITTEN)}")}
+    return {f"/{at}" for at in found if not ((WRITTEN / at).is_dir() and (BELOW / at).is_dir())}
+
+
+def status(pid: str) -> dict[str, str]:
+    return dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+
+
+@cache
+def program() -> str:
+    """The program in /opt, as docs/operate/install.md has it, with this machine's libraries; a rig of 100 Hz."""
+    for folder in Path(os.path.realpath(sys.executable)).parents:
+        folder.chmod(folder.stat().st_mode | 0o055)  # an interpreter at somebody's home
+    ran(sys.executable, "-m", "venv", "--without-pip", "--symlinks", PROGRAM)
+    for name, source in (("wheel", WHEEL), ("libraries", sysconfig.get_path("purelib"))):
+        (PROGRAM / name).mkdir()
+        ran("mount", "--bind", source, PROGRAM / name)
+    (packages,) = (PROGRAM / "lib").glob("*/site-packages")
+    (packages / "vm.pth").write_text(f"{PROGRAM}/wheel\n{PROGRAM}/libraries\n")
+    script = PROGRAM / "bin/softfinger"
+    script.write_text(f"#!{PROGRAM}/bin/python\nfrom softfinger.server.cli import main\nraise SystemExit(main())\n")
+    script.chmod(0o755)
+    slow = SHIPPED.read_text().replace("rate_hz = 1000.0", "rate_hz = 100.0")
+    RIG.write_text(slow.replace("tcp://127.0.0.1:5555", f"ipc://{TELEMETRY}"))
+    return str(script)
+
+
+@cache
+def before() -> set[str]:
+    """What had been written before it was installed."""
+    program()
+    return files()
+
+
+@cache
+def installed() -> str:
+    """What installing said. Kernels are those of any processor, which the host has compiled."""
+    before()
+    said = ran(program(), "install", "--system", "--rig", RIG)
+    OF_THE_SERVICE.parent.mkdir(parents=True)
+    own = f"Environment=NUMBA_CPU_NAME={os.environ['NUMBA_CPU_NAME']}\nWatchdogSec={WATCHDOG_S}s"
+    OF_THE_SERVICE.write_text(f"[Service]\n{own}\n")
+    shutil.copytree("/run/kernels", "/var/cache/softfinger")
+    ran("systemctl", "daemon-reload")
+    return said
+
+
+@pytest.fixture
+def service() -> str:
+    """The main process of the service, started where it does not run; READY was heard, for else it would not be."""
+    installed()
+    ran("systemctl", "start", "softfinger")
+    return shown("MainPID")
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Iterator[None]:
+    """A WoodenHaptics arm on the guest's USB."""
+    words = [sys.executable, "-S", Path(__file__).with_name("gadgets") / "woodenhaptics.py", tmp_path / "arm", "{}"]
+    with subprocess.Popen(words) as process:
+        yield
+        process.kill()
+
+
+def test_installing_makes_the_account_and_tells_systemd_and_udev() -> None:
+    """Every command that is to be run has run, and ended well."""
+    said = installed()
+    assert [line for line in said.splitlines() if line.startswith(("ran", "not run"))] == [
+        "ran systemd-sysusers /etc/sysusers.d/softfinger.conf",
+        "ran systemctl daemon-reload",
+        "ran udevadm control --reload",
+        f"ran udevadm trigger {' '.join(f'--subsystem-match={each}' for each in ('usb', 'hidraw', 'tty', 'misc'))}",
+    ]
+    assert "cannot start" not in said
+    assert pwd.getpwnam("softfinger").pw_dir == "/var/lib/softfinger"
+
+
+def test_it_runs_with_the_rights_it_was_given_and_no_more(service: str) -> None:
+    """READY with a tick, as the account, without a capability, its threads real-time, its socket the group's."""
+    assert (shown("ActiveState"), shown("SubState"), shown("Type")) == ("active", "running", "notify")
+    assert re.fullmatch(r"\d+ ticks, \d+ missed", shown("StatusText"))
+    account, now = pwd.getpwnam("softfinger"), status(service)
+    assert set(now["Uid"].split()) == {str(account.pw_uid)} and set(now["Gid"].split()) == {str(account.pw_gid)}
+    assert (int(now["CapEff"], 16), now["NoNewPrivs"], now["Seccomp"]) == (0, "1", "2")
+    stats = [path.read_text().rpartition(") ")[2].split() for path in Path(f"/proc/{service}/task").glob("*/stat")]
+    assert {int(stat[RT_PRIORITY]) for stat in stats if int(stat[POLICY]) == SCHED_FIFO} == {80, 81}
+    made = TELEMETRY.stat()
+    assert (made.st_uid, made.st_gid, made.st_mode & 0o777) == (account.pw_uid, account.pw_gid, 0o660)
+    said = journal()
+    assert not re.search(r"Failed to|refused|compiled in", said), said
+    print(said)
+
+
+def test_devices_are_for_the_group_and_within_the_service(service: str, arm: None) -> None:
+    """Plugged in, a node is the group's; a process of the service may open it, and none that it has no use for."""
+    for pattern in ("hidraw*", "bus/usb/*/*"):
+        assert comes(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
+    (hidraw,) = (str(at) for at in Path("/dev").glob("hidraw*") if at.group() == "softfinger")
+    (usb,) = (str(at) for at in Path("/dev").glob("bus/usb/*/*") if at.group() == "softfinger")
+    group = f"/sys/fs/cgroup{shown('ControlGroup')}/cgroup.procs"
+    opened, account = f'echo $$ >{group}; exec "$@" dd count=0 if=/dev/null of=', ("setpriv", "--reuid=softfinger")
+    for node in (hidraw, usb, "/dev/cpu_dma_latency"):
+        assert Path(node).stat().st_mode & 0o777 == 0o660
+        ran("sh", "-c", opened + node, "sh", *account, "--regid=softfinger", "--clear-groups")
+    ran("sh", "-c", opened + "/dev/uhid", "sh", "env", code=1)  # which root may open outside
+
+
+def test_ticks_keep_it_alive(service: str) -> None:
+    """For several times as long as systemd waits for a sign of life."""
+    first = int(shown("WatchdogTimestampMonotonic"))
+    assert comes(lambda: int(shown("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
+    assert (shown("MainPID"), shown("ActiveState")) == (service, "active")
+
+
+def test_it_stops_in_order(service: str) -> None:
+    """With zero force as its last word, and no result but success."""
+    ran("systemctl", "stop", "softfinger")
+    assert (shown("ActiveState"), shown("Result"), shown("ExecMainStatus")) == ("inactive", "success", "0")
+    assert re.search(r"stopped after \d+ ticks; force is zero", journal())
+
+
+def test_where_ticks_stop_systemd_ends_it(service: str) -> None:
+    """A process that stands still feeds nothing; nothing restarts by itself while a hand may be on the device."""
+    os.kill(int(service), signal.SIGSTOP)
+    assert comes(lambda: shown("ActiveState") == "failed"), journal()
+    assert (shown("Result"), shown("NRestarts")) == ("watchdog", "0")
+    assert f"Watchdog timeout (limit {WATCHDOG_S}s)!" in journal()
+
+
+def test_removing_leaves_nothing(service: str) -> None:
+    """Started again after that, and while it runs: no file, no folder, no account, no process."""
+    shutil.rmtree(OF_THE_SERVICE.parent)
+    said = ran(program(), "install", "--system", "--remove")
+    assert not Path(f"/proc/{service}").exists()
+    assert files() - before() == set(), said
+    assert not TELEMETRY.parent.exists()
+    for each in ACCOUNTS:
+        assert "softfinger" not in Path("/etc", each).read_text()
+    assert shown("LoadState") == "not-found"
