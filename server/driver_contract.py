@@ -22,7 +22,7 @@ from softfinger.config.errors import DeviceBusy, DeviceNotFound, DevicePermissio
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import END, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop.servo import Servo as Loop
+from softfinger.server.loop.servo_thread import Servo as Loop
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.loop.wayout import CRASHED, FINISHED, READ_FAILED, STOPPED, WRITE_FAILED

@@ -36,6 +36,8 @@ KERNEL_STANDARD_LIBRARY = {
     "arrays.py": {"operator"},
     "rows.py": {"operator"},
     "outlined.py": {"secrets"},
+    "parts.py": {"functools"},
+    "pipeline.py": {"types"},
 }
 
 

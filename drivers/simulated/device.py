@@ -131,7 +131,7 @@ def _read(handle: int, sample: Any) -> int:
     return status
 
 
-@c_function(IO_SIGNATURE)
+@c_function(IO_SIGNATURE, on_demand=True)
 def _read_led(handle: int, sample: Any) -> int:
     """The same with a hand that a puck leads, which moves by one period a read, as the plant does."""
     word = int64_at(handle)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from softfinger.config.errors import ConfigError, HapticError
-from softfinger.drivers.base import Device
+from softfinger.drivers.base import Device, Led
 from softfinger.proxy.kernels.geometry.rotations import normalize
 from softfinger.proxy.kernels.geometry.tool import Tool, handle_of
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
@@ -28,6 +28,17 @@ class Wanted(NamedTuple):
     now: Quaternion
 
 
+def hand_of(device: Device) -> Led:
+    """The hand on a device; NoHand where none is computed."""
+    hand = device.hand()
+    if hand is None:
+        raise NoHand(
+            f"no program leads the hand on {device.info.name}: it is a recording, a person or a puck; softfinger run "
+            "--rig simulated-hand has one"
+        )
+    return hand
+
+
 def lead(device: Device, tool: Tool | None, offset: Vec3, wanted: Wanted | None) -> None:
     """Have the hand on `device`, which holds `tool`, want to be there; None: do what it does by itself.
 
@@ -35,12 +46,7 @@ def lead(device: Device, tool: Tool | None, offset: Vec3, wanted: Wanted | None)
 
     Raises NoHand where none is computed, ConfigError for what the device does not reach or sense.
     """
-    hand, info = device.hand(), device.info
-    if hand is None:
-        raise NoHand(
-            f"no program leads the hand on {info.name}: it is a recording, a person or a puck; softfinger run --rig "
-            "simulated-hand has one"
-        )
+    hand, info = hand_of(device), device.info
     if wanted is None:
         hand.release()
         return

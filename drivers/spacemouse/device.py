@@ -164,7 +164,7 @@ def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
     return status
 
 
-@c_function(IO_SIGNATURE)
+@c_function(IO_SIGNATURE, on_demand=True)  # the simulated device imports this, and has its own
 def read(handle: int, sample: Any) -> int:
     at = int64_at(handle)
     now = monotonic_ns(handle + 8 * AT.timespec)

@@ -18,7 +18,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
-from softfinger.drivers.simulated.lead import Wanted
+from softfinger.drivers.simulated.lead import Wanted, hand_of
 from softfinger.proxy.meshes.prepared import rendered
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import wayout
@@ -246,8 +246,8 @@ class Commands(Worker):
         wanted = None
         if asked.position_m is not msgspec.UNSET:
             turn = None if asked.orientation_wxyz is msgspec.UNSET else asked.orientation_wxyz
-            led = self._rendering.servo.devices[place].hand() is not None  # without one that is said, tick or no tick
-            wanted = Wanted(asked.position_m, turn, self._turned(place) if led else (1.0, 0.0, 0.0, 0.0))
+            hand_of(self._rendering.servo.devices[place])  # that there is none is said, tick or no tick
+            wanted = Wanted(asked.position_m, turn, self._turned(place))
         self._rendering.lead(place, wanted)
         if (place in self._led) == asked.release:  # where it is meanwhile is in every tick
             (self._led.discard if asked.release else self._led.add)(place)

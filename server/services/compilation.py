@@ -22,7 +22,7 @@ from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.proxy.kernels.native.jit import KEPT
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.services.base import Worker

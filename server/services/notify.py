@@ -13,7 +13,7 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
 
 log: Final = logging.getLogger(__name__)

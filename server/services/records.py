@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, SafetyStop
 from softfinger.server.loop import wayout
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
 from softfinger.server.wire.native.sender import Tap
 

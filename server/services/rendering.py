@@ -25,9 +25,10 @@ from softfinger.proxy.scene import other_model
 from softfinger.server.loop import wayout
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.servo import Loop, Servo
+from softfinger.server.loop.servo_thread import Loop, Servo
 from softfinger.server.loop.tick import UNMOVED, Tuning
 from softfinger.server.loop.tuning import make_tuning, with_scene
+from softfinger.server.progress import compiling
 from softfinger.server.services.base import JOIN_S
 
 PAUSE_TICKS: Final = 3
@@ -97,7 +98,8 @@ class Rendering:
         devices = open_devices(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
-            self.servo: Final = Servo(devices, self._tuning, rig.servo.rate_hz, ticks, prepare)
+            with compiling("what calls the device (once for each version)"):
+                self.servo: Final = Servo(devices, self._tuning, rig.servo.rate_hz, ticks, prepare)
         except BaseException as error:
             wayout.every(lambda: wayout.close_all(devices), first=error)
             raise

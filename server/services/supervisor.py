@@ -8,7 +8,7 @@ from typing import Any
 
 from softfinger.config.errors import HapticError, SafetyStop
 from softfinger.server.loop import health, wayout
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
 
 

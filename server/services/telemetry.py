@@ -5,7 +5,7 @@ from __future__ import annotations
 from softfinger.config.errors import HapticError, SafetyStop
 from softfinger.drivers.base import names
 from softfinger.server.loop import wayout
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.publisher import Publisher
 

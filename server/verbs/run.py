@@ -72,7 +72,8 @@ def run(args: argparse.Namespace) -> int:
         changes["device.loop"], sources["device.loop"] = False, "command line --once"
     if args.view:
         check_viewer()
-    rig = load_rig(args.rig or (LED_RIG if args.view else RIG), changes, sources)
+    with compiling("what calls the device (once for each version)"):  # as its driver is imported
+        rig = load_rig(args.rig or (LED_RIG if args.view else RIG), changes, sources)
     scene = load_scene(args.scene)
     rate = rig.servo.rate_hz
     ticks = None if args.duration is None else max(1, round(args.duration * rate))

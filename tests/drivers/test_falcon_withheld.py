@@ -16,7 +16,7 @@ from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, stub, usb_librar
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Scene
 from softfinger.server.driver_contract import RATE_HZ
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 
 __all__ = ["stub", "usb_library"]  # fixtures

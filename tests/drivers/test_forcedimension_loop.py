@@ -25,7 +25,7 @@ from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.app import Daemon
 from softfinger.server.driver_contract import RATE_HZ, Servo
-from softfinger.server.loop import servo as s
+from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.wire.client import subscribe

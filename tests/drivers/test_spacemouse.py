@@ -31,7 +31,7 @@ from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
-from softfinger.server.loop import servo as s
+from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import with_device
 

@@ -24,7 +24,7 @@ from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import pumped
 from softfinger.server.driver_contract import RATE_HZ
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
 

@@ -13,12 +13,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
+from helpers.compiled_code import functions
 
 from softfinger.proxy.kernels.model import Plane
 from softfinger.proxy.kernels.native import jit
+from softfinger.proxy.kernels.native.compiler.parts import Part
 from softfinger.proxy.kernels.native.kept import MAGIC, Folder, Unsound, _kinds, make_private
 from softfinger.proxy.kernels.native.rows import Rows
 
@@ -57,6 +60,16 @@ def kernel(n):
 
 compiler = {"numba.np.arraymath", "scipy.linalg"} & sys.modules.keys()
 print(kernel.ctypes(1000), kernel.cache_hits, bool(compiler))
+"""
+ON_DEMAND = """
+from numba import types
+from softfinger.proxy.kernels.native.jit import c_function
+
+@c_function(types.int64(types.int64), on_demand=True)
+def kernel(n):
+    return 2 * n
+
+print(kernel.native_name, kernel.address != 0, kernel.ctypes(21))
 """
 PACKAGE_KERNELS = "import softfinger.drivers.replay.device as r; print('runs', r._read.address != 0)"
 """Imports a driver: four kernels with C addresses."""
@@ -335,3 +348,40 @@ def test_a_class_is_seen_wherever_a_signature_has_it() -> None:
     for given in (plane, (1.0, plane), Rows([plane, plane])):
         kind = numba.typeof(given)
         assert Plane in _kinds((kind,)) and Plane in _kinds((numba.types.TypeRef(kind),))
+
+
+def test_a_c_function_on_demand_waits_until_its_address_is_asked_for(tmp_path: Path) -> None:
+    """Until then nothing is compiled; then it is, once, and kept."""
+    script, cache = tmp_path / "demand.py", tmp_path / "cache"
+    script.write_text(ON_DEMAND)
+    assert start(script, cache) == ("None True 42", "")
+    assert len(kernels(cache)) == 1
+
+
+def test_kernels_for_kernels_wait_for_who_calls_them() -> None:
+    """They have no address of their own, and one that two others call is in the outermost's module once."""
+
+    @jit.jit
+    def lowest(x: float) -> float:
+        return x * x
+
+    @jit.jit
+    def left(x: float) -> float:
+        return lowest(x) + 1.0
+
+    @jit.jit
+    def right(x: float) -> float:
+        return lowest(x) - 1.0
+
+    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: left(x) * right(x))
+    assert outermost(3.0) == 80.0  # whole numbers: exact
+    for kernel in (lowest, left, right):
+        (made,) = kernel.overloads.values()  # type: ignore[attr-defined]
+        assert isinstance(made.library, Part)
+        assert made.library.get_pointer_to_function(made.fndesc.mangled_name) == 0
+    (shared,) = {each.library for each in lowest.overloads.values()}  # type: ignore[attr-defined]
+    both = [each.library._get_module_for_linking() for k in (left, right) for each in k.overloads.values()]  # type: ignore[attr-defined]
+    name = next(each.name for each in shared._final_module.functions if not each.is_declaration)
+    assert all(not module.get_function(name).is_declaration for module in both)
+    (ir,) = outermost.inspect_llvm().values()
+    assert list(functions(ir)) == [next(iter(outermost.overloads.values())).fndesc.mangled_name]

@@ -36,7 +36,7 @@ from softfinger.proxy.kernels.native.outlined import _PROCESS
 from softfinger.proxy.kernels.native.pack import flatten
 from softfinger.proxy.record import FREE
 from softfinger.proxy.scene import build_scene, start_state
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 from softfinger.server import cli
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.servo import FINISHED, Servo
+from softfinger.server.loop.servo_thread import FINISHED, Servo
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import FIGURES, Run, close_loop, close_many, run_closed_loop

@@ -27,7 +27,7 @@ from softfinger.drivers.resample import resample
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.realtime import lift
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.services import base
@@ -459,7 +459,7 @@ import os, threading
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.loop.realtime import lift
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
 scene = load_scene("paper-plane")
 def once():

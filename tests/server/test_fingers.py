@@ -28,7 +28,7 @@ from softfinger.drivers.resample import resample
 from softfinger.proxy.kernels.native.pack import packed
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, columns
 from softfinger.server import cli
-from softfinger.server.loop import servo as s
+from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import wayout
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.health import NO_POSE
@@ -85,7 +85,7 @@ def test_two_replays_are_what_simulate_makes_of_their_recordings() -> None:
 @pytest.mark.parametrize("place", [0, 1])
 @pytest.mark.parametrize(
     ("fault", "ending", "status"),
-    [("lost", s.READ_FAILED, -1), ("timeout", s.READ_FAILED, -2), ("write_lost", s.WRITE_FAILED, -1)],
+    [("lost", wayout.READ_FAILED, -1), ("timeout", wayout.READ_FAILED, -2), ("write_lost", wayout.WRITE_FAILED, -1)],
 )
 def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, status: int) -> None:
     """Whichever it is: force was on both, the last wrench of both is zero, and it is known whose device it was."""
@@ -297,7 +297,8 @@ import sys
 from helpers.faulty_device import FaultyDevice, Options
 from helpers.two_fingers import two_fingers
 from softfinger.config.load import load_rig
-from softfinger.server.loop.servo import Servo, servo_loop
+from softfinger.server.loop.servo import servo_loop
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 devices = [FaultyDevice(Options()), FaultyDevice(Options())]
 Servo(devices, make_tuning(two_fingers(), load_rig("replay").guard), 1000.0).compile()

@@ -20,7 +20,8 @@ from softfinger.config.errors import DeviceError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import HELD, LOST, WITHHELD
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop import servo as s
+from softfinger.server.loop import servo_thread as s
+from softfinger.server.loop import wayout
 from softfinger.server.loop.guard import POSE_REFUSED, RAMPING, SLEW_LIMITED
 from softfinger.server.loop.health import NO_POSE, SILENCE_MAX_S, STARVED
 from softfinger.server.loop.tuning import make_tuning
@@ -38,7 +39,8 @@ AUDIT = """
 import sys
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.registry import open_device
-from softfinger.server.loop.servo import Servo, servo_loop
+from softfinger.server.loop.servo import servo_loop
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 rig = load_rig("replay")
 with open_device(rig.device, 1000.0) as device:
@@ -146,10 +148,10 @@ def finish(servo: s.Servo) -> tuple[s.Ended, np.ndarray]:
     ("fault", "ending", "status"),
     [
         ("none", s.FINISHED, 0),
-        ("lost", s.READ_FAILED, -1),
-        ("timeout", s.READ_FAILED, -2),
-        ("protocol", s.READ_FAILED, -3),
-        ("write_lost", s.WRITE_FAILED, -1),
+        ("lost", wayout.READ_FAILED, -1),
+        ("timeout", wayout.READ_FAILED, -2),
+        ("protocol", wayout.READ_FAILED, -3),
+        ("write_lost", wayout.WRITE_FAILED, -1),
     ],
 )
 def test_every_end_of_the_loop_writes_zero(fault, ending, status):
@@ -230,7 +232,7 @@ def test_a_device_whose_stop_fails_is_told_zero_all_the_same(ticks, caplog):
     ended, _ = finish(servo)
     assert undone == [1] and not device.wrenches[-1].any() and device.wrenches[:-1].any()
     said = str(ended.error) if ticks else caplog.text  # where the device was lost first, that is the error
-    assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (s.READ_FAILED, LOST))
+    assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (wayout.READ_FAILED, LOST))
     assert "could not be stopped" in said and "the port has gone" in said and "switch it off" in said
 
 

@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.geometry.tool import about_handle, about_tip, make
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import TORQUE_CLAMPED, Guard
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning, begin, tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate, with_device

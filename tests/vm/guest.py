@@ -33,7 +33,7 @@ from softfinger.drivers.base import OK
 from softfinger.drivers.registry import open_device
 from softfinger.server import cli
 from softfinger.server.driver_contract import Servo as Caller
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.services import hotplug
 from softfinger.server.verbs import devices as _devices  # noqa: F401  (imported here, once)

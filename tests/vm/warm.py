@@ -11,7 +11,7 @@ from softfinger.drivers.simulated import device as simulated  # noqa: F401
 from softfinger.drivers.spacemouse import device as spacemouse  # noqa: F401  (compiled by their import)
 from softfinger.proxy.engine import compiled
 from softfinger.server.driver_contract import RATE_HZ, pulling
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.verbs.warmup import prune
 from softfinger.server.wire.native.sender import Sender

@@ -24,7 +24,7 @@ from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import realtime
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress

@@ -16,7 +16,7 @@ from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
 from softfinger.server.loop import realtime
-from softfinger.server.loop.servo import Servo
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.cost import measure as step_cost
 from softfinger.server.offline.cost import touching_poses

@@ -10,15 +10,7 @@ Assumed: fingertip and object are incompressible and alike in nothing else, the 
 from math import pi, sqrt
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.model import (
-    HertzPatch,
-    LimitSurface,
-    PatchTorsion,
-    PowerPatch,
-    PowerTorsion,
-    SoftFingerProxy,
-    Torsion,
-)
+from softfinger.proxy.kernels.model import HertzPatch, LimitSurface, PatchTorsion, PowerPatch, SoftFingerProxy, Torsion
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
 
@@ -106,13 +98,8 @@ def no_torsion_under(torsion: None, footprint: Footprint) -> None:
     return torsion
 
 
-@torsion_under.of(Torsion)
-def constant_torsion(torsion: Torsion, footprint: Footprint) -> Torsion:
-    return torsion
-
-
-@torsion_under.of(PowerTorsion)
-def constant_power_torsion(torsion: PowerTorsion, footprint: Footprint) -> PowerTorsion:
+@torsion_under.otherwise
+def constant_torsion(torsion: Any, footprint: Footprint) -> Any:
     return torsion
 
 
@@ -136,13 +123,8 @@ def no_unit(torsion: None, footprint: Footprint, share: float) -> float:
     return 1.0
 
 
-@winding_unit.of(Torsion)
-def unit_of_constant(torsion: Torsion, footprint: Footprint, share: float) -> float:
-    return 1.0
-
-
-@winding_unit.of(PowerTorsion)
-def unit_of_constant_power(torsion: PowerTorsion, footprint: Footprint, share: float) -> float:
+@winding_unit.otherwise
+def unit_of_constant(torsion: Any, footprint: Footprint, share: float) -> float:
     return 1.0
 
 

@@ -11,7 +11,7 @@ from softfinger.proxy.kernels.friction.ellipsoid import multiplier, near, shrink
 from softfinger.proxy.kernels.friction.laws import cut, scales
 from softfinger.proxy.kernels.friction.torsion import torsional_limit, torsional_stiffness
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.model import LimitSurface, Patch, PowerTorsion, SoftFingerProxy, Torsion, Vec3
+from softfinger.proxy.kernels.model import LimitSurface, Patch, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
 
@@ -36,7 +36,8 @@ class Slide(NamedTuple):
 
 
 @by_type
-def room(torsion: Any, spin: float, normal_force: float) -> Any: ...
+def room(torsion: Any, spin: float, normal_force: float) -> Any:
+    """All of it, unless torsion and friction share one limit."""
 
 
 @by_type
@@ -55,18 +56,8 @@ def room_without_torsion(torsion: None, spin: float, normal_force: float) -> flo
     return 1.0
 
 
-@room.of(Torsion)
-def room_beside_torsion(torsion: Torsion, spin: float, normal_force: float) -> float:
-    return 1.0
-
-
-@room.of(PowerTorsion)
-def room_beside_power_torsion(torsion: PowerTorsion, spin: float, normal_force: float) -> float:
-    return 1.0
-
-
-@room.of(SoftFingerProxy)
-def room_beside_soft_finger(torsion: SoftFingerProxy, spin: float, normal_force: float) -> float:
+@room.otherwise
+def room_beside_torsion(torsion: Any, spin: float, normal_force: float) -> float:
     return 1.0
 
 
@@ -77,23 +68,9 @@ def slide_without_torsion(
     return slide_alone(law, stiffness, limit, breaking, patch)
 
 
-@slide.of(Torsion)
+@slide.otherwise
 def slide_beside_torsion(
-    torsion: Torsion, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
-) -> Slide:
-    return slide_alone(law, stiffness, limit, breaking, patch)
-
-
-@slide.of(PowerTorsion)
-def slide_beside_power_torsion(
-    torsion: PowerTorsion, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
-) -> Slide:
-    return slide_alone(law, stiffness, limit, breaking, patch)
-
-
-@slide.of(SoftFingerProxy)
-def slide_beside_soft_finger(
-    torsion: SoftFingerProxy, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+    torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
 ) -> Slide:
     return slide_alone(law, stiffness, limit, breaking, patch)
 

@@ -60,14 +60,10 @@ def power_limit(torsion: PowerTorsion, normal_force: float) -> float:
     return torsion.friction_length * normal_force * normal_force**torsion.exponent
 
 
-@torsional_stiffness.of(Torsion)
-def linear_stiffness(torsion: Torsion) -> float:
-    return torsion.stiffness
-
-
-@torsional_stiffness.of(PowerTorsion)
-def power_stiffness(torsion: PowerTorsion) -> float:
-    return torsion.stiffness
+@torsional_stiffness.otherwise
+def own_stiffness(torsion: Any) -> float:
+    stiffness: float = torsion.stiffness
+    return stiffness
 
 
 @torsional_stiffness.of(None)
@@ -183,22 +179,9 @@ def clamped(
     return Wound(wound, -stiffness * wound, 0.0, 0.0)
 
 
-@wind.of(Torsion)
-def wind_linear(
-    torsion: Torsion, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> Wound:
-    return clamped(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
-
-
-@wind.of(PowerTorsion)
-def wind_power(
-    torsion: PowerTorsion,
-    spin: float,
-    turn: float,
-    normal_force: float,
-    slip_speed: float,
-    slip_angle: float,
-    dt: float,
+@wind.otherwise
+def wind_spring(
+    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> Wound:
     return clamped(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
 

@@ -25,6 +25,7 @@ from numba.core import sigutils
 from numba.core.ccallback import CFunc
 from numba.core.registry import CPUDispatcher
 
+from softfinger.proxy.kernels.native.compiler.pipeline import KernelCompiler, PartCompiler
 from softfinger.proxy.kernels.native.kept import Folder, KernelCache
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -73,13 +74,19 @@ CACHE_DIR: Final = None if _ROOT is None else _ROOT / _fingerprint()
 
 KEPT: Final = Folder(CACHE_DIR)
 
-OPTIONS: Final = {"error_model": "numpy", "nogil": True, "_nrt": False, "no_cfunc_wrapper": True}
+OPTIONS: Final = {
+    "error_model": "numpy",
+    "nogil": True,
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": KernelCompiler,
+}
 """Without numba's runtime (`_nrt`) there is no allocator and no reference count: a kernel that would
 allocate does not compile. There are no C wrappers: `c_function` makes those that are called."""
 
 
-INLINED: Final = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True}
-"""Options of a kernel that only kernels call: without a wrapper for Python it compiles in half the time."""
+INLINED: Final = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True, "pipeline_class": PartCompiler}
+"""Options of a kernel that only kernels call: it has no wrapper for Python, and no machine code of its own."""
 
 
 class _OnCall(CPUDispatcher):  # type: ignore[misc]
@@ -109,15 +116,30 @@ def entry(function: Kernel) -> Kernel:
     return cast(Kernel, compiled)
 
 
-def c_function(signature: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a kernel with a C address (`.address`), and keep the result on disk."""
+class _CFunction(CFunc):
+    """A kernel with a C address, which is compiled when that is first asked for."""
+
+    @property
+    def address(self) -> int | None:
+        if super().address is None:
+            self.compile()
+        return super().address
+
+
+def c_function(signature: Any, on_demand: bool = False) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a kernel with a C address (`.address`), and keep the result on disk.
+
+    on_demand  not before the address is asked for: where few who import a driver need it, and all before the first tick
+    """
     wanted = sigutils.normalize_signature(signature)
 
     def decorate(function: Callable[..., Any]) -> Any:
-        # What numba.cfunc does, which compiles at once and offers no other cache than its own.
-        compiled: Any = CFunc(function, wanted, locals={}, options={"error_model": "numpy"})
+        # What numba.cfunc does, which offers no other cache than its own.
+        options = {"error_model": "numpy"}
+        compiled: Any = _CFunction(function, wanted, locals={}, options=options, pipeline_class=KernelCompiler)
         compiled._cache = KernelCache(function, KEPT)
-        compiled.compile()
+        if not on_demand:
+            compiled.compile()
         return compiled
 
     return decorate

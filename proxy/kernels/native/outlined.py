@@ -16,11 +16,10 @@ from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
 import numba
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import register_pass
+from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.lowering import Lower
-from numba.core.typed_passes import NativeLowering
 
+from softfinger.proxy.kernels.native.compiler.pipeline import PartCompiler, PartLowering
 from softfinger.proxy.kernels.native.jit import INLINED, on_call
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -38,7 +37,7 @@ class _Lower(Lower):  # type: ignore[misc]
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _Lowering(NativeLowering):  # type: ignore[misc]
+class _Lowering(PartLowering):
     _name = "softfinger_outlined_lowering"
 
     @property
@@ -46,17 +45,16 @@ class _Lowering(NativeLowering):  # type: ignore[misc]
         return _Lower
 
 
-class _Compiler(CompilerBase):  # type: ignore[misc]
-    def define_pipelines(self) -> list[Any]:
+class _Compiler(PartCompiler):
+    lowering = _Lowering
+
+    def define_pipelines(self) -> list[PassManager]:
         identity = self.state.func_id
         identity.unique_id = f"{identity.unique_id}_{_PROCESS}"
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.passes = [(_Lowering if each is NativeLowering else each, said) for each, said in passes.passes]
-        passes.finalize()
-        return [passes]
+        return super().define_pipelines()
 
 
 def outlined(function: Kernel) -> Kernel:
     """Compile a kernel once for each type of arguments, and call it from wherever it is asked."""
-    options = INLINED | {"forceinline": False}
-    return on_call(numba.njit(pipeline_class=_Compiler, **options)(function))
+    options = INLINED | {"forceinline": False, "pipeline_class": _Compiler}
+    return on_call(numba.njit(**options)(function))

@@ -1,0 +1,389 @@
+"""The servo: the thread that runs the loop around open devices, and whatever Python does with it meanwhile.
+
+It arms the devices before the first tick and stops them after the last, puts another loop in the place of one, hands
+parameters in and records out.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import SafetyStop
+from softfinger.drivers.base import Device
+from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.native.seqlock import make_slot, publish
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server.loop import wayout
+from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.exchange import Io, make_line
+from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
+from softfinger.server.loop.shared.ring import Feed, Ring, make_ring, take
+from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.wayout import CRASHED, FINISHED, STOPPED, Ended
+
+log: Final = logging.getLogger(__name__)
+
+RING_SECONDS: Final = 8
+"""How long the reader of records may be held up before any is lost."""
+
+HANDOVER_S: Final = 5.0
+"""A loop that has not ended within this, or whose successor has not begun, hangs in its device."""
+HANDOVER_POLL_S: Final = 0.05
+
+
+class Loop(NamedTuple):
+    """What a servo runs: an open device for each finger, the tuning that the loop is compiled for, and the memory of
+    both."""
+
+    devices: tuple[Device, ...]
+    tuning: Tuning
+    shared: Shared
+    arguments: tuple[Any, ...]
+
+
+class _Handover:
+    """From one loop to the next, between the servo's thread and the one that replaces.
+
+    keeps  the devices stay as they are, armed and at zero; else those of before are stopped, and the next ones armed
+    """
+
+    def __init__(self, keeps: bool) -> None:
+        self.keeps = keeps
+        self.left, self.ready, self.begun = threading.Event(), threading.Event(), threading.Event()
+        self.loop: Loop | None = None
+        self.error: BaseException | None = None
+        self.first = 0
+
+
+class Servo:
+    """A thread that runs a loop around open devices, and perhaps others after it; ready to start.
+
+    devices  an open device for each of the scene's fingers; the servo commands zero through all of them on every way
+             out, whatever it was that ended it, but does not close them
+    tuning   scene and guard
+    rate_hz  tick rate
+    ticks    how many ticks to run, None until stopped
+    prepare  called in the servo thread before the first tick (real-time settings); what it returns is
+             called in the same thread after the last
+
+    The devices are armed in that thread once everything else is done, right before the first tick.
+
+    Use: `compile`, `start`, `take` again and again after `wait_record`, `stop`, `join`.
+    """
+
+    def __init__(
+        self,
+        devices: Sequence[Device],
+        tuning: Tuning,
+        rate_hz: float,
+        ticks: int | None = None,
+        prepare: Callable[[], Callable[[], None]] | None = None,
+    ) -> None:
+        self._ticks, self._prepare = -1 if ticks is None else ticks, prepare
+        self._tuned: list[Tuning] = []
+        self._tuned_at = 0
+        self._ended: Ended | None = None
+        self._armed = self._stopping = False
+        self._handover: _Handover | None = None
+        self._done = threading.Event()
+        self._wake_fd = os.eventfd(0)
+        # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset serves the whole run.
+        self._epoch_ns = _epoch_offset_ns()
+        self._words = np.zeros(8, np.int64), np.zeros(8, np.int64)
+        self._turns = np.zeros(8, np.int64)
+        self._missed_before = 0
+        self._rings: list[Ring] = []
+        """The one that is read, and after it the one of the next loop, where that has another."""
+        self._dropped = 0
+        self._loop = self.loop(devices, tuning, rate_hz)
+        self._rings.append(self._loop.shared.ring)
+        self._thread = threading.Thread(target=self._run, name="servo", daemon=True)
+
+    def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
+        """A loop for this servo: the first one, or one to `replace` it, with as many fingers."""
+        values, period = flatten(tuning), period_ns(rate_hz)
+        row = np.zeros(len(devices) * RECORD_SIZE)
+        lines = tuple(map(make_line, np.split(row, len(devices))))
+        capacity = 1 << int(np.ceil(np.log2(max(RING_SECONDS * rate_hz, 1024))))
+        ring = self._rings[-1] if self._rings else None
+        if ring is None or len(ring.slots) != capacity:
+            ring = make_ring(capacity, len(row))
+        shared = Shared(*self._words, make_slot(values), ring, self._wake_fd)
+        arguments = (
+            tuning,
+            begin(tuning.scene),
+            tuple(Io(*device.io()) for device in devices),
+            Schedule(period, self._epoch_ns, self._ticks, int(all(device.info.own_clock for device in devices))),
+            shared,
+            Scratch(np.zeros(2, np.int64), values.copy(), row, lines),
+        )
+        return Loop(tuple(devices), tuning, shared, arguments)
+
+    def compile(self, loop: Loop | None = None) -> bool:
+        """Compile everything the loop, by default the first, and its readers call; True if all came from the cache."""
+        _, _, shared, arguments = self._loop if loop is None else loop
+        kernels: list[tuple[Any, tuple[Any, ...]]] = [
+            (servo_loop, arguments),
+            (take, (shared.ring, np.empty((1, shared.ring.slots.shape[1])))),
+            (publish, (shared.tuning, shared.tuning.values)),
+        ]
+        for kernel, given in kernels:
+            kernel.compile(tuple(numba.typeof(argument) for argument in given))
+        return all(not kernel.stats.cache_misses for kernel, _ in kernels)
+
+    @staticmethod
+    def compiled_for(tuning: Tuning) -> bool:
+        """Whether this process has the loop for the parts of this tuning."""
+        return any(signature[0] == numba.typeof(tuning) for signature in servo_loop.signatures)  # type: ignore[attr-defined]
+
+    def start(self) -> None:
+        """Start the thread; returns at once."""
+        self._thread.start()
+
+    def _run(self) -> None:
+        undo: Callable[[], None] | None = None
+        try:
+            if self._prepare is not None:
+                undo = self._prepare()
+            self._arm()
+            ended = self._run_loops()
+        except BaseException as error:  # whatever it was, the device must be zeroed and join() must learn of it
+            ended = Ended(CRASHED, 0, error)
+        self._ended = ended
+        failed = wayout.every(lambda: wayout.stop_all(self.devices), *([undo] if undo else []), first=ended.error)
+        if failed is not ended.error:
+            if ended.ending in (STOPPED, FINISHED):
+                self._ended = Ended(CRASHED, ended.status, failed)
+            else:  # what ended the loop is the first error
+                log.error("%s", failed)
+        self._done.set()
+        self._turns[0] += 1
+        os.eventfd_write(self._wake_fd, 1)
+
+    def _arm(self) -> None:
+        if not self._stopping:
+            for device in self.devices:
+                device.arm()
+            self._armed = True
+
+    def _run_loops(self) -> Ended:
+        while True:
+            ending, status, finger = servo_loop(*self._loop.arguments)
+            handover = self._handover
+            if handover is None or ending != STOPPED or self._stopping:
+                return Ended(ending, status, finger=finger)
+            self._take_over(handover)
+
+    def _take_over(self, handover: _Handover) -> None:
+        """Between two loops, with the devices at zero."""
+        if not handover.keeps:
+            self._armed = False  # no tick is due until the next devices are armed
+            wayout.stop_all(self.devices)
+        handover.left.set()
+        handover.ready.wait()
+        if handover.loop is None:
+            raise handover.error or SafetyStop("there was no loop to go on with")
+        self._loop, self._handover = handover.loop, None
+        if self._loop.shared.ring is not self._rings[-1]:
+            self._rings.append(self._loop.shared.ring)
+            self._turns[0] += 1
+        self.shared.stop[0] = 0
+        if self._stopping:  # asked for meanwhile
+            self.shared.stop[0] = 1
+        if not handover.keeps:
+            self._arm()
+        handover.first, self._missed_before = self.ticks, self.missed
+        handover.begun.set()
+
+    def replace(self, make: Callable[[], Loop], keeps: bool) -> int:
+        """End the loop with zero force and begin another in the same thread; returns the number of its first tick.
+
+        make   returns the next loop, compiled; called here once the loop of before has ended. What it raises ends the
+               servo, and is raised here too
+        keeps  whether the devices are the same; they stay armed. Else they are stopped before `make`, and are the
+               caller's
+
+        Ticks, misses and times go on; contact, guard and energy begin anew. The time between the loops counts as no
+        missed deadline. Raises SafetyStop where the servo is not running. One thread only.
+        """
+        self.check_running()
+        handover = _Handover(keeps)
+        self._handover = handover
+        self.shared.stop[0] = 1
+        try:
+            self._await(handover.left)
+            handover.loop = make()
+        except BaseException as error:
+            handover.error = error
+            raise
+        finally:
+            handover.ready.set()
+        self._await(handover.begun)
+        return handover.first
+
+    def _await(self, step: threading.Event) -> None:
+        until = time.monotonic() + HANDOVER_S
+        while not step.wait(HANDOVER_POLL_S):
+            if self._ended is not None and self._ended.error is not None:
+                raise self._ended.error
+            if self._done.is_set() or time.monotonic() > until:
+                raise SafetyStop("the servo ended, or hangs in its device, before it was replaced")
+
+    def check_running(self) -> None:
+        """Raise SafetyStop unless ticks are going on."""
+        if not self._armed or self._ended is not None:
+            raise SafetyStop("the servo does not run: there is nothing to be replaced")
+
+    @property
+    def devices(self) -> tuple[Device, ...]:
+        """The devices of the loop that runs, or ran last, one for each finger."""
+        return self._loop.devices
+
+    @property
+    def width(self) -> int:
+        """Numbers in a row of the ring: RECORD_SIZE for each finger."""
+        return len(self.devices) * RECORD_SIZE
+
+    @property
+    def tuning(self) -> Tuning:
+        """What the loop that runs, or ran last, began with."""
+        return self._loop.tuning
+
+    @property
+    def shared(self) -> Shared:
+        """What the loop that runs, or ran last, shares with Python."""
+        return self._loop.shared
+
+    @property
+    def period_ns(self) -> int:
+        """Length of a tick of the loop that runs, or ran last."""
+        return int(self._loop.arguments[3].period_ns)
+
+    def stop(self) -> None:
+        """Ask the loop to end after its current tick; from any thread, also from a signal handler."""
+        self._stopping = True  # first: a loop that is being replaced looks at both, in this order
+        self.shared.stop[0] = 1
+
+    def join(self, timeout_s: float | None = None) -> Ended | None:
+        """Wait for the end; None if it has not come within the time."""
+        # Not Thread.join: in Python 3.11 an interrupt inside it marks a live thread as finished.
+        if not self._done.wait(timeout_s):
+            return None
+        return self._ended
+
+    @property
+    def running(self) -> bool:
+        return not self._done.is_set()
+
+    @property
+    def looping(self) -> bool:
+        """Whether ticks are still to come; after the last one the devices are stopped, and then `running` ends."""
+        return self._ended is None
+
+    @property
+    def armed(self) -> bool:
+        """Whether the devices have been armed; from then on a tick is due."""
+        return self._armed
+
+    @property
+    def epoch_s(self) -> float:
+        """What a record's timestamp is ahead of CLOCK_MONOTONIC, s."""
+        return self._epoch_ns / NS_PER_S
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done so far."""
+        return int(self.shared.progress[0])
+
+    @property
+    def missed(self) -> int:
+        """Deadlines missed so far."""
+        return int(self.shared.progress[1])
+
+    @property
+    def missed_before(self) -> int:
+        """Deadlines missed by the loops before this one."""
+        return self._missed_before
+
+    @property
+    def woken_late(self) -> bool:
+        """Of a loop that lost its time: whether most of it was lost before the thread was woken."""
+        return bool(self.shared.progress[2])
+
+    @property
+    def drops(self) -> int:
+        """Records the ring had no room for."""
+        return self._dropped + int(self._rings[0].drops[0])
+
+    def wait_record(self) -> None:
+        """Sleep until there is a record to take, or the loop has ended. One thread only."""
+        os.eventfd_read(self._wake_fd)
+
+    def take(self, out: NDArray[np.float64]) -> int:
+        """Move the oldest records into `out` (n, width), a row a tick; returns how many. One thread only."""
+        last = (
+            len(self._rings) > 1
+        )  # asked before emptying it: nothing more comes into the ring of a loop that has ended
+        count = int(take(self._rings[0], out))
+        if count == 0 and last:
+            self._next_ring()
+            count = int(take(self._rings[0], out))
+        return count
+
+    def feeds(self) -> Iterator[Feed]:
+        """The rings one after the other, for a reader without Python, in place of `take` and `wait_record`: each once
+        the one before has turned and was emptied; the last one has turned when the servo has ended."""
+        yield Feed(self._rings[0], self._turns, self._wake_fd)
+        while len(self._rings) > 1:
+            self._next_ring()
+            yield Feed(self._rings[0], self._turns, self._wake_fd)
+
+    def _next_ring(self) -> None:
+        self._dropped += int(self._rings[0].drops[0])
+        del self._rings[0]
+
+    def fits(self, tuning: Tuning) -> bool:
+        """Whether the loop was compiled for the parts of this tuning."""
+        return alike(tuning, self._loop.tuning)
+
+    def tune(self, tuning: Tuning) -> None:
+        """Change parameters while running; the scene's parts must be the same (`fits`). One thread at a time."""
+        if not self.fits(tuning):
+            raise ValueError("the new tuning has other parts than the one compiled: replace the loop")
+        # The scene that was replaced may own arrays, and the loop reads them until it has taken the new one. It has
+        # once two ticks have ended since the last write: the second began after it, and met no other.
+        if self.ticks >= self._tuned_at + 2:
+            del self._tuned[:-1]
+        self._tuned.append(tuning)
+        publish(self.shared.tuning, flatten(tuning))
+        self._tuned_at = self.ticks
+
+    def close(self) -> None:
+        """Release the eventfd, after the loop has ended and its reader has gone."""
+        if self._thread.ident is not None:
+            self._thread.join()
+        if self._wake_fd >= 0:
+            os.close(self._wake_fd)
+            self._wake_fd = -1
+
+
+def alike(a: Any, b: Any) -> bool:
+    """Whether two trees have the same parts, so that one loop serves both; `numba.typeof` takes milliseconds for it."""
+    if isinstance(a, tuple):
+        return type(a) is type(b) and len(a) == len(b) and all(map(alike, a, b))
+    if isinstance(a, float):
+        return isinstance(b, float)
+    return b is None if a is None else bool(numba.typeof(a) == numba.typeof(b))
+
+
+def _epoch_offset_ns() -> int:
+    return time.time_ns() - time.monotonic_ns()
