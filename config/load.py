@@ -19,7 +19,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.schema import Object, Rig, Scene, Textured
+from softfinger.config.schema import Heightmap, Object, Rig, Scene, Textured
 from softfinger.config.toml import parse_toml
 from softfinger.config.validate import Fault, examine
 from softfinger.config.words import near, shown
@@ -232,6 +232,8 @@ def _with_overrides(
 
 
 def _beside(folder: Path, thing: Object) -> Object:
+    if isinstance(thing, Heightmap):
+        return msgspec.structs.replace(thing, file=str(folder / thing.file))
     if not isinstance(thing, Textured) or thing.texture is None:
         return thing
     texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))
