@@ -76,6 +76,20 @@ def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:
     )
 
 
+def tightest(heights: Grid, pitch: float) -> float:
+    """Curvature that no valley of the map within its pixels exceeds, 1/m."""
+    valley, _ = sharpest_bends(coefficients(heights / pitch))
+    first, (rows, columns) = RIM - 1, heights.shape
+    return float(valley[first : first + max(rows - 1, 1), first : first + max(columns - 1, 1)].max()) / pitch
+
+
+def thinned(heights: Grid, pitch: float, most: int) -> tuple[Grid, Grid, Grid]:
+    """Places x (columns,) and y (rows,), m, and heights (rows, columns): so many pixels a side at most."""
+    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int)) for n in heights.shape)
+    x, y = ((kept - 0.5 * (n - 1)) * pitch for kept, n in ((columns, heights.shape[1]), (rows, heights.shape[0])))
+    return x, y, heights[np.ix_(rows, columns)]
+
+
 def coefficients(values: Grid) -> Grid:
     """Of the spline through the values (rows, columns), with RIM more on each side."""
     return _along_rows(_along_rows(values).T).T
@@ -159,4 +173,4 @@ def sharpest_bends(spline: Grid) -> tuple[Grid, Grid]:
 
 def _most(values: Grid, rows: int, columns: int) -> Grid:
     """The greatest of every block of so many."""
-    return np.lib.stride_tricks.sliding_window_view(values, (rows, columns)).max(axis=(2, 3))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(values, (rows, columns)).max(axis=(2, 3)))

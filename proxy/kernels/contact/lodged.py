@@ -40,9 +40,9 @@ SHORTEST: Final = 0.25
 
 
 class Feet(NamedTuple):
-    """Surface points (3,) m that hold the fingertip, `count` of them."""
+    """Surface points (3,) m that hold the fingertip, `many` of them."""
 
-    count: int
+    many: int
     one: Vec3
     two: Vec3
     three: Vec3
@@ -53,15 +53,15 @@ def is_foot(feet: Feet, point: Vec3, within: float) -> bool:
     """Whether that is one of them, within a distance, m."""
     if vec3.norm(vec3.sub(point, feet.one)) <= within:
         return True
-    if feet.count > 1 and vec3.norm(vec3.sub(point, feet.two)) <= within:
+    if feet.many > 1 and vec3.norm(vec3.sub(point, feet.two)) <= within:
         return True
-    return feet.count > 2 and vec3.norm(vec3.sub(point, feet.three)) <= within
+    return feet.many > 2 and vec3.norm(vec3.sub(point, feet.three)) <= within
 
 
 @jit
 def with_foot(feet: Feet, point: Vec3) -> Feet:
     """With one more; in place of the last, where there are three."""
-    if feet.count == 1:
+    if feet.many == 1:
         return Feet(2, feet.one, point, point)
     return Feet(3, feet.one, feet.two, point)
 
@@ -93,12 +93,12 @@ def lodge(shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, norma
     for turn in range(ROUNDS):
         _, p1, n1 = near(shape, center, feet.one)
         p2, n2, p3, n3 = p1, n1, p1, n1
-        if feet.count > 1:
+        if feet.many > 1:
             _, p2, n2 = near(shape, center, feet.two)
             p3, n3 = p2, n2
-        if feet.count > 2:
+        if feet.many > 2:
             _, p3, n3 = near(shape, center, feet.three)
-        feet = Feet(feet.count, p1, p2, p3)
+        feet = Feet(feet.many, p1, p2, p3)
         clear = True
         if turn > 0:
             gap, other, other_normal = nearest_from(shape, center, p1)
@@ -106,23 +106,23 @@ def lodge(shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, norma
             if not clear and not is_foot(feet, other, SAME * radius):
                 feet = with_foot(feet, other)
                 p3, n3 = other, other_normal
-                if feet.count == 2:
+                if feet.many == 2:
                     p2, n2 = other, other_normal
         goal = vec3.add(probe, vec3.reject(lag, up))
-        if feet.count == 1:
+        if feet.many == 1:
             push, then = n1, along_one(shape, radius, goal, p1, n1)
         else:
             b1 = vec3.dot(n1, vec3.sub(p1, goal)) + radius
             b2 = vec3.dot(n2, vec3.sub(p2, goal)) + radius
             b3 = vec3.dot(n3, vec3.sub(p3, goal)) + radius
-            held = hold(feet.count, n1, n2, n3, b1, b2, b3)
+            held = hold(feet.many, n1, n2, n3, b1, b2, b3)
             push = displacement(held.push, n1, n2, n3)
             then = vec3.add(goal, displacement(held.place, n1, n2, n3))
         if turn > 0 and clear:
             rest = center
             _, up = direction(push, n1)
         then = vec3.add(rest, at_most(vec3.sub(then, rest), STRIDE * radius))
-        if feet.count == 1:
+        if feet.many == 1:
             _, p1, n1 = near(shape, then, p1)
             landed = vec3.add_scaled(p1, radius, n1)
             if vec3.norm(vec3.sub(landed, rest)) <= radius:

@@ -16,7 +16,7 @@ Elsewhere `tiles` finds out whether another foot is nearer.
 """
 
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.surfaces.contract import (
@@ -198,7 +198,7 @@ def touching(shape: Heightmap, x: Vec3, foot: Foot) -> tuple[float, Vec3, Vec3]:
 
 
 @by_type
-def near(shape: Heightmap, x: Vec3, point: Vec3) -> tuple[float, Vec3, Vec3]:
+def near(shape: Any, x: Vec3, point: Vec3) -> Any:
     """`closest` of the foot of `x` that is downhill from the surface point `point`, whatever is nearer elsewhere."""
 
 

@@ -194,7 +194,7 @@ def beaten(p: Vec3, tile: Tile, place: Foot, square: float) -> bool:
 
 @jit
 def best_of_quarters(shape: Heightmap, p: Vec3, start: Foot, i: int, j: int) -> Foot:
-    """The nearest of a place and the middles of a cell's quarters: from there it is downhill to the cell's best foot."""
+    """The nearest of a place and the middles of a cell's quarters: from there the cell's best foot is downhill."""
     for number in range(4):
         other = foot_at(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
         if other.square < start.square:
