@@ -19,7 +19,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.schema import Mesh, Object, Rig, Scene, Textured
+from softfinger.config.schema import Heightmap, Mesh, Object, Rig, Scene, Textured
 from softfinger.config.toml import parse_toml
 from softfinger.config.validate import Fault, examine
 from softfinger.config.words import near, shown
@@ -232,7 +232,7 @@ def _with_overrides(
 
 
 def _beside(folder: Path, thing: Object) -> Object:
-    if isinstance(thing, Mesh):
+    if isinstance(thing, Heightmap | Mesh):
         return msgspec.structs.replace(thing, file=str(folder / thing.file))
     if not isinstance(thing, Textured) or thing.texture is None:
         return thing

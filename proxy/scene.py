@@ -12,6 +12,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import overridden
 from softfinger.proxy.actions import kernel_effects, kernel_motion
+from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
 from softfinger.proxy.kernels.native.arrays import ReadOnly
@@ -39,8 +40,8 @@ class Body(NamedTuple):
 def build_scene(scene: schema.Scene) -> model.Scene:
     """The scene as named tuples of float64; a table the file leaves out becomes None.
 
-    Raises ConfigError where the file of a texture cannot be used, and for more than APART_MAX objects that cannot share
-    their code.
+    Raises ConfigError where the file of a texture or a height map cannot be used, and for more than APART_MAX objects
+    that cannot share their code.
     """
     materials = _materials(scene)
     bodies = []
@@ -239,6 +240,11 @@ def _ellipsoid(thing: schema.Ellipsoid) -> list[Body]:
 @shape_bodies.register
 def _torus(thing: schema.Torus) -> list[Body]:
     return [Body(model.Torus(thing.major_radius_m, thing.minor_radius_m, _side(thing.inside)))]
+
+
+@shape_bodies.register
+def _heightmap(thing: schema.Heightmap) -> list[Body]:
+    return [Body(kernel_heightmap(read_heights(thing), thing.pitch_m))]
 
 
 @shape_bodies.register

@@ -1,7 +1,8 @@
-"""Numbers over a surface, from a file that a scene names: .npy, .npz, .csv, or a grey picture as .pgm."""
+"""Numbers over a surface, from a file that a scene names: .npy, .npz, .csv, or a grey picture as .pgm or .png."""
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -25,16 +26,21 @@ MAGNITUDE_MAX: Final = 1e100
 
 _GAP: Final = rb"\s+(?:#[^\n]*\n\s*)*"
 _PGM: Final = re.compile(_GAP.join((rb"P5", rb"([0-9]{1,7})", rb"([0-9]{1,7})", rb"([0-9]{1,5})")) + rb"\s")
+GREY: Final = ("L", "I;16", "I;16B", "I")
+"""What Pillow calls pictures of 8 and of 16 bits of grey."""
 _PGM_HEAD_MAX: Final = 4096
 """Bytes before the picture itself, comments among them; GIMP writes some 60."""
 
 
-def read_grid(path: str | Path) -> Grid:
-    """The numbers of a file, (rows, columns): finite, not all the same. ConfigError with file, fault and remedy."""
+def read_grid(path: str | Path, even: bool = False) -> Grid:
+    """The numbers of a file, (rows, columns), finite. ConfigError with file, fault and remedy.
+
+    even  whether all may be the same
+    """
     read = READERS.get(Path(path).suffix.lower())
     if read is None:
         raise ConfigError(
-            f"{path}: is none of {', '.join(READERS)}: save a picture as grey .pgm, or any array by "
+            f"{path}: is none of {', '.join(READERS)}: save a picture as grey .png, or any array by "
             "numpy.save(name, array)"
         )
     try:
@@ -42,7 +48,7 @@ def read_grid(path: str | Path) -> Grid:
         if values.dtype.kind not in "fiub":
             raise ValueError(f"holds {values.dtype}, must hold numbers")
         grid = np.array(values[None] if values.ndim == 1 else values, dtype=np.float64)
-        _check(grid)
+        _check(grid, even)
     except (OSError, MemoryError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise ConfigError(f"{path}: cannot be read: {reason}") from error
@@ -51,7 +57,7 @@ def read_grid(path: str | Path) -> Grid:
     return grid
 
 
-def _check(grid: Grid) -> None:
+def _check(grid: Grid, even: bool) -> None:
     if grid.ndim != 2 or grid.size == 0:
         raise ValueError(f"an array of shape {grid.shape}: must have rows and columns; of a colour picture take one")
     if grid.size > limits.GRID_VALUES.high:
@@ -60,7 +66,9 @@ def _check(grid: Grid) -> None:
     if bad.any():
         row, column = np.argwhere(bad)[0]
         raise ValueError(f"row {row}, column {column}: {grid[row, column]}: numbers are finite, at most 1e100")
-    if grid.min() == grid.max():
+    if grid.size < limits.GRID_VALUES.low:
+        raise ValueError("has one value alone: must have two at the least")
+    if not even and grid.min() == grid.max():
         raise ValueError(f"every value is {grid.flat[0]:g}: a texture has at least two")
 
 
@@ -110,10 +118,30 @@ def _pgm(path: str | Path) -> NDArray[Any]:
     return np.frombuffer(data, kind, offset=head.end()).reshape(rows, columns)
 
 
+def _png(path: str | Path) -> NDArray[Any]:
+    """Its levels of grey as they are in the file, 0 to 255 or to 65535."""
+    try:
+        from PIL import Image
+    except ImportError as missing:
+        raise ValueError(
+            f"Pillow is not installed ({missing}): pip install 'softfinger[pictures]', or save it as grey .pgm"
+        ) from missing
+    with Image.open(io.BytesIO(read_input(path, BYTES_MAX)), formats=["PNG"]) as picture:
+        columns, rows = picture.size
+        if columns * rows > limits.GRID_VALUES.high:  # before anything is unpacked
+            raise ValueError(
+                f"has {columns} x {rows} pixels, {limits.GRID_VALUES.high:,} are the most: {limits.GRID_VALUES[2]}"
+            )
+        if picture.mode not in GREY:
+            raise ValueError(f"has pixels of {picture.mode}, must be grey without transparency, of 8 or 16 bits")
+        return np.asarray(picture)
+
+
 READERS: Final[dict[str, Callable[[str | Path], NDArray[Any]]]] = {
     ".npy": _npy,
     ".npz": _npz,
     ".csv": _csv,
     ".pgm": _pgm,
+    ".png": _png,
 }
 """How each ending is read."""

@@ -224,6 +224,25 @@ class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus
             yield "major_radius_m", major, _too_tight(fingertip_m, "radius", hole)
 
 
+class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="heightmap"):
+    """A solid below heights over the object's x and y axes, from a file; level beyond its rim."""
+
+    shape: ClassVar[str] = "heightmap"
+    file: Annotated[
+        str,
+        sized(
+            limits.FILE_NAME_LENGTH,
+            "grey picture as .png (8 or 16 bits) or .pgm, white the highest, or array as .npy, .npz or .csv, columns "
+            "along x and rows along y; where its name has no root, in the scene's folder",
+            "hills.npy",
+        ),
+    ]
+    pitch_m: Annotated[float, within(limits.HEIGHT_PITCH_M, "from one pixel to the next", 0.001)]
+    level_m: Annotated[
+        float, within(limits.HEIGHT_LEVEL_M, "height of one level of the file; 1 for an array in metres", 1.0)
+    ]
+
+
 class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh"):
     """The triangles of a file, in the object's frame. One with holes is a sheet, felt from both sides."""
 
@@ -256,7 +275,7 @@ def _too_tight(least_m: float, measure: str = "radius", what: str = "") -> str:
     return f"{what} {room}".strip() + ": widen it, or take a smaller fingertip"
 
 
-Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus | Mesh
+Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus | Heightmap | Mesh
 """Any object: the key `shape` tells them apart."""
 
 Added = TypeVar("Added", bound=type[ObjectBase])

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.heightmaps import read_heights, thinned
 from softfinger.proxy.record import AT
 from softfinger.server.recording.schemas import FRAME, POSE, SCENE, message_class
 
@@ -25,6 +27,8 @@ PLANE_M: Final = 0.3
 """Edge of the square that stands for a plane, and length of a cylinder without ends: half a desk device's workspace."""
 SHEET_M: Final = 0.001
 RING_POINTS: Final = 48
+MAP_PIXELS: Final = 96
+"""Pixels of a height map along each side that are drawn."""
 
 _OBJECT: Final = {"r": 0.55, "g": 0.62, "b": 0.72, "a": 0.6}
 _FINGER: Final = {"r": 0.9, "g": 0.55, "b": 0.35, "a": 0.9}
@@ -115,8 +119,12 @@ def drawn(thing: schema.Object) -> dict[str, Any]:
     at = _pose(thing.position_m, thing.orientation_wxyz)
     draw: Callable[[Any, Any], dict[str, Any]] | None = _SHAPES.get(thing.shape)
     if draw is None:
-        return {"texts": [{"pose": at, "billboard": True, "font_size": 0.01, "color": _OBJECT, "text": thing.name}]}
+        return _named(thing, at)
     return draw(thing, at)
+
+
+def _named(thing: schema.Object, at: Any) -> dict[str, Any]:
+    return {"texts": [{"pose": at, "billboard": True, "font_size": 0.01, "color": _OBJECT, "text": thing.name}]}
 
 
 def _cube(at: Any, size: Sequence[float]) -> dict[str, Any]:
@@ -151,6 +159,17 @@ def _torus(thing: schema.Torus, at: Any) -> dict[str, Any]:
     return {"lines": [line]}
 
 
+def _heightmap(thing: schema.Heightmap, at: Any) -> dict[str, Any]:
+    try:
+        x, y, z = thinned(read_heights(thing), thing.pitch_m, MAP_PIXELS)
+    except ConfigError:  # the file has gone since it was read for the scene
+        return _named(thing, at)
+    points = [_vector((x[i], y[j], z[j, i])) for j in range(len(y)) for i in range(len(x))]
+    corners = [(j * len(x) + i, j * len(x) + i + 1) for j in range(len(y) - 1) for i in range(len(x) - 1)]
+    indices = [n for a, b in corners for n in (a, b, b + len(x), a, b + len(x), a + len(x))]
+    return {"triangles": [{"pose": at, "points": points, "color": _OBJECT, "indices": indices}]}
+
+
 _SHAPES: Final[dict[str, Callable[[Any, Any], dict[str, Any]]]] = {
     "plane": _plane,
     "sphere": lambda thing, at: _ball(at, [2.0 * thing.radius_m] * 3),
@@ -159,6 +178,7 @@ _SHAPES: Final[dict[str, Callable[[Any, Any], dict[str, Any]]]] = {
     "box": lambda thing, at: _cube(at, thing.size_m),
     "ellipsoid": lambda thing, at: _ball(at, [2.0 * axis for axis in thing.semi_axes_m]),
     "torus": _torus,
+    "heightmap": _heightmap,
 }
 
 

@@ -17,6 +17,7 @@ from softfinger.config.schema import (
     DeviceConfig,
     FingerParts,
     Guard,
+    Heightmap,
     Mesh,
     Object,
     ObjectBase,
@@ -214,6 +215,8 @@ def _object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
     rows += [(f"  effect {effect.kind}", _values(effect)) for effect in item.effect]
     if item.motion is not None:
         rows.append((f"  motion {item.motion.kind}", _values(item.motion)))
+    if isinstance(item, Heightmap):
+        rows += _heightmap_rows(item)
     if isinstance(item, Textured) and item.texture is not None:
         rows += _texture_rows(item, item.texture)
     if isinstance(item, Mesh):
@@ -227,6 +230,21 @@ def _report(item: Mesh) -> Report:
 
     with progress(f"reading {item.file}"):
         return about(item).report
+
+
+def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
+    from softfinger.proxy.heightmaps import read_heights, tightest
+
+    heights = read_heights(item)
+    rows, columns = heights.shape
+    size = f"{columns} x {rows} pixels, {columns * item.pitch_m:g} x {rows * item.pitch_m:g} m"
+    low, high = float(heights.min()), float(heights.max())
+    valley = tightest(heights, item.pitch_m)
+    bends = "no valley" if valley == 0.0 else f"valleys bend with {1.0 / valley:.3g} m or more"
+    return [
+        ("  map", f"{size}, heights {low:g} to {high:g} m"),
+        ("    bends", f"{bends}; where that is less than the fingertip's radius it touches in several places"),
+    ]
 
 
 def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:

@@ -29,7 +29,7 @@ from softfinger.server.verbs import schema as schema_verb
 ROOT = Path(__file__).resolve().parents[2]
 
 
-ANY_SHAPE = "one of 'plane', 'sphere', 'cylinder', 'capsule', 'box', 'ellipsoid', 'torus', 'mesh'"
+ANY_SHAPE = "one of 'plane', 'sphere', 'cylinder', 'capsule', 'box', 'ellipsoid', 'torus', 'heightmap', 'mesh'"
 
 
 def scene() -> dict[str, Any]:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
 
 from softfinger.config import limits
 from softfinger.config.arrays.grids import read_grid
@@ -59,7 +64,9 @@ def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "said"),
     [
-        ("a.png", b"\x89PNG", "is none of .npy, .npz, .csv, .pgm: save a picture as grey .pgm, or any array by"),
+        ("a.jpg", b"\xff\xd8", "is none of .npy, .npz, .csv, .pgm, .png: save a picture as grey .png, or any array by"),
+        ("a.png", b"\x89PNG", "cannot identify image file"),
+        ("a.csv", b"7\n", "has one value alone: must have two at the least"),
         ("a", b"", "is none of .npy"),
         ("a.csv", b"# nothing\n", "has no numbers: a row is a line"),
         ("a.csv", b"1,2\n3\n", "line 2 has 1 numbers, the first row 2"),
@@ -99,6 +106,50 @@ def test_arrays_that_are_no_texture_are_said(tmp_path: Path, array: np.ndarray, 
     with pytest.raises(ConfigError) as caught:
         read(tmp_path, "a.npy", npy(tmp_path, array))
     assert said in str(caught.value)
+
+
+def png(picture: np.ndarray, **how: object) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "PNG", **how)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_grey_pictures_keep_their_levels(tmp_path: Path, kind: type) -> None:
+    """From 0 to the highest of 8 and of 16 bits, as drawn, the first row first."""
+    levels = np.array([[0, 1, 2], [3, 128, np.iinfo(kind).max]], kind)
+    np.testing.assert_array_equal(read(tmp_path, "a.png", png(levels)), levels)
+    np.testing.assert_array_equal(read(tmp_path, "B.PNG", png(levels, optimize=True)), levels)
+
+
+@pytest.mark.parametrize(
+    ("picture", "said"),
+    [
+        (np.zeros((2, 3, 3), np.uint8), "has pixels of RGB, must be grey without transparency"),
+        (np.zeros((2, 3, 4), np.uint8), "has pixels of RGBA, must be grey"),
+        (np.zeros((1, 1), np.uint8), "has one value alone"),
+        (np.zeros((1025, 1024), np.uint8), "has 1024 x 1025 pixels, 1,048,576 are the most: 1024 by 1024, of 8 MB"),
+    ],
+)
+def test_pictures_that_are_no_grid_are_said(tmp_path: Path, picture: np.ndarray, said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path, "a.png", png(picture))
+    assert said in str(caught.value)
+
+
+@settings(derandomize=True, max_examples=200, deadline=None)
+@given(at=st.integers(8, 400), byte=st.integers(0, 255), end=st.booleans())
+def test_a_damaged_picture_is_an_error_or_a_picture(
+    tmp_path_factory: pytest.TempPathFactory, at: int, byte: int, end: bool
+) -> None:
+    """Cut off or with another byte anywhere: no other exception."""
+    data = bytearray(png((np.arange(600) % 251).astype(np.uint8).reshape(20, 30)))
+    at = min(at, len(data) - 1)
+    data[at] = byte
+    file = tmp_path_factory.mktemp("damaged") / "a.png"
+    file.write_bytes(bytes(data[:at] if end else data))
+    with contextlib.suppress(ConfigError):
+        assert read_grid(file).ndim == 2
 
 
 def test_archive_of_several_arrays_is_refused(tmp_path: Path) -> None:

@@ -33,8 +33,14 @@ SHAPES: Final[dict[str, Table]] = {
     "box": {"shape": "box", "size_m": [0.1, 0.12, 0.14]},
     "ellipsoid": {"shape": "ellipsoid", "semi_axes_m": [0.06, 0.05, 0.04]},
     "torus": {"shape": "torus", "major_radius_m": 0.06, "minor_radius_m": 0.02},
+    "heightmap": {
+        "shape": "heightmap",
+        "file": str(FOLDERS[schema.Scene] / "hills.pgm"),
+        "pitch_m": 0.0015,
+        "level_m": 1e-7,
+    },
 }
-"""Room for a fingertip of 10 mm in each, and in the hole of the torus."""
+"""Room for a fingertip of 10 mm in each that has an inside, and in the hole of the torus."""
 
 NORMALS: Final[dict[str, Table]] = {
     "power law": {"normal": {"exponent": 1.5}},
@@ -208,7 +214,7 @@ def _shapes() -> Iterator[Feature]:
         if name != "plane":
             yield Feature(f"shape {name}, for plane", "bare plane", plane, _scene(name))
     for name in SHAPES:
-        if name != "plane":
+        if name not in ("plane", "heightmap"):
             yield Feature(f"inside {name}, for outside", f"bare {name}", _scene(name), _scene(name, object_inside=True))
     bare, place, turn = _scene("ellipsoid"), [0.01, 0.02, 0.03], [0.8, 0.36, 0.48, 0.0]
     moved, turned = _scene("ellipsoid", object_position_m=place), _scene("ellipsoid", object_orientation_wxyz=turn)

@@ -19,6 +19,7 @@ from softfinger.proxy.kernels.geometry.bodies import (
     NOBODY,
     closest_to,
     deepest,
+    follows_on,
     is_inside,
     roll_on,
     swings_on,
@@ -71,17 +72,22 @@ class Approach(NamedTuple):
 
 
 @by_count
-def rest_of(patches: Any, position: Vec3, met: Vec3, active: Constraints) -> Any:
+def rest_of(patches: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: Constraints) -> Any:
     """Where the proxy (3,) m of a contact begins that was met at `met`."""
 
 
 @rest_of.of(1)
-def rest_over_the_probe(patches: Any, position: Vec3, met: Vec3, active: Constraints) -> Vec3:
-    return vec3.add(position, vec3.scale(active.push.first, active.n1))
+def rest_over_the_probe(
+    patches: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: Constraints
+) -> Vec3:
+    over = vec3.add(position, vec3.scale(active.push.first, active.n1))
+    return over if follows_on(objects, active.first, radius, OffsetPoint(met, active.n1), over) else met
 
 
 @rest_of.of(2)
-def rest_where_it_met(patches: Any, position: Vec3, met: Vec3, active: Constraints) -> Vec3:
+def rest_where_it_met(
+    patches: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: Constraints
+) -> Vec3:
     """Over the probe there may be another object: `settle_among_several` finds its way there."""
     return met
 
@@ -119,7 +125,7 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
         if state.mode != FREE and push.first <= INSIDE * radius and is_outside(objects, radius, position):
             active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position  # what has just ended, rounded
         else:
-            center = rest_of(state.patches, position, center, active)
+            center = rest_of(state.patches, objects, radius, position, center, active)
     if not any_moves(objects):
         start = center
     return Meeting(start, center, active)
@@ -175,7 +181,10 @@ def no_roll_in_hollow(
     turn: Quaternion,
     rolled: Roll,
 ) -> tuple[Roll, Vec3, bool]:
-    return rolled, (-0.0, -0.0, -0.0), False
+    nothing = (-0.0, -0.0, -0.0)
+    if follows_on(objects, index, radius, start, rolled.center):
+        return rolled, nothing, False
+    return Roll(start.center, start.normal, (0.0, 0.0, 0.0), 0.0, rolled.spin), nothing, True
 
 
 @in_hollow.otherwise
@@ -192,6 +201,7 @@ def roll_in_hollow(
     center, normal = start
     beyond = (-0.0, -0.0, -0.0)
     strays = swings_on(objects, index, radius, center, normal, rolled.theta)
+    strays = strays or not follows_on(objects, index, radius, start, rolled.center)
     if strays:  # the roll winds the coupling in the tangent plane, and the centre goes where friction lets it
         theta, axis = rotations.tilt(turn, normal)
         beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))

@@ -8,6 +8,7 @@ again, what stands in the way is added, and the smallest push that satisfies the
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.half_spaces import FACING, Push, displacement, hold
+from softfinger.proxy.kernels.contact.lodged import lodge
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.bodies import (
@@ -18,10 +19,11 @@ from softfinger.proxy.kernels.geometry.bodies import (
     deepest,
     material_of,
 )
+from softfinger.proxy.kernels.geometry.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
 from softfinger.proxy.kernels.geometry.surfaces import is_hollow, rest_on
 from softfinger.proxy.kernels.geometry.sweep import first_hit
-from softfinger.proxy.kernels.model import Plane, Vec3
+from softfinger.proxy.kernels.model import Heightmap, Plane, Vec3
 from softfinger.proxy.kernels.native.jit import jit
 
 ROUNDS = 10
@@ -146,6 +148,17 @@ def rest_on_curved(
         if vec3.dot(step, step) <= near:
             break
     return center, normal
+
+
+@rest_on.of(Heightmap)
+def rest_on_heightmap(
+    shape: Heightmap, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, Vec3]:
+    pose = body.pose
+    rest, up = lodge(
+        shape, radius, into(pose, probe), into(pose, center), turn_into(pose, deflection), turn_into(pose, normal)
+    )
+    return out_of(pose, rest), turn_out_of(pose, up)
 
 
 @jit

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 from numba import literal_unroll
 
-from softfinger.proxy.kernels.contact.rolling import Roll, roll
+from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll, roll
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.entries import has, member, places
 from softfinger.proxy.kernels.geometry.frames import into, out_of, pose_values, turn_into, turn_out_of
 from softfinger.proxy.kernels.geometry.mesh.contact import nearest_facet
 from softfinger.proxy.kernels.geometry.mesh.triangle import beyond_edge
-from softfinger.proxy.kernels.geometry.surfaces import bend, closest, is_hollow, tangent_plane, transport
+from softfinger.proxy.kernels.geometry.surfaces import bend, closest, follows, is_hollow, tangent_plane, transport
 from softfinger.proxy.kernels.model import Facet, Material, Mesh, Pose, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
@@ -151,6 +151,20 @@ def swings_on(objects: Any, index: float, radius: float, center: Vec3, normal: V
             swings = bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > SWING
         at += places(entry)
     return swings
+
+
+@jit
+def follows_on(objects: Any, index: float, radius: float, start: OffsetPoint, end: Vec3) -> bool:
+    """`follows` of the object with that place, in the world."""
+    leads = True
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            body = member(entry, index - at)
+            begun = into(body.pose, start.center)
+            leads = follows(body.shape, radius, begun, turn_into(body.pose, start.normal), into(body.pose, end))
+        at += places(entry)
+    return leads
 
 
 @jit

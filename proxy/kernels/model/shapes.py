@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
+from softfinger.proxy.kernels.native.arrays import ReadOnly
 
 
 class Plane(NamedTuple):
@@ -75,3 +76,23 @@ class Torus(NamedTuple):
     major: float
     minor: float
     side: float
+
+
+class Heightmap(NamedTuple):
+    """z = h(x, y), the solid below: a bicubic spline through heights about the origin, level beyond its rim.
+
+    pitch           m      between two heights
+    columns, rows          cells, of one pitch each, the three of the rim that it takes to level off included
+    levels                 of tiles: see surfaces/tiles
+    coefficients           of the spline, in pitches, row by row: one for each corner of a cell, and one more all round
+    facets                 a, b1, b2, thick, valley, ridge of each tile, in pitches, level by level, row by row
+    starts                 number of the first tile of each level
+    """
+
+    pitch: float
+    columns: float
+    rows: float
+    levels: float
+    coefficients: ReadOnly
+    facets: ReadOnly
+    starts: ReadOnly

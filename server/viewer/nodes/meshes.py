@@ -12,7 +12,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config.errors import ConfigError
 from softfinger.config.schema import shapes
+from softfinger.proxy.heightmaps import read_heights, thinned
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.uint32]
@@ -23,6 +25,8 @@ PLANE_M: Final = 0.13
 """Edge of what is drawn of a plane, which has no end."""
 ENDLESS_M: Final = 0.2
 """Length of what is drawn of a cylinder without ends."""
+PIXELS_MAX: Final = 192
+"""Pixels of a height map along each side that are drawn: 73 000 triangles, of a larger map some of its pixels."""
 
 
 class Mesh(NamedTuple):
@@ -43,8 +47,8 @@ def sent(vertices: bytes, triangles: bytes) -> Mesh:
 
 
 def mesh_of(thing: shapes.ObjectBase) -> Mesh | None:
-    """The surface of an object; None for a shape of another package, which is not known here, and for a mesh, whose
-    triangles are in no table."""
+    """The surface of an object; None for a shape of another package, which is not known here, for a map whose file is
+    not here, and for a mesh, whose triangles are in no table."""
     triangles = TRIANGLES.get(type(thing))
     return None if triangles is None else triangles(thing)
 
@@ -83,6 +87,19 @@ def torus(major: float, minor: float) -> Mesh:
     """About the z axis."""
     angle = np.linspace(0.0, 2.0 * pi, AROUND + 1)
     return lathe(np.column_stack([major + minor * np.cos(angle), minor * np.sin(angle)]))
+
+
+def heightmap(thing: shapes.Heightmap) -> Mesh | None:
+    """Its upper side, through the pixels; None where the file is not on this machine."""
+    try:
+        x, y, z = thinned(read_heights(thing), thing.pitch_m, PIXELS_MAX)
+    except ConfigError:
+        return None
+    at_x, at_y = np.meshgrid(x, y)
+    number = np.arange(z.size).reshape(z.shape)
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return Mesh(np.column_stack([at_x.ravel(), at_y.ravel(), z.ravel()]), faces.astype(np.uint32))
 
 
 def box(size: tuple[float, float, float]) -> Mesh:

@@ -3,13 +3,14 @@
 See `contract` for what a shape has to give. A package of its own may give the same for shapes of its own.
 """
 
-from softfinger.proxy.kernels.geometry.surfaces import ellipsoid, grown, plane, round, sharp, torus
+from softfinger.proxy.kernels.geometry.surfaces import ellipsoid, grown, heightmap, plane, round, sharp, tiles, torus
 from softfinger.proxy.kernels.geometry.surfaces.contract import (
     NO_HIT,
     ahead,
     bend,
     closest,
     curvature,
+    follows,
     is_hollow,
     rest_on,
     tangent_plane,
@@ -25,13 +26,16 @@ __all__ = [
     "closest",
     "curvature",
     "ellipsoid",
+    "follows",
     "grown",
+    "heightmap",
     "is_hollow",
     "plane",
     "rest_on",
     "round",
     "sharp",
     "tangent_plane",
+    "tiles",
     "torus",
     "transport",
     "travel",

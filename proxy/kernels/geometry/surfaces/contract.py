@@ -9,6 +9,7 @@ These two are all that a new shape has to give. What follows has a default, whic
     transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v carried to the new normal
     is_hollow(shape)                         -> bool                whether it is touched from inside; default: no
     bend(shape, radius, point, normal)       -> 1/m                 how much it bends round the fingertip
+    follows(shape, radius, start, normal, end)                      whether a roll takes the centre there; default: yes
     travel(shape, start, end, radius, leaves)                       how far a fingertip gets until it meets the shape
     rest_on(shape, body, radius, ...)                               where the proxy rests on it
     ahead(shape, radius, center, ...)                               where the centre gets by going straight ahead
@@ -61,6 +62,11 @@ def is_hollow(shape: Any) -> Any:
 
 
 @by_type
+def follows(shape: Any, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> Any:
+    """Whether the fingertip's centre may go from `start` (3,) m, with that normal, to `end`, where its roll leads."""
+
+
+@by_type
 def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> Any:
     """Share of the way from start to end (local points) at which a sphere of that radius meets the shape.
 
@@ -97,6 +103,11 @@ def plane_with_normal(shape: Any, normal: Vec3) -> Plane:
 @by_type
 def bend(shape: Any, radius: float, point: Vec3, normal: Vec3) -> Any:
     """How much the surface that the fingertip's centre moves on bends round it, 1/m; 0 for what is not hollow."""
+
+
+@follows.otherwise
+def follows_anywhere(shape: Any, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
+    return True
 
 
 @is_hollow.otherwise

@@ -1,0 +1,176 @@
+"""A height map as the numbers that its kernels take: the spline's coefficients, and the tiles that a search goes by.
+
+The spline goes through every height: of three neighbouring coefficients (c_-1 + 4 c_0 + c_1) / 6 is the height, and at
+the rim it is not bent (the natural spline), so that c_-1 = 2 c_0 - c_1 beyond it. Farther out the coefficients are
+those next to the rim, and the surface is level from the third pixel on.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from softfinger.config import limits, schema
+from softfinger.config.arrays.grids import Grid, read_grid
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.native.arrays import ReadOnly
+
+RIM: Final = 4
+"""Coefficients beyond each side of the map: the one that ends it straight, and three like it."""
+SLACK: Final = 1e-13
+"""Of a map's height, by which a tile is thicker than computed: rounding of what was computed."""
+
+
+class Facets(NamedTuple):
+    """Planes through tiles, (rows, columns) each.
+
+    a       height in the middle
+    b1, b2  slopes along columns and rows
+    thick   how far from the plane the surface may be, along z
+    valley  bound of how h'' bends up
+    ridge   bound of how it bends down
+    """
+
+    a: Grid
+    b1: Grid
+    b2: Grid
+    thick: Grid
+    valley: Grid
+    ridge: Grid
+
+
+def read_heights(thing: schema.Heightmap) -> Grid:
+    """Heights (rows, columns), m, from the object's file. Raises ConfigError for one that cannot be used."""
+    try:
+        heights = read_grid(thing.file, even=True) * thing.level_m
+        most, worst = limits.COORDINATE_M.high, float(heights.flat[np.abs(heights).argmax()])
+        if abs(worst) > most:
+            raise ConfigError(
+                f"{thing.file}: a height of {worst:g} m with level_m = {thing.level_m:g}, {most:g} m up or down is the "
+                "most: make level_m smaller"
+            )
+    except ConfigError as error:
+        raise ConfigError(f"object '{thing.name}': file: {error}") from error
+    return heights
+
+
+def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:
+    """The map of heights (rows, columns), m, `pitch` m apart, columns along x and rows along y."""
+    spline = coefficients(heights / pitch)
+    facets = [facets_of_cells(spline)]
+    while facets[-1].a.size > 1:
+        facets.append(facets_of_four(facets[-1], 2.0 ** (len(facets) - 1)))
+    slack = SLACK * float(np.abs(spline).max())
+    tiles = [np.stack(level._replace(thick=level.thick + slack), axis=-1).reshape(-1, len(level)) for level in facets]
+    rows, columns = facets[0].a.shape
+    return model.Heightmap(
+        pitch=pitch,
+        columns=float(columns),
+        rows=float(rows),
+        levels=float(len(facets)),
+        coefficients=ReadOnly(spline),
+        facets=ReadOnly(np.concatenate(tiles)),
+        starts=ReadOnly(np.cumsum([0, *map(len, tiles)])),
+    )
+
+
+def tightest(heights: Grid, pitch: float) -> float:
+    """Curvature that no valley of the map within its pixels exceeds, 1/m."""
+    valley, _ = sharpest_bends(coefficients(heights / pitch))
+    first, (rows, columns) = RIM - 1, heights.shape
+    return float(valley[first : first + max(rows - 1, 1), first : first + max(columns - 1, 1)].max()) / pitch
+
+
+def thinned(heights: Grid, pitch: float, most: int) -> tuple[Grid, Grid, Grid]:
+    """Places x (columns,) and y (rows,), m, and heights (rows, columns): so many pixels a side at most."""
+    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int)) for n in heights.shape)
+    x, y = ((kept - 0.5 * (n - 1)) * pitch for kept, n in ((columns, heights.shape[1]), (rows, heights.shape[0])))
+    return x, y, heights[np.ix_(rows, columns)]
+
+
+def coefficients(values: Grid) -> Grid:
+    """Of the spline through the values (rows, columns), with RIM more on each side."""
+    return _along_rows(_along_rows(values).T).T
+
+
+def _along_rows(values: Grid) -> Grid:
+    """A spline along the first axis, for each column: Thomas' algorithm for (1, 4, 1) between the first and last."""
+    count = len(values)
+    found = values.copy()
+    if count > 2:
+        right, share = 6.0 * values[1:-1], np.empty(count - 2)
+        right[0] -= values[0]
+        right[-1] -= values[-1]
+        share[0] = 0.25
+        right[0] *= 0.25
+        for k in range(1, count - 2):
+            share[k] = 1.0 / (4.0 - share[k - 1])
+            right[k] = (right[k] - right[k - 1]) * share[k]
+        for k in range(count - 4, -1, -1):
+            right[k] -= share[k] * right[k + 1]
+        found[1:-1] = right
+    inner = found[[1, -2]] if count > 1 else found[[0, 0]]
+    before, behind = 2.0 * found[0] - inner[0], 2.0 * found[-1] - inner[1]
+    return np.concatenate([np.repeat(before[None], RIM, 0), found, np.repeat(behind[None], RIM, 0)])
+
+
+def facets_of_cells(spline: Grid) -> Facets:
+    """Of each cell: its surface is among the 16 heights of its Bezier net, which are as a plane where it is one."""
+    net = _bezier(spline)
+    b1 = 0.5 * (net[0][3] - net[0][0] + net[3][3] - net[3][0])
+    b2 = 0.5 * (net[3][0] - net[0][0] + net[3][3] - net[0][3])
+    off = [net[j][i] - (i / 3.0 - 0.5) * b1 - (j / 3.0 - 0.5) * b2 for j in range(4) for i in range(4)]
+    low, high = np.minimum.reduce(off), np.maximum.reduce(off)
+    return Facets(0.5 * (low + high), b1, b2, 0.5 * (high - low), *sharpest_bends(spline))
+
+
+def _bezier(spline: Grid) -> list[list[Grid]]:
+    """Heights of the Bezier net of every cell: [j][i] along rows and columns, (rows, columns) each."""
+
+    def split(c: Grid) -> list[Grid]:
+        """Along the first axis."""
+        c0, c1, c2, c3 = (c[k : len(c) - 3 + k] for k in range(4))
+        return [(c0 + 4.0 * c1 + c2) / 6.0, (2.0 * c1 + c2) / 3.0, (c1 + 2.0 * c2) / 3.0, (c1 + 4.0 * c2 + c3) / 6.0]
+
+    return [[each.T for each in split(row.T)] for row in split(spline)]
+
+
+def facets_of_four(small: Facets, size: float) -> Facets:
+    """Of the tiles that four of `size` cells make, at the rim fewer: with their mean slope, and as thick as they go."""
+    pads = [(0, small.a.shape[0] % 2), (0, small.a.shape[1] % 2)]
+    padded = [np.pad(each, pads, mode="edge") for each in small]
+    a, b1, b2, thick, *bending = ([each[j::2, i::2] for j in (0, 1) for i in (0, 1)] for each in padded)
+    bends = [np.maximum.reduce(each) for each in bending]
+    # What is not there is as its neighbour, in its place: as if the tile were smaller.
+    rows, columns = np.indices(a[0].shape)
+    there = [(2 * rows + j < small.a.shape[0]) & (2 * columns + i < small.a.shape[1]) for j in (0, 1) for i in (0, 1)]
+    count = sum(mask.astype(float) for mask in there)
+    slope1, slope2 = (sum(mask * each for mask, each in zip(there, of, strict=True)) / count for of in (b1, b2))
+    lows, highs = [], []
+    for k, mask in enumerate(there):
+        u, v = (k % 2 - 0.5) * size, (k // 2 - 0.5) * size
+        off = a[k] - slope1 * u - slope2 * v
+        spread = thick[k] + 0.5 * size * (np.abs(b1[k] - slope1) + np.abs(b2[k] - slope2))
+        lows.append(np.where(mask, off - spread, np.inf))
+        highs.append(np.where(mask, off + spread, -np.inf))
+    low, high = np.minimum.reduce(lows), np.maximum.reduce(highs)
+    return Facets(0.5 * (low + high), slope1, slope2, 0.5 * (high - low), *bends)
+
+
+def sharpest_bends(spline: Grid) -> tuple[Grid, Grid]:
+    """Bounds of the largest eigenvalues of h'' and of -h'' in each cell, not negative.
+
+    Derivatives of a B-spline are B-splines of differences of its coefficients, and in a cell between those of its own.
+    """
+    ss, tt = np.diff(spline, 2, axis=1), np.diff(spline, 2, axis=0)
+    mixed = _most(np.abs(np.diff(np.diff(spline, axis=0), axis=1)), 3, 3)
+    up = np.maximum(_most(ss, 4, 2), _most(tt, 2, 4)) + mixed
+    down = np.maximum(_most(-ss, 4, 2), _most(-tt, 2, 4)) + mixed
+    return np.maximum(up, 0.0), np.maximum(down, 0.0)
+
+
+def _most(values: Grid, rows: int, columns: int) -> Grid:
+    """The greatest of every block of so many."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(values, (rows, columns)).max(axis=(2, 3)))

@@ -1,0 +1,140 @@
+"""Height maps as a scene file names them: where the file is looked for, what is said of it, refused and drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import FaultyConfig, build, describe, load_scene
+from softfinger.proxy.scene import build_scene
+from softfinger.server.recording.picture import drawn
+from softfinger.server.verbs.check import examine_file
+from softfinger.server.viewer.nodes.meshes import PIXELS_MAX, mesh_of
+
+HEIGHTS = np.add.outer(np.arange(30) * 1e-4, np.arange(40) * 2e-4)
+
+SCENE = """
+[fingertip]
+radius_m = 0.01
+[[object]]
+name = "hill"
+shape = "heightmap"
+file = "hill.npy"
+pitch_m = 0.002
+level_m = 0.5
+material = { stiffness_n_per_m = 1000.0 }
+"""
+
+
+def scene_file(folder: Path, heights: Any = HEIGHTS, text: str = SCENE) -> Path:
+    np.save(folder / "hill.npy", heights)
+    file = folder / "scene.toml"
+    file.write_text(text, "utf-8")
+    return file
+
+
+def refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
+    """What is said of a scene with such a map, which cannot be used."""
+    with pytest.raises(ConfigError) as caught:
+        build_scene(load_scene(scene_file(folder, heights, text)))
+    return str(caught.value)
+
+
+def test_the_file_is_looked_for_beside_the_scene(tmp_path: Path) -> None:
+    """Wherever the program was started; and a scene survives being written out and read again."""
+    scene = load_scene(scene_file(tmp_path))
+    (thing,) = scene.object
+    assert isinstance(thing, schema.Heightmap) and Path(thing.file) == tmp_path / "hill.npy"
+    assert build(schema.Scene, describe(scene), "again") == scene
+
+
+def test_check_says_size_and_heights(tmp_path: Path) -> None:
+    """In pixels and in metres; the numbers of the file times level_m."""
+    rows = dict(examine_file(str(scene_file(tmp_path))).summary)
+    assert rows["  map"] == "40 x 30 pixels, 0.08 x 0.06 m, heights 0 to 0.00535 m"
+    bowl = np.square(np.arange(-20, 21) * 0.002) / 0.05  # z = x^2 / (2 R) with R = 50 mm, level_m = 0.5
+    bends = dict(examine_file(str(scene_file(tmp_path, bowl[None]))).summary)["    bends"]
+    assert 0.03 < float(bends.split()[3]) <= 0.05
+
+
+@pytest.mark.parametrize(
+    ("heights", "said"),
+    [
+        (np.zeros(()), "an array of shape (): must have rows and columns"),
+        (np.zeros((4, 4, 3)), "an array of shape (4, 4, 3): must have rows and columns; of a colour picture take one"),
+        (np.zeros((1, 1)), "has one value alone: must have two at the least"),
+        (np.array([[0.0, 1.0], [np.nan, 0.0]]), "row 1, column 0: nan: numbers are finite"),
+        (np.array([[0.0, np.inf]]), "row 0, column 1: inf: numbers are finite"),
+        (np.zeros((1025, 1024), np.int8), "has 1,049,600 values, 1,048,576 are the most"),
+        (np.array([["a", "b"]]), "holds <U1, must hold numbers"),
+        (np.array([[0.0, -4000.0]]), "a height of -2000 m with level_m = 0.5, 1000 m up or down is the most"),
+    ],
+)
+def test_what_is_no_map_is_said(tmp_path: Path, heights: Any, said: str) -> None:
+    """One line: the object, its key, the file, what is wrong with it."""
+    message = refusal(tmp_path, heights)
+    assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and said in message
+    assert examine_file(str(tmp_path / "scene.toml")).errors == [message]
+
+
+def test_files_that_cannot_be_read_are_said(tmp_path: Path) -> None:
+    """One that is not there, one of another kind, one cut off."""
+    missing = refusal(tmp_path, HEIGHTS, SCENE.replace("hill.npy", "hole.npy"))
+    assert missing == f"object 'hill': file: {tmp_path / 'hole.npy'}: cannot be read: No such file or directory"
+    assert "is none of .npy, .npz, .csv, .pgm, .png" in refusal(tmp_path, HEIGHTS, SCENE.replace(".npy", ".jpg"))
+    file = scene_file(tmp_path)
+    (tmp_path / "hill.npy").write_bytes((tmp_path / "hill.npy").read_bytes()[:528])
+    with pytest.raises(ConfigError, match=r"hill\.npy: cannot reshape"):
+        build_scene(load_scene(file))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("pitch_m = 0.002", "pitch_m = 1e-7", "object[0].pitch_m = 1e-07: must be a number from 1e-06 to 10 m"),
+        ("level_m = 0.5", "level_m = 0.0", "object[0].level_m = 0.0: must be a number from 1e-12 to 1000 m"),
+        ("level_m = 0.5", "", "object[0].level_m is missing"),
+        ("level_m = 0.5", "level_m = 1.0\ninside = true", "object[0].inside is not a key here"),
+    ],
+)
+def test_keys_have_ranges(tmp_path: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(FaultyConfig) as caught:
+        load_scene(scene_file(tmp_path, HEIGHTS, SCENE.replace(old, new)))
+    assert said in str(caught.value)
+
+
+def test_what_cannot_touch_a_map_is_refused_by_name(tmp_path: Path) -> None:
+    """An ellipsoidal fingertip, and the rolling method that needs a closed form."""
+    ellipsoid = SCENE.replace("radius_m = 0.01", "radii_m = [0.01, 0.01, 0.02]")
+    with pytest.raises(FaultyConfig, match="heightmap"):
+        load_scene(scene_file(tmp_path, HEIGHTS, ellipsoid))
+    closed = SCENE + '[rolling]\nmethod = "rotation_vector"\n'
+    closed = closed.replace(
+        "stiffness_n_per_m = 1000.0 }", "stiffness_n_per_m = 1000.0, friction = { static = 0.6, kinetic = 0.5 } }"
+    )
+    with pytest.raises(FaultyConfig, match="heightmap: choose"):
+        load_scene(scene_file(tmp_path, HEIGHTS, closed))
+
+
+def test_pictures_show_the_map(tmp_path: Path) -> None:
+    """Its triangles go through the pixels and face upwards; of a large map some; without the file there is none."""
+    thing: Any = load_scene(scene_file(tmp_path)).object[0]
+    mesh = mesh_of(thing)
+    assert mesh is not None
+    np.testing.assert_allclose(mesh.vertices[:, 2].reshape(30, 40), 0.5 * HEIGHTS, atol=1e-15)
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0)[:2], [0.078, 0.058], atol=1e-12)
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(mesh.faces) == 2 * 29 * 39
+    (triangles,) = drawn(thing)["triangles"]
+    assert len(triangles["points"]) == HEIGHTS.size and max(triangles["indices"]) == HEIGHTS.size - 1
+    scene_file(tmp_path, np.zeros((900, 300)))
+    large = mesh_of(thing)
+    assert large is not None and len(large.vertices) == PIXELS_MAX**2
+    np.testing.assert_allclose(np.ptp(large.vertices, axis=0)[:2], [0.598, 1.798], atol=1e-12)
+    (tmp_path / "hill.npy").unlink()
+    assert mesh_of(thing) is None and "texts" in drawn(thing)

@@ -1,0 +1,438 @@
+"""Height maps: the spline against closed forms, the nearest point against every place of it, scenes against shapes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.heightmaps import kernel_heightmap, thinned, tightest
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.contact.rolling import roll
+from softfinger.proxy.kernels.geometry import rotations
+from softfinger.proxy.kernels.geometry.surfaces import closest, curvature
+from softfinger.proxy.kernels.geometry.surfaces.heightmap import height_at
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.record import AT
+
+Array = NDArray[np.float64]
+R = 0.01
+
+
+@numba.njit(**OPTIONS)
+def compiled_heights(shape, places, found):  # type: ignore[no-untyped-def]
+    for k in range(len(places)):
+        h = height_at(shape, places[k, 0], places[k, 1])
+        found[k, 0], found[k, 1], found[k, 2] = h.z, h.s, h.t
+        found[k, 3], found[k, 4], found[k, 5] = h.ss, h.st, h.tt
+
+
+@numba.njit(**OPTIONS)
+def compiled_closest(shape, points, found):  # type: ignore[no-untyped-def]
+    for k in range(len(points)):
+        gap, p, n = closest(shape, (points[k, 0], points[k, 1], points[k, 2]))
+        found[k, 0] = gap
+        found[k, 1], found[k, 2], found[k, 3] = p
+        found[k, 4], found[k, 5], found[k, 6] = n
+
+
+@numba.njit(**OPTIONS)
+def compiled_curvature(shape, radius, point, normal):  # type: ignore[no-untyped-def]
+    return curvature(shape, radius, point, normal)
+
+
+@numba.njit(**OPTIONS)
+def compiled_roll(method, shape, radius, center, normal, turn):  # type: ignore[no-untyped-def]
+    return roll(method, shape, radius, center, normal, turn)
+
+
+def sampled(rows: int, columns: int, pitch: float, f: Callable[[Array, Array], Array]) -> Array:
+    """Heights (rows, columns) of a function of x and y, centred on the origin."""
+    x, y = ((np.arange(n) - 0.5 * (n - 1)) * pitch for n in (columns, rows))
+    return f(*np.meshgrid(x, y))
+
+
+def heights_of(shape: model.Heightmap, x: Array, y: Array) -> Array:
+    """h, h_x, h_y, h_xx, h_xy, h_yy (n, 6) in m at places in m."""
+    places = np.column_stack([x / shape.pitch + 0.5 * shape.columns, y / shape.pitch + 0.5 * shape.rows])
+    found = np.empty((len(places), 6))
+    compiled_heights(shape, places, found)
+    return found * [shape.pitch, 1.0, 1.0, *[1.0 / shape.pitch] * 3]
+
+
+def nearest(shape: model.Heightmap, points: Array) -> Array:
+    """gap, point and normal (n, 7)."""
+    found = np.empty((len(points), 7))
+    compiled_closest(shape, np.ascontiguousarray(points, dtype=float), found)
+    return found
+
+
+def everywhere(shape: model.Heightmap, fine: int) -> Array:
+    """Points (n, 3) of the whole surface, so many to a pitch."""
+    x, y = ((np.arange(0.0, count * fine + 1.0) / fine - 0.5 * count) * shape.pitch
+            for count in (shape.columns, shape.rows))  # fmt: skip
+    x, y = (each.ravel() for each in np.meshgrid(x, y))
+    return np.column_stack([x, y, heights_of(shape, x, y)[:, 0]])
+
+
+def cap_of(radius: float, x: Array, y: Array) -> Array:
+    """The upper side of a ball, its top in the origin; level from where it is steep."""
+    return np.sqrt(np.maximum(radius**2 - x * x - y * y, 0.25 * radius**2)) - radius
+
+
+def waves(x: Array, y: Array) -> Array:
+    return 0.002 * np.sin(x / 0.008) * np.cos(y / 0.006)
+
+
+NOISE = np.random.default_rng(1)
+MAPS: dict[str, tuple[float, Array]] = {
+    "hills": (1e-3, sampled(70, 90, 1e-3, lambda x, y: 2.0 * waves(x, y))),
+    "ripple": (1e-4, sampled(150, 200, 1e-4, lambda x, y: 0.1 * waves(4.0 * x, 4.0 * y))),
+    "noise": (4e-4, 1e-4 * NOISE.normal(size=(80, 64))),
+    "rubble": (2e-3, 1e-3 * NOISE.normal(size=(40, 50))),
+}
+"""Smooth on the scale of a fingertip; finer than it; a height of its own in each pixel, finer and coarser than it."""
+
+SHAPES = {name: kernel_heightmap(heights, pitch) for name, (pitch, heights) in MAPS.items()}
+
+# --- the spline ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_the_surface_goes_through_every_pixel(name: str) -> None:
+    """Columns along x, rows along y, the middle of the map over the origin."""
+    pitch, heights = MAPS[name]
+    x, y, z = thinned(heights, pitch, 10**6)
+    at_x, at_y = np.meshgrid(x, y)
+    found = heights_of(kernel_heightmap(heights, pitch), at_x.ravel(), at_y.ravel())[:, 0]
+    # Rounding of the coefficients' recursion, which does not grow.
+    np.testing.assert_allclose(found, z.ravel(), rtol=0, atol=1e-14 * np.abs(z).max() + 1e-17)
+
+
+def test_the_spline_converges_as_a_cubic_does() -> None:
+    """Halving the pitch divides the error by 16 in value, by 8 in slope and by 4 in the second derivatives.
+
+    Away from the rim, where the natural spline is of second order; its influence falls by 3.7 a pixel.
+    """
+    x, y = NOISE.uniform(-0.01, 0.01, (2, 2000))
+    a, b = x / 0.008, y / 0.006
+    exact = 0.002 * np.column_stack([
+        np.sin(a) * np.cos(b), np.cos(a) * np.cos(b) / 0.008, -np.sin(a) * np.sin(b) / 0.006,
+        -np.sin(a) * np.cos(b) / 0.008**2, -np.cos(a) * np.sin(b) / 0.008 / 0.006, -np.sin(a) * np.cos(b) / 0.006**2,
+    ])  # fmt: skip
+    errors = []
+    for pitch in (1e-3, 5e-4, 2.5e-4):
+        count = round(0.06 / pitch)
+        found = heights_of(kernel_heightmap(sampled(count, count, pitch, waves), pitch), x, y)
+        errors.append(np.sqrt(np.square(found - exact).mean(axis=0)))
+    orders = 0.5 * np.log2(errors[0] / errors[-1])
+    # The orders are reached in the limit: with these pitches to 0.1.
+    assert orders[0] > 3.9 and (orders[1:3] > 2.9).all() and (orders[3:] > 1.9).all(), orders
+
+
+def test_planes_are_exact_and_paraboloids_within() -> None:
+    """A cubic spline has both in it; that it is not bent at its rim is true of a plane, and forgotten in 30 pixels."""
+    x, y = NOISE.uniform(-0.02, 0.02, (2, 200))
+    plane = heights_of(kernel_heightmap(sampled(41, 41, 1e-3, lambda x, y: 0.3 * x - 0.2 * y + 1e-3), 1e-3), x, y)
+    np.testing.assert_allclose(plane[:, 0], 0.3 * x - 0.2 * y + 1e-3, atol=1e-16)
+    np.testing.assert_allclose(plane[:, 1:3] - [0.3, -0.2], 0.0, atol=1e-14)
+    bowl = heights_of(kernel_heightmap(sampled(101, 101, 1e-3, lambda x, y: 10.0 * x * x - 5.0 * x * y), 1e-3), x, y)
+    np.testing.assert_allclose(bowl[:, 0], 10.0 * x * x - 5.0 * x * y, atol=1e-15)
+    np.testing.assert_allclose(bowl[:, 3:] - [20.0, -5.0, 0.0], 0.0, atol=1e-9)
+
+
+def test_beyond_the_rim_it_is_level_without_a_step_in_curvature() -> None:
+    """Value, slopes and second derivatives are continuous along a line that leaves the map; outside nothing changes."""
+    pitch, heights = MAPS["hills"]
+    shape = kernel_heightmap(heights, pitch)
+    x = np.linspace(0.04, 0.06, 20001)
+    found = heights_of(shape, x, np.full_like(x, 0.0123))
+    outside = x > 0.5 * shape.columns * pitch - pitch
+    # Rounding, of h'' over the square of the pitch.
+    np.testing.assert_allclose(np.ptp(found[outside], axis=0), 0.0, atol=1e-10)
+    np.testing.assert_allclose(found[outside][:, [1, 3, 4]], 0.0, atol=1e-10)
+    # One step is 1 um: what is continuous changes by its derivative times that, h'' by h''' < 2e5 / m^2 at the rim.
+    assert np.abs(np.diff(found[:, 3])).max() < 0.2 + 1e-9 and np.abs(np.diff(found[:, 1])).max() < 1e-3
+
+
+@pytest.mark.parametrize("radius", [0.02, -0.03])
+def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
+    """1 / (R + r) in both directions and any, for a fingertip on a cap and in a bowl, to second order in the pitch."""
+
+    def cap(x: Array, y: Array) -> Array:
+        return math.copysign(1.0, radius) * (np.sqrt(radius**2 - x * x - y * y) - abs(radius))
+
+    errors = []
+    for pitch in (4e-4, 2e-4):
+        shape = kernel_heightmap(sampled(round(0.02 / pitch), round(0.02 / pitch), pitch, cap), pitch)
+        point = (0.004, -0.003, float(cap(np.array(0.004), np.array(-0.003))))
+        up = np.add(point, [0.0, 0.0, radius])
+        normal = tuple(float(c) for c in math.copysign(1.0, radius) * up / np.linalg.norm(up))
+        k1, k2, d1 = compiled_curvature(shape, R, point, normal)
+        assert math.hypot(*d1) == pytest.approx(1.0) and np.dot(d1, normal) == pytest.approx(0.0, abs=1e-4)
+        errors.append(max(abs(k1 - 1.0 / (radius + R)), abs(k2 - 1.0 / (radius + R))))
+    assert errors[1] < 0.3 * errors[0] and errors[1] < 1e-2 / abs(radius)
+
+
+# --- the nearest point ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_the_nearest_point_is_nearer_than_any_other(name: str) -> None:
+    """Against every place of the map, 3 x 3 to a pixel: no nearer one, and none as near as rounding but the foot."""
+    pitch, heights = MAPS[name]
+    shape, rng = kernel_heightmap(heights, pitch), np.random.default_rng(3)
+    surface = everywhere(shape, 3)
+    half = 0.5 * pitch * np.array(heights.shape[::-1])
+    over = np.ptp(heights)
+    points = np.column_stack([rng.uniform(-1.0, 1.0, (60, 2)) * half, rng.uniform(-over, 0.012 + over, 60)])
+    found = nearest(shape, points)
+    level = heights_of(shape, points[:, 0], points[:, 1])[:, 0]
+    np.testing.assert_array_equal(np.sign(found[:, 0]), np.sign(points[:, 2] - level))
+    for x, (gap, *rest) in zip(points, found, strict=True):
+        least = float(np.linalg.norm(surface - x, axis=1).min())
+        assert abs(gap) <= least * (1.0 + 1e-12)  # rounding of the search
+        # The brute search is as coarse as its grid, a sixth of a pitch along and what the map rises on it.
+        assert abs(abs(gap) - least) <= pitch
+        point, normal = np.array(rest[:3]), np.array(rest[3:])
+        np.testing.assert_allclose(point + gap * normal, x, rtol=0, atol=1e-14)
+        z, slope_x, slope_y = heights_of(shape, point[:1], point[1:2])[0, :3]
+        upward = np.array([-slope_x, -slope_y, 1.0]) / math.sqrt(1.0 + slope_x**2 + slope_y**2)
+        assert z == pytest.approx(point[2], abs=1e-15)
+        # The foot is known to the pitch times 1e-7 at the worst, and with it where its normal points.
+        np.testing.assert_allclose(normal, upward, rtol=0, atol=1e-6)
+
+
+def test_gap_to_a_tilted_plane_is_its_closed_form() -> None:
+    """In and out, over the map, to rounding."""
+    shape = kernel_heightmap(sampled(80, 60, 1e-3, lambda x, y: 0.3 * x + 0.1 * y), 1e-3)
+    points = np.random.default_rng(5).uniform([-0.015, -0.02, -0.01], [0.015, 0.02, 0.015], (500, 3))
+    normal = np.array([-0.3, -0.1, 1.0]) / math.sqrt(1.1)
+    np.testing.assert_allclose(nearest(shape, points)[:, 0], points @ normal, rtol=0, atol=1e-16)
+
+
+def test_gap_to_a_cap_converges_with_the_fourth_power() -> None:
+    """Over a ball of 60 mm, where a fingertip would be: halving the pitch divides the error by 14 at the least."""
+    way = np.random.default_rng(6).uniform([-0.1, -0.1, 1.0], [0.1, 0.1, 1.0], (200, 3))
+    out = np.random.default_rng(7).uniform(0.058, 0.072, (200, 1))
+    points = way / np.linalg.norm(way, axis=1, keepdims=True) * out - [0.0, 0.0, 0.06]
+    errors = []
+    for pitch in (2e-3, 1e-3):
+        heights = sampled(round(0.06 / pitch), round(0.06 / pitch), pitch, lambda x, y: cap_of(0.06, x, y))
+        errors.append(np.abs(nearest(kernel_heightmap(heights, pitch), points)[:, 0] - out[:, 0] + 0.06).max())
+    assert errors[1] < errors[0] / 14.0 and errors[0] < 2e-9
+
+
+def test_where_all_is_as_near_the_gap_is_never_too_large() -> None:
+    """At the centre of a bowl of a fingertip's size no tile can be left out: what is not looked at counts as there."""
+
+    def bowl(x: Array, y: Array) -> Array:
+        return 0.02 - np.sqrt(np.maximum(0.02**2 - x * x - y * y, 1e-6))
+
+    shape = kernel_heightmap(sampled(300, 300, 1e-4, bowl) + 1e-9 * NOISE.normal(size=(300, 300)), 1e-4)
+    points = np.array([0.0, 0.0, 0.02]) + 1e-5 * NOISE.normal(size=(20, 3))
+    surface = everywhere(shape, 1)
+    for x, gap in zip(points, nearest(shape, points)[:, 0], strict=True):
+        assert 0.0 < gap <= np.linalg.norm(surface - x, axis=1).min()
+
+
+@settings(derandomize=True, max_examples=300, deadline=None)
+@given(name=st.sampled_from(list(MAPS)), x=st.tuples(*[st.floats(-1e100, 1e100)] * 3))
+def test_any_place_gives_finite_numbers(name: str, x: tuple[float, float, float]) -> None:
+    """From 1e-308 to 1e100 m, and for what is no number: nothing is NaN that was not, and no memory is read beyond."""
+    shape = SHAPES[name]
+    found = nearest(shape, np.array([x]))[0]
+    assert np.isfinite(found).all() and np.linalg.norm(found[4:]) == pytest.approx(1.0, abs=1e-15)
+    k1, k2, d1 = compiled_curvature(shape, R, tuple(found[1:4]), tuple(found[4:]))
+    assert math.isfinite(k1) and math.isfinite(k2) and math.hypot(*d1) == pytest.approx(1.0, abs=1e-14)
+    nearest(shape, np.array([[math.nan, x[1], x[2]], [x[0], math.inf, math.nan]]))
+
+
+@pytest.mark.parametrize("size", [(1, 2), (2, 1), (2, 2), (1, 40), (3, 5)])
+def test_small_maps_and_profiles_are_maps(size: tuple[int, int]) -> None:
+    """Two pixels are the least; a single row is the same all along y."""
+    heights = 1e-3 * NOISE.normal(size=size)
+    shape = kernel_heightmap(heights, 1e-3)
+    x, y, z = thinned(heights, 1e-3, 100)
+    at_x, at_y = np.meshgrid(x, y)
+    np.testing.assert_allclose(heights_of(shape, at_x.ravel(), at_y.ravel())[:, 0], z.ravel(), atol=1e-17)
+    if size[0] == 1:
+        assert np.ptp(heights_of(shape, np.full(9, 2e-4), np.linspace(-1.0, 1.0, 9)), axis=0).max() < 1e-12
+    points = NOISE.uniform(-0.01, 0.01, (20, 3))
+    surface = everywhere(shape, 64)
+    for point, gap in zip(points, nearest(shape, points)[:, 0], strict=True):
+        # Beyond the rim the surface goes on: the brute search sees what is over the cells alone.
+        if (np.abs(point[:2]) < 0.5e-3 * np.array([shape.columns, shape.rows])).all():
+            assert abs(gap) == pytest.approx(np.linalg.norm(surface - point, axis=1).min(), abs=2e-5)
+
+
+def test_the_tightest_valley_is_said() -> None:
+    """Of a bowl z = x^2 / (2 R): 1 / R, however it ends at the rim."""
+    heights = sampled(30, 80, 1e-3, lambda x, y: x * x / (2.0 * 0.05))
+    assert tightest(heights, 1e-3) == pytest.approx(20.0, rel=0.3)  # a bound, looser next to the rim
+    assert tightest(sampled(30, 30, 1e-3, lambda x, y: 0.1 * x), 1e-3) == pytest.approx(0.0, abs=1e-9)
+
+
+# --- scenes --------------------------------------------------------------------------------------
+
+GRIP = {
+    "stiffness_n_per_m": 1000.0,
+    "friction": {"static": 0.6, "kinetic": 0.5},
+    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+}
+
+
+def engine(*objects: dict[str, Any], **tables: Any) -> Engine:
+    things = [{"name": f"thing {n}", "material": GRIP, **each} for n, each in enumerate(objects)]
+    scene = {
+        "fingertip": {"radius_m": R},
+        "probe": {"velocity_time_constant_s": 0.0},
+        "rolling": {"method": "midpoint"},
+        "object": things,
+        **tables,
+    }
+    return Engine(build(Scene, scene, "height maps"))
+
+
+def mapped(path: Path, heights: Array, pitch: float, **keys: Any) -> dict[str, Any]:
+    file = path / f"{len(list(path.iterdir()))}.npy"
+    np.save(file, heights)
+    return {"shape": "heightmap", "file": str(file), "pitch_m": pitch, "level_m": 1.0, **keys}
+
+
+def stroke(seed: int, ticks: int, reach: float, low: float, high: float) -> Array:
+    """Poses (ticks, 7) of a finger that wanders about, up and down, turning all the while."""
+    rng, t = np.random.default_rng(seed), np.arange(ticks)
+
+    def wander() -> Array:
+        return sum(np.sin(2e-2 * t * rng.uniform(0.1, 1.0) + rng.uniform(0.0, 6.0)) for _ in range(4)) / 4.0
+
+    turned = np.cumsum(rng.normal(size=(ticks, 3)) * 0.004, axis=0)
+    angle = np.linalg.norm(turned, axis=1, keepdims=True)
+    orientation = np.hstack([np.cos(0.5 * angle), turned / angle * np.sin(0.5 * angle)])
+    z = low + (high - low) * 0.5 * (1.0 + wander())
+    return np.hstack([np.column_stack([reach * wander(), reach * wander(), z]), orientation])
+
+
+def proxy(records: Array) -> Array:
+    return records[:, AT.proxy_position : AT.proxy_position + 3]
+
+
+def force(records: Array) -> Array:
+    return records[:, AT.force : AT.force + 3]
+
+
+def test_a_level_map_is_the_plane(tmp_path: Path) -> None:
+    """Every field of every tick, with friction, torsion and rolling, over the map and beyond its rim: to 1e-12."""
+    poses = stroke(2, 3000, 0.03, 0.0085, 0.0125)
+    level = engine(mapped(tmp_path, np.full((32, 24), 0.002), 1e-3, position_m=[0.0, 0.0, -0.002])).run(poses)
+    plane = engine({"shape": "plane"}).run(poses)
+    assert {0.0, 1.0, 2.0} <= set(level[:, AT.contact_mode])
+    np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
+
+
+def test_a_cap_feels_as_the_ball(tmp_path: Path) -> None:
+    """Forces and paths of a stroke that sticks, rolls and slides, against the sphere of the same scene."""
+    poses = stroke(4, 1500, 0.006, 0.0085, 0.0105)
+    ball = engine({"shape": "sphere", "radius_m": 0.06, "position_m": [0.0, 0.0, -0.06]}).run(poses)
+    over = engine(mapped(tmp_path, sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)).run(poses)
+    assert {0.0, 1.0, 2.0} <= set(ball[:, AT.contact_mode])
+    np.testing.assert_array_equal(over[:, AT.contact_mode], ball[:, AT.contact_mode])
+    # While it slides, either leaves to the next tick what two rounds leave: 40 nm, and 40 uN of the spring of 1 N/mm.
+    np.testing.assert_allclose(proxy(over), proxy(ball), rtol=0, atol=2e-7)
+    np.testing.assert_allclose(force(over), force(ball), rtol=0, atol=2e-4)
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_the_proxy_is_never_inside(name: str, tmp_path: Path) -> None:
+    """100 000 ticks on all maps, with friction, torsion and rolling, deep and shallow, over the rim too."""
+    pitch, heights = MAPS[name]
+    half, over = 0.5 * pitch * min(heights.shape), np.ptp(heights)
+    poses = stroke(6, 25_000, 1.2 * half, R - 0.6 * over - 2e-4, R + over)
+    records = engine(mapped(tmp_path, heights, pitch)).run(poses)
+    touches = records[:, AT.contact_mode] > 0
+    gaps = nearest(kernel_heightmap(heights, pitch), proxy(records)[touches])[:, 0]
+    assert 0.1 < touches.mean() < 0.98
+    assert gaps.min() >= R * (1.0 - 1e-9)  # the tolerance of a touch, see sweep.TOUCHING
+    assert np.isfinite(records).all()
+    # Coulomb: the hand feels no more along the surface than friction bears.
+    normal = records[touches, AT.contact_normal_force]
+    assert (records[touches, AT.contact_tangential_force] <= 0.6 * normal + 1e-12).all()
+
+
+def test_a_groove_holds_the_fingertip_on_both_sides(tmp_path: Path) -> None:
+    """Pressed into a groove narrower than it, frictionless: it rests where both walls are, pushed by both."""
+    pitch = 2e-4
+    heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
+    groove = engine(mapped(tmp_path, heights, pitch, material={"stiffness_n_per_m": 1000.0}), rolling=None)
+    shape = kernel_heightmap(heights, pitch)
+    surface = everywhere(shape, 4)
+    surface = surface[np.abs(surface[:, 1]) < 5e-3]
+    low, high = 0.0, 0.03  # the height at which the ball rests, by bisection over every place
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        inside = np.linalg.norm(surface - [0.0, 0.0, middle], axis=1).min() < R and middle < 0.02
+        low, high = (middle, high) if inside else (low, middle)
+    down = np.column_stack([np.full(300, 1e-4), np.zeros(300), np.linspace(0.02, high - 0.001, 300)])
+    poses = np.hstack([np.vstack([down, np.tile(down[-1], (50, 1))]), np.tile([1.0, 0.0, 0.0, 0.0], (350, 1))])
+    records = groove.run(poses)
+    # The brute search sees the walls 50 um apart: 0.1 um in height. The probe is 0.1 mm off the middle.
+    np.testing.assert_allclose(proxy(records)[-1], [0.0, 0.0, high], atol=2e-6)
+    np.testing.assert_allclose(force(records)[-1], [-0.1, 0.0, 1.0], atol=3e-3)
+
+
+def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
+    """A probe that crosses a wall of a pixel's width in one tick is held on the side that it came from."""
+    heights = np.zeros((60, 60))
+    heights[:, 30] = 0.02
+    ridge = engine(mapped(tmp_path, heights, 5e-4), rolling=None)
+    upright = [1.0, 0.0, 0.0, 0.0]
+    start, end = [-0.02, 0.0, 0.0105, *upright], [0.03, 0.0, 0.0095, *upright]
+    records = ridge.run(np.array([start, start, end, end, end, end]))
+    assert (proxy(records)[2:, 0] < 0.0).all() and (records[2:, AT.contact_mode] > 0).all()
+
+
+def test_beside_a_wall_a_level_map_is_a_plane_and_rubble_keeps_the_proxy_out(tmp_path: Path) -> None:
+    """Among several objects: the same place to 1e-11 m, the tolerance of resting on two, and never inside."""
+    wall = {"shape": "plane", "orientation_wxyz": [math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]}
+    poses = stroke(8, 2000, 0.012, 0.0085, 0.0115)
+    grip = {key: GRIP[key] for key in ("stiffness_n_per_m", "friction")}
+    level, plane = (
+        engine(*({**each, "material": grip} for each in (floor, wall)), rolling=None).run(poses)
+        for floor in (mapped(tmp_path, np.zeros((40, 40)), 1e-3), {"shape": "plane"})
+    )
+    assert (plane[:, AT.contacts1_object] >= 0).any()
+    np.testing.assert_allclose(force(level), force(plane), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(proxy(level), proxy(plane), rtol=0, atol=1e-11)
+    pitch, heights = MAPS["rubble"]
+    floor = mapped(tmp_path, heights, pitch)
+    records = engine(*({**each, "material": grip} for each in (floor, wall)), rolling=None).run(poses)
+    touches = records[:, AT.contact_mode] > 0
+    assert touches.mean() > 0.1 and nearest(SHAPES["rubble"], proxy(records)[touches])[:, 0].min() >= R * (1.0 - 1e-9)
+
+
+METHODS = [model.EulerZxz(), model.EulerZyx(), model.Midpoint(), model.MontanaRk4(), model.MontanaRk45(1e-10)]
+BALL = model.Sphere(0.06, 1.0)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)
+def test_every_method_rolls_over_a_cap_as_over_the_ball(method: Any) -> None:
+    """A hundred steps of 10 mrad about changing axes: the same way as on the sphere, to the spline's error."""
+    shape = kernel_heightmap(sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)
+    at, on = ((0.0, 0.0, R), (0.0, 0.0, 1.0)), ((0.0, 0.0, 0.06 + R), (0.0, 0.0, 1.0))
+    for k in range(100):
+        turn = rotations.exp((0.01 * math.cos(0.05 * k), 0.01 * math.sin(0.05 * k), 0.004))
+        at, on = (compiled_roll(method, each, R, *place, turn)[:2] for each, place in ((shape, at), (BALL, on)))
+    assert abs(on[0][0]) > 1e-3  # it has come somewhere
+    np.testing.assert_allclose(np.add(at[0], [0.0, 0.0, 0.06]), on[0], rtol=0, atol=2e-8)
