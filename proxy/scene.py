@@ -259,7 +259,7 @@ def _mesh(thing: schema.Mesh) -> list[Body]:
         corners=ReadOnly(tree.corners),
         across=ReadOnly(tree.across),
         upward=ReadOnly(tree.upward),
-        count=float(len(tree.corners)),
+        number=float(len(tree.corners)),
         center=(x, y, z),
         size=tree.size,
         side=side,

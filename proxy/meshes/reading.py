@@ -76,7 +76,7 @@ def _scene(path: str | Path, data: bytes) -> Any:
         raise ConfigError(f"a mesh needs trimesh: pip install 'softfinger[mesh]' ({error})") from error
     from trimesh.resolvers import Resolver
 
-    class Refusing(Resolver):
+    class Refusing(Resolver):  # type: ignore[misc]
         """Materials and pictures that a file names are somewhere else, on another machine perhaps."""
 
         def __init__(self) -> None: ...

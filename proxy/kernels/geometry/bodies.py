@@ -226,7 +226,7 @@ class Deepest(NamedTuple):
     which nothing is, since the budget of a mesh was used up."""
 
     gap: float
-    index: float
+    place: float
     bounded: float
 
 

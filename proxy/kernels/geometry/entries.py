@@ -35,7 +35,7 @@ def one_place(shape: Any) -> float:
 @places_on.of(Mesh)
 def places_on_mesh(shape: Mesh) -> float:
     triangles = shape.row[0]
-    return triangles.count
+    return triangles.number
 
 
 @places.otherwise
@@ -71,7 +71,7 @@ def is_it(shape: Any, at: float, index: float) -> bool:
 @on_shape.of(Mesh)
 def is_on_mesh(shape: Mesh, at: float, index: float) -> bool:
     triangles = shape.row[0]
-    return at <= index < at + triangles.count
+    return at <= index < at + triangles.number
 
 
 @has.of(Rows)

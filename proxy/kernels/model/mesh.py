@@ -19,7 +19,7 @@ class Triangles(NamedTuple):
     corners    (triangles * 3,)  int32: vertices of a triangle, counter-clockwise as seen from outside
     across     (triangles * 3,)  int32: the triangle beyond each edge, edge i from corner i to the next; -1 for none
     upward     (vertices * 3,)   normals at the vertices, each triangle counting as its angle there does
-    count                        of triangles
+    number                       of triangles
     center     (3,) m            middle of the box round it
     size       m                 diagonal of that box
     side                         1 for a closed surface touched from outside, -1 from inside; 0 for an open one, which
@@ -33,7 +33,7 @@ class Triangles(NamedTuple):
     corners: ReadOnly
     across: ReadOnly
     upward: ReadOnly
-    count: float
+    number: float
     center: tuple[float, float, float]
     size: float
     side: float

@@ -137,7 +137,7 @@ def joined(*parts: Mesh) -> Mesh:
     return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh]]] = {
+TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh | None]]] = {
     shapes.Plane: lambda thing: plane(PLANE_M),
     shapes.Sphere: lambda thing: ellipsoid((thing.radius_m,) * 3),
     shapes.Cylinder: lambda thing: cylinder(
@@ -147,5 +147,6 @@ TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh]]] = {
     shapes.Box: lambda thing: box(thing.size_m),
     shapes.Ellipsoid: lambda thing: ellipsoid(thing.semi_axes_m),
     shapes.Torus: lambda thing: torus(thing.major_radius_m, thing.minor_radius_m),
+    shapes.Heightmap: lambda thing: heightmap(thing),
 }
 """What draws each shape: its table in a scene, to its surface."""

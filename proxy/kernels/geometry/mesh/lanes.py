@@ -21,7 +21,7 @@ def _numbers(kind: Any, count: int) -> Any:
         memory = cgutils.alloca_once(builder, ir.ArrayType(element, count))
         return builder.bitcast(memory, ir.PointerType(element))
 
-    return types.CPointer(kind)(), generate  # type: ignore[no-untyped-call]
+    return types.CPointer(kind)(), generate
 
 
 DEEP = 128
