@@ -57,9 +57,9 @@ def build_tree(vertices: Doubles, triangles: Whole, told: Callable[[float], None
     middle = (float(center[0]), float(center[1]), float(center[2]))
     size = float(np.sqrt(((most - least) ** 2).sum()))
     lanes, first = np.empty(nodes * NODE, np.float32), np.empty(nodes, np.int32)
-    node, child = 0, 1
+    tree, node, child = build.Branches(low, high, lanes, first), 0, 1
     while node < nodes:
-        node, child = build.enclose(arranged, corners, low, high, nodes, node, middle, size, lanes, first, child)
+        node, child = build.enclose(arranged, corners, tree, node, child, middle, size)
         told(0.5 + 0.4 * node / nodes)
     across = np.empty((count, 3), np.int32)
     loose = build.join(corners, np.zeros(used + 1, np.int32), np.empty(3 * count, np.int32), across)

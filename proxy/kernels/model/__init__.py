@@ -31,7 +31,6 @@ from softfinger.proxy.kernels.model.laws import (
     Stribeck,
     Torsion,
 )
-from softfinger.proxy.kernels.model.mesh import Facet, Mesh, Triangles
 from softfinger.proxy.kernels.model.methods import EulerZxz, EulerZyx, Midpoint, MontanaRk4, MontanaRk45, RotationVector
 from softfinger.proxy.kernels.model.motions import Driven, Place, Pose, Sinusoid, Turntable
 from softfinger.proxy.kernels.model.normal import HuntCrossley, LinearNormal, PowerNormal
@@ -43,11 +42,14 @@ from softfinger.proxy.kernels.model.shapes import (
     Capsule,
     Cylinder,
     Ellipsoid,
+    Facet,
     Grown,
     Heightmap,
+    Mesh,
     Plane,
     Sphere,
     Torus,
+    Triangles,
 )
 from softfinger.proxy.kernels.model.state import (
     NO_PATCH,

@@ -4,7 +4,7 @@ Compiled, on arrays that the caller has made: `proxy/meshes` has them.
 """
 
 from math import acos, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -168,17 +168,23 @@ def put_disc(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: i
     lanes[at + LANES * 7] = 0.5 * (most[2] - least[2]) + slack
 
 
+class Branches(NamedTuple):
+    """The nodes of a tree: which triangles are in each, (nodes,) int64; lanes and children as `Triangles` has them."""
+
+    low: Any
+    high: Any
+    lanes: Any
+    first: Any
+
+
 @entry
 def enclose(
-    vertices: Any, corners: Any, low: Any, high: Any, nodes: int, first_node: int, center: Vec3, size: float,
-    lanes: Any, first: Any, child: int,
-) -> tuple[int, int]:  # fmt: skip
-    """Discs of some nodes' lanes, and where their children are; returns the next node and the next child.
-
-    lanes  (nodes * NODE,) float32, first (nodes,) int32: see `model.Mesh`
-    """
+    vertices: Any, corners: Any, tree: Branches, first_node: int, child: int, center: Vec3, size: float
+) -> tuple[int, int]:
+    """Discs of some nodes' lanes, and where their children are; returns the next node and the next child."""
+    low, high, lanes, first = tree
     work, node, slack = 0, first_node, INFLATED * size
-    while node < nodes and work < 2_000_000:
+    while node < len(first) and work < 2_000_000:
         count = high[node] - low[node]
         k = count if count <= LANES else parts(count)
         leaf = count <= LANES

@@ -16,8 +16,7 @@ from softfinger.proxy.kernels.geometry.mesh.lanes import (
     within_lanes,
 )
 from softfinger.proxy.kernels.geometry.mesh.triangle import corners_of, foot_on
-from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.model.mesh import Mesh, Triangles
+from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined
 

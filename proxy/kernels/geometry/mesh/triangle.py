@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.surfaces.contract import Z_AXIS, direction
-from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.model.mesh import Mesh, Triangles
+from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined
 

@@ -42,7 +42,7 @@ class Part(JITCodeLibrary):  # type: ignore[misc]
             self._reload_init.update(library._reload_init)
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage == llvm.Linkage.external:
-                function.linkage = llvm.Linkage.linkonce_odr  # as numba has what several may bring along
+                function.linkage = llvm.Linkage.weak_odr  # several may bring it along, and the linker leaves none out
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
@@ -55,11 +55,13 @@ class Part(JITCodeLibrary):  # type: ignore[misc]
             for library in self._below({}):
                 own = library._final_module if isinstance(library, Part) else library._get_module_for_linking()
                 module.link_in(own, preserve=True)
+            for function in module.functions:
+                if function.linkage == llvm.Linkage.weak_odr:
+                    function.linkage = llvm.Linkage.linkonce_odr  # as numba has it: gone where it is not called
             self._shared_module = module
         return self._shared_module
 
     def _below(self, found: dict[Any, None]) -> dict[Any, None]:
-        # Callers first: the linker takes nothing in that is not called yet.
         for library in self._linking_libraries:
             if library not in found:
                 found[library] = None
