@@ -342,6 +342,19 @@ def test_a_level_map_is_the_plane(tmp_path: Path) -> None:
     np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
 
 
+def test_a_level_map_that_moves_is_the_plane_that_moves(tmp_path: Path) -> None:
+    """To and fro, up and down, tilting: forces and proxy with friction to 1e-12."""
+    motion = {"kind": "sinusoid", "translation_m": [0.002, 0.0, 0.001], "rotation_rad": 0.05, "axis": [0.6, 0.8, 0.0],
+              "frequency_hz": 1.5}  # fmt: skip
+    poses = stroke(3, 2000, 0.006, 0.0085, 0.0115)
+    level, plane = (
+        engine({**floor, "motion": motion}).run(poses)
+        for floor in (mapped(tmp_path, np.zeros((40, 40)), 1e-3), {"shape": "plane"})
+    )
+    assert {0.0, 2.0} <= set(plane[:, AT.contact_mode])
+    np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
+
+
 def test_a_cap_feels_as_the_ball(tmp_path: Path) -> None:
     """Forces and paths of a stroke that sticks, rolls and slides, against the sphere of the same scene."""
     poses = stroke(4, 1500, 0.006, 0.0085, 0.0105)
