@@ -77,7 +77,8 @@ def read(ir: str) -> Compiled:
     ((name, body),) = functions(ir).items()
     body = plain(body, name)
     operations = Counter(re.findall(r"^  (?:%\S+ = )?(?:tail call|(\w+))", body, re.MULTILINE))
-    calls = Counter({n: count for n, count in called_in(body).items() if not n.startswith(("llvm.mem", "llvm.fabs"))})
+    helpers = ("llvm.mem", "llvm.stack", "llvm.fabs")
+    calls = Counter({n: count for n, count in called_in(body).items() if not n.startswith(helpers)})
     return Compiled(kernels_in(ir), body, operations, calls)
 
 
