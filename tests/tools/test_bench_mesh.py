@@ -1,0 +1,27 @@
+"""`bench mesh` on small balls: what it says of them is true, and nothing is asserted of time."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from softfinger.server.cli import main
+
+
+def test_small_balls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Smooth and bumpy, as JSON and drawn: the distance is that of all triangles, and few of them are asked."""
+    words = ["--levels", "3", "--ticks", "1000", "--paced", "1000", "--json", "--plot", str(tmp_path / "cost.png")]
+    assert main(["bench", "mesh", *words]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [(row["triangles"], row["bumpy"]) for row in rows] == [(1280, False), (1280, True)]
+    for row in rows:
+        assert row["distance_error_m"] < 1e-9 * 0.1
+        assert 1.0 <= row["asked"]["p50"] <= row["asked"]["max"] < 1280
+    assert (tmp_path / "cost.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("words", [["--levels", "0"], ["--levels", "10"], ["--ticks", "5"], ["--fingertip", "1.0"]])
+def test_words_out_of_range(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """One line that says what is possible."""
+    assert main(["bench", "mesh", *words]) == 2
+    assert "--" in capsys.readouterr().err

@@ -1,0 +1,209 @@
+"""`bench mesh`: what a tick on a mesh costs, by its size, smooth and bumpy, beside the ball that it stands for."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
+from softfinger.proxy.kernels.geometry.mesh.triangle import corners_of, foot_on
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.native.pack import flatten, packed, unpack
+from softfinger.proxy.scene import build_scene, start_state
+from softfinger.server.loop.clock import stopwatch
+from softfinger.server.offline.cost import time_steps
+from softfinger.server.offline.figures import figure, save
+from softfinger.server.progress import progress
+from softfinger.tools.measure import Array, add_output_options, quantiles, show
+
+RADIUS_M: Final = 0.05
+"""Of the ball."""
+BUMPS_M: Final = 0.001
+DEPTH_M: Final = 0.001
+SPEED_M: Final = 1e-4
+"""Way of the fingertip in a tick: 0.1 m/s."""
+BLOCK: Final = 1000
+CHECKED: Final = 20
+"""Points whose distance is compared with that of all triangles asked in turn."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--levels",
+        type=int,
+        nargs="+",
+        default=[4, 6, 7],
+        metavar="N",
+        help="balls of 20 x 4^N triangles, N from 1 to 9: 4 has 5 120, 7 has 327 680, 9 has 5.2 million (%(default)s)",
+    )
+    parser.add_argument(
+        "--fingertip", type=float, nargs="+", default=[0.01], metavar="M", help="radii, m (%(default)s)"
+    )
+    parser.add_argument("--ticks", type=int, default=20_000, help="back to back (default: %(default)s)")
+    parser.add_argument("--paced", type=int, default=2_000, help="ticks a millisecond apart (default: %(default)s)")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    if not all(1 <= level <= 9 for level in args.levels):
+        raise ConfigError(f"--levels {' '.join(map(str, args.levels))}: 1 to 9 are possible")
+    if min(args.ticks, args.paced) < BLOCK or not all(0.0005 <= radius <= 0.03 for radius in args.fingertip):
+        raise ConfigError(f"--ticks and --paced: {BLOCK} or more each; --fingertip: 0.0005 to 0.03 m")
+    cases = [(level, bumpy, r) for level in args.levels for bumpy in (False, True) for r in args.fingertip]
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder, progress("measuring meshes", len(cases)) as done:
+        for level, bumpy, radius in cases:
+            file, vertices, triangles = ball(Path(folder), level, BUMPS_M if bumpy else 0.0)
+            begun = time.perf_counter()
+            scene = scene_of(radius, shape="mesh", file=file)
+            made = {"triangles": len(triangles), "bumpy": bumpy, "fingertip_m": radius}
+            made["loaded_s"] = time.perf_counter() - begun
+            rows.append(made | measured(scene, radius, args) | asked(scene, vertices[triangles], radius))
+            done(len(rows))
+        beside = [measured(scene_of(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
+    result = {"rows": rows, "sphere": [{"fingertip_m": r} | row for r, row in zip(args.fingertip, beside, strict=True)]}
+    show(result, args.json, list(table(result)))
+    if args.plot:
+        draw(result, args.plot)
+    return 0
+
+
+def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
+    """A ball of 20 x 4^level triangles, smooth or bumpy, as a file; its vertices (n, 3) m and triangles (m, 3)."""
+    try:
+        import trimesh
+    except ImportError as error:
+        raise ConfigError(f"bench mesh needs trimesh: pip install 'softfinger[mesh]' ({error})") from error
+    made = trimesh.creation.icosphere(subdivisions=level, radius=1.0)
+    x = np.asarray(made.vertices)
+    waves = np.sin(30.0 * x[:, 0]) * np.sin(30.0 * x[:, 1]) * np.cos(20.0 * x[:, 2])
+    made.vertices = x * (RADIUS_M + bumps * waves)[:, None]
+    file = folder / f"{level}-{bumps:g}.ply"
+    if not file.exists():
+        made.export(file)
+    return str(file), np.asarray(made.vertices), np.asarray(made.faces)
+
+
+def scene_of(radius: float, **shape: Any) -> schema.Scene:
+    material = {
+        "stiffness_n_per_m": 1000.0,
+        "friction": {"static": 0.6, "kinetic": 0.5},
+        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+    }
+    thing = {"name": "ball", "material": material, **shape}
+    coupling = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0}
+    tables = {"fingertip": {"radius_m": radius}, "rolling": {"method": "midpoint"}, "coupling": coupling}
+    return build(schema.Scene, {**tables, "object": [thing]}, "bench mesh")
+
+
+def way(ticks: int, radius: float) -> Array:
+    """Poses (ticks, 7) of a fingertip that is pressed in, dragged over the ball and turned."""
+    rng, reach = np.random.default_rng(0), RADIUS_M + radius
+    x, along = np.array([0.0, 0.0, 1.0]), rng.normal(size=3)
+    poses = np.zeros((ticks, 7))
+    for k in range(ticks):
+        if k % 500 == 0:
+            along = rng.normal(size=3)
+        x = x + SPEED_M / reach * along / np.linalg.norm(along)
+        x /= np.linalg.norm(x)
+        poses[k, :3] = x
+    poses[:, :3] *= (reach - DEPTH_M * np.minimum(np.arange(ticks) / 200.0, 1.0))[:, None]
+    half = 0.5 * np.sin(np.arange(ticks) * 2e-3)
+    poses[:, 3], poses[:, 4:6] = np.cos(half), np.sin(half)[:, None] * (0.6, 0.8)
+    return poses
+
+
+def measured(scene: schema.Scene, radius: float, args: argparse.Namespace) -> dict[str, Any]:
+    """Time of a tick, ns, each by itself: back to back, paced, and in free flight."""
+    tree = build_scene(scene)
+    parameters, poses = packed(tree), way(args.ticks, radius)
+    paced = way(args.paced, radius)
+    away = poses.copy()
+    away[:, :3] *= 1.3
+    found: dict[str, Any] = {}
+    watch = stopwatch(1, BLOCK)  # a thousand stretches of no pose: what looking at the clock costs
+    time_steps(parameters, packed(start_state(tree)), poses[:1], 0.001, watch, np.zeros(1, np.int64))
+    clock = float(np.median(watch.ns))
+    for name, along in (("touching", poses), ("free", away)):
+        watch = stopwatch(1, len(along))
+        time_steps(parameters, packed(start_state(tree)), along, 0.001, watch, np.zeros(1, np.int64))
+        each = watch.ns[0].astype(np.float64) - clock
+        found[f"{name}_ns"] = quantiles(each[BLOCK // 2 :], BLOCK)
+    state, apart, cpu = packed(start_state(tree)), np.zeros(len(paced)), np.zeros(1, np.int64)
+    for k in range(len(paced)):
+        watch = stopwatch(1, 1)
+        time_steps(parameters, state, paced[k : k + 1], 0.001, watch, cpu)
+        apart[k] = watch.ns[0, 0] - clock
+        time.sleep(0.001)
+    found["paced_ns"] = quantiles(apart[BLOCK // 2 :], BLOCK)
+    return found
+
+
+@entry
+def ask(like: Any, values: Array, points: Array, found: Array) -> None:
+    """Into `found` (n, 3): square of the distance of each of `points` (n, 3) m, what was asked for it, and of the first
+    ones the square by asking all."""
+    mesh = unpack(like, values)
+    triangles = mesh.row[0]
+    for i in range(len(points)):
+        x = (points[i, 0], points[i, 1], points[i, 2])
+        near = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET)
+        found[i, 0], found[i, 1], found[i, 2] = near.square, near.spent, 1e300
+        if i < CHECKED:
+            for k in range(int(triangles.number)):
+                found[i, 2] = min(found[i, 2], foot_on(corners_of(triangles, k), x).square)
+
+
+def asked(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
+    """Nodes and triangles asked for the nearest one, and how far the distance is from that of all."""
+    mesh = build_scene(scene).objects[0].shape
+    points = np.ascontiguousarray(way(BLOCK, radius)[:, :3])
+    found = np.zeros((len(points), 3))
+    ask(mesh, flatten(mesh), points, found)
+    wrong = np.abs(np.sqrt(found[:CHECKED, 0]) - np.sqrt(found[:CHECKED, 2])).max()
+    spent = [float(np.percentile(found[:, 1], at)) for at in (50, 99, 100)]
+    return {"asked": dict(zip(("p50", "p99", "max"), spent, strict=True)), "distance_error_m": float(wrong)}
+
+
+def table(result: dict[str, Any]) -> Iterator[str]:
+    yield "a tick with friction, torsion and rolling, us: p50 / p99 / p99.9"
+    yield "asked: nodes and triangles for the nearest one"
+    for row in result["rows"]:
+        name = f"{row['triangles']:>9,} {'bumpy' if row['bumpy'] else 'smooth'}"
+        asked_of = f"asked {row['asked']['p50']:.0f} / {row['asked']['p99']:.0f}"
+        yield f"{name:17}{_line(row)}  {asked_of}, off by {row['distance_error_m']:.1e} m"
+    for row in result["sphere"]:
+        yield f"{'the ball itself':17}{_line(row)}"
+
+
+def _line(row: dict[str, Any]) -> str:
+    parts = [f"r {1000.0 * row['fingertip_m']:4.1f} mm"]
+    for name in ("touching", "paced", "free"):
+        each = row[f"{name}_ns"]
+        parts.append(f"{name} " + " / ".join(f"{each[at] / 1000.0:.2f}" for at in ("p50", "p99", "p999")))
+    return "  ".join(parts)
+
+
+def draw(result: dict[str, Any], file: Path) -> None:
+    drawing = figure()
+    axes = drawing.subplots()
+    for bumpy in (False, True):
+        for at in ("p50", "p99"):
+            rows = sorted((r for r in result["rows"] if r["bumpy"] == bumpy), key=lambda row: row["triangles"])
+            label = f"{'bumpy' if bumpy else 'smooth'}, {at}"
+            costs = [row["touching_ns"][at] / 1000.0 for row in rows]
+            axes.loglog([row["triangles"] for row in rows], costs, "o-", label=label)
+    axes.set_xlabel("triangles")
+    axes.set_ylabel("us per tick, back to back")
+    axes.legend()
+    save(drawing, file)
