@@ -132,6 +132,8 @@ def asked(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | No
     state = _state
     before = state.stop, state.pause
     state.stop, state.pause = stop, pause
+    if state.number:  # what it raised was swallowed: some libraries import others and take whatever comes of it
+        stop()
     try:
         yield
     finally:

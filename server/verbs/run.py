@@ -47,6 +47,9 @@ OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
     ("--metrics", "metrics.endpoint", "127.0.0.1:{}".format, "PORT", "figures for Prometheus; 0: a free port"),
 )
 
+PAGE_END_S: Final = 10.0
+"""Time that the page has to end; by itself it takes a tenth of a second."""
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", help=f"rig file or the name of a shipped one (default: {RIG}; with --view {LED_RIG})")
@@ -115,7 +118,11 @@ def run(args: argparse.Namespace) -> int:
                 watcher.dismiss()
             if page is not None:
                 page.terminate()
-                page.wait()
+                try:
+                    page.wait(PAGE_END_S)
+                except subprocess.TimeoutExpired:
+                    page.kill()
+                    page.wait()
     return signals.code_of_stop()
 
 

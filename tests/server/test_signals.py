@@ -296,6 +296,27 @@ def test_a_device_that_cannot_be_stopped_is_named_and_changes_no_way_out(words: 
     assert "Traceback" not in done.stderr
 
 
+SWALLOWED = """
+import signal, sys, threading
+from softfinger.server import signals
+with signals.handled():
+    signals.imported()
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    except BaseException:
+        pass  # as a library does that imports another one
+    stop = threading.Event()
+    with signals.asked(stop.set):
+        sys.exit(signals.code_of_stop() if stop.wait(30.0) else 1)
+"""
+
+
+def test_a_signal_that_was_swallowed_is_not_lost() -> None:
+    """What is to be stopped from then on is stopped at once."""
+    done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=END_S, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def state(pid: int) -> str:
     """State of a process as the kernel lists it: T is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
