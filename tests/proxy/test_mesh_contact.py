@@ -83,7 +83,8 @@ def field(records, at, count=3):
 def test_a_box_of_triangles_is_a_box(tmp_path):
     """Over faces, edges and corners, pressed, dragged and turned: forces of the shape box, which knows no triangles. On
     a face to rounding; round an edge the proxy is what two rounds of projecting leave behind in a tick, below 5 % of
-    its way of 0.1 mm."""
+    its way of 0.1 mm. Where friction displaces the proxy it is shown on a chord, above the edge by e^2 / 2 r, and the
+    contact point with it."""
     ticks = 4000
     points = wander(1, ticks, 0.034)
     points[:, 2] = 0.0295 + 0.1 * points[:, 2]
@@ -93,7 +94,7 @@ def test_a_box_of_triangles_is_a_box(tmp_path):
     shape = thing("part", "box", size_m=[0.06, 0.05, 0.04])
     mesh, solid = (go(engine(each, far), points, turned) for each in (of_triangles, shape))
     assert len(np.unique(field(solid, AT.contact_mode, 1))) == 3
-    for at, left in ((AT.force, 5e-3), (AT.torque, 5e-3 * R), (AT.contact_point, 5e-6)):
+    for at, left in ((AT.force, 5e-3), (AT.torque, 5e-3 * R), (AT.contact_point, 1e-4)):
         np.testing.assert_allclose(field(mesh, at), field(solid, at), rtol=0.0, atol=left)
     # Where one wall holds it there is nothing to converge to, and it is the same to rounding.
     flat = (np.abs(field(solid, AT.contact_normal)) == 1.0).any(axis=1)
@@ -130,7 +131,8 @@ SMOOTH = {"friction": None, "torsion": None}
 
 
 def errors_of_ball(tmp_path, frequency, shading="none"):
-    """Largest differences in force, N, and contact point, m, between a faceted ball and its sphere; largest step, N."""
+    """Of a faceted ball against its sphere: the largest differences in force, N, contact point, m, and the force's
+    direction, and how far that turns in a tick."""
     part = meshes.geodesic(frequency, 0.05)
     t = np.linspace(0.0, 1.0, 800)
     way = np.stack([np.cos(t) * np.cos(0.3 * t), np.sin(t) * np.cos(0.3 * t), np.sin(0.3 * t)], axis=1)
@@ -138,22 +140,26 @@ def errors_of_ball(tmp_path, frequency, shading="none"):
     turned = spun((0.0, 0.6, 0.8), 0.5 * t)
     file = saved(tmp_path, *part, name=f"{frequency}.ply")
     far = thing("far", "plane", position_m=[0.0, 0.0, -5.0], material=SMOOTH)
-    mesh = go(
-        engine(thing("ball", "mesh", file=file, shading=shading, material=SMOOTH), far, rolling=None), points, turned
-    )
-    ball = go(engine(thing("ball", "sphere", radius_m=0.05, material=SMOOTH), far, rolling=None), points, turned)
+    faceted = thing("ball", "mesh", file=file, shading=shading, material=SMOOTH)
+    mesh = go(engine(faceted, far, rolling=None), points, turned)[150:]
+    ball = go(engine(thing("ball", "sphere", radius_m=0.05, material=SMOOTH), far, rolling=None), points, turned)[150:]
+    forces, expected = field(mesh, AT.force), field(ball, AT.force)
+    along = forces / np.linalg.norm(forces, axis=1)[:, None]
+    true = expected / np.linalg.norm(expected, axis=1)[:, None]
+    points_off = field(mesh, AT.contact_point) - field(ball, AT.contact_point)
     return [
-        np.linalg.norm(field(mesh, at) - field(ball, at), axis=1)[150:].max() for at in (AT.force, AT.contact_point)
-    ] + [np.linalg.norm(np.diff(field(mesh, AT.force), axis=0), axis=1)[150:].max()]
+        np.linalg.norm(each, axis=1).max()
+        for each in (forces - expected, points_off, along - true, np.diff(along, axis=0))
+    ]
 
 
 def test_a_faceted_ball_becomes_the_ball(tmp_path):
-    """Twice as fine: the surface four times as near. With shaded forces the steps from facet to facet are gone, too."""
+    """Four times as fine: all is nearer by that factor or more, since a facet's normal is of first order, and its depth
+    of second. Shaded, the coarse one's force has the direction of the ball's, without steps."""
     coarse, fine = errors_of_ball(tmp_path, 16), errors_of_ball(tmp_path, 64)
-    assert fine[0] < coarse[0] / 3.0  # a normal is of first order
-    assert coarse[1] < 2e-3 and fine[1] < coarse[1] / 3.0
+    assert all(after < before / 3.0 for before, after in zip(coarse[:3], fine[:3], strict=True))
     shaded = errors_of_ball(tmp_path, 16, "normals")
-    assert shaded[0] < 0.4 * coarse[0] and shaded[2] < 0.5 * coarse[2]
+    assert shaded[2] < 0.25 * coarse[2] and shaded[3] < 0.25 * coarse[3]
 
 
 @pytest.mark.parametrize("name", ["bumpy", "torus", "moebius"])

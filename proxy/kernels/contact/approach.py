@@ -17,6 +17,7 @@ from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.geometry.bodies import (
     EVERYWHERE,
     NOBODY,
+    any_faceted,
     closest_to,
     deepest,
     follows_on,
@@ -109,7 +110,9 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
     radius = finger.radius
     start = position
     if state.started == 0.0:
-        gap, index, _ = deepest(objects, position, EVERYWHERE, NOBODY)
+        gap, index, bounded = deepest(objects, position, EVERYWHERE, NOBODY)
+        if bounded != 0.0 and index >= 0.0:  # of a mesh that was not searched to the end: what was found so far
+            gap, _, _ = closest_to(objects, index, position)
         met = position
         if gap >= radius:
             index = NONE
@@ -120,6 +123,8 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
     if index >= 0.0:
         _, point, normal = closest_to(objects, index, met)
         center = vec3.add_scaled(point, radius, normal)
+        if state.started != 0.0 and any_faceted(objects):
+            center = met  # other facets are as near: on this one it might be inside of those
         push = Push(max(vec3.dot(vec3.sub(center, position), normal), 0.0), 0.0, 0.0)
         active = Constraints(first=index, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
         if state.mode != FREE and push.first <= INSIDE * radius and is_outside(objects, radius, position):

@@ -18,11 +18,14 @@ from softfinger.config.load import build
 from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
 from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.nodes.meshes import sent
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import RecordedPage, Recording
 from softfinger.server.wire import control
 from softfinger.server.wire.commands import Triangles, answered
+
+BEGAN = Began(0, 0, 1e-3, own_clock=False)
 
 
 def scene_of(path: Path) -> schema.Scene:
@@ -91,14 +94,14 @@ def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
     """From the file, in centimetres, as the second object; a file that is gone is told, and the rest is shown."""
     path = scan(tmp_path, 5)
     records = {"": np.zeros((3, RECORD_SIZE))}
-    RecordedPage(page, Recording(records, scene_of(path), "part", 1000.0), 0)
+    RecordedPage(page, Recording(records, scene_of(path), "part", 1000.0, BEGAN), 0)
     drawn = surfaces(page)["/objects/1/surface"]
     np.testing.assert_allclose(
         np.abs(drawn.vertices).max(), 100 * 0.04 * np.abs(meshes.geodesic(5).vertices).max(), rtol=1e-6
     )
     assert len(drawn.faces) == 500
     path.unlink()
-    page.change(scene_of(path), 0, 1e-3)
+    page.change(scene_of(path), BEGAN)
     assert "/objects/1/surface" not in surfaces(page)
-    RecordedPage(page, Recording(records, scene_of(path), "part", 1000.0), 0)
+    RecordedPage(page, Recording(records, scene_of(path), "part", 1000.0, BEGAN), 0)
     assert "No such file" in page._said.content and "/objects/0/surface" in surfaces(page)

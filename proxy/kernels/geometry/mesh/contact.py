@@ -24,6 +24,8 @@ STRIDE = 0.9
 """Share of its radius that a fingertip's centre goes between two looks at what is around it."""
 STRIDES = 16
 """Looks on one way, at most: past so many a fingertip that went along the surface is stopped there."""
+LOOKS = 6
+"""On the last stretch of a first touch."""
 ANYWHERE = 1e300
 
 
@@ -46,6 +48,20 @@ def nearest_facet(mesh: Mesh, x: Vec3, within: float, known: Vec3) -> tuple[floa
 
 
 @jit
+def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float) -> float:
+    """Share of a way, which ends inside, that a fingertip can go and be outside still: as far as the clearance each
+    time. The next tick goes the rest."""
+    length, gone = vec3.norm(way), 0.0
+    for _ in range(LOOKS):
+        x = vec3.add_scaled(start, gone / length, way)
+        gap, number, _ = nearest_facet(mesh, x, radius + length, NO_TRIANGLE)
+        if number < 0.0 or gap - radius <= 1e-9 * radius:
+            break
+        gone = min(gone + gap - radius, length)
+    return gone / length
+
+
+@jit
 def travel_to_facet(shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool) -> tuple[float, float]:
     """Share of the way at which something is met, and the number of the triangle; see `travel`.
 
@@ -57,7 +73,9 @@ def travel_to_facet(shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: 
         if leaves:
             return NO_HIT, 0.0
         gap, number, _ = nearest_facet(shape, end, radius, NO_TRIANGLE)
-        return (1.0, number) if number >= 0.0 and gap < radius else (NO_HIT, 0.0)
+        if number < 0.0 or gap >= radius:
+            return NO_HIT, 0.0
+        return last_outside(shape, start, way, radius), number
     gone, number = 0.0, -1.0
     for _ in range(STRIDES):
         x = vec3.add_scaled(start, gone / length, way)

@@ -109,7 +109,10 @@ def tile_at(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
     w = p[2] - shape.facets[at]
     rise = (abs(b1) + abs(b2)) * half
     convex = (w + rise + thick) * shape.facets[at + 4] < 1.0 and (rise + thick - w) * shape.facets[at + 5] < 1.0
-    return Tile(half, middle_s, middle_t, u, v, w, b1, b2, thick, rise, convex)
+    return Tile(
+        half=half, middle_s=middle_s, middle_t=middle_t, u=u, v=v, w=w, b1=b1, b2=b2, thick=thick, rise=rise,
+        convex=convex,
+    )  # fmt: skip
 
 
 @jit
