@@ -3,7 +3,7 @@
 Compiled, on arrays that the caller has made: `proxy/meshes` has them.
 """
 
-from math import acos, sqrt
+from math import acos
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -77,8 +77,8 @@ def middle_of(mesh: Triangles, node: int, lane: int) -> Vec3:
 
 
 class Guess(NamedTuple):
-    """A triangle that may be the nearest, -1 where none is below a limit, the square of its distance, m^2, and the nodes
-    and triangles asked for it."""
+    """A triangle that may be the nearest, -1 where none is below a limit, the square of its distance, m^2, and what was
+    asked for it."""
 
     number: int
     square: float
@@ -125,7 +125,8 @@ def way_down(whole: Mesh, near: Vec3, x: Vec3, limit: float, bounds: Any, waitin
 def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Found:
     """The triangle nearest to `x` (3,) m among those nearer than `limit` (m).
 
-    known   (3,)  numbers of up to three triangles that are asked first and kept where no other is nearer; -1 for none
+    known   (3,)  numbers of up to three triangles near x that are asked first, and kept where no other is nearer; -1
+                  for none
     budget        nodes and triangles, ROOM at most
     """
     mesh = whole.row[0]
@@ -140,7 +141,7 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Fou
             spent += 1
             if foot.square < square:
                 number, square = guess, foot.square
-    if number < 0:
+    if guess < 0:
         guess, apart, asked = way_down(whole, near, x, square, bounds, waiting)
         spent += asked
         if guess < 0:

@@ -10,6 +10,8 @@ from softfinger.proxy.kernels.native.outlined import outlined
 
 FACE = 6
 """Number of the feature that is the triangle itself; 0 to 2 are its edges, 3 to 5 its corners."""
+FAN = 12
+"""Triangles round a corner that are asked on either side."""
 ON_IT = 1e-14
 """Distance, as a share of the mesh's size, at which a point has no direction of its own from the triangle."""
 
@@ -125,22 +127,48 @@ def outward_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> 
     return normal
 
 
+@jit
+def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, best: float) -> tuple[int, float]:
+    """The nearest of the triangles round the corner `at` of one if its square of the distance from `x` is below `best`,
+    else -1; and that square.
+
+    They are asked one after the other as far as they have edges in common: most of them have just that corner nearest
+    to x, so that its neighbours do not tell which of them is nearer.
+    """
+    vertex, found = mesh.corners[3 * number + at], -1
+    for turn in (0, 2):  # over the edge that begins there, and over the one that ends there
+        here, corner = number, at
+        for _ in range(FAN):
+            here = int(mesh.across[3 * here + (corner + turn) % 3])
+            if here < 0 or here == number:
+                break
+            corner = 0
+            while corner < 2 and mesh.corners[3 * here + corner] != vertex:
+                corner += 1
+            square = foot_on(corners_of(mesh, here), x).square
+            if square < best:
+                found, best = here, square
+        if here == number:
+            break
+    return found, best
+
+
 @outlined
 def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
-    """The triangle beyond the edge of this one that `x` is nearest to, if it is nearer still; else this one."""
+    """The triangle beyond the edge, or round the corner, of this one that `x` is nearest to, if it is nearer still;
+    else this one."""
     mesh, k = whole.row[0], int(number)
     foot = foot_on(corners_of(mesh, k), x)
     if foot.feature == FACE:
         return number
-    nearer, square = number, foot.square * (1.0 - 1e-11)
-    for i in range(3):  # of a corner both edges
-        if foot.feature == i or foot.feature - 3 == i or foot.feature - 3 == (i + 1) % 3:
-            other = int(mesh.across[3 * k + i])
-            if other >= 0:
-                there = foot_on(corners_of(mesh, other), x)
-                if there.square < square:
-                    nearer, square = float(other), there.square
-    return nearer
+    best = foot.square * (1.0 - 1e-11)
+    if foot.feature < 3:
+        nearer = int(mesh.across[3 * k + foot.feature])
+        if nearer >= 0 and foot_on(corners_of(mesh, nearer), x).square >= best:
+            nearer = -1
+    else:
+        nearer, _ = nearer_around(mesh, k, foot.feature - 3, x, best)
+    return number if nearer < 0 else float(nearer)
 
 
 @outlined
