@@ -17,6 +17,8 @@ from softfinger.proxy.kernels.native.jit import entry, jit
 ROUNDED_PLACE, ROUNDED_AXES = 2.5e-7, 2e-6
 """Shares of the mesh's size, and of a box's own, by which boxes are larger than what they hold: float32 has 6e-8 of a
 coordinate, and the axes that go along with it are as far from square to each other."""
+SAMPLES = 32
+"""Triangles of a box that are looked at for which way its sides should go."""
 NOTHING = -1e18
 """Half of a box that holds nothing: it is farther than anything."""
 
@@ -48,6 +50,15 @@ def count_nodes(triangles: int, low: Any, high: Any) -> int:
             count += k
         node += 1
     return count
+
+
+@entry
+def take_middles(vertices: Any, corners: Any, center: Vec3, middles: Any) -> None:
+    """Middles of the triangles, three times over, from `center`: (triangles, 3) float32, filled."""
+    for k in range(len(corners)):
+        for axis in range(3):
+            total = vertices[corners[k, 0], axis] + vertices[corners[k, 1], axis] + vertices[corners[k, 2], axis]
+            middles[k, axis] = total - 3.0 * center[axis]
 
 
 @jit
@@ -152,14 +163,17 @@ class Box(NamedTuple):
 
 
 @jit
-def box_along(vertices: Any, corners: Any, low: int, high: int, up: Vec3, side: Vec3) -> Box:
-    """The box round some triangles whose sides go along `up` and, square to it, along `side` as far as that can be."""
+def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3, side: Vec3) -> Box:
+    """The box round some triangles whose sides go along `up` and, square to it, along `side` as far as that can be.
+
+    some   from the first to before the last, by steps
+    """
     size, one = direction(vec3.reject(side, up), Z_AXIS)
     if size <= 1e-6 * vec3.norm(side):
         one = any_tangent(up)
     two = vec3.cross(up, one)
     least, most = (1e300, 1e300, 1e300), (-1e300, -1e300, -1e300)
-    for k in range(low, high):
+    for k in range(some[0], some[1], some[2]):
         for i in range(3):
             x = corner(vertices, corners, k, i)
             y = (vec3.dot(x, one), vec3.dot(x, two), vec3.dot(x, up))
@@ -171,10 +185,10 @@ def box_along(vertices: Any, corners: Any, low: int, high: int, up: Vec3, side: 
 
 
 @jit
-def longest_side(vertices: Any, corners: Any, low: int, high: int) -> Vec3:
+def longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec3:
     """The longest side (3,) m of some triangles."""
     side, square = (0.0, 0.0, 0.0), 0.0
-    for k in range(low, high):
+    for k in range(some[0], some[1], some[2]):
         for i in range(3):
             edge = vec3.sub(corner(vertices, corners, k, (i + 1) % 3), corner(vertices, corners, k, i))
             if vec3.dot(edge, edge) > square:
@@ -193,12 +207,15 @@ def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: in
     for k in range(low, high):
         total = vec3.add(total, area_normal(vertices, corners, k))
     _, up = direction(total, Z_AXIS)
-    box = box_along(vertices, corners, low, high, up, longest_side(vertices, corners, low, high))
+    some = (low, high, 1 + (high - low) // SAMPLES)
+    side = longest_side(vertices, corners, some)
     if high - low > 1:
+        box = box_along(vertices, corners, some, up, side)
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
-            other = box_along(vertices, corners, low, high, up, axis)
+            other = box_along(vertices, corners, some, up, axis)
             if other.half[0] * other.half[1] < box.half[0] * box.half[1]:
-                box = other
+                side, box = axis, other
+    box = box_along(vertices, corners, (low, high, 1), up, side)
     widest = max(box.half[0], box.half[1], box.half[2])
     for i in range(3):
         lanes[at + LANES * i] = box.middle[i] - center[i]
