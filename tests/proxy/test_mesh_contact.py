@@ -171,9 +171,10 @@ def test_the_proxy_is_never_inside(tmp_path, name):
         "moebius": meshes.moebius(0.06, 0.04, 96, 6),
     }[name]
     running = engine(thing("part", "mesh", file=saved(tmp_path, vertices, triangles)))
-    ticks = 6000
-    points = wander(7, ticks, 0.055)
+    points = wander(7, 6000, 0.055)
     points *= np.maximum(1.0, 0.05 / np.linalg.norm(points, axis=1))[:, None]
+    points = np.concatenate([np.linspace(4.0 * points[0], points[0], 400), points])  # a first pose may be inside
+    ticks = len(points)
     records = go(running, points, spun((0.0, 0.6, 0.8), np.sin(np.arange(ticks) * 2e-3)))
     assert np.isfinite(np.asarray(records)).all()
     touched = field(records, AT.contact_mode, 1)[:, 0] > 0

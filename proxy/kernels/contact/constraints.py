@@ -208,15 +208,15 @@ def settle_for(objects: Any, radius: float, probe: Vec3, start: Vec3, center: Ve
         active = with_another(active, hit, normal)
         goal, active = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1)
     center = goal
-    if faceted:
-        center, active = step_over(objects, radius, probe, goal, active)
-    else:
+    if not faceted:
         # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
         gap, at, _ = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active))
         active = with_touched(objects, radius, goal, active, gap, at)
     found, bounded = False, 0.0
-    for _ in range(ATTEMPTS_ON_FACETS if faceted else ATTEMPTS):
+    for attempt in range(ATTEMPTS_ON_FACETS if faceted else ATTEMPTS):
         center, active = relax(objects, radius, probe, center, active, rounds)
+        if faceted and attempt == 0:
+            center, active = step_over(objects, radius, probe, center, active)
         gap, at, bounded = deepest(objects, center, radius, held_by(active))
         if gap >= radius * (1.0 - INSIDE):
             found = True
