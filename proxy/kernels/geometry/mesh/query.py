@@ -135,7 +135,7 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Fou
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
     spent, number, square, guess = 0, -1, limit * limit, -1
     for k in known:
-        if k >= 0.0:
+        if 0.0 <= k < mesh.number:  # of several meshes each is told of the others' too
             guess = int(k)
             foot = foot_on(corners_of(mesh, guess), x)
             spent += 1
