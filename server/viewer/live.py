@@ -12,6 +12,7 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
+from softfinger.proxy.pictures import Filed
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.hand import Hand, Led, Target
 from softfinger.server.viewer.inputs import Gamepad, add_keys
@@ -45,7 +46,7 @@ class LivePage:
         self._described: dict[str, Any] | None = None
         self._fresh = threading.Event()
         self._sent = deque[tuple[int, int, Triangles]]()
-        """Triangles of objects that are meshes: of the scene that began with which tick, of which object."""
+        """Triangles of objects that are made of a file: of the scene that began with which tick, of which object."""
         self._scene: schema.Scene | None = None
         self._first = -1
         self._since = 0.0
@@ -111,7 +112,7 @@ class LivePage:
         self._page.change(scene, began_of(described))
         self._tuning.change(scene, described["scene_name"])
         for number, thing in enumerate(scene.object):
-            if isinstance(thing, schema.Mesh):
+            if isinstance(thing, Filed):
                 came = partial(self._keep, self._first, number)
                 self._asker.ask(f"mesh {number}", Request("mesh", {"object": number}, came, self._page.say))
         parts = {finger.name: finger for finger in scene.fingers}

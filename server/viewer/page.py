@@ -110,7 +110,7 @@ class Page:
             self._bodies.drive(number, position, orientation)
 
     def draw(self, number: int, mesh: Mesh) -> None:
-        """The triangles of an object of the scene that is a mesh."""
+        """The triangles of an object of the scene that is made of a file."""
         if self._bodies is not None:
             self._bodies.draw(number, mesh)
 

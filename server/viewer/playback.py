@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import build, load_scene
-from softfinger.proxy.meshes.prepared import about
+from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT
 from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import run_recording
@@ -136,7 +136,7 @@ class RecordedPage:
         page.add_views()
         page.change(recording.scene, recording.began)
         for number, thing in enumerate(recording.scene.object):
-            if isinstance(thing, schema.Mesh):
+            if isinstance(thing, Filed):
                 self._draw(number, thing)
         names = list(page.fingers)
         self._names = dict(zip(recording.fingers, names, strict=True)) if len(names) == 1 else {n: n for n in names}
@@ -149,14 +149,14 @@ class RecordedPage:
             self._page.forget()
         self._page.show({self._names[name]: rows for name, rows in ticks.items()})
 
-    def _draw(self, number: int, thing: schema.Mesh) -> None:
-        """Show the triangles of a mesh, if its file is still there."""
+    def _draw(self, number: int, thing: Filed) -> None:
+        """Show the triangles of what is made of a file, if it is still there."""
         try:
-            picture = about(thing).picture
+            vertices, triangles = picture_of(thing).arrays
         except ConfigError as error:
             self._page.say(str(error))
             return
-        self._page.draw(number, Mesh(picture.vertices, picture.triangles.astype(np.uint32), flat=True))
+        self._page.draw(number, Mesh(vertices, triangles.astype(np.uint32)))
 
     def close(self) -> None:
         """Nothing to be closed."""

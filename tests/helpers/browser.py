@@ -39,6 +39,16 @@ def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:
     return found
 
 
+def coloured(picture: NDArray[np.int64]) -> dict[str, int]:
+    """Pixels of each colour that has a meaning: red and blue of the modes, orange of the torsional moment."""
+    r, g, b = picture[..., 0], picture[..., 1], picture[..., 2]
+    return {
+        "red": int(((r - g > 70) & (abs(g - b) < 40)).sum()),
+        "blue": int(((b - r > 70) & (b - g > 25)).sum()),
+        "orange": int(((r - b > 120) & (g - b > 60)).sum()),
+    }
+
+
 class Screen:
     """A page in the browser."""
 
