@@ -121,27 +121,32 @@ class Screen:
 
 
 @contextmanager
-def opened(address: str) -> Iterator[Screen]:
-    """A page in a new browser, once its picture is there."""
+def browser() -> Iterator[Any]:
+    """An empty page of a new browser."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as tool:
-        browser = tool.chromium.launch(
+        started = tool.chromium.launch(
             executable_path=shutil.which("chromium"), args=ARGUMENTS, headless=True, timeout=1e3 * WAIT_S
         )
         try:
-            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, has_touch=True)
+            page = started.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, has_touch=True)
             page.set_default_timeout(1e3 * WAIT_S)
-            page.goto(address)
-            page.locator("canvas").first.wait_for()
-            page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # it lies over the picture
-            yield Screen(page)
+            yield page
         finally:
-            browser.close()
+            started.close()
+
+
+def shown(page: Any, address: str) -> Screen:
+    """A page of a browser, once the picture of what is served there has its place."""
+    page.goto(address)
+    page.locator("canvas").first.wait_for()
+    page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # it lies over the picture
+    return Screen(page)
 
 
 @contextmanager
 def served(*words: str) -> Iterator[Screen]:
     """`softfinger view` with these words in a process of its own, in a browser."""
-    with viewer(*words) as (_, address), opened(address) as screen:
-        yield screen
+    with viewer(*words) as (_, address), browser() as page:
+        yield shown(page, address)
