@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.heightmaps import read_heights, thinned
+from softfinger.proxy.pictures import relief
 from softfinger.proxy.record import AT
 from softfinger.server.recording.schemas import FRAME, POSE, SCENE, message_class
 
@@ -161,12 +162,10 @@ def _torus(thing: schema.Torus, at: Any) -> dict[str, Any]:
 
 def _heightmap(thing: schema.Heightmap, at: Any) -> dict[str, Any]:
     try:
-        x, y, z = thinned(read_heights(thing), thing.pitch_m, MAP_PIXELS)
+        vertices, triangles = relief(*thinned(read_heights(thing), thing.pitch_m, MAP_PIXELS))
     except ConfigError:  # the file has gone since it was read for the scene
         return _named(thing, at)
-    points = [_vector((x[i], y[j], z[j, i])) for j in range(len(y)) for i in range(len(x))]
-    corners = [(j * len(x) + i, j * len(x) + i + 1) for j in range(len(y) - 1) for i in range(len(x) - 1)]
-    indices = [n for a, b in corners for n in (a, b, b + len(x), a, b + len(x), a + len(x))]
+    points, indices = [_vector(point) for point in vertices.tolist()], triangles.ravel().tolist()
     return {"triangles": [{"pose": at, "points": points, "color": _OBJECT, "indices": indices}]}
 
 

@@ -19,7 +19,7 @@ from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
 from softfinger.drivers.simulated.lead import Wanted, hand_of
-from softfinger.proxy.meshes.prepared import rendered
+from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import wayout
 from softfinger.server.services.base import Worker
@@ -320,12 +320,10 @@ class Commands(Worker):
 
     def _mesh(self, request: Request) -> wire.Triangles:
         _, thing = self._object(request.params.object)
-        if not isinstance(thing, schema.Mesh):
+        if not isinstance(thing, Filed):
             raise Declined("refused", f"object {thing.name} is a {thing.shape} and no mesh: its table says all")
-        report, picture = rendered(thing)
-        return wire.Triangles(
-            picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
-        )
+        (vertices, triangles), of = picture_of(thing)
+        return wire.Triangles(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes(), of)
 
     def _record_start(self, request: Request) -> wire.RecordStarted:
         asked: wire.RecordStart = request.params

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import logging
 import os
-import threading
 import webbrowser
 from typing import Final
 
@@ -56,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     if args.host == HOST:  # beside a servo, most likely, and one that may have no priority
         os.nice(NICE)
     daemon = Daemon(args.endpoint, args.commands, keys.of_options(args))
-    page, stop = Page(args.host, args.port), threading.Event()
+    page, asked = Page(args.host, args.port), list[bool]()
     try:
         fed = LivePage(page, daemon) if recording is None else RecordedPage(page, recording, args.tick)
         try:
@@ -65,8 +64,8 @@ def run(args: argparse.Namespace) -> int:
                 log.warning("whoever reaches %s may command the daemon: there is no password", args.host)
             if not args.no_open and _can_open():
                 webbrowser.open(page.address)
-            with signals.asked(stop.set):
-                each_frame(fed.step, stop, args.duration)
+            with signals.asked(lambda: asked.append(True)):
+                each_frame(fed.step, asked, args.duration)
         finally:
             fed.close()
     finally:

@@ -12,10 +12,13 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
+from softfinger.proxy.pictures import Filed
 from softfinger.server.keys import ClientKeys
+from softfinger.server.viewer.driven import Handles, drive_of, resting
 from softfinger.server.viewer.hand import Hand, Led, Target
 from softfinger.server.viewer.inputs import Gamepad, add_keys
 from softfinger.server.viewer.nodes import meshes
+from softfinger.server.viewer.nodes.bodies import Place
 from softfinger.server.viewer.page import Page, began_of, scene_of
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
@@ -24,6 +27,7 @@ from softfinger.server.wire.commands import Triangles
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
 COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one goes on meanwhile"
 ASK_AGAIN_S: Final = 1.0
+POSE: Final = ("position_m", "orientation_wxyz")
 
 
 class Daemon(NamedTuple):
@@ -45,7 +49,7 @@ class LivePage:
         self._described: dict[str, Any] | None = None
         self._fresh = threading.Event()
         self._sent = deque[tuple[int, int, Triangles]]()
-        """Triangles of objects that are meshes: of the scene that began with which tick, of which object."""
+        """Triangles of objects that are made of a file: of the scene that began with which tick, of which object."""
         self._scene: schema.Scene | None = None
         self._first = -1
         self._since = 0.0
@@ -53,6 +57,7 @@ class LivePage:
         with page.tabs.add_tab("Hand"):
             self._hand = Hand(gui, page.server.scene, self._send)
             add_keys(gui, self._hand.nudge)
+            self._handles = Handles(gui, page.server.scene, self._drive)
             gui.add_button_group("force", ("on", "off")).on_click(self._switch)
         with page.tabs.add_tab("Feel"):
             self._tuning = Tuning(gui, self._set_params, self._set_scene)
@@ -77,6 +82,7 @@ class LivePage:
             self._page.say(self._live.problem)
         if (nudge := self._gamepad.moved(dt)) is not None:
             self._hand.nudge(nudge)
+        self._handles.step()
         for finger, rows in news.ticks.items():
             self._hand.see(finger, rows[-1])
         self._page.show(news.ticks)
@@ -109,9 +115,10 @@ class LivePage:
             return
         self._scene, self._first = scene, int(described["since"])
         self._page.change(scene, began_of(described))
+        self._handles.change(resting(scene))
         self._tuning.change(scene, described["scene_name"])
         for number, thing in enumerate(scene.object):
-            if isinstance(thing, schema.Mesh):
+            if isinstance(thing, Filed):
                 came = partial(self._keep, self._first, number)
                 self._asker.ask(f"mesh {number}", Request("mesh", {"object": number}, came, self._page.say))
         parts = {finger.name: finger for finger in scene.fingers}
@@ -132,11 +139,9 @@ class LivePage:
             self._page.say(f"object {number}: {error}")
 
     def _hear(self, event: dict[str, Any]) -> None:
-        if event["kind"] == "command" and event["name"] == "drive" and self._scene is not None:
-            what = event["what"]
-            names = [thing.name for thing in self._scene.object]
-            if what.get("object") in names:
-                self._page.drive(names.index(what["object"]), what["position_m"], what.get("orientation_wxyz"))
+        if self._scene is not None and (drive := drive_of(event, self._scene)) is not None:
+            self._page.drive(drive.number, drive.position, drive.orientation)
+            self._handles.see(drive.number, drive.position, drive.orientation)
         elif event["kind"] == "lifecycle" or (event["kind"] == "command" and event["name"].startswith("set_")):
             self._look()
 
@@ -148,6 +153,10 @@ class LivePage:
             params["position_m"] = [float(x) for x in target.position]
             params["orientation_wxyz"] = list(target.orientation)
         self._asker.ask(f"hand {finger}", Request("hand", params, lambda result: None, self._refused))
+
+    def _drive(self, number: int, place: Place) -> None:
+        params = {"object": number, "position_m": list(place[0]), "orientation_wxyz": list(place[1])}
+        self._asker.ask(f"drive {number}", Request("drive", params, lambda result: None, self._refused))
 
     def _switch(self, event: Any) -> None:
         method = "arm" if event.target.value == "on" else "disarm"
@@ -165,6 +174,7 @@ class LivePage:
     def _refused(self, text: str) -> None:
         self._page.say(text, "Not done:")
         self._tuning.restore()
+        self._handles.restore()
 
     def close(self) -> None:
         for part in (self._live, self._asker, self._slow):
@@ -172,9 +182,12 @@ class LivePage:
 
 
 def _form(scene: schema.Scene) -> dict[str, Any]:
-    """What of a scene is to be seen."""
-    plain = describe(scene)
-    objects = [{key: value for key, value in each.items() if key != "material"} for each in plain["object"]]
+    """What of a scene is to be seen; where driven objects are, events tell."""
+    plain, driven = describe(scene), resting(scene)
+    objects = [
+        {key: value for key, value in each.items() if key not in (POSE if number in driven else ()) + ("material",)}
+        for number, each in enumerate(plain["object"])
+    ]
     return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects}
 
 

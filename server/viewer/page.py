@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-import threading
 import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
@@ -110,7 +109,7 @@ class Page:
             self._bodies.drive(number, position, orientation)
 
     def draw(self, number: int, mesh: Mesh) -> None:
-        """The triangles of an object of the scene that is a mesh."""
+        """The triangles of an object of the scene that is made of a file."""
         if self._bodies is not None:
             self._bodies.draw(number, mesh)
 
@@ -186,10 +185,12 @@ def scene_of(described: dict[str, Any]) -> schema.Scene:
     return build(schema.Scene, described["scene"], "the daemon's scene")
 
 
-def each_frame(work: Callable[[float], None], stop: threading.Event, duration: float | None) -> None:
-    """Call `work(dt)` some 30 times a second until told to stop; never faster than the page is drawn."""
+def each_frame(work: Callable[[float], None], asked: list[bool], duration: float | None) -> None:
+    """Call `work(dt)` some 30 times a second until asked to stop, once anything is in the list; never faster than the
+    page is drawn. A signal may ask: an event's lock would be held by whom the signal holds up."""
     began = last = time.monotonic()
-    while not stop.wait(max(0.0, last + FRAME_S - time.monotonic())):
+    while not asked:
+        time.sleep(max(0.0, last + FRAME_S - time.monotonic()))
         now = time.monotonic()
         work(now - last)
         last = now

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import build, load_scene
-from softfinger.proxy.meshes.prepared import about
+from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT
 from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import run_recording
-from softfinger.server.recording.reader import Note, Ticks, contents
+from softfinger.server.recording.reader import Event, Note, Ticks, contents
+from softfinger.server.viewer.driven import Drives
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.page import Page, began_of
@@ -29,13 +30,15 @@ DEFAULT_SCENE: Final = "paper-plane"
 
 
 class Recording(NamedTuple):
-    """Records (n, RECORD_SIZE) of each finger by name, as many of each; the scene, what it is called, when it began."""
+    """Records (n, RECORD_SIZE) of each finger by name, as many of each; the scene, what it is called, when it began;
+    events in the order of time."""
 
     fingers: dict[str, Array]
     scene: schema.Scene
     name: str
     rate_hz: float
     began: Began
+    events: tuple[dict[str, Any], ...] = ()
 
 
 def load(recording: str, scene: str | None) -> Recording:
@@ -47,8 +50,9 @@ def load(recording: str, scene: str | None) -> Recording:
     """
     path = Path(recording)
     notes: dict[str, Any] = {}
+    events: tuple[dict[str, Any], ...] = ()
     if path.suffix.lower() == ".mcap":
-        fingers, notes = _mcap(path)
+        fingers, notes, events = _mcap(path)
     elif path.suffix.lower() in (".csv", ".npz"):
         try:
             fingers = {"": read_results(path)}
@@ -65,7 +69,7 @@ def load(recording: str, scene: str | None) -> Recording:
         raise RecordingError(f"{path}: has fingers {sorted(fingers)}, and the scene {sorted(named)}: give its --scene")
     rate = notes.get("rate_hz", 1000.0)
     name = str(notes.get("scene_name", scene or DEFAULT_SCENE))
-    return Recording(fingers, shown, name, float(rate), _began(notes, fingers, float(rate)))
+    return Recording(fingers, shown, name, float(rate), _began(notes, fingers, float(rate)), events)
 
 
 def _began(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> Began:
@@ -76,19 +80,22 @@ def _began(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> 
     return Began(int(first[AT.tick]), int(first[AT.servo_missed]), 1.0 / rate_hz, own_clock=False)
 
 
-def _mcap(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+def _mcap(path: Path) -> tuple[dict[str, Array], dict[str, Any], tuple[dict[str, Any], ...]]:
     blocks: dict[str, list[Array]] = {}
     notes: dict[str, Any] = {}
+    events: list[dict[str, Any]] = []
     for part in contents(path):
         if isinstance(part, Ticks):
             blocks.setdefault(part.finger, []).append(part.records())
         elif isinstance(part, Note):
             notes[part.name] = part.value
+        elif isinstance(part, Event):
+            events.append(part.event)
     if not blocks:
         raise RecordingError(f"{path}: holds no tick")
     fingers = {name: np.concatenate(each) for name, each in blocks.items()}
     count = min(len(rows) for rows in fingers.values())
-    return {name: rows[:count] for name, rows in fingers.items()}, notes
+    return {name: rows[:count] for name, rows in fingers.items()}, notes, tuple(events)
 
 
 class Player:
@@ -135,8 +142,9 @@ class RecordedPage:
             self._player = Player(page.server.gui, recording, tick)
         page.add_views()
         page.change(recording.scene, recording.began)
+        self._drives = Drives(recording.scene, recording.events)
         for number, thing in enumerate(recording.scene.object):
-            if isinstance(thing, schema.Mesh):
+            if isinstance(thing, Filed):
                 self._draw(number, thing)
         names = list(page.fingers)
         self._names = dict(zip(recording.fingers, names, strict=True)) if len(names) == 1 else {n: n for n in names}
@@ -147,16 +155,19 @@ class RecordedPage:
         ticks, jumped = self._player.take()
         if jumped:
             self._page.forget()
+        for rows in list(ticks.values())[:1]:
+            for number, place in self._drives.at(int(rows[-1, AT.tick])).items():
+                self._page.drive(number, *place)
         self._page.show({self._names[name]: rows for name, rows in ticks.items()})
 
-    def _draw(self, number: int, thing: schema.Mesh) -> None:
-        """Show the triangles of a mesh, if its file is still there."""
+    def _draw(self, number: int, thing: Filed) -> None:
+        """Show the triangles of what is made of a file, if it is still there."""
         try:
-            picture = about(thing).picture
+            vertices, triangles = picture_of(thing).arrays
         except ConfigError as error:
             self._page.say(str(error))
             return
-        self._page.draw(number, Mesh(picture.vertices, picture.triangles.astype(np.uint32), flat=True))
+        self._page.draw(number, Mesh(vertices, triangles.astype(np.uint32)))
 
     def close(self) -> None:
         """Nothing to be closed."""

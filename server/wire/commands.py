@@ -196,8 +196,8 @@ class OfObject(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Triangles(Struct, frozen=True):
-    """A mesh in the frame of its object, for pictures: x, y, z of each vertex as float32, m, and three vertices of
-    each triangle as uint32, little-endian; of how many triangles it is made when it is touched."""
+    """A mesh or a height map in the frame of its object, for pictures: x, y, z of each vertex as float32, m, and three
+    vertices of each triangle as uint32, little-endian; how many triangles there are where none is left out."""
 
     vertices: bytes
     triangles: bytes
@@ -232,7 +232,7 @@ METHODS: Final = {
     "record_start": Method(RecordStart, RecordStarted, "every tick and event into a new MCAP file of the daemon's"),
     "record_stop": Method(Empty, RecordStopped, "the end of that"),
     "describe": Method(Empty, dict[str, Any], "wire, rig, scene, fingers, versions, and what was compiled"),
-    "mesh": Method(OfObject, Triangles, "the triangles of an object that is a mesh, thinned out for a picture"),
+    "mesh": Method(OfObject, Triangles, "the triangles of an object that is a mesh or a height map, for a picture"),
     "stop": Method(Empty, Stopping, "the daemon ends in order"),
 }
 """Every method."""

@@ -208,7 +208,7 @@ class Control(Closing):
         return self._ask("describe", Empty(), dict)
 
     def mesh(self, what: str | int) -> Triangles:
-        """The triangles of an object that is a mesh, by name or number, thinned out for a picture."""
+        """The triangles of an object that is a mesh or a height map, by name or number, for a picture."""
         return self._ask("mesh", OfObject(what), Triangles)
 
     def stop(self) -> Stopping:

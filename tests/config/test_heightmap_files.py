@@ -11,10 +11,11 @@ import pytest
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, build, describe, load_scene
+from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
+from softfinger.proxy.pictures import MAP_PIXELS, picture_of
 from softfinger.proxy.scene import build_scene
 from softfinger.server.recording.picture import drawn
 from softfinger.server.verbs.check import examine_file
-from softfinger.server.viewer.nodes.meshes import PIXELS_MAX, mesh_of
 
 HEIGHTS = np.add.outer(np.arange(30) * 1e-4, np.arange(40) * 2e-4)
 
@@ -124,17 +125,26 @@ def test_what_cannot_touch_a_map_is_refused_by_name(tmp_path: Path) -> None:
 def test_pictures_show_the_map(tmp_path: Path) -> None:
     """Its triangles go through the pixels and face upwards; of a large map some; without the file there is none."""
     thing: Any = load_scene(scene_file(tmp_path)).object[0]
-    mesh = mesh_of(thing)
-    assert mesh is not None
-    np.testing.assert_allclose(mesh.vertices[:, 2].reshape(30, 40), 0.5 * HEIGHTS, atol=1e-15)
-    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0)[:2], [0.078, 0.058], atol=1e-12)
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    assert (np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(mesh.faces) == 2 * 29 * 39
+    (vertices, faces), of = picture_of(thing)
+    np.testing.assert_allclose(vertices[:, 2].reshape(30, 40), 0.5 * HEIGHTS, atol=1e-15)
+    np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.078, 0.058], atol=1e-12)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(faces) == of == 2 * 29 * 39
     (triangles,) = drawn(thing)["triangles"]
     assert len(triangles["points"]) == HEIGHTS.size and max(triangles["indices"]) == HEIGHTS.size - 1
     scene_file(tmp_path, np.zeros((900, 300)))
-    large = mesh_of(thing)
-    assert large is not None and len(large.vertices) == PIXELS_MAX**2
-    np.testing.assert_allclose(np.ptp(large.vertices, axis=0)[:2], [0.598, 1.798], atol=1e-12)
+    (vertices, faces), of = picture_of(thing)
+    assert len(vertices) == MAP_PIXELS**2 and len(faces) <= PICTURE_TRIANGLES and of == 2 * 899 * 299
+    np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.598, 1.798], atol=1e-12)
     (tmp_path / "hill.npy").unlink()
-    assert mesh_of(thing) is None and "texts" in drawn(thing)
+    assert "texts" in drawn(thing)
+    with pytest.raises(ConfigError, match=r"object 'hill': file: .*hill\.npy: cannot be read"):
+        picture_of(thing)
+
+
+@pytest.mark.parametrize("heights", [HEIGHTS[:1], HEIGHTS[:, :1]])
+def test_a_profile_is_shown_as_deep_as_it_is_wide(tmp_path: Path, heights: Any) -> None:
+    """It has no end on either side, and one row alone would have no triangle."""
+    (vertices, faces), of = picture_of(load_scene(scene_file(tmp_path, heights)).object[0])  # type: ignore[arg-type]
+    width, depth = np.ptp(vertices, axis=0)[:2]
+    assert width == depth == pytest.approx(0.002 * (heights.size - 1)) and len(faces) == of == 2 * (heights.size - 1)

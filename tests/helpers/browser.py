@@ -39,6 +39,16 @@ def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:
     return found
 
 
+def coloured(picture: NDArray[np.int64]) -> dict[str, int]:
+    """Pixels of each colour that has a meaning: red and blue of the modes, orange of the torsional moment."""
+    r, g, b = picture[..., 0], picture[..., 1], picture[..., 2]
+    return {
+        "red": int(((r - g > 70) & (abs(g - b) < 40)).sum()),
+        "blue": int(((b - r > 70) & (b - g > 25)).sum()),
+        "orange": int(((r - b > 120) & (g - b > 60)).sum()),
+    }
+
+
 class Screen:
     """A page in the browser."""
 
@@ -111,27 +121,32 @@ class Screen:
 
 
 @contextmanager
-def opened(address: str) -> Iterator[Screen]:
-    """A page in a new browser, once its picture is there."""
+def browser() -> Iterator[Any]:
+    """An empty page of a new browser."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as tool:
-        browser = tool.chromium.launch(
+        started = tool.chromium.launch(
             executable_path=shutil.which("chromium"), args=ARGUMENTS, headless=True, timeout=1e3 * WAIT_S
         )
         try:
-            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, has_touch=True)
+            page = started.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, has_touch=True)
             page.set_default_timeout(1e3 * WAIT_S)
-            page.goto(address)
-            page.locator("canvas").first.wait_for()
-            page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # it lies over the picture
-            yield Screen(page)
+            yield page
         finally:
-            browser.close()
+            started.close()
+
+
+def shown(page: Any, address: str) -> Screen:
+    """A page of a browser, once the picture of what is served there has its place."""
+    page.goto(address)
+    page.locator("canvas").first.wait_for()
+    page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # it lies over the picture
+    return Screen(page)
 
 
 @contextmanager
 def served(*words: str) -> Iterator[Screen]:
     """`softfinger view` with these words in a process of its own, in a browser."""
-    with viewer(*words) as (_, address), opened(address) as screen:
-        yield screen
+    with viewer(*words) as (_, address), browser() as page:
+        yield shown(page, address)

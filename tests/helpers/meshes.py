@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -144,6 +145,19 @@ def joined(*meshes: Mesh) -> Mesh:
 def moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
     """The same elsewhere."""
     return Mesh(mesh.vertices + np.array(by), mesh.triangles)
+
+
+def write_ply(path: Path, mesh: Mesh) -> Path:
+    """A PLY file of numbers as they lie in memory, coordinates as float32."""
+    head = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(mesh.triangles), [("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, mesh.triangles
+    path.write_bytes(head.encode() + mesh.vertices.astype("<f4").tobytes() + rows.tobytes())
+    return path
 
 
 def volume(mesh: Mesh) -> float:

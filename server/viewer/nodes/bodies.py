@@ -11,6 +11,7 @@ from softfinger.config import schema
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.geometry.motion import pose_at
 from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.nodes.board import add_board
 from softfinger.server.viewer.nodes.glyphs import Quaternion
@@ -64,9 +65,11 @@ class Bodies:
             _draw(api, f"/objects/{number}", thing, _colour(number))
 
     def draw(self, number: int, mesh: Mesh) -> None:
-        """The triangles of an object that is a mesh have come."""
+        """The triangles of an object that is made of a file have come."""
+        thing = self._scene.object[number]
         if len(mesh.faces):  # of crumbs alone nothing may be left
-            _put_surface(self._api, f"/objects/{number}", self._scene.object[number], mesh, _colour(number))
+            flat = isinstance(thing, schema.Mesh)  # a map is smooth
+            _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=flat), _colour(number))
 
     def show(self, row: NDArray[np.float64]) -> None:
         """Put those that move by themselves where they are in a tick (RECORD_SIZE,)."""
@@ -99,7 +102,7 @@ def _colour(number: int) -> tuple[int, int, int]:
 
 
 def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None:
-    if isinstance(thing, schema.Mesh):  # `Bodies.draw` is called later, or it cannot be had
+    if isinstance(thing, Filed):  # `Bodies.draw` is called later, or it cannot be had
         return
     mesh = mesh_of(thing)
     if mesh is None:

@@ -12,9 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.errors import ConfigError
 from softfinger.config.schema import shapes
-from softfinger.proxy.heightmaps import read_heights, thinned
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.uint32]
@@ -25,8 +23,6 @@ PLANE_M: Final = 0.13
 """Edge of what is drawn of a plane, which has no end."""
 ENDLESS_M: Final = 0.2
 """Length of what is drawn of a cylinder without ends."""
-PIXELS_MAX: Final = 192
-"""Pixels of a height map along each side that are drawn: 73 000 triangles, of a larger map some of its pixels."""
 
 
 class Mesh(NamedTuple):
@@ -43,12 +39,12 @@ def sent(vertices: bytes, triangles: bytes) -> Mesh:
     faces = np.frombuffer(triangles, "<u4").reshape(-1, 3)
     if len(faces) and faces.max() >= len(points):
         raise ValueError(f"a triangle of vertex {faces.max()}, and there are {len(points)}")
-    return Mesh(points, faces, flat=True)
+    return Mesh(points, faces)
 
 
 def mesh_of(thing: shapes.ObjectBase) -> Mesh | None:
-    """The surface of an object; None for a shape of another package, which is not known here, for a map whose file is
-    not here, and for a mesh, whose triangles are in no table."""
+    """The surface of an object; None for a shape of another package, which is not known here, and for one that is made
+    of a file, whose triangles are in no table."""
     triangles = TRIANGLES.get(type(thing))
     return None if triangles is None else triangles(thing)
 
@@ -89,19 +85,6 @@ def torus(major: float, minor: float) -> Mesh:
     return lathe(np.column_stack([major + minor * np.cos(angle), minor * np.sin(angle)]))
 
 
-def heightmap(thing: shapes.Heightmap) -> Mesh | None:
-    """Its upper side, through the pixels; None where the file is not on this machine."""
-    try:
-        x, y, z = thinned(read_heights(thing), thing.pitch_m, PIXELS_MAX)
-    except ConfigError:
-        return None
-    at_x, at_y = np.meshgrid(x, y)
-    number = np.arange(z.size).reshape(z.shape)
-    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    return Mesh(np.column_stack([at_x.ravel(), at_y.ravel(), z.ravel()]), faces.astype(np.uint32))
-
-
 def box(size: tuple[float, float, float]) -> Mesh:
     """Full lengths along x, y, z."""
     corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
@@ -137,7 +120,7 @@ def joined(*parts: Mesh) -> Mesh:
     return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh | None]]] = {
+TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh]]] = {
     shapes.Plane: lambda thing: plane(PLANE_M),
     shapes.Sphere: lambda thing: ellipsoid((thing.radius_m,) * 3),
     shapes.Cylinder: lambda thing: cylinder(
@@ -147,6 +130,5 @@ TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh | None]]] = 
     shapes.Box: lambda thing: box(thing.size_m),
     shapes.Ellipsoid: lambda thing: ellipsoid(thing.semi_axes_m),
     shapes.Torus: lambda thing: torus(thing.major_radius_m, thing.minor_radius_m),
-    shapes.Heightmap: lambda thing: heightmap(thing),
 }
 """What draws each shape: its table in a scene, to its surface."""

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.browser import Screen, eventually, served, why_none
-from numpy.typing import NDArray
+from helpers.browser import Screen, coloured, eventually, served, why_none
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
@@ -22,16 +21,6 @@ pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason
 
 ROLL, SPIN, SLIDE = 4300, 7000, 9000
 """Ticks of the shipped recording: half way through its roll, wound up, and dragged along."""
-
-
-def coloured(picture: NDArray[np.int64]) -> dict[str, int]:
-    """Pixels of each colour that has a meaning: red and blue of the modes, orange of the torsional moment."""
-    r, g, b = picture[..., 0], picture[..., 1], picture[..., 2]
-    return {
-        "red": int(((r - g > 70) & (abs(g - b) < 40)).sum()),
-        "blue": int(((b - r > 70) & (b - g > 25)).sum()),
-        "orange": int(((r - b > 120) & (g - b > 60)).sum()),
-    }
 
 
 def test_a_roll_a_spin_and_a_slide_are_told_apart_by_their_colours(tmp_path: Path) -> None:

@@ -6,17 +6,20 @@ There is no gamepad here: a script in the page plays one, in place of the browse
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import get_args
 
 import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, served, why_none
 
 from softfinger.config.load import load_rig, load_scene
+from softfinger.config.schema.contact import RollingMethod
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.inputs import KEYS, SPEED, SPIN_RAD_S, Nudge, speed_of
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.page import FIRST_CAMERA
+from softfinger.server.viewer.tuning import NO_ROLLING
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
@@ -114,12 +117,18 @@ def resting(client: Client) -> bool:
     return float(np.linalg.norm(client.get_state().velocity)) < 1e-4
 
 
-def test_a_rolling_method_arrives_in_the_daemon(screen: Screen, client: Client) -> None:
-    """Compiled beside, then rendered: what the daemon describes has it."""
+@pytest.mark.parametrize("method", [*get_args(RollingMethod)[1:], get_args(RollingMethod)[0], NO_ROLLING])
+def test_a_rolling_method_arrives_in_the_daemon(screen: Screen, client: Client, method: str) -> None:
+    """Each in turn, and none in the end: compiled beside, then rendered; what the daemon describes has it, and its
+    ticks go on."""
     screen.tab("Feel")
-    assert client.describe()["scene"]["rolling"]["method"] == "euler_zxz"
-    screen.choose("rolling", "none")
-    assert eventually(lambda: client.describe()["scene"].get("rolling") is None)
+    screen.choose("rolling", method)
+    wanted = None if method == NO_ROLLING else method
+    assert eventually(lambda: (client.describe()["scene"].get("rolling") or {}).get("method") == wanted)
+    begun = client.describe()["since"]
+    assert eventually(lambda: client.get_state().sequence > begun)
+    chosen = screen.page.locator("xpath=//label[normalize-space()='rolling']/following::input[1]")
+    assert eventually(lambda: chosen.input_value() == method)
 
 
 def test_a_scene_arrives_and_one_that_cannot_be_is_refused(screen: Screen, client: Client) -> None:

@@ -37,17 +37,7 @@ def scene_of(path: Path) -> schema.Scene:
 
 def scan(folder: Path, frequency: int) -> Path:
     """A ball in a PLY file of numbers as they lie in memory."""
-    ball = meshes.geodesic(frequency, 0.04)
-    head = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(ball.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(ball.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    rows = np.empty(len(ball.triangles), [("count", "u1"), ("corners", "<i4", 3)])
-    rows["count"], rows["corners"] = 3, ball.triangles
-    path = folder / f"ball{frequency}.ply"
-    path.write_bytes(head.encode() + ball.vertices.astype("<f4").tobytes() + rows.tobytes())
-    return path
+    return meshes.write_ply(folder / f"ball{frequency}.ply", meshes.geodesic(frequency, 0.04))
 
 
 def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
@@ -100,8 +90,8 @@ def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
         np.abs(drawn.vertices).max(), 100 * 0.04 * np.abs(meshes.geodesic(5).vertices).max(), rtol=1e-6
     )
     assert len(drawn.faces) == 500
-    path.unlink()
-    page.change(scene_of(path), BEGAN)
+    gone = scene_of(tmp_path / "gone.ply")
+    page.change(gone, BEGAN)
     assert "/objects/1/surface" not in surfaces(page)
-    RecordedPage(page, Recording(records, scene_of(path), "part", 1000.0, BEGAN), 0)
+    RecordedPage(page, Recording(records, gone, "part", 1000.0, BEGAN), 0)
     assert "No such file" in page._said.content and "/objects/0/surface" in surfaces(page)

@@ -12,7 +12,9 @@ from helpers.two_fingers import NAMES, two_devices, two_fingers
 
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
+from softfinger.server.viewer.driven import HANDLE_CM
 from softfinger.server.viewer.nodes.looks import CM
+from softfinger.server.viewer.page import FIRST_CAMERA
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
@@ -77,3 +79,35 @@ def test_a_driven_object_moves_on_the_page(screen: Screen, client: Client) -> No
         client.ask("drive", {"object": "lid", "position_m": [x, 0.0, 0.06]})
         assert eventually(lambda x=x: stands(screen, "/objects/1", [x, 0.0, 0.06], 1e-6))
     assert stands(screen, "/objects/0", [0.0, 0.0, 0.0], 0.0)
+
+
+def lid(client: Client) -> list[float]:
+    """Where the daemon has the lid."""
+    found: list[float] = client.describe()["scene"]["object"][1]["position_m"]
+    return found
+
+
+def pull(screen: Screen, client: Client) -> None:
+    """Drag the lid's arrow along the world's x axis."""
+    x, y, z = (CM * part for part in lid(client))
+    screen.drag(screen.at((x + 0.7 * HANDLE_CM, y, z), FIRST_CAMERA), (40.0, 0.0))
+
+
+def test_handles_drive_an_object(screen: Screen, client: Client) -> None:
+    """None at first; switched on, a drag of the arrow along x drives the lid that way alone, and it is drawn where the
+    daemon has it; of the table, which is not driven, there are none."""
+    client.ask("drive", {"object": "lid", "position_m": [-0.02, 0.0, 0.03]})
+    assert eventually(lambda: stands(screen, "/objects/1", [-0.02, 0.0, 0.03], 1e-6))
+    assert screen.page.evaluate(NODE, "/handles/1") is None
+    screen.tab("Hand")
+    screen.page.get_by_label("move objects").click()
+    assert eventually(lambda: stands(screen, "/handles/1", [-0.02, 0.0, 0.03], 1e-6))
+    assert screen.page.evaluate(NODE, "/handles/0") is None
+
+    def moved() -> bool:
+        pull(screen, client)
+        return lid(client)[0] > -0.015
+
+    assert eventually(moved, every_s=1.0)
+    assert lid(client)[1:] == pytest.approx([0.0, 0.03], abs=1e-6)
+    assert eventually(lambda: stands(screen, "/objects/1", lid(client), 1e-5))

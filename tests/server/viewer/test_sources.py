@@ -7,15 +7,21 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import paper_mapping
 
 from softfinger.config.errors import RecordingError
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import Scene
+from softfinger.server.app import Daemon as Servant
 from softfinger.server.cli import main
 from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
+from softfinger.server.viewer.driven import Handles
 from softfinger.server.viewer.live import Daemon, LivePage
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import BEFORE, Player, load
@@ -117,3 +123,60 @@ def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> No
         assert fed(live, lambda: knob.value == 1000.0)
     finally:
         live.close()
+
+
+LID = {"name": "lid", "shape": "plane", "motion": {"kind": "driven"}, "position_m": [0.0, 0.0, 0.01]}
+HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+
+
+def pulls(handles: Handles, *positions: tuple[float, float, float]) -> None:
+    """What a browser tells of a drag of the first object's handles through these positions, cm, but for its end."""
+    node = handles._nodes[0]
+    for phase, position in (("start", positions[0]), *(("update", each) for each in positions)):
+        node.position = position
+        handles._pulled(0, SimpleNamespace(target=node, phase=phase))
+
+
+def test_many_pulls_are_one_request(page: Page) -> None:
+    """The newest of them in a frame, none in the next; whoever pulls keeps the handles, until they are let go."""
+    sent: list[Any] = []
+    handles = Handles(page.server.gui, page.server.scene, lambda *asked: sent.append(asked))
+    handles.change({0: ((0.0, 0.0, 0.01), HALF)})
+    handles._switch.value = True
+    handles._show()
+    pulls(handles, (1.0, 0.0, 1.0), (2.0, 0.0, 1.0), (3.0, 0.0, 1.0))
+    handles.step()
+    handles.step()
+    ((number, (position, turn)),) = sent
+    assert number == 0 and position == pytest.approx((0.03, 0.0, 0.01)) and turn == pytest.approx(HALF)
+    handles.see(0, (0.02, 0.0, 0.01), None)
+    assert handles._nodes[0].position.tolist() == [3.0, 0.0, 1.0]
+    handles._pulled(0, SimpleNamespace(target=handles._nodes[0], phase="end"))
+    handles.see(0, (0.02, 0.0, 0.01), None)
+    assert handles._nodes[0].position.tolist() == [2.0, 0.0, 1.0]
+
+
+def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
+    """The daemon says why; handles and object stand where it has the object, and one that it can do is done."""
+    ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
+    scene = build(Scene, paper_mapping(table=LID, rolling=None, material={"friction": None, "torsion": None}), "lid")
+    with Servant(load_rig("replay", ends | {"servo.realtime": "off"}), scene, scene_name="lid") as running:
+        running.start()
+        live = LivePage(page, Daemon(running.publisher.endpoint, str(running.commands_endpoint)))
+        try:
+            assert fed(live, lambda: page.fingers)
+            handles = live._handles
+            handles._switch.value = True
+            handles._show()
+            pulls(handles, (0.0, 0.0, 1e7))
+            assert fed(live, lambda: "Not done:" in page._said.content and "position_m" in page._said.content)
+            assert handles._nodes[0].position.tolist() == [0.0, 0.0, 1.0]
+            pulls(handles, (0.0, 0.0, 2.0))
+            assert fed(live, lambda: page._bodies is not None and page._bodies.places[0][0] == (0.0, 0.0, 0.02))
+            assert running.rendering.scene.object[0].position_m == (0.0, 0.0, 0.02)
+            live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 700.0})
+            nodes = page.fingers[""]
+            assert fed(live, lambda: live._tuning._knobs["stiffness"].slider.value == 700.0)
+            assert page.fingers[""] is nodes and handles._nodes[0].position.tolist() == [0.0, 0.0, 2.0]
+        finally:
+            live.close()

@@ -1,0 +1,126 @@
+"""The command `mesh` over a real socket: triangles of a mesh and of a height map, and what has none."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import meshes
+
+from softfinger.config import schema
+from softfinger.config.errors import CommandRefused
+from softfinger.config.load import build, load_rig
+from softfinger.server.app import Daemon
+from softfinger.server.wire.commands import Triangles
+from softfinger.server.wire.control import AsyncControl, Control
+
+pytestmark = pytest.mark.real_time
+
+ENDS = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
+WAIT_S = 120.0
+MATERIAL = {"stiffness_n_per_m": 500.0}
+BALL = meshes.geodesic(16, 0.04)
+"""5120 triangles."""
+HEIGHTS = 1e-3 * np.sin(np.add.outer(np.arange(20.0), 2.0 * np.arange(30.0)))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ball, and hills that have so many pixels that some are left out."""
+    folder: Path = tmp_path_factory.mktemp("files")
+    meshes.write_ply(folder / "ball.ply", BALL)
+    np.save(folder / "hills.npy", HEIGHTS)
+    np.save(folder / "large.npy", np.zeros((1000, 1000)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def commands(folder: Path) -> Iterator[str]:
+    """Where a daemon takes commands that renders these, and a plane."""
+    objects = [
+        {"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")},
+        {"name": "hills", "shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": 0.001, "level_m": 1.0},
+        {"name": "large", "shape": "heightmap", "file": str(folder / "large.npy"), "pitch_m": 0.001, "level_m": 1.0},
+        {"name": "table", "shape": "plane"},
+    ]
+    made = {"fingertip": {"radius_m": 0.01}, "object": [each | {"material": MATERIAL} for each in objects]}
+    with Daemon(load_rig("replay", ENDS), build(schema.Scene, made, "test scene")) as running:
+        running.start()
+        yield str(running.commands_endpoint)
+
+
+@pytest.fixture
+def control(commands: str) -> Iterator[Control]:
+    with Control(commands, timeout_s=WAIT_S) as control:
+        yield control
+
+
+def arrays(sent: Triangles) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3), m, and triangles (m, 3)."""
+    vertices, triangles = np.frombuffer(sent.vertices, "<f4"), np.frombuffer(sent.triangles, "<u4")
+    return vertices.reshape(-1, 3), triangles.reshape(-1, 3)
+
+
+def test_a_mesh_comes_as_it_is_in_its_file(control: Control, commands: str) -> None:
+    """By name, by number, and for asyncio: the same vertices and triangles, none left out."""
+
+    async def ask() -> Triangles:
+        async with AsyncControl(commands, timeout_s=WAIT_S) as control:
+            return await control.mesh("ball")
+
+    sent = control.mesh("ball")
+    assert sent == control.mesh(0) == asyncio.run(ask()) and sent.of == len(BALL.triangles) == 5120
+    vertices, triangles = arrays(sent)
+    corners, expected = vertices[triangles], BALL.vertices.astype("<f4")[BALL.triangles]
+    np.testing.assert_array_equal(in_order(corners), in_order(expected))
+
+
+def in_order(corners: np.ndarray) -> np.ndarray:
+    """Triangles (n, 3, 3) without the order in which they come."""
+    rows = np.sort(corners.reshape(len(corners), -1), axis=1)
+    return rows[np.lexsort(rows.T)]
+
+
+def test_a_height_map_comes_through_its_pixels(control: Control) -> None:
+    """A vertex for each, about the map's middle, and two triangles for each cell."""
+    sent = control.mesh("hills")
+    vertices, triangles = arrays(sent)
+    np.testing.assert_allclose(vertices[:, 2].reshape(HEIGHTS.shape), HEIGHTS, atol=1e-9)  # float32 of 1 mm
+    np.testing.assert_allclose(vertices[:, :2].min(axis=0), [-0.0145, -0.0095], rtol=1e-6)
+    assert len(triangles) == sent.of == 2 * 19 * 29 and triangles.max() == HEIGHTS.size - 1
+
+
+def test_a_large_one_is_sent_in_part(control: Control) -> None:
+    """Of two million triangles no more than of any mesh."""
+    sent = control.mesh("large")
+    vertices, triangles = arrays(sent)
+    assert len(triangles) <= 50_000 < sent.of == 2 * 999 * 999
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), [0.999, 0.999, 0.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (4, "bad_params: no object is 4: there are ball, hills, large, table"),
+        ("cube", "bad_params: no object is 'cube': there are ball, hills, large, table"),
+        (-1, "bad_params: mesh: Expected `int` >= 0 - at `$.object`"),
+        ("table", "refused: object table is a plane and no mesh: its table says all"),
+    ],
+)
+def test_what_has_no_triangles_is_refused_by_a_line(control: Control, asked: int | str, said: str) -> None:
+    """What was asked for, and what there is."""
+    with pytest.raises(CommandRefused) as caught:
+        control.mesh(asked)
+    assert str(caught.value) == said
+
+
+def test_a_map_whose_file_has_gone_is_refused_by_a_line(control: Control, folder: Path) -> None:
+    """What is rendered goes on; a mesh is remembered."""
+    (folder / "hills.npy").unlink()
+    (folder / "ball.ply").unlink()
+    with pytest.raises(CommandRefused, match=r"^bad_params: object 'hills': file: \S*hills\.npy: cannot be read: .*$"):
+        control.mesh("hills")
+    assert control.mesh("ball").of == 5120

@@ -1,0 +1,70 @@
+"""Objects that were driven, in a recording: they stand where they stood then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import paper_mapping
+from helpers.browser import eventually, served, why_none
+from helpers.recorded import event, recorded, run
+
+from softfinger.config.load import build, describe, load_scene
+from softfinger.config.schema import Scene
+from softfinger.server.viewer.driven import Drives
+from softfinger.server.viewer.nodes.looks import CM
+
+LID = {"name": "lid", "shape": "plane", "motion": {"kind": "driven"}, "position_m": [0.0, 0.0, 0.01]}
+HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+NODE = "window.__viserMutable.nodeRefFromName['/objects/0']?.position.toArray()"
+"""What is drawn, not what was sent."""
+
+
+def told(tick: int, **what: Any) -> dict[str, Any]:
+    return event("command", "drive", tick, what=what)
+
+
+def test_events_tell_where_driven_objects_are() -> None:
+    """Until the first where the scene has it; turned as it was where none is told; what is no pose is left out."""
+    scene = build(Scene, paper_mapping(table=LID), "test scene")
+    events = [
+        told(5, object="lid", position_m=[0.0, 0.0, 0.02], orientation_wxyz=list(HALF)),
+        told(6, object="chair", position_m=[1.0, 0.0, 0.0]),
+        told(7, object="lid", position_m="here"),
+        told(8, keys=2),
+        event("command", "arm", 9, what={"object": "lid", "position_m": [1.0, 0.0, 0.0]}),
+        told(10, object="lid", position_m=[0.0, 1, 0.02]),
+    ]
+    drives = Drives(scene, events)
+    rest, turned = ((0.0, 0.0, 0.01), (1.0, 0.0, 0.0, 0.0)), ((0.0, 0.0, 0.02), HALF)
+    assert [drives.at(tick)[0] for tick in (0, 4, 5, 9)] == [rest, rest, turned, turned]
+    assert drives.at(10) == {0: ((0.0, 1.0, 0.02), HALF)}
+    assert Drives(load_scene("paper-plane"), events).at(10) == {}
+
+
+@pytest.mark.real_time
+@pytest.mark.skipif(bool(why_none()), reason=why_none())
+def test_a_recording_has_a_driven_object_where_it_was(tmp_path: Path) -> None:
+    """Scrubbed to and fro over two commands, and played over the second: it stands where the last one put it."""
+    moves = {500: [0.02, 0.0, 0.02], 900: [0.03, 0.01, 0.015]}
+    events = [told(tick, object="lid", position_m=place) for tick, place in moves.items()]
+    scene = build(Scene, paper_mapping(table=LID), "recorded")
+    file = recorded(tmp_path / "moved.mcap", run(), events, scene=describe(scene))
+    places = {0: LID["position_m"], 499: LID["position_m"], 500: moves[500], 1500: moves[900]}
+    with served(str(file)) as screen:
+
+        def stands(place: Any) -> bool:
+            found = screen.page.evaluate(NODE)
+            return found is not None and bool(np.allclose(np.array(found) / CM, place, atol=1e-6))
+
+        assert eventually(lambda: screen.shows("tick 0"))
+        for tick in (1500, 500, 499, 1500, 0):
+            screen.fill("tick", str(tick))
+            assert eventually(lambda tick=tick: stands(places[tick])), tick
+        screen.choose("speed", "0.25")
+        screen.fill("tick", "850")
+        assert eventually(lambda: stands(moves[500]))
+        screen.page.get_by_label("play", exact=True).click()
+        assert eventually(lambda: stands(moves[900]))

@@ -1,0 +1,103 @@
+"""A mesh and a height map on the page of a running daemon: sent by it, drawn in a real browser, and touched there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import meshes
+from helpers.browser import Screen, coloured, eventually, served, why_none
+
+from softfinger.config import schema
+from softfinger.config.load import build, load_rig
+from softfinger.server.app import Daemon
+from softfinger.server.remote import Client
+from softfinger.server.viewer.nodes.looks import CM
+from softfinger.server.viewer.page import FIRST_CAMERA
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+
+RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
+RADIUS_M = 0.03
+GREY, WHITE = 240.0, 250.0
+"""Below the one a colour is an object's, above the other the page's, which is empty there."""
+TRIANGLES = """name => {
+    let found = 0;
+    window.__viserMutable.nodeRefFromName[name]?.traverse(node => { found += (node.geometry?.index?.count ?? 0) / 3; });
+    return found;
+}"""
+"""What is drawn of a node, not what was sent."""
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """A hand that waits to be led above a ball of 5120 triangles, which is there by a file alone."""
+    file = meshes.write_ply(tmp_path_factory.mktemp("files") / "ball.ply", meshes.geodesic(16, RADIUS_M))
+    ball = {"name": "ball", "shape": "mesh", "file": str(file), "position_m": [0.0, 0.0, -RADIUS_M]}
+    scene = {
+        "fingertip": {"radius_m": 0.01},
+        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
+        "object": [ball | {"material": {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}}],
+    }
+    with Daemon(load_rig("simulated-hand", RIG), build(schema.Scene, scene, "ball"), scene_name="ball") as running:
+        running.start()
+        yield running
+
+
+@pytest.fixture(scope="module")
+def screen(daemon: Daemon) -> Iterator[Screen]:
+    with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
+        assert eventually(lambda: screen.shows("free"))
+        yield screen
+
+
+@pytest.fixture
+def client(daemon: Daemon) -> Iterator[Client]:
+    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=300.0) as client:
+        yield client
+
+
+def drawn(screen: Screen) -> float:
+    """Triangles of the first object that are drawn."""
+    return float(screen.page.evaluate(TRIANGLES, "/objects/0"))
+
+
+def colour(screen: Screen, point: tuple[float, float, float]) -> Any:
+    """Of the picture where a point (m, world) is seen: the mean over a few pixels."""
+    box = screen.page.locator("canvas").first.bounding_box()
+    x, y = screen.at((CM * point[0], CM * point[1], CM * point[2]), FIRST_CAMERA)
+    row, column = round(y - box["y"]), round(x - box["x"])
+    return screen.picture()[row - 2 : row + 3, column - 2 : column + 3].mean(axis=(0, 1))
+
+
+def touched(screen: Screen, client: Client) -> bool:
+    """The hand goes down until it presses on the first object, and the page shows it: in words, and a blue arrow."""
+    for height in np.arange(0.02, 0.0, -0.001).tolist():
+        client.ask("hand", {"position_m": [0.0, 0.0, height]})
+        time.sleep(0.1)
+        if client.get_state().force[2] > 0.7:
+            break
+    assert client.get_state().field_state["object"] == 0
+    return bool(eventually(lambda: screen.shows("rolling") and coloured(screen.picture())["blue"] > 60))
+
+
+def test_a_mesh_is_drawn_and_touched(screen: Screen, client: Client) -> None:
+    """All its triangles; where the ball is seen is its own grey, above it the page's white; a press shows its force."""
+    assert eventually(lambda: drawn(screen) == 5120)
+    below = (0.0, -0.7 * RADIUS_M, -0.3 * RADIUS_M)  # on the ball, before the finger
+    assert eventually(lambda: colour(screen, below).max() < GREY)
+    assert colour(screen, (0.025, 0.0, 0.02)).min() > WHITE
+    assert touched(screen, client)
+
+
+def test_a_height_map_is_drawn_and_touched(screen: Screen, client: Client) -> None:
+    """The shipped one takes the ball's place: two triangles for each cell of its 64 pixels a side."""
+    client.ask("hand", {"position_m": [0.0, 0.0, 0.02]})
+    client.set_scene("heightmap")
+    assert eventually(lambda: drawn(screen) == 2 * 63 * 63)
+    assert eventually(lambda: colour(screen, (0.0, -0.03, 0.0)).max() < GREY)
+    assert colour(screen, (0.025, 0.0, 0.03)).min() > WHITE
+    assert touched(screen, client)
