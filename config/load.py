@@ -268,11 +268,11 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
         place: Any = name
         if isinstance(at, list):
             if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
-                there = f"from 0 to {len(at) - 1}{_names(at)}"
-                raise LookupError(f"{key} is none of the {len(at)} entries, {there}: override all")
+                there = f"entries go from 0 to {len(at) - 1}{_names(at)}" if at else "the list is empty"
+                raise LookupError(f"there is no {key}: {there}; to add one give {way[depth - 2]} as a whole")
             place = int(name)
         elif not isinstance(at, dict):
-            raise LookupError(f"what {key} would be in is {shown(at)} and no table: override it whole")
+            raise LookupError(f"what {key} would be in is {shown(at)} and no table: give it as a whole")
         elif depth < len(way) and name not in at:
             at[name], origins[key] = {}, source
         if depth == len(way):

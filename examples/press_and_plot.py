@@ -2,8 +2,7 @@
 
     python examples/press_and_plot.py press.png
 
-Nothing has to run beside it: `Engine` renders the contact in this process, a pose at a time, 1000 poses a second of the
-fingertip's own time.
+Nothing has to run beside it: `Engine` renders all poses in this process. They are a millisecond apart, as at 1 kHz.
 """
 
 import sys

@@ -145,7 +145,7 @@ class Engine:
     """The contact between a scene and its fingertip, or several, advanced by poses.
 
     scene     a validated scene; or what `load_scene` takes: the path or shipped name of a file, or a mapping like one
-    rate_hz   nominal tick rate; the default time step is its inverse
+    rate_hz   nominal tick rate, Hz; the default time step is its inverse
 
     The first step compiles the scene's kernels unless an earlier run left them in the cache.
 
@@ -165,6 +165,8 @@ class Engine:
         self.scene: Scene = build_scene(self.config)
         self.fingers: Final = tuple(finger.name for finger in self.config.fingers)
         """Names of the fingers; one of [fingertip] has the name ""."""
+        if not 1.0 / DT_MAX_S <= rate_hz <= 1.0 / DT_MIN_S:
+            raise ConfigError(f"rate_hz = {rate_hz}: must be a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz")
         self.dt = 1.0 / rate_hz
         self._values = flatten(self.scene)
         self._start = flatten(start_state(self.scene))
@@ -282,7 +284,7 @@ class Engine:
 def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
     """Poses (n, fingers, 7) from those of each finger, (n, 7), by name; PoseError where they do not go together."""
     if set(poses) != set(fingers):
-        names = ", ".join(fingers) or "one without a name"
+        names = ", ".join(fingers) or "one, whose poses are given without a name"
         raise PoseError(f"poses of {', '.join(map(str, poses))} are not those of the scene's fingers: {names}")
     checked = [check_poses(np.asarray(poses[name], np.float64)) for name in fingers]
     if len({len(each) for each in checked}) > 1:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import inspect
 import json
 import pydoc
 import subprocess
@@ -51,6 +52,9 @@ def client(endpoints: tuple[str, str]) -> partial[Client]:
 def test_every_name_is_there_and_none_more() -> None:
     """All that is offered can be had, is listed, and is described."""
     assert set(softfinger.__all__) <= set(dir(softfinger))
+    for door in (Engine, Client):
+        methods = [(name, method) for name, method in inspect.getmembers(door, callable) if name[0] != "_"]
+        assert methods and not [name for name, method in methods if not inspect.getdoc(method)]
     page = pydoc.plain(pydoc.render_doc(softfinger))
     for name in softfinger.__all__:
         assert name in page and (name == "__version__" or getattr(softfinger, name).__doc__)
@@ -168,7 +172,7 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
         ({STIFFNESS: -1.0}, r"set: object\[0\].material.stiffness_n_per_m = -1.0: must be a number from"),
         ({STIFFNESS: 800.0, "object.table.material.stifness": 1.0}, "did you mean 'stiffness_n_per_m'"),
         ({STIFFNESS: 800.0, "object.0.material.stiffness_n_per_m": 700.0}, "given twice"),
-        ({STIFFNESS: 800.0, "object.7.name": "x"}, "none of the 1 entries"),
+        ({STIFFNESS: 800.0, "object.7.name": "x"}, "there is no object.7.: entries go from 0 to 0, or by name table"),
         ({STIFFNESS: 800.0, "rolling.method": "midpoint"}, "set: rolling.method: that is another model"),
     ],
 )
@@ -208,6 +212,13 @@ def test_a_pose_that_is_none_is_refused(position: object, orientation: object, s
     with pytest.raises(PoseError, match=said):
         engine.step(position, orientation)  # type: ignore[arg-type]
     assert pressing(engine) > 0.0
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, -1000.0, np.nan, np.inf])
+def test_a_rate_that_no_servo_has_is_refused(rate_hz: float) -> None:
+    """Before anything is compiled."""
+    with pytest.raises(ConfigError, match=r"rate_hz = .*: must be a number from 0\.001 to 1e\+09 Hz"):
+        Engine("paper-plane", rate_hz)
 
 
 def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
@@ -254,7 +265,7 @@ def test_a_client_hears_what_it_changes(client: partial[Client]) -> None:
     """A parameter changed by command is in the telemetry's events; what was opened is closed with the client."""
     with client() as daemon:
         assert isinstance(daemon, Control)
-        events = daemon.subscribe(["event"], timeout_s=20.0)
+        events = daemon.subscribe("event", timeout_s=20.0)
         window = daemon.window(samples=10)
         while len(window) < 10:
             assert window.update(timeout_s=20.0)

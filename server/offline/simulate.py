@@ -144,8 +144,8 @@ def poses_of(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_
     several = len(fingers) > 1
     whole = set(recordings) == {""} and (not several or Path(recordings[""]).suffix.lower() == ".mcap")
     if not whole and set(recordings) != set(fingers):
-        wanted = ", ".join(filter(None, fingers)) or "one, without a name"
-        given = ", ".join(filter(None, recordings)) or "one without a name"
+        wanted = ", ".join(filter(None, fingers)) or "one, without its name"
+        given = ", ".join(filter(None, recordings)) or "a single finger"
         raise ConfigError(f"poses of {given}: not the scene's fingers: give poses of {wanted}")
     each = [
         resample(load_poses(recordings["" if whole else name], name if whole and several else ""), rate_hz)

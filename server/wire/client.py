@@ -90,6 +90,7 @@ class Subscription(Closing):
     def __init__(
         self, endpoint: str, topics: Sequence[str], timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
+        topics = [topics] if isinstance(topics, str) else topics
         unknown = [topic for topic in topics if topic not in TOPICS and not topic.startswith(FINGERS)]
         if unknown or not topics:
             raise ConfigError(
@@ -175,7 +176,7 @@ def subscribe(
     timeout_s: float | None = None,
     keys: ClientKeys | None = None,
 ) -> Subscription:
-    """Iterate over the messages of `topics` as they arrive; `keys` are for a server that wants some.
+    """Iterate over the messages of `topics`, one or several, as they arrive; `keys` are for a server that wants some.
 
     Iteration raises NoTelemetry if `timeout_s` passes without a message (None: it waits for ever),
     and ProtocolError for a message that does not follow the protocol.

@@ -172,6 +172,11 @@ class Control(Closing):
         finger: str | int | None = None,
         release: bool = False,
     ) -> Applied:
+        """Where (m, world) the hand on a simulated device wants to hold the fingertip, and how turned (w, x, y, z).
+
+        What is left out stays as it is; `finger` by name or number, of one finger not needed. `release` lets the hand
+        do again what its rig says. Refused for any other device, and for a hand that a puck leads.
+        """
         return self._ask("hand", _hand(position_m, orientation_wxyz, finger, release), Applied)
 
     def arm(self) -> Armed:

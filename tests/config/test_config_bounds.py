@@ -152,11 +152,11 @@ def test_an_override_reaches_into_lists(key: str) -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"object.3.name": "x"}, r"override: object\.3\.name: object\[3\] is none of the 3 entries, from 0 to 2"),
-        ({"object.first.name": "x"}, r"object\.first is none of the 3"),
-        ({"object.-1.name": "x"}, r"object\.-1 is none of the 3"),
-        ({"object.name": "x"}, r"object\.name is none of the 3"),
-        ({"object.1.orientation_wxyz.4": 0.0}, r"object\[1\]\.orientation_wxyz\[4\] is none of the 4"),
+        ({"object.3.name": "x"}, r"override: object\.3\.name: there is no object\[3\]: entries go from 0 to 2"),
+        ({"object.first.name": "x"}, r"there is no object\.first: .* by name .*; to add one give object as a whole"),
+        ({"object.-1.name": "x"}, r"there is no object\.-1"),
+        ({"object.name": "x"}, r"there is no object\.name"),
+        ({"object.1.orientation_wxyz.4": 0.0}, r"no object\[1\]\.orientation_wxyz\[4\]: .* 0 to 3; .*_wxyz as a whole"),
         ({"object.0.position_m.2": 0.0}, r"override: object\[0\]\.position_m = a table: must be a list of 3"),
         ({"object.0.shape.kind": "x"}, r"object\.0\.shape\.kind: what object\[0\]\.shape\.kind would be in is 'plane'"),
         ({"fingertip.radius_m.x": 1.0}, r"fingertip\.radius_m\.x: what .* would be in is 0.01 and no table"),

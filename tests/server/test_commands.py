@@ -278,7 +278,7 @@ REFUSED = [
     ("set_scene", {"scene": "sphre"}, "bad_params", "did you mean 'sphere'"),
     ("set_scene", {"scene": "/etc/passwd"}, "bad_params", "given whole"),
     ("set_scene", {"scene": {"object": []}}, "bad_params", "fingertip: is missing"),
-    ("set_scene", {"scene": "sphere", "overrides": {"object.7.name": "x"}}, "bad_params", "none of the 1 entries"),
+    ("set_scene", {"scene": "sphere", "overrides": {"object.7.name": "x"}}, "bad_params", "there is no object[7]"),
     ("drive", {"object": "table", "position_m": [0, 0, 0]}, "bad_params", "there are lid.top"),
     ("drive", {"object": 1, "position_m": [0, 0, 0]}, "bad_params", "there are lid.top"),
     ("drive", {"object": -1, "position_m": [0, 0, 0]}, "bad_params", ">= 0"),
