@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from references.triangles import distances
 
 from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE
+from softfinger.proxy.kernels.geometry.mesh.lanes import FIELDS, LANES, ROOM
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
 from softfinger.proxy.kernels.geometry.mesh.triangle import closest_on_triangle
 from softfinger.proxy.kernels.model import Mesh, Triangles
@@ -15,8 +16,8 @@ from softfinger.proxy.kernels.native.arrays import ReadOnly
 from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.meshes.tree import Tree, build_tree
 
-WHOLE = 10**7
-"""A budget that no query here uses up."""
+WHOLE = ROOM
+"""The largest budget: no query here uses it up, but from the middle of a ball."""
 EQUAL = 1e-9
 """Share of a mesh's size by which two ways to a distance in float64 may differ: both lose a few digits on slivers."""
 
@@ -129,7 +130,7 @@ def test_a_limit_and_known_triangles_change_no_answer():
         found = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE)
         distance = np.sqrt(found.square)
         assert nearest(mesh, x, distance * (1.0 - 1e-9), NO_TRIANGLE, WHOLE).number == -1
-        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE).number == found.number
+        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE).square == pytest.approx(found.square)
         for known in (float(found.number), float(rng.integers(0, len(tree.corners)))):
             other = nearest(mesh, x, 1e300, (known, -1.0, -1.0), WHOLE)
             assert other.square == pytest.approx(found.square, rel=1e-9)
@@ -153,25 +154,26 @@ def test_a_budget_that_is_used_up_leaves_a_true_bound():
 
 
 def test_the_tree_holds_each_triangle_once():
-    """Every triangle is below one lane, and in the disc of every lane above it."""
+    """Every triangle is below one lane, and in the box of every lane above it."""
     vertices, triangles = meshes.bumpy_sphere(15, 0.05)
     tree = build_tree(vertices, triangles)
     seen = np.zeros(len(triangles), int)
-    lanes = tree.nodes.reshape(-1, 8, 8).astype(float)
+    lanes = tree.nodes.reshape(-1, FIELDS, LANES).astype(float)
 
     def below(node):
         first = tree.first[node]
         held = []
         for lane in range(8):
             fields = lanes[node, :, lane]
-            if fields[6] < 0.0:
+            if fields[9] < 0.0:
                 continue
             inside = [~first + lane] if first < 0 else below(first + lane)
             held += inside
             x = tree.vertices[tree.corners[inside]].reshape(-1, 3) - tree.center - fields[:3]
-            along = x @ fields[3:6]
-            assert (np.abs(along) <= fields[7]).all()
-            assert (np.linalg.norm(x - along[:, None] * fields[3:6], axis=1) <= fields[6]).all()
+            up, one = fields[3:6], fields[6:9]
+            assert abs(up @ one) < 1e-6
+            for axis, half in zip((one, np.cross(up, one), up), fields[9:], strict=True):
+                assert (np.abs(x @ axis) <= half).all()
             if first < 0:
                 seen[inside] += 1
         return held

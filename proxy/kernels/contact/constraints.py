@@ -194,7 +194,7 @@ def settle_for(objects: Any, radius: float, probe: Vec3, start: Vec3, center: Ve
     """`settle_among_several` in one step."""
     faceted = any_faceted(objects)
     rounds = SLIDING_ROUNDS if faceted else ROUNDS
-    before, active_before, near = center, active, (SETTLED * radius) ** 2
+    before, active_before = center, active
     goal = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
     for _ in range(4):
         hit, stop = first_hit(objects, start, goal, radius, True, held_by(active))
@@ -207,19 +207,16 @@ def settle_for(objects: Any, radius: float, probe: Vec3, start: Vec3, center: Ve
             break
         active = with_another(active, hit, normal)
         goal, active = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1)
+    center = goal
     if faceted:
-        goal, active = step_over(objects, radius, probe, goal, active)
-    # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
-    gap, at, bounded = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active))
-    center, active = goal, with_touched(objects, radius, goal, active, gap, at)
-    found = False
+        center, active = step_over(objects, radius, probe, goal, active)
+    else:
+        # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
+        gap, at, _ = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active))
+        active = with_touched(objects, radius, goal, active, gap, at)
+    found, bounded = False, 0.0
     for _ in range(ATTEMPTS_ON_FACETS if faceted else ATTEMPTS):
-        moved = center
         center, active = relax(objects, radius, probe, center, active, rounds)
-        moved = vec3.sub(center, moved)
-        if faceted and gap >= radius * (1.0 - INSIDE) and vec3.dot(moved, moved) <= near:
-            found = True  # as asked
-            break
         gap, at, bounded = deepest(objects, center, radius, held_by(active))
         if gap >= radius * (1.0 - INSIDE):
             found = True

@@ -102,11 +102,12 @@ class Heightmap(NamedTuple):
 class Triangles(NamedTuple):
     """Triangles in the frame of the object, in the order of the tree that finds the nearest one.
 
-    A node of the tree has eight lanes. What a lane holds, a node of its own or a triangle, lies within a disc: a short
-    cylinder, its axis along the mean normal of what is in it, so that a patch of a smooth surface makes a thin one.
+    A node of the tree has eight lanes. What a lane holds, a node of its own or a triangle, lies within a box, one of
+    its axes along the mean normal of what is in it, so that a patch of a smooth surface makes a thin one.
 
-    nodes      (nodes * 8 * 8,)  float32: x, y, z of the discs' centres from `center`, m, x, y, z of their axes, radius
-                                 and half height, m; each of the eight lanes after another
+    nodes      (nodes * 12 * 8,) float32: x, y, z of the boxes' middles from `center`, m, of their normals, of the axes
+                                 along their first sides, and halves of the sides, the normal's last, m; each of the
+                                 eight lanes after another
     first      (nodes,)          int32: first child, the others behind it; ~ first triangle where lanes are those
     vertices   (vertices * 3,)   m, float64
     corners    (triangles * 3,)  int32: vertices of a triangle, counter-clockwise as seen from outside

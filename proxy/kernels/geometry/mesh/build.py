@@ -14,16 +14,20 @@ from softfinger.proxy.kernels.geometry.surfaces.contract import Z_AXIS, any_tang
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import entry, jit
 
-INFLATED = 1e-6
-"""Share of the mesh's size by which discs are larger than what they hold: float32 has 6e-8 of it."""
+ROUNDED_PLACE, ROUNDED_AXES = 2.5e-7, 2e-6
+"""Shares of the mesh's size, and of a box's own, by which boxes are larger than what they hold: float32 has 6e-8 of a
+coordinate, and the axes that go along with it are as far from square to each other."""
 NOTHING = -1e18
-"""Radius of a disc that holds nothing: it is farther than anything."""
+"""Half of a box that holds nothing: it is farther than anything."""
 
 
 @jit
 def parts(count: int) -> int:
-    """Into how many parts a node with so many triangles is cut: lanes of eight triangles, or eight of any size."""
-    return LANES if count > LANES * LANES else (count + LANES - 1) // LANES
+    """Into how many parts a node with so many triangles is cut: as few as make all nodes below full."""
+    part = LANES
+    while part * LANES < count:
+        part *= LANES
+    return (count + part - 1) // part
 
 
 @entry
@@ -137,14 +141,22 @@ def area_normal(vertices: Any, corners: Any, triangle: int) -> Vec3:
     )
 
 
+class Box(NamedTuple):
+    """A box in a frame of its own: its middle (3,) m, unit axes (3,) along its sides, halves of them (3,) m."""
+
+    middle: Vec3
+    one: Vec3
+    two: Vec3
+    up: Vec3
+    half: Vec3
+
+
 @jit
-def put_disc(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, slack: float) -> None:
-    """The disc round some triangles into a lane, `at` its first number; thin along their mean normal."""
-    total = (0.0, 0.0, 0.0)
-    for k in range(low, high):
-        total = vec3.add(total, area_normal(vertices, corners, k))
-    _, up = direction(total, Z_AXIS)
-    one = any_tangent(up)
+def box_along(vertices: Any, corners: Any, low: int, high: int, up: Vec3, side: Vec3) -> Box:
+    """The box round some triangles whose sides go along `up` and, square to it, along `side` as far as that can be."""
+    size, one = direction(vec3.reject(side, up), Z_AXIS)
+    if size <= 1e-6 * vec3.norm(side):
+        one = any_tangent(up)
     two = vec3.cross(up, one)
     least, most = (1e300, 1e300, 1e300), (-1e300, -1e300, -1e300)
     for k in range(low, high):
@@ -153,19 +165,46 @@ def put_disc(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: i
             y = (vec3.dot(x, one), vec3.dot(x, two), vec3.dot(x, up))
             least = (min(least[0], y[0]), min(least[1], y[1]), min(least[2], y[2]))
             most = (max(most[0], y[0]), max(most[1], y[1]), max(most[2], y[2]))
-    middle = vec3.scale(0.5, vec3.add(least, most))
-    radius = 0.0
+    mid, half = vec3.scale(0.5, vec3.add(least, most)), vec3.scale(0.5, vec3.sub(most, least))
+    middle = vec3.add(vec3.add(vec3.scale(mid[0], one), vec3.scale(mid[1], two)), vec3.scale(mid[2], up))
+    return Box(middle, one, two, up, half)
+
+
+@jit
+def longest_side(vertices: Any, corners: Any, low: int, high: int) -> Vec3:
+    """The longest side (3,) m of some triangles."""
+    side, square = (0.0, 0.0, 0.0), 0.0
     for k in range(low, high):
         for i in range(3):
-            x = corner(vertices, corners, k, i)
-            u, v = vec3.dot(x, one) - middle[0], vec3.dot(x, two) - middle[1]
-            radius = max(radius, u * u + v * v)
-    place = vec3.add(vec3.add(vec3.scale(middle[0], one), vec3.scale(middle[1], two)), vec3.scale(middle[2], up))
+            edge = vec3.sub(corner(vertices, corners, k, (i + 1) % 3), corner(vertices, corners, k, i))
+            if vec3.dot(edge, edge) > square:
+                side, square = edge, vec3.dot(edge, edge)
+    return side
+
+
+@jit
+def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
+    """The box round some triangles into a lane, `at` its first number; thin along their mean normal.
+
+    Of a patch it has the sides along which the tree was cut, which are those of space; of one triangle, or many that
+    lie side by side and are thin, the longest one's.
+    """
+    total = (0.0, 0.0, 0.0)
+    for k in range(low, high):
+        total = vec3.add(total, area_normal(vertices, corners, k))
+    _, up = direction(total, Z_AXIS)
+    box = box_along(vertices, corners, low, high, up, longest_side(vertices, corners, low, high))
+    if high - low > 1:
+        for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
+            other = box_along(vertices, corners, low, high, up, axis)
+            if other.half[0] * other.half[1] < box.half[0] * box.half[1]:
+                box = other
+    widest = max(box.half[0], box.half[1], box.half[2])
     for i in range(3):
-        lanes[at + LANES * i] = place[i] - center[i]
-        lanes[at + LANES * (3 + i)] = up[i]
-    lanes[at + LANES * 6] = sqrt(radius) + slack
-    lanes[at + LANES * 7] = 0.5 * (most[2] - least[2]) + slack
+        lanes[at + LANES * i] = box.middle[i] - center[i]
+        lanes[at + LANES * (3 + i)] = box.up[i]
+        lanes[at + LANES * (6 + i)] = box.one[i]
+        lanes[at + LANES * (9 + i)] = box.half[i] + ROUNDED_PLACE * size + ROUNDED_AXES * widest
 
 
 class Branches(NamedTuple):
@@ -181,9 +220,9 @@ class Branches(NamedTuple):
 def enclose(
     vertices: Any, corners: Any, tree: Branches, first_node: int, child: int, center: Vec3, size: float
 ) -> tuple[int, int]:
-    """Discs of some nodes' lanes, and where their children are; returns the next node and the next child."""
+    """Boxes of some nodes' lanes, and where their children are; returns the next node and the next child."""
     low, high, lanes, first = tree
-    work, node, slack = 0, first_node, INFLATED * size
+    work, node = 0, first_node
     while node < len(first) and work < 2_000_000:
         count = high[node] - low[node]
         k = count if count <= LANES else parts(count)
@@ -194,11 +233,11 @@ def enclose(
             if i >= k:
                 for field in range(FIELDS):
                     lanes[at + LANES * field] = 0.0
-                lanes[at + LANES * 6] = NOTHING
+                lanes[at + LANES * 9] = NOTHING
             elif leaf:
-                put_disc(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, slack)
+                put_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
             else:
-                put_disc(lanes, at, vertices, corners, low[child + i], high[child + i], center, slack)
+                put_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
         if not leaf:
             child += k
         work += count

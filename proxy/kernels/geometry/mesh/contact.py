@@ -32,7 +32,7 @@ ANYWHERE = 1e300
 @jit
 def nearest_facet(mesh: Mesh, x: Vec3, within: float, known: Vec3) -> tuple[float, float, float]:
     """Distance (m) of `x` (3,) m from the mesh if it is smaller than `within`, else 1e300; the number of the nearest
-    triangle, -1 for none, and 1 if the distance is only a bound.
+    triangle, -1 for none, and 1 if the distance is only a bound and the triangle the nearest known.
 
     It is signed where all distances count: at the first pose, which may be inside. From there on no centre crosses it.
     """
@@ -65,30 +65,35 @@ def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float) -> float:
 def travel_to_facet(shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool) -> tuple[float, float]:
     """Share of the way at which something is met, and the number of the triangle; see `travel`.
 
-    A fingertip that `leaves` rests on triangles, and is held by what it touches at the end of a short way.
+    A fingertip that `leaves` rests on triangles, and is held by what it touches at the end of a short way. Where the
+    budget of a query is used up it goes no farther.
     """
     way = vec3.sub(end, start)
     length = vec3.norm(way)
     if length <= STRIDE * radius:
         if leaves:
             return NO_HIT, 0.0
-        gap, number, _ = nearest_facet(shape, end, radius, NO_TRIANGLE)
+        gap, number, bounded = nearest_facet(shape, end, radius, NO_TRIANGLE)
         if number < 0.0 or gap >= radius:
             return NO_HIT, 0.0
-        return last_outside(shape, start, way, radius), number
-    gone, number = 0.0, -1.0
+        return 0.0 if bounded != 0.0 else last_outside(shape, start, way, radius), number
+    gone, outside, number = 0.0, 0.0, -1.0
     for _ in range(STRIDES):
-        x = vec3.add_scaled(start, gone / length, way)
-        gap, number, bounded = nearest_facet(shape, x, radius + length - gone, NO_TRIANGLE)
-        if number < 0.0 and bounded == 0.0:
+        gone = min(gone, length)
+        gap, number, bounded = nearest_facet(
+            shape, vec3.add_scaled(start, gone / length, way), radius + length - gone, NO_TRIANGLE
+        )
+        if number < 0.0 or (gone == length and bounded == 0.0 and gap >= radius):
             return NO_HIT, 0.0
-        if gone > 0.0 and gap < radius and number >= 0.0:
-            return gone / length, number
+        if bounded != 0.0:
+            break
+        if gone > 0.0 and gap < radius:
+            before = vec3.add_scaled(start, outside / length, way)
+            share = last_outside(shape, before, vec3.scale((gone - outside) / length, way), radius)
+            return (outside + share * (gone - outside)) / length, number
+        outside = gone
         gone += max(gap - (1.0 - STRIDE) * radius, (1.0 - STRIDE) * radius)
-        if gone >= length:
-            gap, number, _ = nearest_facet(shape, end, radius, NO_TRIANGLE)
-            return (1.0, number) if number >= 0.0 and gap < radius else (NO_HIT, 0.0)
-    return (gone / length, number) if number >= 0.0 else (NO_HIT, 0.0)
+    return outside / length, number
 
 
 @closest.of(Facet)

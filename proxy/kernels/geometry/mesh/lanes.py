@@ -8,101 +8,110 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 LANES = 8
-FIELDS = 8
-"""Numbers of a lane: see `Mesh.nodes`."""
+FIELDS = 12
+"""Numbers of a lane: see `Triangles.nodes`."""
 NODE = LANES * FIELDS
 ROUNDED = 4e-6
 """Share by which a squared distance in float32 may come out too large: some ten roundings of 6e-8, twice over."""
+ROOM = 4096
+"""Lanes that a query may have waiting; the most that a budget can be."""
 
 
 def _numbers(kind: Any, count: int) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         element = context.get_value_type(kind)
-        memory = cgutils.alloca_once(builder, ir.ArrayType(element, count))
+        with builder.goto_entry_block():  # as numba's own helper does, which would clear it for every query
+            memory = builder.alloca(ir.ArrayType(element, count))
         return builder.bitcast(memory, ir.PointerType(element))
 
     return types.CPointer(kind)(), generate
 
 
-DEEP = 128
-"""Room for what is still to be visited: seven siblings on each of the levels, of which 10^9 triangles have ten."""
+@intrinsic
+def room_for_bounds(typing_context):  # type: ignore[no-untyped-def]
+    return _numbers(types.float32, LANES * (ROOM + 1))
 
 
 @intrinsic
-def room_for_bounds(typing_context):  # type: ignore[no-untyped-def]
-    return _numbers(types.float32, DEEP)
+def room_for_lanes(typing_context):  # type: ignore[no-untyped-def]
+    """And for the eight that are written at a time."""
+    return _numbers(types.int32, ROOM + LANES)
 
 
 @intrinsic
 def room_for_nodes(typing_context):  # type: ignore[no-untyped-def]
-    return _numbers(types.int32, DEEP)
+    return _numbers(types.int32, ROOM + 1)
+
+
+def _packings() -> ir.Constant:
+    """For each set of lanes, as bits, the numbers of those in it, one behind the other."""
+    rows = [[i for i in range(LANES) if bits >> i & 1] for bits in range(1 << LANES)]
+    row = ir.ArrayType(ir.IntType(8), LANES)
+    return ir.Constant(ir.ArrayType(row, len(rows)), [ir.Constant(row, (each + [0] * LANES)[:LANES]) for each in rows])
 
 
 @intrinsic
-def lane_room(typing_context):  # type: ignore[no-untyped-def]
-    return _numbers(types.float32, LANES)
+def sift(typing_context, nodes, node, x, y, z, top, bounds, waiting, begin):  # type: ignore[no-untyped-def]
+    """Ask the boxes of a node for their squared distances (m^2) from x, y, z (m, float32): none is larger than true.
 
-
-@intrinsic
-def lowest_bit(typing_context, bits):  # type: ignore[no-untyped-def]
-    """Number of the lowest bit that is set; of none, 64."""
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
-
-    return types.int64(types.int64), generate
-
-
-@intrinsic
-def within_lanes(typing_context, nodes, node, x, y, z, best, out):  # type: ignore[no-untyped-def]
-    """Squares of the distances (m^2) of x, y, z from the discs of a node, none larger than the true one.
-
-    returns  bits of the lanes where it is below `best`; the squares are in `out`, eight float32
+    bounds    gets the eight, from `begin` on
+    waiting   gets the places in `bounds` of those that are below `top`, one behind the other; room for eight
+    returns   how many those are
     """
-    vector = ir.VectorType(ir.FloatType(), LANES)
+    vector, whole = ir.VectorType(ir.FloatType(), LANES), ir.VectorType(ir.IntType(32), LANES)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        nodes, node, *point, best, out = args
+        nodes, node, *point, top, bounds, waiting, begin = args
         base = builder.inttoptr(nodes, ir.PointerType(vector))
         at = builder.mul(node, ir.Constant(ir.IntType(64), FIELDS))
 
         def lane(field: int) -> Any:
             return builder.load(builder.gep(base, [builder.add(at, ir.Constant(ir.IntType(64), field))]), align=4)
 
-        def splat(value: Any) -> Any:
-            filled = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-            return builder.shuffle_vector(filled, ir.Constant(vector, ir.Undefined), mask)
-
-        def constant(value: float) -> Any:
-            return ir.Constant(vector, [value] * LANES)
+        def splat(value: Any, kind: Any = vector) -> Any:
+            filled = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+            return builder.shuffle_vector(filled, ir.Constant(kind, ir.Undefined), ir.Constant(whole, [0] * LANES))
 
         def calling(name: str, *values: Any) -> Any:
             kind = ir.FunctionType(vector, [vector] * len(values))
             return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v8f32"), values)
 
-        d = [builder.fsub(splat(value), lane(field)) for field, value in enumerate(point)]
-        n = [lane(3), lane(4), lane(5)]
-
         def product(a: Any, b: Any) -> Any:
             return builder.fmul(a, b)
 
-        along = builder.fadd(builder.fadd(product(n[0], d[0]), product(n[1], d[1])), product(n[2], d[2]))
-        across = [
-            builder.fsub(product(n[(i + 1) % 3], d[(i + 2) % 3]), product(n[(i + 2) % 3], d[(i + 1) % 3]))
+        def beyond(axis: Any, half: Any) -> Any:
+            """Square of how far the point is outside, along an axis."""
+            along = builder.fadd(builder.fadd(product(axis[0], d[0]), product(axis[1], d[1])), product(axis[2], d[2]))
+            out = calling("maxnum", builder.fsub(calling("fabs", along), half), ir.Constant(vector, [0.0] * LANES))
+            return product(out, out)
+
+        d = [builder.fsub(splat(value), lane(field)) for field, value in enumerate(point)]
+        up, one = [lane(3), lane(4), lane(5)], [lane(6), lane(7), lane(8)]
+        two = [
+            builder.fsub(product(up[(i + 1) % 3], one[(i + 2) % 3]), product(up[(i + 2) % 3], one[(i + 1) % 3]))
             for i in range(3)
         ]
-        square = builder.fadd(
-            builder.fadd(product(across[0], across[0]), product(across[1], across[1])), product(across[2], across[2])
-        )
-        none = constant(0.0)
-        beside = calling("maxnum", builder.fsub(calling("sqrt", square), lane(6)), none)
-        above = calling("maxnum", builder.fsub(calling("fabs", along), lane(7)), none)
-        bounds = builder.fadd(product(beside, beside), product(above, above))
-        bounds = product(bounds, constant(1.0 - ROUNDED))
-        builder.store(bounds, builder.bitcast(out, ir.PointerType(vector)), align=4)
-        nearer = builder.fcmp_ordered("<", bounds, splat(best))
-        return builder.zext(builder.bitcast(nearer, ir.IntType(LANES)), ir.IntType(64))
+        squares = builder.fadd(builder.fadd(beyond(one, lane(9)), beyond(two, lane(10))), beyond(up, lane(11)))
+        squares = product(squares, ir.Constant(vector, [1.0 - ROUNDED] * LANES))
+        into = builder.bitcast(builder.gep(bounds, [begin]), ir.PointerType(vector))
+        builder.store(squares, into, align=4)
+        nearer = builder.bitcast(builder.fcmp_ordered("<", squares, splat(top)), ir.IntType(LANES))
+        table = cgutils.global_constant(builder, "softfinger_packings", _packings())
+        chosen = builder.gep(table, [ir.Constant(ir.IntType(64), 0), builder.zext(nearer, ir.IntType(64))])
+        chosen = builder.load(builder.bitcast(chosen, ir.PointerType(ir.VectorType(ir.IntType(8), LANES))), align=1)
+        places = builder.add(builder.zext(chosen, whole), splat(builder.trunc(begin, ir.IntType(32)), whole))
+        builder.store(places, builder.bitcast(waiting, ir.PointerType(whole)), align=4)
+        return builder.zext(builder.ctpop(nearer), ir.IntType(64))
 
     number = types.float32
-    return types.int64(nodes, types.int64, number, number, number, number, out), generate
+    return types.int64(nodes, types.int64, number, number, number, number, bounds, waiting, types.int64), generate
+
+
+@intrinsic
+def from_there(typing_context, lanes, at):  # type: ignore[no-untyped-def]
+    """The part of that memory that begins there."""
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.gep(args[0], [args[1]])
+
+    return lanes(lanes, types.int64), generate

@@ -1,21 +1,28 @@
-"""The nearest of all triangles: down the tree, what is nearest first, as far as anything can be nearer still.
+"""The nearest of all triangles: level by level down the tree, through whatever can be nearer than the best known one.
+
+That is known from the start: a contact asks first the triangles that it rests on, and where there are none the way
+goes straight down to what seems nearest. So the order does not matter, and the nodes of a level are asked one after the
+other without waiting for each other's answers. That, not the number of nodes, is what the time of a query hangs on.
 
 A query has a budget of nodes and triangles. When it is used up the answer is a bound: nothing is nearer than that.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.mesh.lanes import (
-    lane_room,
-    lowest_bit,
+    LANES,
+    NODE,
+    ROOM,
+    from_there,
     room_for_bounds,
+    room_for_lanes,
     room_for_nodes,
-    within_lanes,
+    sift,
 )
-from softfinger.proxy.kernels.geometry.mesh.triangle import corners_of, foot_on
+from softfinger.proxy.kernels.geometry.mesh.triangle import beyond_edge, corners_of, foot_on
 from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined
@@ -24,6 +31,8 @@ BUDGET = 512
 """Nodes and triangles of a query: some ten microseconds, and many times what a fingertip on a scan needs."""
 FAR = 1e4
 """Sizes of the mesh from its middle beyond which a point is moved there to be asked for: float32 has no more digits."""
+CLIMB = 24
+"""Edges that the way to a first known triangle goes over, towards what is nearer."""
 SAME = 1e-11
 """Share by which another triangle must be nearer, squared, than a known one to take its place: on an edge two are."""
 
@@ -31,7 +40,7 @@ SAME = 1e-11
 class Found(NamedTuple):
     """The nearest triangle.
 
-    number        -1 where none is within the limit
+    number        -1 where none is within the limit; where the budget was used up, the nearest known one
     square  m^2   of its distance
     bound   m^2   nothing is nearer than the root of this: `square`, or less where the budget was used up
     spent         nodes and triangles asked
@@ -57,7 +66,59 @@ def brought_near(mesh: Triangles, x: Vec3) -> Vec3:
 @jit
 def upward(square: float) -> np.float32:
     """A float32 that is not below."""
-    return np.float32(min(square * (1.0 + 1e-6), 1e36))
+    return np.float32(min(square * (1.0 + 1e-6), 1e35))
+
+
+@jit
+def middle_of(mesh: Triangles, node: int, lane: int) -> Vec3:
+    """Of the box in a lane, (3,) m from that of the mesh."""
+    at = node * NODE + lane
+    return (float(mesh.nodes[at]), float(mesh.nodes[at + LANES]), float(mesh.nodes[at + 2 * LANES]))
+
+
+class Guess(NamedTuple):
+    """A triangle that may be the nearest, -1 where none is below a limit, the square of its distance, m^2, and the nodes
+    and triangles asked for it."""
+
+    number: int
+    square: float
+    spent: int
+
+
+@jit
+def way_down(whole: Mesh, near: Vec3, x: Vec3, limit: float, bounds: Any, waiting: Any) -> Guess:
+    """Straight down the tree to what seems nearest, and from there over edges to what is nearer.
+
+    near            (3,)  where x is for the tree
+    limit           m^2   nothing farther is looked for
+    bounds, waiting       room for `sift`
+    """
+    mesh, node, spent = whole.row[0], 0, 0
+    px, py, pz = np.float32(near[0]), np.float32(near[1]), np.float32(near[2])
+    while True:
+        spent += 1
+        many = sift(mesh.nodes, node, px, py, pz, upward(limit), bounds, waiting, 0)
+        if many == 0 and node == 0:
+            return Guess(-1, limit, spent)
+        lane, closest = 0, 1e300
+        for i in range(many):
+            apart = vec3.sub(near, middle_of(mesh, node, int(waiting[i])))
+            if vec3.dot(apart, apart) < closest:
+                lane, closest = int(waiting[i]), vec3.dot(apart, apart)
+        first = int(mesh.first[node])
+        if first < 0:
+            break
+        node = first + lane
+    number = ~first + lane
+    square = foot_on(corners_of(mesh, number), x).square
+    for _ in range(CLIMB):
+        spent += 1
+        beyond = int(beyond_edge(whole, float(number), x))
+        if beyond == number:
+            break
+        number = beyond
+        square = foot_on(corners_of(mesh, number), x).square
+    return Guess(number, square, spent)
 
 
 @outlined
@@ -65,50 +126,50 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Fou
     """The triangle nearest to `x` (3,) m among those nearer than `limit` (m).
 
     known   (3,)  numbers of up to three triangles that are asked first and kept where no other is nearer; -1 for none
+    budget        nodes and triangles, ROOM at most
     """
     mesh = whole.row[0]
     near = brought_near(mesh, x)
     px, py, pz = np.float32(near[0]), np.float32(near[1]), np.float32(near[2])
-    spent, number, square = 0, -1, limit * limit
+    bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
+    spent, number, square, guess = 0, -1, limit * limit, -1
     for k in known:
         if k >= 0.0:
-            foot = foot_on(corners_of(mesh, int(k)), x)
+            guess = int(k)
+            foot = foot_on(corners_of(mesh, guess), x)
             spent += 1
             if foot.square < square:
-                number, square = int(k), foot.square
+                number, square = guess, foot.square
+    if number < 0:
+        guess, apart, asked = way_down(whole, near, x, square, bounds, waiting)
+        spent += asked
+        if guess < 0:
+            return Found(-1, square, square, spent)
+        if apart < square:
+            number, square = guess, apart
     best = square if number < 0 else square * (1.0 - SAME)
     top = upward(best)
-    bounds, waiting, lane = room_for_bounds(), room_for_nodes(), lane_room()
-    bounds[0], waiting[0] = np.float32(0.0), np.int32(0)
-    count = 1
-    while count > 0:
-        count -= 1
-        if not bounds[count] < top:
-            continue
-        if spent >= budget:
-            lowest = bounds[count]
-            for i in range(count):
-                lowest = min(lowest, bounds[i])
-            return Found(number, square, min(square, float(lowest)), spent)
-        node = int(waiting[count])
-        spent += 1
-        bits = within_lanes(mesh.nodes, node, px, py, pz, top, lane)
-        first = int(mesh.first[node])
-        begun = count
-        while bits != 0:
-            i = lowest_bit(bits)
-            bits &= bits - 1
-            if first >= 0:  # the nearest on top
-                at = count
-                while at > begun and bounds[at - 1] < lane[i]:
-                    bounds[at], waiting[at] = bounds[at - 1], waiting[at - 1]
-                    at -= 1
-                bounds[at], waiting[at] = lane[i], np.int32(first + i)
-                count += 1
-            elif lane[i] < top:
-                foot = foot_on(corners_of(mesh, ~first + i), x)
-                spent += 1
+    firsts[0] = mesh.first[0]
+    end = sift(mesh.nodes, 0, px, py, pz, top, bounds, waiting, 0)
+    nodes, at = 1, 0
+    while at < end:
+        place = int(waiting[at])
+        if bounds[place] < top:
+            first, lane = int(firsts[place // LANES]), place % LANES
+            if first < 0:
+                foot = foot_on(corners_of(mesh, ~first + lane), x)
                 if foot.square < best:
-                    number, square, best = ~first + i, foot.square, foot.square
+                    number, square, best = ~first + lane, foot.square, foot.square
                     top = upward(best)
-    return Found(number, square, square, spent)
+            elif spent + end >= min(budget, ROOM):
+                lowest = bounds[place]
+                for i in range(at + 1, end):
+                    lowest = min(lowest, bounds[int(waiting[i])])
+                return Found(guess if number < 0 else number, square, min(square, float(lowest)), spent + end)
+            else:
+                firsts[nodes] = mesh.first[first + lane]
+                begin = nodes * LANES
+                end += sift(mesh.nodes, first + lane, px, py, pz, top, bounds, from_there(waiting, end), begin)
+                nodes += 1
+        at += 1
+    return Found(number, square, square, spent + end)
