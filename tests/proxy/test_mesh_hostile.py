@@ -102,3 +102,11 @@ def test_a_vertex_that_is_nowhere_is_refused(tmp_path, wrong):
     with pytest.raises(ConfigError, match="object 'part': file: ") as refused:
         engine(thing("part", "mesh", file=file))
     assert file in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_an_ellipsoid_is_refused_by_name(tmp_path):
+    """A fingertip that is no ball has no closed form on a triangle: one line names the mesh and the ellipsoid."""
+    part = thing("part", "mesh", file=saved(tmp_path, *meshes.geodesic(4, 0.05)))
+    with pytest.raises(ConfigError, match="ellipsoid") as refused:
+        engine(part, fingertip={"radii_m": [0.01, 0.008, 0.006]})
+    assert "\n" not in str(refused.value) and "mesh" in str(refused.value)
