@@ -76,7 +76,7 @@ def test_what_is_mended_is_felt_as_the_whole(tmp_path):
     np.testing.assert_allclose(np.median(np.abs(found["force"] - expected["force"])), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("room", [0.01, 0.3])
+@pytest.mark.parametrize("room", [1e-6, 0.01, 0.3])
 def test_the_middle_of_a_socket(tmp_path, room):
     """Of a hollow ball by a share `room` wider than the fingertip, which begins in its centre: outside, whatever the
     hand does, and pushed back no harder than by the depth."""
@@ -84,12 +84,13 @@ def test_the_middle_of_a_socket(tmp_path, room):
     smooth, rough = smooth_and_rough(tmp_path, made, inside=True)
     way = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])
     ways = (way - way[20]) * np.minimum(np.arange(len(way)) / 200.0, 1.0)[:, None]
-    for running in (smooth, rough):
-        records = go(running, ways)
+    even, rubbed = go(smooth, ways), go(rough, ways)
+    # Friction displaces the proxy that is shown: how deep the probe is, is told by the one without.
+    depth = np.linalg.norm(even["proxy.position"] - ways, axis=1)
+    for records in (even, rubbed):
         assert np.isfinite(np.asarray(records)).all()
         assert is_outside(made, records)
-        depth = np.linalg.norm(records["proxy.position"] - ways, axis=1)
-        assert (records["contact.normal_force"] <= STIFFNESS * (depth + 1e-9) + 1e-9).all()
+        assert (records["contact.normal_force"] <= STIFFNESS * (depth + 1e-9)).all()
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e300, 2000.0])
