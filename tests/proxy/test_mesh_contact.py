@@ -1,34 +1,12 @@
 """Touching a mesh: against the shapes that it is made of or close to, and against closed forms."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.touching import SMOOTH, R, engine, field, go, saved, spun, thing, wander
 from references.triangles import distances
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
-
-R = 0.01
-FRICTION = {"static": 0.6, "kinetic": 0.5}
-TORSION = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
-
-
-def saved(folder: Path, vertices, triangles, name="part.ply") -> str:
-    """A binary PLY."""
-    head = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
-        "property double x\nproperty double y\nproperty double z\n"
-        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    faces = np.empty(len(triangles), [("n", "u1"), ("i", "<i4", 3)])
-    faces["n"], faces["i"] = 3, triangles
-    path = folder / name
-    path.write_bytes(head.encode() + np.asarray(vertices, "<f8").tobytes() + faces.tobytes())
-    return str(path)
 
 
 def box(x, y, z):
@@ -36,48 +14,6 @@ def box(x, y, z):
     corners = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (x, y, z)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
-
-
-def thing(name, shape, **keys):
-    material = {"stiffness_n_per_m": 1000.0, "friction": FRICTION, "torsion": TORSION} | keys.pop("material", {})
-    return {"name": name, "shape": shape, "material": {k: v for k, v in material.items() if v is not None}, **keys}
-
-
-def engine(*objects, **tables):
-    scene = {
-        "fingertip": {"radius_m": R},
-        "rolling": {"method": "midpoint"},
-        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0},
-        "probe": {"velocity_time_constant_s": 0.0},
-        "object": list(objects),
-        **tables,
-    }
-    return Engine(build(Scene, {k: v for k, v in scene.items() if v is not None}, "meshes"))
-
-
-def go(running, points, turned=None):
-    """Records of a visit to each of `points` (n, 3)."""
-    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
-    return running.run(np.hstack([np.asarray(points, float), upright if turned is None else turned]))
-
-
-def spun(axis, angles):
-    """Quaternions (n, 4) of rotations by `angles` (n,) rad about a unit vector."""
-    half = 0.5 * np.asarray(angles)[:, None]
-    return np.hstack([np.cos(half), np.sin(half) * np.asarray(axis, float)])
-
-
-def wander(seed, ticks, reach, speed=1e-4):
-    """Points (ticks, 3) m: a smooth way through a box of half extent `reach`, some 0.1 mm a tick."""
-    rng = np.random.default_rng(seed)
-    waves = rng.normal(size=(6, 3, 2)) / np.arange(1, 7)[:, None, None]
-    t = np.arange(ticks)[:, None] * speed / reach
-    way = sum(a[:, 0] * np.sin((k + 1) * t) + a[:, 1] * np.cos((k + 1) * t) for k, a in enumerate(waves))
-    return reach * way / np.abs(way).max()
-
-
-def field(records, at, count=3):
-    return np.asarray(records)[:, at : at + count]
 
 
 def test_a_box_of_triangles_is_a_box(tmp_path):
@@ -125,9 +61,6 @@ def test_a_crease_holds_by_both_its_sides(tmp_path):
     assert late[:, AT.force + 2] == pytest.approx(1.0, abs=1e-6)
     held = go(running, np.tile(drag[-1], (900, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 900)))
     assert abs(held[-1, AT.torque + 1]) == pytest.approx(R * 0.5 * 2.0 * each, rel=0.2)
-
-
-SMOOTH = {"friction": None, "torsion": None}
 
 
 def errors_of_ball(tmp_path, frequency, shading="none"):

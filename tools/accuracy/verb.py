@@ -19,6 +19,7 @@ import llvmlite.binding as llvm
 from softfinger.config.errors import ConfigError
 from softfinger.server.offline.figures import unusable
 from softfinger.server.progress import progress
+from softfinger.tools.accuracy import meshes
 from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
 from softfinger.tools.accuracy.front import fronts, orders, recommendations
@@ -75,6 +76,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--tolerance", type=float, default=1e-9, help="of montana_rk45 (default: %(default)s)")
     parser.add_argument("--drift-steps", type=int, metavar="N", help=f"steps of the drift test ({DRIFT_STEPS})")
+    parser.add_argument(
+        "--meshes", action="store_true", help="instead: how meshes of a ball, a cylinder and a torus come near to them"
+    )
     parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
     add_sweep_options(parser)
     add_output_options(parser)
@@ -82,6 +86,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.meshes:
+        return meshes.run(args)
     sweep, drift_cases = plan(args)
     if args.figures is not None:
         prepare_figures(args.figures)

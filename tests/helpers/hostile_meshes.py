@@ -1,0 +1,100 @@
+"""Meshes that nobody should have made: each may be refused in a line, or touched safely."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from helpers import meshes
+from helpers.meshes import Mesh
+
+
+def bar(x: float, y: float, z: float) -> Mesh:
+    """Twelve triangles of a box with these half extents, m, wound outward."""
+    corners = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (x, y, z)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return Mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32))
+
+
+def messy_ball(frequency: int = 12, radius: float = 0.05) -> Mesh:
+    """A ball of which a third of the triangles are there twice, a third inverted; with triangles of no area: two
+    corners in one place, or three on a line."""
+    ball, rng = meshes.geodesic(frequency, radius), np.random.default_rng(1)
+    count = len(ball.triangles)
+    triangles = ball.triangles.copy()
+    turned = rng.permutation(count)[: count // 3]
+    triangles[turned] = triangles[turned][:, ::-1]
+    again = np.roll(triangles[rng.permutation(count)[: count // 3]], 1, axis=1)
+    middles = 0.5 * (ball.vertices[triangles[:50, 0]] + ball.vertices[triangles[:50, 1]])
+    on_line = np.stack([triangles[:50, 0], len(ball.vertices) + np.arange(50), triangles[:50, 1]], axis=1)
+    pointed = triangles[50:100][:, [0, 0, 1]]
+    whole = np.concatenate([triangles, again, on_line, pointed])
+    return Mesh(np.concatenate([ball.vertices, middles]), rng.permutation(whole).astype(np.int32))
+
+
+def with_holes(frequency: int = 12, radius: float = 0.05) -> Mesh:
+    """A ball without a fifth of its triangles, and without a cap through which a fingertip gets in."""
+    ball, rng = meshes.geodesic(frequency, radius), np.random.default_rng(2)
+    middles = ball.vertices[ball.triangles].mean(axis=1)
+    kept = (rng.uniform(size=len(middles)) > 0.2) & (middles[:, 2] < 0.9 * radius)
+    return Mesh(ball.vertices, ball.triangles[kept])
+
+
+def needle_strip(length: float = 0.2, thin: float = 2e-7, count: int = 40) -> Mesh:
+    """A sheet in z = 0 with needles a millionth as wide as they are long along its middle."""
+    sheet = meshes.sheet(length, 1.0, 1, count + 2)
+    rows = np.concatenate([[-0.05], thin * (np.arange(count + 1) - 0.5 * count), [0.05]])
+    vertices = sheet.vertices.copy()
+    vertices[:, 1] = rows[np.round(vertices[:, 1] * (count + 2)).astype(int)]
+    return Mesh(vertices, sheet.triangles)
+
+
+def crumpled(seed: int = 3) -> Mesh:
+    """Large triangles every way through each other."""
+    rng = np.random.default_rng(seed)
+    vertices = 0.05 * rng.normal(size=(3 * 40, 3))
+    return Mesh(vertices, np.arange(3 * 40, dtype=np.int32).reshape(-1, 3))
+
+
+def crevice(angle: float = 0.02) -> Mesh:
+    """Two sheets that meet along y at a small angle, rad, far narrower than the fingertip down there."""
+    y, high, wide = np.linspace(-0.1, 0.1, 9), 0.2, 0.2 * np.sin(0.5 * angle)
+    vertices = np.array([(x, v, high * (x != 0.0)) for v in y for x in (-wide, 0.0, wide)])
+    cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(8) for j in range(2)]
+    return Mesh(vertices, np.array([t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))], np.int32))
+
+
+MADE: Final = {
+    "slivers": lambda: meshes.cylinder(0.05, 0.1, 1000, 1, ends=False),
+    "needles": needle_strip,
+    "messy": messy_ball,
+    "holes": with_holes,
+    "crossing": lambda: meshes.joined(
+        meshes.torus(0.05, 0.015, 64, 32), meshes.moved(meshes.geodesic(12, 0.03), (0.05, 0.0, 0.0))
+    ),
+    "crumpled": crumpled,
+    "one": lambda: Mesh(np.array([[-0.05, -0.05, 0.0], [0.05, -0.05, 0.0], [0.0, 0.05, 0.0]]), np.array([[0, 1, 2]])),
+    "foil": lambda: bar(0.05, 0.05, 5e-7),
+    "crevice": crevice,
+    "twice": lambda: meshes.joined(meshes.geodesic(10, 0.05), meshes.geodesic(10, 0.05)),
+    "within": lambda: meshes.joined(meshes.geodesic(10, 0.05), meshes.geodesic(13, 0.0499)),
+    "bead": lambda: meshes.geodesic(4, 1e-4),
+    "planet": lambda: meshes.geodesic(60, 500.0),
+    "far": lambda: meshes.moved(meshes.geodesic(12, 0.05), (900.0, -200.0, 300.0)),
+    "star": lambda: meshes.bumpy_sphere(24, 0.05, height=0.3),
+}
+"""What is touched safely, by its name: triangles that are thin, doubled, turned or without area, through each other,
+missing, alone; close walls, and sizes and places at the ends of what is allowed."""
+
+
+def fan(count: int = 20_000) -> Mesh:
+    """A disc whose flat sides are needles that all meet in one vertex, so that all of them are near anywhere."""
+    return meshes.cylinder(0.05, 1e-3, count, 1)
+
+
+def socket(radius: float, frequency: int = 60) -> Mesh:
+    """A hollow ball whose nearest triangle is `radius`, m, from its centre, where every other is about as near."""
+    ball = meshes.geodesic(frequency)
+    middles = np.linalg.norm(ball.vertices[ball.triangles].mean(axis=1), axis=1)
+    return Mesh(ball.vertices * (radius / middles.min()), ball.triangles)

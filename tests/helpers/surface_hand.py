@@ -1,0 +1,83 @@
+"""A hand that presses, drags and lifts at random on a mesh, and knows of it only where its vertices are."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from references.brute_force import Balls, balls_of, brute_distances
+
+from helpers.meshes import Mesh
+from helpers.touching import posed, spun
+
+Array = NDArray[np.float64]
+
+SPEEDS = (0.02, 0.5)
+"""m/s, between which a hand goes its ways."""
+DEPTHS = (0.005, 2.0)
+"""Radii of the fingertip, between which it presses."""
+SPAN = (1.0, 8.0)
+"""Radii that one drag goes, and most ways through the air."""
+FAR = 0.1
+"""Share of the ways through the air that go anywhere."""
+TICK_S = 1e-3
+
+
+def normals_of(vertices: Array, triangles: NDArray[np.int32]) -> Array:
+    """Mean unit normals (n, 3) at the vertices, by the triangles' areas; any where there is none."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    across = np.cross(b - a, c - a)
+    total = np.zeros_like(vertices)
+    for i in range(3):
+        np.add.at(total, triangles[:, i], across)
+    size = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(size > 0.0, total / np.where(size > 0.0, size, 1.0), (0.0, 0.0, 1.0))
+
+
+def outside_at(balls: Balls, vertices: Array, normals: Array, radius: float, rng: np.random.Generator) -> int:
+    """A vertex over which a fingertip is outside at a height of two radii."""
+    some = rng.integers(len(vertices), size=100)
+    free = brute_distances(balls, vertices[some] + 2.0 * radius * normals[some]) > 1.01 * radius
+    return int(some[int(free.argmax())])
+
+
+def ways(vertices: Array, normals: Array, at: int, ticks: int, radius: float, rng: np.random.Generator) -> Array:
+    """Points (ticks, 3) m of the fingertip's centre: from over the vertex `at` down on it, on to others near it, up, to
+    the next one."""
+    corners, times = [vertices[at] + 2.0 * radius * normals[at]], [0.0]
+
+    def go_to(height: float) -> None:
+        point = vertices[at] + height * normals[at]
+        speed = np.exp(rng.uniform(*np.log(SPEEDS)))
+        times.append(times[-1] + float(np.linalg.norm(point - corners[-1])) / speed)
+        corners.append(point)
+
+    while times[-1] < ticks * TICK_S:
+        depth = radius * np.exp(rng.uniform(*np.log(DEPTHS)))
+        go_to(2.0 * radius)
+        go_to(radius - depth)
+        for _ in range(int(rng.integers(0, 5))):
+            at = beside(vertices, at, radius, rng)
+            go_to(radius - depth)
+        go_to(2.0 * radius)
+        at = int(rng.integers(len(vertices))) if rng.uniform() < FAR else beside(vertices, at, radius, rng)
+    at_ticks = TICK_S * np.arange(ticks)
+    return np.stack([np.interp(at_ticks, times, axis) for axis in np.array(corners).T], axis=1)
+
+
+def beside(vertices: Array, at: int, radius: float, rng: np.random.Generator) -> int:
+    """A vertex not far from another, or that one where there is none."""
+    others = rng.integers(len(vertices), size=2000)
+    apart = np.linalg.norm(vertices[others] - vertices[at], axis=1)
+    near = others[(apart >= SPAN[0] * radius) & (apart <= SPAN[1] * radius)]
+    return int(near[0]) if len(near) else at
+
+
+def hand(mesh: Mesh, ticks: int, radius: float, rng: np.random.Generator) -> Array:
+    """Poses (ticks, 7), turning to and fro about an axis at up to 2 rad/s."""
+    points, corners = mesh
+    used = np.unique(corners)
+    vertices, normals = points[used], normals_of(points, corners)[used]
+    at = outside_at(balls_of(points, corners), vertices, normals, radius, rng)
+    axis = rng.normal(size=3)
+    turned = spun(axis / np.linalg.norm(axis), np.sin(2.0 * TICK_S * np.arange(ticks)))
+    return posed(ways(vertices, normals, at, ticks, radius, rng), turned)

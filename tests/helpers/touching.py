@@ -1,0 +1,93 @@
+"""A mesh in a scene with friction, torsion and rolling, and hands that go over it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+
+Array = NDArray[np.float64]
+
+R = 0.01
+"""Radius of the fingertip, m."""
+FRICTION = {"static": 0.6, "kinetic": 0.5}
+TORSION = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
+SMOOTH = {"friction": None, "torsion": None}
+"""Of a material without friction."""
+
+
+def saved(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: str = "part.ply") -> str:
+    """Path of a binary PLY of `vertices` (n, 3) m and `triangles` (m, 3)."""
+    points, corners = np.asarray(vertices, "<f8"), np.asarray(triangles)
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+        "property double x\nproperty double y\nproperty double z\n"
+        f"element face {len(corners)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(corners), [("n", "u1"), ("i", "<i4", 3)])
+    faces["n"], faces["i"] = 3, corners
+    path = folder / name
+    path.write_bytes(head.encode() + points.tobytes() + faces.tobytes())
+    return str(path)
+
+
+def thing(name: str, shape: str, **keys: Any) -> dict[str, Any]:
+    """An object; of `material` those keys that are named, and None to leave one out."""
+    material = {"stiffness_n_per_m": 1000.0, "friction": FRICTION, "torsion": TORSION} | keys.pop("material", {})
+    return {"name": name, "shape": shape, "material": {k: v for k, v in material.items() if v is not None}, **keys}
+
+
+def scene_with(*objects: dict[str, Any], **tables: Any) -> Scene:
+    """Without a filter of the probe's velocity: a tick depends on two poses alone. None is a table left out."""
+    scene = {
+        "fingertip": {"radius_m": R},
+        "rolling": {"method": "midpoint"},
+        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0},
+        "probe": {"velocity_time_constant_s": 0.0},
+        "object": list(objects),
+        **tables,
+    }
+    return build(Scene, {k: v for k, v in scene.items() if v is not None}, "meshes")
+
+
+def engine(*objects: dict[str, Any], **tables: Any) -> Engine:
+    return Engine(scene_with(*objects, **tables))
+
+
+def posed(points: ArrayLike, turned: Array | None = None) -> Array:
+    """Poses (n, 7) at `points` (n, 3) m, upright or `turned` (n, 4)."""
+    places = np.asarray(points, float)
+    return np.hstack([places, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)) if turned is None else turned])
+
+
+def go(running: Engine, points: ArrayLike, turned: Array | None = None) -> Array:
+    """Records of a visit to each of `points` (n, 3)."""
+    return running.run(posed(points, turned))
+
+
+def spun(axis: Sequence[float], angles: ArrayLike) -> Array:
+    """Quaternions (n, 4) of rotations by `angles` (n,) rad about a unit vector."""
+    half = 0.5 * np.asarray(angles)[:, None]
+    return np.hstack([np.cos(half), np.sin(half) * np.asarray(axis, float)])
+
+
+def wander(seed: int, ticks: int, reach: float, speed: float = 1e-4) -> Array:
+    """Points (ticks, 3) m: a smooth way through a box of half extent `reach`, some 0.1 mm a tick."""
+    rng = np.random.default_rng(seed)
+    waves = rng.normal(size=(6, 3, 2)) / np.arange(1, 7)[:, None, None]
+    t = np.arange(ticks)[:, None] * speed / reach
+    way = np.zeros((ticks, 3))
+    for k, a in enumerate(waves):
+        way += a[:, 0] * np.sin((k + 1) * t) + a[:, 1] * np.cos((k + 1) * t)
+    return reach * way / np.abs(way).max()
+
+
+def field(records: ArrayLike, at: int, count: int = 3) -> Array:
+    return np.asarray(records)[:, at : at + count]

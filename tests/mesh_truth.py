@@ -1,0 +1,227 @@
+"""Whether what is rendered of a mesh is true: `python tests/mesh_truth.py [MESH ...] --points N --ticks N`.
+
+Distances at random points, near the surface and far from it, are compared with those of all triangles asked in turn.
+Then a hand presses, drags and lifts at random, with friction, torsion and rolling, and in every tick the proxy's
+distance is asked of all triangles: it may not be below the fingertip's radius, nor may the proxy have gone through any
+of them since the last tick. Ticks are timed one by one, three times over, with those of an empty scene beside them.
+Without a file this is done on ten meshes made from formulas. Exit code 1 if anything was wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from helpers import meshes
+from helpers.surface_hand import hand
+from helpers.touching import saved, scene_with, thing
+from numpy.typing import NDArray
+from references.brute_force import Balls, balls_of, brute_distances
+
+from softfinger.config import schema
+from softfinger.config.errors import HapticError
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
+from softfinger.proxy.kernels.model import Triangles
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.native.pack import flatten, packed, unpack
+from softfinger.proxy.scene import build_scene, start_state
+from softfinger.server.loop.clock import stopwatch
+from softfinger.server.offline.cost import time_steps
+from softfinger.server.progress import progress
+from softfinger.tools import measure
+
+Array = NDArray[np.float64]
+
+MADE: Final = {
+    "ball": lambda: meshes.geodesic(24, 0.05),
+    "bumpy": lambda: meshes.bumpy_sphere(30, 0.05, height=0.06),
+    "torus": lambda: meshes.torus(0.05, 0.02, 96, 48),
+    "cylinder": lambda: meshes.cylinder(0.02, 0.1, 96, 1),
+    "sheet": lambda: meshes.sheet(0.2, 0.1, 60, 40),
+    "moebius": lambda: meshes.moebius(0.05, 0.03, 128, 6),
+    "needles": lambda: meshes.cylinder(0.05, 1e-3, 20_000, 1),
+    "crossing": lambda: meshes.joined(
+        meshes.torus(0.05, 0.015, 64, 32), meshes.moved(meshes.geodesic(12, 0.03), (0.05, 0.0, 0.0))
+    ),
+    "far": lambda: meshes.moved(meshes.geodesic(12, 0.05), (300.0, -200.0, 100.0)),
+    "two": lambda: meshes.joined(meshes.geodesic(8, 0.03), meshes.moved(meshes.geodesic(30, 0.03), (0.072, 0.0, 0.0))),
+}
+"""Ten meshes: smooth, bumpy, with sharp edges, open, of one side, of needles, self-intersecting, far off, of two."""
+BLOCK: Final = 10_000
+TURNS: Final = 3
+INSIDE: Final = 1e-9
+"""Of the radius: what counts as inside, and as another distance, of the mesh's size."""
+COUNTED: Final = ("touching", "inside", "not_finite", "through", "budget")
+WHOLE: Final = 10**7
+"""A budget that is never used up."""
+
+
+@entry
+def ask(like: Any, values: Array, points: Array, budget: int, found: Array) -> None:
+    """Into `found` (n, 3): distance of each of `points` (n, 3) m, the bound, m, below which nothing is, and what was
+    asked for it."""
+    mesh = unpack(like, values)
+    for i in range(len(points)):
+        near = nearest(mesh, (points[i, 0], points[i, 1], points[i, 2]), 1e300, NO_TRIANGLE, budget)
+        found[i, 0], found[i, 1], found[i, 2] = near.square**0.5, near.bound**0.5, near.spent
+
+
+def triangles_of(scene: schema.Scene) -> meshes.Mesh:
+    """What is rendered, after mending."""
+    mesh: Triangles = build_scene(scene).objects[0].shape.row[0]
+    return meshes.Mesh(mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3))
+
+
+def places(balls: Balls, count: int, rng: np.random.Generator) -> Array:
+    """Points (count, 3) m: most of them near the surface, on vertices and edges too, some far off."""
+    corners = balls.corners[rng.integers(len(balls.corners), size=count)]
+    weights = rng.dirichlet(np.ones(3), size=count)
+    weights[::7] = (0.5, 0.5, 0.0)
+    weights[::11] = (1.0, 0.0, 0.0)
+    on = np.einsum("ij,ijk->ik", weights, corners)
+    size = np.ptp(balls.corners.reshape(-1, 3), axis=0).max()
+    away = size * 10.0 ** rng.uniform(-8.0, 1.0, (count, 1))
+    away[::13] = 0.0
+    return on + away * rng.normal(size=(count, 3))
+
+
+def check_distances(scene: schema.Scene, balls: Balls, count: int, rng: np.random.Generator) -> dict[str, Any]:
+    """The largest difference from all triangles asked in turn, as a share of the mesh's size; the same with the budget
+    of a tick where that was enough, and by how much a bound was above the distance where it was not."""
+    mesh = build_scene(scene).objects[0].shape
+    size = float(mesh.row[0].size)
+    worst = {"points": 0, "error": 0.0, "error_in_budget": 0.0, "bound_above": 0.0, "budget": 0, "asked_max": 0.0}
+    with progress("distances", count) as done:
+        for begun in range(0, count, BLOCK):
+            points = places(balls, min(BLOCK, count - begun), rng)
+            whole, short = np.zeros((2, len(points), 3))
+            ask(mesh, flatten(mesh), points, WHOLE, whole)
+            ask(mesh, flatten(mesh), points, BUDGET, short)
+            true = brute_distances(balls, points)
+            spent = short[:, 1] < short[:, 0]
+            worst["points"] += len(points)
+            worst["error"] = max(worst["error"], float(np.abs(whole[:, 0] - true).max() / size))
+            worst["budget"] += int(spent.sum())
+            worst["asked_max"] = max(worst["asked_max"], float(whole[:, 2].max()))
+            worst["bound_above"] = max(worst["bound_above"], float((short[:, 1] - true).max() / size))
+            if not spent.all():
+                short_error = np.abs(short[:, 0] - true)[~spent].max() / size
+                worst["error_in_budget"] = max(worst["error_in_budget"], float(short_error))
+            done(begun + len(points))
+    return worst
+
+
+def goes_through(balls: Balls, begun: Array, ended: Array, radius: float) -> bool:
+    """Whether a long way (3,) m crosses a triangle, or nearly does, looked at every quarter of a radius."""
+    looks = np.linspace(0.0, 1.0, 2 + int(4.0 * np.linalg.norm(ended - begun) / radius))[:, None]
+    return bool(brute_distances(balls, begun + looks * (ended - begun)).min() <= 0.125 * radius)
+
+
+def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) -> dict[str, Any]:
+    """What was wrong in these ticks, if anything, and how near to it the worst was."""
+    running, last = Engine(scene), poses[0, :3]
+    found = {"ticks": 0, "touching": 0, "budget": 0, "not_finite": 0, "inside": 0, "through": 0}
+    deepest, first = 0.0, None
+    with progress("ticks", len(poses)) as done:
+        for begun in range(0, len(poses), BLOCK):
+            records = running.run(poses[begun : begun + BLOCK])
+            proxies = records["proxy.position"]
+            wrong = ~np.isfinite(np.asarray(records)).all(axis=1)
+            inside = 1.0 - brute_distances(balls, proxies) / radius
+            starts = np.vstack([last[None], proxies[:-1]])
+            # Between two places that are outside a way below two radii leads through nothing.
+            far = np.flatnonzero(np.linalg.norm(proxies - starts, axis=1) >= 2.0 * radius)
+            if first is None and (inside > INSIDE).any():
+                first = begun + int((inside > INSIDE).argmax())
+            found["ticks"] += len(records)
+            found["touching"] += int((records["contact.mode"] > 0).sum())
+            found["budget"] += int(records["contact.budget"].sum())
+            found["not_finite"] += int(wrong.sum())
+            found["inside"] += int((inside > INSIDE).sum())
+            found["through"] += sum(goes_through(balls, starts[i], proxies[i], radius) for i in far)
+            deepest, last = max(deepest, float(inside.max())), np.array(proxies[-1])
+            done(begun + len(records))
+    return found | {"deepest": deepest, "first_inside": first}
+
+
+def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
+    """p50, p99 and the longest tick, us: of each tick the median of its times, so that a stall of the machine counts
+    only where it hits the same one twice."""
+    tree, times = build_scene(scene), np.zeros((TURNS, len(poses)))
+    parameters = packed(tree)
+    for turn in range(TURNS):
+        watch = stopwatch(1, len(poses))
+        time_steps(parameters, packed(start_state(tree)), poses, 1e-3, watch, np.zeros(1, np.int64))
+        times[turn] = 1e-3 * watch.ns[0]
+    each = np.median(times, axis=0)
+    return {"p50": float(np.median(each)), "p99": float(np.percentile(each, 99)), "longest": float(each.max())}
+
+
+def judge(file: str, args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    tip = {"fingertip": {"radius_m": args.radius}}
+    scene = scene_with(thing("part", "mesh", file=file, scale=args.scale), **tip)
+    empty = scene_with(thing("far", "sphere", radius_m=0.01, position_m=[900.0, 900.0, 900.0]), **tip)
+    mesh = triangles_of(scene)
+    balls = balls_of(*mesh)
+    found: dict[str, Any] = {"triangles": len(mesh.triangles)}
+    if args.points:
+        found["distances"] = check_distances(scene, balls, args.points, rng)
+    if args.ticks:
+        poses = hand(mesh, args.ticks, args.radius, rng)
+        found["hand"] = check_ticks(scene, balls, poses, args.radius)
+        found["tick_us"], found["empty_us"] = (time_ticks(each, poses) for each in (scene, empty))
+    return found
+
+
+def is_wrong(found: dict[str, Any]) -> bool:
+    away, ticks = found.get("distances"), found.get("hand")
+    off = away is not None and max(away["error"], away["error_in_budget"], away["bound_above"]) > INSIDE
+    return off or (ticks is not None and ticks["inside"] + ticks["not_finite"] + ticks["through"] > 0)
+
+
+def lines(result: dict[str, Any]) -> Iterator[str]:
+    for name, found in result.items():
+        yield f"{name}: {found['triangles']:,} triangles{', WRONG' if is_wrong(found) else ''}"
+        if away := found.get("distances"):
+            yield f"  {away['points']:,} points: off by {away['error']:.1e} of the size, {away['asked_max']:,.0f} asked"
+            yield f"  {away['budget']:,} beyond the budget, their bound above the distance by {away['bound_above']:.1e}"
+        if ticks := found.get("hand"):
+            counts = ", ".join(f"{ticks[key]:,} {key}" for key in COUNTED)
+            yield f"  {ticks['ticks']:,} ticks: {counts}; deepest {ticks['deepest']:.1e} r"
+            for key, text in (("tick_us", "a tick"), ("empty_us", "of an empty scene")):
+                us = found[key]
+                yield f"  {text}: p50 {us['p50']:.2f}, p99 {us['p99']:.2f}, longest {us['longest']:.1f} us"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("mesh", nargs="*", help=f"a file, or one of {', '.join(MADE)} (default: all of these)")
+    parser.add_argument("--points", type=int, default=100_000, help="on each mesh (default: %(default)s; 0 for none)")
+    parser.add_argument("--ticks", type=int, default=100_000, help="on each mesh (default: %(default)s; 0 for none)")
+    parser.add_argument("--radius", type=float, default=0.01, help="of the fingertip, m (default: %(default)s)")
+    parser.add_argument("--scale", type=float, default=1.0, help="of the files, to metres (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0)
+    measure.add_output_options(parser)
+    args = parser.parse_args()
+    try:
+        result = {}
+        with tempfile.TemporaryDirectory() as folder:
+            for name in args.mesh or MADE:
+                file = saved(Path(folder), *MADE[name](), name=f"{name}.ply") if name in MADE else name
+                result[Path(name).stem] = judge(file, args, np.random.default_rng(args.seed))
+    except HapticError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    measure.show(result, args.json, list(lines(result)))
+    return int(any(is_wrong(found) for found in result.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

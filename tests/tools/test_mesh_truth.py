@@ -1,0 +1,57 @@
+"""The program that checks meshes: what it says of a good one, and that it sees what is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import mesh_truth
+import numpy as np
+from helpers import meshes
+from helpers.surface_hand import hand
+from helpers.touching import R, saved, scene_with, thing
+from references.brute_force import balls_of, brute_distances
+from references.triangles import distances
+
+SCRIPT = Path(__file__).parents[1] / "mesh_truth.py"
+
+
+def test_a_ball_is_true(tmp_path: Path) -> None:
+    """Distances to 1e-9 of its size, a proxy that is never inside, and times of ticks; exit code 0."""
+    words = ["ball", "--points", "300", "--ticks", "1000", "--json"]
+    done = subprocess.run((sys.executable, str(SCRIPT), *words), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["ball"]
+    assert found["distances"]["points"] == 300 and found["distances"]["error"] < 1e-9
+    assert found["hand"]["touching"] > 100 and found["hand"]["inside"] == found["hand"]["through"] == 0
+    assert 0.0 < found["tick_us"]["p50"] <= found["tick_us"]["longest"]
+
+
+def test_what_is_inside_is_seen(tmp_path: Path) -> None:
+    """A mesh that is larger than what was rendered: the proxy is inside of it, and it is said."""
+    ball = meshes.geodesic(8, 0.05)
+    scene = scene_with(thing("part", "mesh", file=saved(tmp_path, *ball)))
+    larger = balls_of(1.01 * ball.vertices, ball.triangles)
+    rng = np.random.default_rng(0)
+    found = mesh_truth.check_ticks(scene, larger, hand(ball, 500, R, rng), R)
+    assert found["inside"] > 0 and found["deepest"] > 0.01
+    assert mesh_truth.is_wrong({"hand": found})
+    assert mesh_truth.check_distances(scene, larger, 200, rng)["error"] > 1e-3
+
+
+def test_a_way_through_is_seen() -> None:
+    """From one side of a sheet to the other; beside it, it is not."""
+    balls = balls_of(*meshes.sheet(0.1, 0.1, 3, 3))
+    over, under, beside = np.array([0.05, 0.05, 0.03]), np.array([0.05, 0.04, -0.04]), np.array([0.2, 0.05, 0.03])
+    assert mesh_truth.goes_through(balls, over, under, R)
+    assert not mesh_truth.goes_through(balls, over, beside, R)
+
+
+def test_brute_force_is_that_of_every_triangle_asked() -> None:
+    """Compiled and pruned, it is what numpy says of all triangles, to rounding."""
+    bumpy = meshes.bumpy_sphere(12, 0.05, height=0.06)
+    points = 0.05 * np.random.default_rng(1).normal(size=(300, 3))
+    expected = [distances(*bumpy, x).min() for x in points]
+    np.testing.assert_allclose(brute_distances(balls_of(*bumpy), points), expected, rtol=0.0, atol=1e-16)

@@ -1,0 +1,259 @@
+"""`accuracy --meshes`: how a ball, a cylinder and a torus of triangles come near to the surfaces, by their edges.
+
+A fingertip is pressed in by a millimetre, and led along a path that it would roll on the surface. Without friction the
+mesh's force and contact point stand beside the surface's own, which the scene has as a shape; then it sticks and
+rolls, and what it has rolled is compared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.records import Records
+from softfinger.server.offline.figures import figure, save
+from softfinger.server.progress import progress
+from softfinger.tools.accuracy.reference import roll_path
+from softfinger.tools.measure import show
+
+Array = NDArray[np.float64]
+Arrays = tuple[Array, NDArray[np.int64]]
+
+RADIUS_M: Final = 0.01
+DEPTH_M: Final = 0.001
+STIFFNESS: Final = 1000.0
+TURN_RAD: Final = 1.5
+TICKS: Final = 4000
+PRESSED: Final = 300
+"""Ticks in which the fingertip comes down, in front of those that count."""
+FINENESS: Final = (8, 16, 32, 64)
+FITTED: Final = 3
+"""Of the finest, which the orders are fitted to."""
+MEASURES: Final = {
+    "force_n": "force",
+    "point_m": "contact point off the surface",
+    "rolled_m": "way rolled",
+    "direction_rad": "direction",
+    "shaded_rad": "direction, shaded",
+}
+
+
+class Case(NamedTuple):
+    """A surface: as a kernel has it, as a scene has it, as triangles of a fineness, and where (3,) m a path begins."""
+
+    shape: Any
+    table: dict[str, Any]
+    triangles: Callable[[int], Arrays]
+    near: model.Vec3
+
+
+def grid(points: Array, meet: bool) -> Arrays:
+    """Triangles of a grid of points (n, m, 3) m whose columns meet, and its rows too where they `meet`."""
+    rows, columns = points.shape[:2]
+    at = np.arange(rows * columns).reshape(rows, columns)
+    at = np.concatenate([at, at[:, :1]], axis=1)
+    if meet:
+        at = np.concatenate([at, at[:1]])
+    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
+    return points.reshape(-1, 3), np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+def ring(major: float, minor: float, fineness: int) -> Arrays:
+    u, v = (2.0 * np.pi * np.arange(count)[:, None] / count for count in (6 * fineness, 3 * fineness))
+    out, up = major + minor * np.cos(v.T), minor * np.sin(v.T)
+    return grid(np.stack([np.cos(u) * out, np.sin(u) * out, 0.0 * u + up], axis=2), True)
+
+
+def tube(radius: float, length: float, fineness: int) -> Arrays:
+    """Open at its ends, which the fingertip does not reach."""
+    u, z = 2.0 * np.pi * np.arange(8 * fineness) / (8 * fineness), np.linspace(-0.5, 0.5, 4 * fineness + 1) * length
+    around = np.stack([radius * np.cos(u), radius * np.sin(u)], axis=1)
+    points = np.concatenate([np.tile(around, (len(z), 1, 1)), np.repeat(z, len(u)).reshape(len(z), -1, 1)], axis=2)
+    vertices, triangles = grid(points, False)
+    return vertices, triangles[:, ::-1]
+
+
+def ball(radius: float, fineness: int) -> Arrays:
+    """An octahedron, each of its faces in rows, blown up: 8 x fineness^2 triangles, those along its edges twice."""
+    i, j = (axis.ravel() for axis in np.indices((fineness + 1, fineness + 1)))
+    keep = i + j <= fineness
+    at = np.full((fineness + 1, fineness + 1), -1)
+    at[i[keep], j[keep]] = np.arange(keep.sum())
+    up, down = i + j < fineness, (i > 0) & (j > 0) & (i + j <= fineness)
+    face = np.concatenate([
+        np.stack([at[i[up], j[up]], at[i[up] + 1, j[up]], at[i[up], j[up] + 1]], axis=1),
+        np.stack([at[i[down], j[down]], at[i[down] - 1, j[down]], at[i[down], j[down] - 1]], axis=1),
+    ])  # fmt: skip
+    octant = np.stack([i, j, fineness - i - j], axis=1)[keep].astype(float)
+    signs = [(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)]
+    turned = [face if x * y * z > 0 else face[:, ::-1] for x, y, z in signs]
+    points = np.concatenate([octant * sign for sign in signs])
+    triangles = np.concatenate([each + k * len(octant) for k, each in enumerate(turned)])
+    points, places = np.unique(points, axis=0, return_inverse=True)
+    return radius * points / np.linalg.norm(points, axis=1)[:, None], places.ravel()[triangles]
+
+
+CASES: Final = {
+    "ball": Case(
+        model.Sphere(0.05, 1.0), {"shape": "sphere", "radius_m": 0.05}, lambda n: ball(0.05, 2 * n), (0.04, 0.02, 0.03)
+    ),
+    "cylinder": Case(
+        model.Cylinder(0.03, 1.0),
+        {"shape": "cylinder", "radius_m": 0.03},
+        lambda n: tube(0.03, 0.2, n),
+        (0.04, 0.02, 0.003),
+    ),
+    "torus": Case(
+        model.Torus(0.05, 0.02, 1.0),
+        {"shape": "torus", "major_radius_m": 0.05, "minor_radius_m": 0.02},
+        lambda n: ring(0.05, 0.02, n),
+        (0.06, 0.03, 0.01),
+    ),
+}
+
+
+def run(args: argparse.Namespace) -> int:
+    """The verb, with `--json` and `--plot`."""
+    rows: list[dict[str, Any]] = []
+    with progress("meshes of surfaces", len(CASES) * len(FINENESS)) as done:
+        for name in CASES:
+            for row in converge(name, FINENESS):
+                rows.append(row)
+                done(len(rows))
+    result = {"rows": rows, "orders": {name: orders([r for r in rows if r["surface"] == name]) for name in CASES}}
+    show(result, args.json, list(lines(result)))
+    if args.plot:
+        draw(result, args.plot)
+    return 0
+
+
+def converge(name: str, fineness: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """A row for each: the largest differences from the surface on the way, and the largest step of the force's
+    direction from tick to tick, rad, which is N per N."""
+    case = CASES[name]
+    poses, normals = led(case)
+    bare, stuck = (Engine(scene_of(case.table, sticks)).run(poses)[PRESSED:] for sticks in (False, True))
+    for n in fineness:
+        vertices, triangles = case.triangles(n)
+        edges = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
+        with tempfile.TemporaryDirectory() as folder:
+            table = {"shape": "mesh", "file": saved(Path(folder), vertices, triangles)}
+            flat = Engine(scene_of(table, False)).run(poses)[PRESSED:]
+            shaded = Engine(scene_of(table | {"shading": "normals"}, False)).run(poses)[PRESSED:]
+            rolled = Engine(scene_of(table, True)).run(poses)[PRESSED:]
+        off = np.einsum("ij,ij->i", flat["contact.point"] - bare["contact.point"], normals)
+        yield {
+            "surface": name,
+            "triangles": len(triangles),
+            "edge_m": float(np.linalg.norm(edges, axis=2).max()),
+            "force_n": largest(flat["contact.normal_force"] - bare["contact.normal_force"]),
+            "point_m": largest(off),
+            "rolled_m": RADIUS_M * largest(rolled["contact.rolled"] - stuck["contact.rolled"]),
+            "direction_rad": largest(along(flat) - along(bare)),
+            "shaded_rad": largest(along(shaded) - along(bare)),
+            "step_rad": largest(np.diff(along(flat), axis=0)),
+            "shaded_step_rad": largest(np.diff(along(shaded), axis=0)),
+        }
+
+
+def led(case: Case) -> tuple[Array, Array]:
+    """Poses (PRESSED + TICKS, 7) down onto the surface and along the path, turning as it rolls; the normals (TICKS, 3)
+    under those that count."""
+    _, foot, up = closest(case.shape, case.near)
+    normal = np.array(up)
+    axis = np.cross(normal, (0.5, 0.3, 0.8))
+    axis /= np.linalg.norm(axis)
+    t = np.linspace(0.0, 1.0, TICKS)
+    begun = np.array(foot) + RADIUS_M * normal
+    points, normals, _ = roll_path(case.shape, RADIUS_M, begun, normal, lambda _: TURN_RAD * axis).at(t)
+    down = np.minimum(np.arange(PRESSED) / (0.7 * PRESSED), 1.0)[:, None]
+    heights = RADIUS_M + 0.1 * DEPTH_M - 1.1 * DEPTH_M * down
+    places = np.concatenate([points[0] + heights * normals[0], points + (RADIUS_M - DEPTH_M) * normals])
+    half = 0.5 * TURN_RAD * np.concatenate([np.zeros(PRESSED), t])[:, None]
+    return np.hstack([places, np.cos(half), np.sin(half) * axis]), normals
+
+
+def scene_of(table: dict[str, Any], sticks: bool) -> schema.Scene:
+    """The surface, or its mesh, beside a plane far off: patches are then handed on alike."""
+    material: dict[str, Any] = {"stiffness_n_per_m": STIFFNESS}
+    if sticks:
+        material["friction"] = {"static": 5.0, "kinetic": 4.0}
+    far = {"name": "far", "shape": "plane", "position_m": [0.0, 0.0, -5.0], "material": material}
+    tables: dict[str, Any] = {
+        "fingertip": {"radius_m": RADIUS_M},
+        "coupling": {"stiffness_n_per_m": STIFFNESS, "damping_ns_per_m": 0.0},
+        "object": [{"name": "surface", "material": material, **table}, far],
+    }
+    if sticks:
+        tables["rolling"] = {"method": "midpoint"}
+    return build(schema.Scene, tables, "accuracy --meshes")
+
+
+def saved(folder: Path, vertices: Array, triangles: NDArray[np.int64]) -> str:
+    """Path of an OBJ file, every digit of whose numbers is there."""
+    if (why := missing()) is not None:
+        raise ConfigError(f"accuracy --meshes needs trimesh: pip install 'softfinger[mesh]' ({why})")
+    path = folder / "surface.obj"
+    rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    path.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist())]) + "\n")
+    return str(path)
+
+
+def missing() -> ImportError | None:
+    try:
+        import trimesh  # noqa: F401
+    except ImportError as error:
+        return error
+    return None
+
+
+def along(records: Records) -> Array:
+    """Unit vectors (n, 3) of the forces."""
+    forces: Array = records["force"]
+    return np.asarray(forces / np.linalg.norm(forces, axis=1)[:, None])
+
+
+def largest(values: Array) -> float:
+    return float((np.linalg.norm(values, axis=1) if values.ndim > 1 else np.abs(values)).max())
+
+
+def orders(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Slopes of the errors over the edges' length, doubly logarithmic, of the finest meshes."""
+    edges = np.log([row["edge_m"] for row in rows[-FITTED:]])
+    return {key: float(np.polyfit(edges, np.log([row[key] for row in rows[-FITTED:]]), 1)[0]) for key in MEASURES}
+
+
+def lines(result: dict[str, Any]) -> Iterator[str]:
+    yield "largest differences of a mesh from its surface; the slope over the edge's length of the finest three"
+    for row in result["rows"]:
+        errors = "  ".join(f"{key} {row[key]:.1e}" for key in (*MEASURES, "step_rad", "shaded_step_rad"))
+        yield f"{row['surface']:9} edge {1e3 * row['edge_m']:6.3f} mm  {errors}"
+    for name, found in result["orders"].items():
+        yield f"{name:9} " + "  ".join(f"{key} {order:.2f}" for key, order in found.items())
+
+
+def draw(result: dict[str, Any], file: Path) -> None:
+    """A panel for each surface: errors over the edge's length, beside the second order."""
+    drawing = figure(10.0, 4.0)
+    for axes, name in zip(drawing.subplots(1, len(CASES), sharex=True), CASES, strict=True):
+        rows = [row for row in result["rows"] if row["surface"] == name]
+        edges = np.array([1e3 * row["edge_m"] for row in rows])
+        for key, text in MEASURES.items():
+            axes.loglog(edges, [row[key] for row in rows], "o-", label=f"{text} ({result['orders'][name][key]:.1f})")
+        axes.loglog(edges, 1e-6 * edges**2, "k:", label="second order")
+        axes.set_title(name)
+        axes.set_xlabel("longest edge, mm")
+        axes.legend(fontsize="x-small")
+    save(drawing, file)
