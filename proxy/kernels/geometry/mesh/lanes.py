@@ -51,8 +51,8 @@ def _packings() -> ir.Constant:
 
 
 @intrinsic
-def sift(typing_context, nodes, node, x, y, z, top, bounds, waiting, begin):  # type: ignore[no-untyped-def]
-    """Ask the boxes of a node for their squared distances (m^2) from x, y, z (m, float32): none is larger than true.
+def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # type: ignore[no-untyped-def]
+    """Ask the boxes of a node for their squared distances (m^2) from a point (3,) m, float32: none is larger than true.
 
     bounds    gets the eight, from `begin` on
     waiting   gets the places in `bounds` of those that are below `top`, one behind the other; room for eight
@@ -61,7 +61,7 @@ def sift(typing_context, nodes, node, x, y, z, top, bounds, waiting, begin):  # 
     vector, whole = ir.VectorType(ir.FloatType(), LANES), ir.VectorType(ir.IntType(32), LANES)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        nodes, node, *point, top, bounds, waiting, begin = args
+        nodes, node, point, top, bounds, waiting, begin = args
         base = builder.inttoptr(nodes, ir.PointerType(vector))
         at = builder.mul(node, ir.Constant(ir.IntType(64), FIELDS))
 
@@ -85,7 +85,9 @@ def sift(typing_context, nodes, node, x, y, z, top, bounds, waiting, begin):  # 
             out = calling("maxnum", builder.fsub(calling("fabs", along), half), ir.Constant(vector, [0.0] * LANES))
             return product(out, out)
 
-        d = [builder.fsub(splat(value), lane(field)) for field, value in enumerate(point)]
+        d = [
+            builder.fsub(splat(value), lane(field)) for field, value in enumerate(cgutils.unpack_tuple(builder, point))
+        ]
         up, one = [lane(3), lane(4), lane(5)], [lane(6), lane(7), lane(8)]
         two = [
             builder.fsub(product(up[(i + 1) % 3], one[(i + 2) % 3]), product(up[(i + 2) % 3], one[(i + 1) % 3]))
@@ -104,7 +106,7 @@ def sift(typing_context, nodes, node, x, y, z, top, bounds, waiting, begin):  # 
         return builder.zext(builder.ctpop(nearer), ir.IntType(64))
 
     number = types.float32
-    return types.int64(nodes, types.int64, number, number, number, number, bounds, waiting, types.int64), generate
+    return types.int64(nodes, types.int64, types.UniTuple(number, 3), number, bounds, waiting, types.int64), generate
 
 
 @intrinsic

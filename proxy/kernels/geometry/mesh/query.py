@@ -94,10 +94,10 @@ def way_down(whole: Mesh, near: Vec3, x: Vec3, limit: float, bounds: Any, waitin
     bounds, waiting       room for `sift`
     """
     mesh, node, spent = whole.row[0], 0, 0
-    px, py, pz = np.float32(near[0]), np.float32(near[1]), np.float32(near[2])
+    point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     while True:
         spent += 1
-        many = sift(mesh.nodes, node, px, py, pz, upward(limit), bounds, waiting, 0)
+        many = sift(mesh.nodes, node, point, upward(limit), bounds, waiting, 0)
         if many == 0 and node == 0:
             return Guess(-1, limit, spent)
         lane, closest = 0, 1e300
@@ -131,7 +131,7 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Fou
     """
     mesh = whole.row[0]
     near = brought_near(mesh, x)
-    px, py, pz = np.float32(near[0]), np.float32(near[1]), np.float32(near[2])
+    point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
     spent, number, square, guess = 0, -1, limit * limit, -1
     for k in known:
@@ -151,7 +151,7 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Fou
     best = square if number < 0 else square * (1.0 - SAME)
     top = upward(best)
     firsts[0] = mesh.first[0]
-    end = sift(mesh.nodes, 0, px, py, pz, top, bounds, waiting, 0)
+    end = sift(mesh.nodes, 0, point, top, bounds, waiting, 0)
     nodes, at = 1, 0
     while at < end:
         place = int(waiting[at])
@@ -170,7 +170,7 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Fou
             else:
                 firsts[nodes] = mesh.first[first + lane]
                 begin = nodes * LANES
-                end += sift(mesh.nodes, first + lane, px, py, pz, top, bounds, from_there(waiting, end), begin)
+                end += sift(mesh.nodes, first + lane, point, top, bounds, from_there(waiting, end), begin)
                 nodes += 1
         at += 1
     return Found(number, square, square, spent + end)

@@ -1,0 +1,80 @@
+"""Meshes in company: several fingers, several meshes and shapes, one that moves, an ellipsoid on one."""
+
+import numpy as np
+import pytest
+from helpers import meshes
+from helpers.hostile_meshes import bar
+from helpers.surface_hand import hand
+from helpers.touching import SMOOTH, R, engine, go, saved, thing, wander
+from references.brute_force import balls_of, brute_distances
+
+from softfinger.config.errors import ConfigError
+
+OUTSIDE = R * (1.0 - 1e-9)
+FINGERS = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": 1000.0}} for name in ("thumb", "index")]
+
+
+def test_two_fingers_on_one_mesh_are_each_alone(tmp_path):
+    """A mesh that stands still tells one finger nothing of the other: to the bit what each feels by itself."""
+    bumpy = meshes.bumpy_sphere(24, 0.05, height=0.06)
+    part = thing("part", "mesh", file=saved(tmp_path, *bumpy))
+    poses = {name: hand(bumpy, 1500, R, np.random.default_rng(seed)) for seed, name in enumerate(("thumb", "index"))}
+    together = engine(part, fingertip=None, coupling=None, finger=FINGERS).run(poses)
+    for name, each in poses.items():
+        alone = engine(part, fingertip=None, coupling=None, finger=[f for f in FINGERS if f["name"] == name])
+        expected = alone.run({name: each})[name]
+        assert (expected["contact.mode"] > 0).mean() > 0.2
+        np.testing.assert_array_equal(np.asarray(together[name]), np.asarray(expected))
+
+
+def test_meshes_and_shapes_hold_it_together(tmp_path):
+    """A box of triangles on a plane, a ball of triangles beside it and a sphere: outside of each of them; in the corner
+    between the two boxes' walls and the floor the forces are those of the shapes."""
+    box, ball = bar(0.03, 0.03, 0.02), meshes.moved(meshes.geodesic(24, 0.03), (0.075, 0.0, 0.01))
+    floor = thing("floor", "plane", position_m=[0.0, 0.0, -0.02], material=SMOOTH)
+    other = thing("other", "sphere", radius_m=0.02, position_m=[0.0, 0.06, 0.0], material=SMOOTH)
+    parts = [
+        thing(name, "mesh", file=saved(tmp_path, *made, name=f"{name}.ply"), material=SMOOTH)
+        for name, made in (("box", box), ("ball", ball))
+    ]
+    shapes = [
+        thing("box", "box", size_m=[0.06, 0.06, 0.04], material=SMOOTH),
+        thing("ball", "sphere", radius_m=0.03, position_m=[0.075, 0.0, 0.01], material=SMOOTH),
+    ]
+    points = wander(3, 6000, 0.06)
+    points[:, 2] = 0.02 + 0.3 * points[:, 2]
+    points = np.concatenate([np.linspace((0.0, 0.0, 0.2), points[0], 2000), points])
+    mesh, solid = (go(engine(*those, floor, other, rolling=None), points) for those in (parts, shapes))
+    proxies = mesh["proxy.position"]
+    for made in (box, ball):
+        assert brute_distances(balls_of(*made), proxies).min() >= OUTSIDE
+    assert proxies[:, 2].min() >= R * (1.0 - 1e-9) - 0.02
+    assert np.linalg.norm(proxies - (0.0, 0.06, 0.0), axis=1).min() >= (R + 0.02) * (1.0 - 1e-9)
+    assert len(np.unique(mesh["contact.object"][mesh["contact.mode"] > 0])) >= 2
+    # A facet of the ball is 2.5 mm long, and below its sphere by 25 um: 25 mN; the way round an edge takes ticks.
+    apart = np.linalg.norm(mesh["force"] - solid["force"], axis=1)
+    assert np.median(apart) < 0.03
+
+
+def test_a_bumpy_mesh_that_moves_is_met_in_its_own_frame(tmp_path):
+    """A turntable turns a bumpy ball under the finger: outside of it wherever it is."""
+    bumpy = meshes.bumpy_sphere(24, 0.05, height=0.03)
+    file, rate, ticks = saved(tmp_path, *bumpy), 0.8, 2000
+    turns = thing("part", "mesh", file=file, motion={"kind": "turntable", "rate_rad_per_s": rate})
+    angle = rate * 1e-3 * np.arange(1, ticks + 1)  # the world is advanced before the fingers
+    still = np.tile((0.06, 0.01, 0.005), (ticks, 1))
+    still[:, 0] += 0.03 * np.maximum(1.0 - np.arange(ticks) / 200.0, 0.0)
+    records = go(engine(turns), still)
+    cos, sin, proxy = np.cos(angle), np.sin(angle), records["proxy.position"]
+    seen = np.stack([cos * proxy[:, 0] + sin * proxy[:, 1], cos * proxy[:, 1] - sin * proxy[:, 0], proxy[:, 2]], axis=1)
+    assert (records["contact.mode"] > 0).mean() > 0.7
+    assert brute_distances(balls_of(*bumpy), seen).min() >= OUTSIDE
+    assert np.isfinite(np.asarray(records)).all()
+
+
+def test_an_ellipsoid_is_refused_by_name(tmp_path):
+    """A fingertip that is no ball has no closed form on a triangle: one line says so, and what to do."""
+    part = thing("part", "mesh", file=saved(tmp_path, *meshes.geodesic(4, 0.05)))
+    with pytest.raises(ConfigError, match="ellipsoid") as refused:
+        engine(part, fingertip={"radii_m": [0.01, 0.008, 0.006]})
+    assert "\n" not in str(refused.value) and "mesh" in str(refused.value)
