@@ -77,8 +77,8 @@ def middle_of(mesh: Triangles, node: int, lane: int) -> Vec3:
 
 
 class Guess(NamedTuple):
-    """A triangle that may be the nearest, -1 where none is below a limit, the square of its distance, m^2, and what was
-    asked for it."""
+    """A triangle that may be the nearest, -1 where the way to it led to none below a limit, the square of its distance,
+    m^2, and what was asked for it."""
 
     number: int
     square: float
@@ -98,7 +98,7 @@ def way_down(whole: Mesh, near: Vec3, x: Vec3, limit: float, bounds: Any, waitin
     while True:
         spent += 1
         many = sift(mesh.nodes, node, point, upward(limit), bounds, waiting, 0)
-        if many == 0 and node == 0:
+        if many == 0:
             return Guess(-1, limit, spent)
         lane, closest = 0, 1e300
         for i in range(many):
@@ -144,7 +144,7 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Fou
     if guess < 0:
         guess, apart, asked = way_down(whole, near, x, square, bounds, waiting)
         spent += asked
-        if guess < 0:
+        if guess < 0 and asked == 1:
             return Found(-1, square, square, spent)
         if apart < square:
             number, square = guess, apart
@@ -166,6 +166,8 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int) -> Fou
                 lowest = bounds[place]
                 for i in range(at + 1, end):
                     lowest = min(lowest, bounds[int(waiting[i])])
+                if guess < 0:
+                    guess, _, _ = way_down(whole, near, x, 1e300, bounds, waiting)
                 return Found(guess if number < 0 else number, square, min(square, float(lowest)), spent + end)
             else:
                 firsts[nodes] = mesh.first[first + lane]
