@@ -17,7 +17,7 @@ from softfinger.server.cli import to_stderr
 from softfinger.server.progress import counter, progress
 logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[to_stderr()])
 with progress("outer work [1]", 10) as done:
-    time.sleep(0.8)
+    time.sleep(2.0)
     for number in range(10):
         with progress("inner"):
             logging.info("log %d %s", number, "x" * 90)
@@ -32,6 +32,7 @@ print("result")
 """
 
 
+@pytest.mark.real_time  # what a reader that is held up gets in one piece with its end was never on the screen
 @pytest.mark.parametrize("columns", [80, 40, 132])
 def test_log_and_progress_never_share_a_line(columns: int) -> None:
     """After every piece of output, each line of the screen is a log's or the progress line; at the end there is none,
