@@ -66,6 +66,21 @@ def test_failed_where_it_kept_time(pytester: pytest.Pytester) -> None:
     run(pytester, 0.001).assert_outcomes(failed=1)
 
 
+def test_no_garbage_is_looked_for_meanwhile(pytester: pytest.Pytester) -> None:
+    """While a test that keeps real time runs, and in no other."""
+    test = """
+        import gc, pytest
+
+        @pytest.mark.real_time
+        def test_one():
+            assert not gc.isenabled()
+
+        def test_other():
+            assert gc.isenabled()
+    """
+    run(pytester, 0.001, test).assert_outcomes(passed=2)
+
+
 def test_sleeper_tells_a_stall() -> None:
     """A program that is stopped for 50 ms oversleeps by as much."""
     sleeper = Sleeper()

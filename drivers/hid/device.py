@@ -146,13 +146,18 @@ class HidDevice(Device):
             return
         until = time.monotonic() + PRESET_WAIT_S
         self._send_preset(preset, wanted)
-        while np.max(np.abs(self._read_counts() - wanted)) > PRESET_NEAR:
+        while np.max(np.abs(seen - wanted)) > PRESET_NEAR:
             if time.monotonic() > until:
                 raise DeviceError(
                     f"{self.info.name} did not take the calibration: encoders a, b, c show "
-                    f"{self._read_counts().tolist()} and not {wanted.tolist()}: hold the arm still in its calibration "
+                    f"{seen.tolist()} and not {wanted.tolist()}: hold the arm still in its calibration "
                     "pose, or set calibrate = false and press the calibration button"
                 )
+            try:
+                seen = self._read_counts()
+            except DeviceTimeout:  # a board may be silent while it stores its counts
+                if time.monotonic() > until:
+                    raise
 
     def _send_preset(self, report: OutputReport, counts: NDArray[np.float64]) -> None:
         data = _encoded(report, {reports.PRESET + k: float(counts[k]) for k in range(3)})

@@ -390,6 +390,27 @@ def test_calibration_at_opening(rig: str) -> None:
             assert arm.zero == (0, 0, 0)  # the device has taken the counts and keeps them
 
 
+def test_calibration_of_a_board_that_pauses() -> None:
+    """One that is silent for longer than a device may be in a loop, while it stores the counts, is waited for."""
+    options = rig_options("woodenhaptics-polhem-v1", calibrate=True)
+    itself = Arm(RIGS["woodenhaptics-polhem-v1"])
+    resting = itself.position(itself.angles_at(itself.calibration))
+    arm = Woody(RIGS["woodenhaptics-polhem-v1"], 2, lambda _: resting)
+    arm.zero = (321, -123, 77)
+    stored: list[float] = []
+
+    def answer(data: bytes) -> bytes | None:
+        said = arm.answer(data)
+        if arm.zero == (0, 0, 0) and not stored:
+            stored.append(time.monotonic() + 3.0 * options.timeout_s)
+        return None if stored and time.monotonic() < stored[0] else said
+
+    fd, end = ends()
+    with Answering(end, answer), HidDevice(options, fd) as device:
+        assert time.monotonic() >= stored[0]
+        np.testing.assert_allclose(Servo(device).read()[1][:3], resting, atol=COUNT_M)
+
+
 def test_calibration_that_is_not_taken_is_refused() -> None:
     """A board without the command, or without any answer, is told apart at opening."""
     options = rig_options("woodenhaptics-2019", calibrate=True)
