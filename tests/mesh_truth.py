@@ -69,7 +69,7 @@ def ask(like: Any, values: Array, points: Array, budget: int, found: Array) -> N
     asked for it."""
     mesh = unpack(like, values)
     for i in range(len(points)):
-        near = nearest(mesh, (points[i, 0], points[i, 1], points[i, 2]), 1e300, NO_TRIANGLE, budget)
+        near = nearest(mesh, (points[i, 0], points[i, 1], points[i, 2]), 1e300, NO_TRIANGLE, budget, 0.0)
         found[i, 0], found[i, 1], found[i, 2] = near.square**0.5, near.bound**0.5, near.spent
 
 

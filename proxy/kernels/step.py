@@ -14,6 +14,7 @@ from softfinger.proxy.kernels.contact.constraints import (
     INSIDE,
     NONE,
     Constraints,
+    drawn_after,
     held_by,
     one_constraint,
     settle_among_several,
@@ -235,12 +236,13 @@ def on_the_only_object(
 
 
 @jit
-def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3) -> Vec3:
-    """The proxy (3,) m that friction keeps `way` (3,) m beside `center`: on what is nearest there, outside of all."""
+def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, left: int) -> Vec3:
+    """The proxy (3,) m that friction keeps `way` (3,) m beside `center`: on what is nearest there, outside of all; with
+    what is `left` of the budget."""
     if way == (0.0, 0.0, 0.0):
         return center
     there = vec3.add(center, way)
-    gap, at, _ = deepest(objects, there, radius, known)
+    gap, at, left = deepest(objects, there, radius, known, left)
     if any_faceted(objects):
         if gap >= radius:  # beside a convex edge it is a little above the surface
             return there
@@ -248,7 +250,7 @@ def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3) ->
             return center
     _, point, normal = closest_to(objects, at, there)
     there = vec3.add_scaled(point, radius, normal)
-    gap, _, _ = deepest(objects, there, radius, known)
+    gap, _, _ = deepest(objects, there, radius, known, left)
     return there if gap >= radius * (1.0 - INSIDE) else center
 
 
@@ -268,7 +270,7 @@ def among_several_objects(
     if active.first < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt)
 
-    center, active, bounded = settle_among_several(objects, radius, position, start, center, active)
+    center, active, late, left = settle_among_several(objects, radius, position, start, center, active)
     last = carried_patches(objects, state.patches)
     held = hand_on(objects, last, active)
     way = aside(last, held)
@@ -296,9 +298,11 @@ def among_several_objects(
     lag = vec3.scale(one.after.share, one.after.deflection)
     lag = vec3.add_scaled(lag, two.after.share, two.after.deflection)
     lag = vec3.add_scaled(lag, three.after.share, three.after.deflection)
-    shown = beside(objects, radius, center, tangent_to_all(active, lag), held_by(active))
+    shown = beside(objects, radius, center, tangent_to_all(active, lag), held_by(active), left)
     against = velocity_against(carry(objects, active.first), probe.velocity, state.probe.position, dt)
     extra, states = all_effects(scene, radius, objects, state, active, probe, against, dt)
+    if late and any_faceted(objects):
+        extra = vec3.add(extra, drawn_after(objects, active, vec3.sub(center, position)))
     cause = one.cause
     if cause == CAUSE_NONE and touches:
         cause = float(CAUSE_TOUCH)
@@ -311,6 +315,7 @@ def among_several_objects(
         rolled=rolled,
         effects=states,
     )
+    unsearched = 1.0 if late and left < 0 else 0.0
     to_fingertip = rotations.conjugate(probe.orientation)
     inward = rotations.rotate(to_fingertip, normal)
     contact = Contact(
@@ -338,7 +343,7 @@ def among_several_objects(
             outcome_of(objects, two, finger, probe.orientation, shown),
             outcome_of(objects, three, finger, probe.orientation, shown),
         ),
-        budget=bounded,
+        budget=unsearched,
     )
     return after, contact
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from helpers import meshes
 from helpers.meshes import Mesh
+
+Array = NDArray[np.float64]
 
 
 def bar(x: float, y: float, z: float) -> Mesh:
@@ -91,6 +94,12 @@ missing, alone; close walls, and sizes and places at the ends of what is allowed
 def fan(count: int = 20_000) -> Mesh:
     """A disc whose flat sides are needles that all meet in one vertex, so that all of them are near anywhere."""
     return meshes.cylinder(0.05, 1e-3, count, 1)
+
+
+def directions(seed: int, count: int) -> Array:
+    """Unit vectors (count, 3) every way."""
+    some = np.random.default_rng(seed).normal(size=(count, 3))
+    return np.asarray(some / np.linalg.norm(some, axis=1, keepdims=True))
 
 
 def socket(radius: float, frequency: int = 60) -> Mesh:

@@ -79,7 +79,7 @@ def test_what_is_mended_is_felt_as_the_whole(tmp_path):
 @pytest.mark.parametrize("room", [1e-6, 0.01, 0.3])
 def test_the_middle_of_a_socket(tmp_path, room):
     """Of a hollow ball by a share `room` wider than the fingertip, which begins in its centre: outside, whatever the
-    hand does, and pushed back no harder than by the depth."""
+    hand does, held whenever the hand is beyond the wall, and pushed back no harder than by the depth."""
     made = hostile_meshes.socket(R * (1.0 + room))
     smooth, rough = smooth_and_rough(tmp_path, made, inside=True)
     way = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])
@@ -91,6 +91,20 @@ def test_the_middle_of_a_socket(tmp_path, room):
         assert np.isfinite(np.asarray(records)).all()
         assert is_outside(made, records)
         assert (records["contact.normal_force"] <= STIFFNESS * (depth + 1e-9)).all()
+        held = records["contact.mode"] > 0
+        assert held[np.linalg.norm(ways, axis=1) > 1.001 * room * R].all()
+
+
+@pytest.mark.parametrize("room", [0.1, 0.3])
+def test_a_fingertip_in_a_socket_goes_where_the_hand_is(tmp_path, room):
+    """Without friction the proxy comes to the side of the hand, whichever it was on, though all are about as near."""
+    smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
+    for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 10)]):
+        reach = R * (room + 0.2)
+        records = go(smooth, np.repeat(reach * side[None], 300, axis=0))
+        # It rests on a facet, whose tangent is a facet's angle off, or in an edge between two.
+        assert records["proxy.position"][-1] @ side > 0.99 * room * R
+        assert not records["contact.budget"][-1]
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e300, 2000.0])

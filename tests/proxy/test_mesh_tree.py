@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.triangles import distances
 
-from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE
+from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE, SPENT, nearest_facet
 from softfinger.proxy.kernels.geometry.mesh.lanes import FIELDS, LANES, ROOM
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, MANY, SLOPE, nearest
 from softfinger.proxy.kernels.geometry.mesh.triangle import closest_on_triangle
 from softfinger.proxy.kernels.model import Mesh, Triangles
 from softfinger.proxy.kernels.native.arrays import ReadOnly
@@ -62,7 +62,7 @@ def test_distance_is_that_of_the_nearest_of_all(name):
     points = np.concatenate([middle + size * rng.normal(size=(60, 3)), on + 0.02 * size * rng.normal(size=(60, 3)), on])
     for x in points:
         expected = distances(np.asarray(vertices), np.asarray(triangles), x).min()
-        found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE)
+        found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
         assert abs(np.sqrt(found.square) - expected) <= EQUAL * size
         assert found.bound == found.square
         gap, point, normal = closest_on_triangle(mesh, float(found.number), tuple(x.tolist()))
@@ -80,7 +80,7 @@ def test_any_triangles_at_any_size(seed, count, exponent, away):
     tree = build_tree(vertices, triangles)
     mesh = mesh_of(tree)
     x = away * size * rng.normal(size=3)
-    found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE)
+    found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
     # Far away it is one of the nearest to 1e-6 of the mesh's size, which is all that float32 tells there.
     slack = EQUAL * (tree.size + np.linalg.norm(x)) + 1e-6 * tree.size * (away > 100.0)
     assert abs(np.sqrt(found.square) - distances(vertices, triangles, x).min()) <= slack
@@ -104,7 +104,7 @@ def test_inside_is_told_by_every_feature():
             u, v, t = np.array(pierced).T
             reach = t[(u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12) & (t > 0.0)].max()
             x = tuple((reach * rng.choice([0.3, 0.9, 0.999, 1.001, 1.1, 3.0]) * direction).tolist())
-            number = float(nearest(outward, x, 1e300, NO_TRIANGLE, WHOLE).number)
+            number = float(nearest(outward, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).number)
             gap = closest_on_triangle(outward, number, x)[0]
             assert (gap > 0.0) == (np.linalg.norm(x) > reach)
             assert closest_on_triangle(inward, number, x)[0] == -gap
@@ -127,17 +127,17 @@ def test_a_limit_and_known_triangles_change_no_answer():
     for _ in range(200):
         x = rng.normal(size=3)
         x = tuple((0.06 * x / np.linalg.norm(x)).tolist())
-        found = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE)
+        found = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0)
         distance = np.sqrt(found.square)
-        assert nearest(mesh, x, distance * (1.0 - 1e-9), NO_TRIANGLE, WHOLE).number == -1
-        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE).square == pytest.approx(found.square)
+        assert nearest(mesh, x, distance * (1.0 - 1e-9), NO_TRIANGLE, WHOLE, 0.0).number == -1
+        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE, 0.0).square == pytest.approx(found.square)
         for known in (float(found.number), float(rng.integers(0, len(tree.corners)))):
-            other = nearest(mesh, x, 1e300, (known, -1.0, -1.0), WHOLE)
+            other = nearest(mesh, x, 1e300, (known, -1.0, -1.0), WHOLE, 0.0)
             assert other.square == pytest.approx(found.square, rel=1e-9)
     corner = tree.vertices[0] * 1.2
     around = np.flatnonzero((tree.corners == 0).any(axis=1))
     for known in around:  # five or six are equally near
-        assert nearest(mesh, tuple(corner.tolist()), 1.0, (float(known), -1.0, -1.0), WHOLE).number == known
+        assert nearest(mesh, tuple(corner.tolist()), 1.0, (float(known), -1.0, -1.0), WHOLE, 0.0).number == known
 
 
 def test_a_budget_that_is_used_up_leaves_a_true_bound():
@@ -147,10 +147,43 @@ def test_a_budget_that_is_used_up_leaves_a_true_bound():
     mesh = mesh_of(build_tree(vertices, triangles))
     x = (1e-7, 2e-7, -1e-7)
     true = distances(vertices, triangles, np.array(x)).min()
-    found = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET)
+    found = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
     assert found.spent <= BUDGET + 8 and found.bound < found.square
     assert 0.0 < np.sqrt(found.bound) <= true <= np.sqrt(found.square) + 1e-15
-    assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE).spent > 4 * BUDGET
+    assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).spent > 1.5 * BUDGET
+
+
+def test_where_many_are_about_as_near_one_that_is_near_enough_will_do():
+    """A little beside the middle of a ball: asked for any within reach, it says one, sooner; where none is that near
+    the answer is the same as ever."""
+    vertices, triangles = meshes.geodesic(60, 0.05)
+    tree = build_tree(vertices, triangles)
+    mesh, x = mesh_of(tree), (1.2e-3, 0.7e-3, -0.9e-3)
+    true = distances(vertices, triangles, np.array(x)).min()
+    nearest_of_all = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0)
+    assert np.sqrt(nearest_of_all.square) == pytest.approx(true, rel=1e-12)
+    some = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.05)
+    assert some.bound == some.square < 0.05**2 and some.spent < 0.7 * nearest_of_all.spent
+    apart = distances(tree.vertices, tree.corners[[some.number]], np.array(x))
+    assert np.sqrt(some.square) == pytest.approx(float(apart.min()), rel=1e-12)
+    assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, true * (1.0 - 1e-9)) == nearest_of_all
+
+
+def test_all_that_a_tick_asks_comes_out_of_one_budget():
+    """What is left goes down by what was asked; used up it stays used up, and says so though an answer was easy."""
+    mesh = mesh_of(build_tree(*meshes.geodesic(40, 0.05)))
+    hard, easy, left, asked = (1e-3, 0.0, 0.0), (0.06, 0.0, 0.0), BUDGET, 0
+    for _ in range(100):
+        before = left
+        _, _, left = nearest_facet(mesh, hard, 1e300, NO_TRIANGLE, left, 0.0)
+        if left == SPENT:
+            break
+        spent = nearest(mesh, hard, 1e300, NO_TRIANGLE, before, 0.0).spent
+        assert left == max(before - spent, 0)
+        asked += spent
+    assert left == SPENT and 0 < asked < BUDGET + MANY + 3 * SLOPE
+    assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, BUDGET, 0.0)[2] > 0
+    assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, left, 0.0)[2] == SPENT
 
 
 def test_the_tree_holds_each_triangle_once():

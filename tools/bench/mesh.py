@@ -157,7 +157,7 @@ def ask(like: Any, values: Array, points: Array, found: Array) -> None:
     triangles = mesh.row[0]
     for i in range(len(points)):
         x = (points[i, 0], points[i, 1], points[i, 2])
-        near = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET)
+        near = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
         found[i, 0], found[i, 1], found[i, 2] = near.square, near.spent, 1e300
         if i < CHECKED:
             for k in range(int(triangles.number)):

@@ -26,6 +26,7 @@ from softfinger.proxy.kernels.geometry.bodies import (
     swings_on,
     transport_on,
 )
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import (
     NO_PATCH,
@@ -94,9 +95,17 @@ def rest_where_it_met(
 
 
 @jit
-def is_outside(objects: Any, radius: float, position: Vec3) -> bool:
-    """Whether the fingertip at `position` touches nothing, but for rounding."""
-    gap, _, _ = deepest(objects, position, radius, NOBODY)
+def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget: int) -> bool:
+    """Whether the fingertip at `position` touches nothing, but for rounding, on the side where it was at `start`.
+
+    Facets have no other side that a gap would tell: between two places that are outside of them, only a way below two
+    radii leads through none.
+    """
+    if any_faceted(objects):
+        way = vec3.sub(position, start)
+        if vec3.dot(way, way) >= (2.0 * radius) ** 2:
+            return False
+    gap, _, _ = deepest(objects, position, radius, NOBODY, budget)
     return gap >= radius * (1.0 - INSIDE)
 
 
@@ -108,17 +117,17 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
     pose of all has no way: it is in contact where it stands inside.
     """
     radius = finger.radius
-    start = position
+    start, left = position, BUDGET // 2
     if state.started == 0.0:
-        gap, index, bounded = deepest(objects, position, EVERYWHERE, NOBODY)
-        if bounded != 0.0 and index >= 0.0:  # of a mesh that was not searched to the end: what was found so far
+        gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
+        if left < 0 and index >= 0.0:  # of a mesh that was not searched to the end: what was found so far
             gap, _, _ = closest_to(objects, index, position)
         met = position
         if gap >= radius:
             index = NONE
     else:
         start = state.center
-        index, met = first_hit(objects, start, position, radius, False, NOBODY)
+        index, met, left = first_hit(objects, start, position, radius, False, NOBODY, left)
     active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position
     if index >= 0.0:
         _, point, normal = closest_to(objects, index, met)
@@ -127,7 +136,8 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
             center = met  # other facets are as near: on this one it might be inside of those
         push = Push(max(vec3.dot(vec3.sub(center, position), normal), 0.0), 0.0, 0.0)
         active = Constraints(first=index, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
-        if state.mode != FREE and push.first <= INSIDE * radius and is_outside(objects, radius, position):
+        ended = state.mode != FREE and push.first <= INSIDE * radius
+        if ended and is_outside(objects, radius, state.center, position, left):
             active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position  # what has just ended, rounded
         else:
             center = rest_of(state.patches, objects, radius, position, center, active)

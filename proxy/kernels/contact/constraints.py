@@ -21,6 +21,7 @@ from softfinger.proxy.kernels.geometry.bodies import (
 )
 from softfinger.proxy.kernels.geometry.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.surfaces import is_hollow, rest_on
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import Heightmap, Plane, Vec3
@@ -39,8 +40,12 @@ INSIDE = 1e-10
 """Depth, as a share of the fingertip's radius, that counts as inside an object and not as rounding."""
 FLAT = 1e-4
 """Volume spanned by three unit normals below which they lie in a plane, and may close in from all sides of it."""
-ATTEMPTS, ATTEMPTS_ON_FACETS = 4, 8
+ATTEMPTS, ATTEMPTS_ON_FACETS = 4, 16
 """Times that something found in the way is added to what holds the proxy, before it stays where it was for a tick."""
+SOON, NEARLY = 3, 1e-4
+"""Attempts after which, or after a quarter of the budget, and depth, as a share of the fingertip's radius, below which
+a proxy among more than three facets that are about as near is lifted off those that hold it: of the others each would
+be in the way in turn."""
 EDGES = 3
 """Edges that a fingertip goes over in a tick before all of the mesh is asked."""
 NONE = -1.0
@@ -64,12 +69,13 @@ class Constraints(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """Where the proxy (3,) m comes to rest, what holds it there, and 1 if it stays where it was since the budget of a
-    mesh was used up before anything better was known to be outside."""
+    """Where the proxy (3,) m comes to rest and what holds it there; if it is `late`, a place on the way, or where it
+    was since nothing better was found to be outside. And what is left of the budget, below 0 where it was used up."""
 
     center: Vec3
     active: Constraints
-    bounded: float
+    late: bool
+    left: int
 
 
 @jit
@@ -173,31 +179,36 @@ def settle_among_several(
 
     Over facets it goes no farther in a tick than a fingertip can go without crossing what is thin. A probe that asks
     for more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
+    So is one that finds no rest.
     """
     if not any_faceted(objects):
-        return settle_for(objects, radius, probe, start, center, active)
-    rest, whole = Rest(center, active, 0.0), probe
+        return settle_for(objects, radius, probe, start, center, active, BUDGET)
+    rest, whole = Rest(center, active, False, BUDGET), probe
     for _ in range(2):
-        rest = settle_for(objects, radius, whole, start, center, active)
+        rest = settle_for(objects, radius, whole, start, center, active, rest.left)
         way, deep = vec3.sub(rest.center, center), vec3.sub(probe, center)
-        if vec3.dot(way, way) <= (STRIDE * radius) ** 2:
+        if vec3.dot(way, way) > (STRIDE * radius) ** 2:  # it may be on the other side of something
+            rest = Rest(center, active, True, rest.left)
+        if not rest.late or rest.left < 0:
             break
-        whole = vec3.add_scaled(center, 0.5 * STRIDE * radius / vec3.norm(deep), deep)
-    if whole != probe:
-        _, held = relax(objects, radius, probe, rest.center, rest.active, 1)
-        rest = Rest(rest.center, held, rest.bounded)
-    return rest
+        whole = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(deep), 0.5), deep)
+    if whole == probe and not rest.late:
+        return rest
+    _, held = relax(objects, radius, probe, rest.center, rest.active, 1)
+    return Rest(rest.center, held, True, rest.left)
 
 
 @jit
-def settle_for(objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints) -> Rest:
-    """`settle_among_several` in one step."""
+def settle_for(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
+) -> Rest:
+    """`settle_among_several` in one step, with what is `left` of the budget."""
     faceted = any_faceted(objects)
     rounds = SLIDING_ROUNDS if faceted else ROUNDS
     before, active_before = center, active
     goal = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
     for _ in range(4):
-        hit, stop = first_hit(objects, start, goal, radius, True, held_by(active))
+        hit, stop, left = first_hit(objects, start, goal, radius, True, held_by(active), left)
         if hit < 0.0:
             break
         _, point, normal = closest_to(objects, hit, stop)
@@ -210,31 +221,35 @@ def settle_for(objects: Any, radius: float, probe: Vec3, start: Vec3, center: Ve
     center = goal
     if not faceted:
         # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
-        gap, at, _ = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active))
+        gap, at, left = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active), left)
         active = with_touched(objects, radius, goal, active, gap, at)
-    found, bounded = False, 0.0
+    found, lift = False, 0.0
     for attempt in range(ATTEMPTS_ON_FACETS if faceted else ATTEMPTS):
-        center, active = relax(objects, radius, probe, center, active, rounds)
+        center, active = relax(objects, radius + lift, probe, center, active, rounds)
         if faceted and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
-        gap, at, bounded = deepest(objects, center, radius, held_by(active))
+        gap, at, left = deepest(objects, center, radius, held_by(active), left)
         if gap >= radius * (1.0 - INSIDE):
             found = True
             break
-        if bounded != 0.0:
+        if left < 0:
             break
+        if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * BUDGET):
+            lift = 2.0 * (radius - gap)
         if at != active.first and at != active.second and at != active.third:
             if active.second >= 0.0 and active.third >= 0.0:
                 active = without_weakest(active)
             _, _, normal = closest_to(objects, at, center)
             active = with_another(active, at, normal)
+    late = not found
     if not found:
         # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
-        gap, _, unknown = deepest(objects, before, radius, held_by(active_before))
-        if gap >= radius * (1.0 - INSIDE) or bounded + unknown > 0.0 or not leaves_no_room(active):
+        gap, _, left = deepest(objects, before, radius, held_by(active_before), left)
+        late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
+        if late:
             center = before
             _, active = relax(objects, radius, probe, before, active_before, 1)
-    return Rest(center, strongest_first(objects, active), 0.0 if found else bounded)
+    return Rest(center, strongest_first(objects, active), late, left)
 
 
 @jit
@@ -373,6 +388,21 @@ def loads_of(objects: Any, active: Constraints) -> Vec3:
     if active.third >= 0.0:
         three = spring(material_of(objects, active.third).normal, active.push.third)
     return one, two, three
+
+
+@jit
+def drawn_after(objects: Any, active: Constraints, behind: Vec3) -> Vec3:
+    """Force (3,) N beside what the constraints bear, on a probe whose proxy is late and `behind` (3,) m away from it.
+
+    Planes that hold the proxy change as it goes its way round; its distance from the probe does not jump, and so does
+    the force of a spring between the two.
+    """
+    distance, (one, two, three) = vec3.norm(behind), loads_of(objects, active)
+    pull = 0.0
+    if distance > 0.0:
+        pull = spring(material_of(objects, active.first).normal, distance) / distance
+    borne = displacement(Push(one, two, three), active.n1, active.n2, active.n3)
+    return vec3.sub(vec3.scale(pull, behind), borne)
 
 
 @jit

@@ -24,6 +24,9 @@ from softfinger.proxy.kernels.native.rows import Rows
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
 """Places of no objects."""
 EVERYWHERE = 1e300
+ENOUGH = 1.0 - 1e-6
+"""Share of the gap that is asked about, below which a triangle of a mesh need not be the very nearest: it is in the
+way, and not by a rounding error."""
 SWING = 0.2
 """Turn of the contact round a hollow in a tick, rad, past which it slides: no hand follows it thirty times a second."""
 
@@ -222,12 +225,12 @@ def beside_on(objects: Any, index: float, x: Vec3) -> float:
 
 
 class Deepest(NamedTuple):
-    """The object nearest to a point: the gap (m), its place, -1 for none, and 1 where the gap is only a bound below
-    which nothing is, since the budget of a mesh was used up."""
+    """The object nearest to a point: the gap (m), its place, -1 for none, and what is left of the budget; below 0 it
+    was used up on a mesh, and the gap may be only a bound below which nothing is."""
 
     gap: float
     place: float
-    bounded: float
+    left: int
 
 
 @by_type
@@ -269,57 +272,59 @@ def faceted_rows(entry: Any) -> float:
 
 
 @by_type
-def nearest_in(entry: Any, x: Vec3, within: float, at: float, known: Vec3) -> Any:
+def nearest_in(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Any:
     """`deepest` among the objects of an entry that begins with the place `at`, as numbers in it."""
 
 
 @nearest_in.otherwise
-def nearest_of_object(entry: Any, x: Vec3, within: float, at: float, known: Vec3) -> Deepest:
-    return nearest_of_shape(entry.shape, into(entry.pose, x), within, at, known)
+def nearest_of_object(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
+    return nearest_of_shape(entry.shape, into(entry.pose, x), within, at, known, budget)
 
 
 @by_type
-def nearest_of_shape(shape: Any, x: Vec3, within: float, at: float, known: Vec3) -> Any:
+def nearest_of_shape(shape: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Any:
     """The same of a shape, in its frame."""
 
 
 @nearest_of_shape.otherwise
-def gap_of_it(shape: Any, x: Vec3, within: float, at: float, known: Vec3) -> Deepest:
+def gap_of_it(shape: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
     gap, _, _ = closest(shape, x)
-    return Deepest(gap, 0.0, 0.0)
+    return Deepest(gap, 0.0, budget)
 
 
 @nearest_of_shape.of(Mesh)
-def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, at: float, known: Vec3) -> Deepest:
-    gap, number, bounded = nearest_facet(shape, x, within, (known[0] - at, known[1] - at, known[2] - at))
-    return Deepest(gap, number, bounded)
+def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
+    enough = ENOUGH * within if within < EVERYWHERE else 0.0
+    known = (known[0] - at, known[1] - at, known[2] - at)
+    gap, number, left = nearest_facet(shape, x, within, known, budget, enough)
+    return Deepest(gap, number, left)
 
 
 @nearest_in.of(Rows)
-def smallest_gap_in_rows(entry: Any, x: Vec3, within: float, at: float, known: Vec3) -> Deepest:
+def smallest_gap_in_rows(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
     smallest, number = 1e300, 0.0
     for i in range(len(entry)):
         body = entry[i]
         gap, _, _ = closest(body.shape, into(body.pose, x))
         if gap < smallest:
             smallest, number = gap, float(i)
-    return Deepest(smallest, number, 0.0)
+    return Deepest(smallest, number, budget)
 
 
 @jit
-def deepest(objects: Any, x: Vec3, within: float, known: Vec3) -> Deepest:
+def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     """Smallest gap of `x` (3,) m over all objects.
 
     within        m  gaps beyond it may be left out; of no object, then, is the gap 1e300
     known   (3,)     places of up to three objects, -1 for none, to which no equally near triangle of their mesh is
                      preferred
+    budget           nodes and triangles of meshes that may be asked
     """
-    smallest, index, bounded = 1e300, -1.0, 0.0
+    smallest, index = 1e300, -1.0
     at = 0.0
     for entry in literal_unroll(objects):
-        gap, number, bound = nearest_in(entry, x, within, at, known)
+        gap, number, budget = nearest_in(entry, x, within, at, known, budget)
         if gap < smallest:
             smallest, index = gap, at + number
-        bounded = max(bounded, bound)
         at += places(entry)
-    return Deepest(smallest, index, bounded)
+    return Deepest(smallest, index, budget)

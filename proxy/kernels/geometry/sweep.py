@@ -52,65 +52,73 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
 
 
 @by_type
-def first_in(entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any) -> Any:
+def first_in(entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int) -> Any:
     """What of an entry that begins with the place `at` is met first: see `first_hit`.
 
-    returns  the share of the way at which it is met, its place, and where (3,) m its way begins
+    returns  the share of the way at which it is met, its place, where (3,) m its way begins, what is left of the budget
     """
 
 
 @first_in.otherwise
 def meets_it(
-    entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any
-) -> tuple[float, float, Vec3]:
+    entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
+) -> tuple[float, float, Vec3, int]:
     met, begin = NO_HIT, start
     if at != skip[0] and at != skip[1] and at != skip[2]:
         begin = ridden(entry.was, entry.pose, start)
-        met, number = meets(entry.shape, into(entry.pose, begin), into(entry.pose, end), radius, leaves)
-    return met, at + number, begin
+        met, number, budget = meets(entry.shape, into(entry.pose, begin), into(entry.pose, end), radius, leaves, budget)
+    return met, at + number, begin, budget
 
 
 @by_type
-def meets(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> Any:
-    """`travel`, and the number of what is met on the shape."""
+def meets(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int) -> Any:
+    """`travel`, the number of what is met on the shape, and what is left of the budget."""
 
 
 @meets.otherwise
-def meets_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> tuple[float, float]:
-    return travel(shape, start, end, radius, leaves), 0.0
+def meets_shape(
+    shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+) -> tuple[float, float, int]:
+    return travel(shape, start, end, radius, leaves), 0.0, budget
 
 
 @meets.of(Mesh)
-def meets_facet(shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool) -> tuple[float, float]:
-    return travel_to_facet(shape, start, end, radius, leaves)
+def meets_facet(
+    shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+) -> tuple[float, float, int]:
+    return travel_to_facet(shape, start, end, radius, leaves, budget)
 
 
 @first_in.of(Rows)
 def first_in_rows(
-    entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any
-) -> tuple[float, float, Vec3]:
+    entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
+) -> tuple[float, float, Vec3, int]:
     share, index = NO_HIT, at
     for i in range(len(entry)):
-        met, place, _ = meets_it(entry[i], at + i, start, end, radius, leaves, skip)
+        met, place, _, budget = meets_it(entry[i], at + i, start, end, radius, leaves, skip, budget)
         if met < share:
             share, index = met, place
-    return share, index, start  # what stands in rows does not move
+    return share, index, start, budget  # what stands in rows does not move
 
 
 @jit
-def first_hit(objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any) -> tuple[float, Vec3]:
-    """Place of the first object met, -1 for none, and where (3,) m its surface and the fingertip meet.
+def first_hit(
+    objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
+) -> tuple[float, Vec3, int]:
+    """Place of the first object met, -1 for none, where (3,) m its surface and the fingertip meet, and what is left of
+    the budget; where that is used up on a mesh it counts as met.
 
     start   (3,) m  where the way begins, at the last tick: an object that has moved since has taken it along
     end     (3,) m  where the way ends now
     leaves          see `travel`
     skip            places of up to three objects that are not asked
+    budget          nodes and triangles of meshes that may be asked
     """
     share, index, where = NO_HIT, -1.0, end
     at = 0.0
     for entry in literal_unroll(objects):
-        met, place, begin = first_in(entry, at, start, end, radius, leaves, skip)
+        met, place, begin, budget = first_in(entry, at, start, end, radius, leaves, skip, budget)
         if met < share:
             share, index, where = met, place, vec3.add_scaled(begin, met, vec3.sub(end, begin))
         at += places(entry)
-    return index, where
+    return index, where, budget

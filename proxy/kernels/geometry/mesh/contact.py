@@ -27,73 +27,83 @@ STRIDES = 16
 LOOKS = 6
 """On the last stretch of a first touch."""
 ANYWHERE = 1e300
+SPENT = -1
+"""What is left of a budget that was used up."""
 
 
 @jit
-def nearest_facet(mesh: Mesh, x: Vec3, within: float, known: Vec3) -> tuple[float, float, float]:
+def nearest_facet(
+    mesh: Mesh, x: Vec3, within: float, known: Vec3, budget: int, enough: float
+) -> tuple[float, float, int]:
     """Distance (m) of `x` (3,) m from the mesh if it is smaller than `within`, else 1e300; the number of the nearest
-    triangle, -1 for none, and 1 if the distance is only a bound and the triangle the nearest known.
+    triangle, -1 for none, and what is left of the budget. Below 0 that was used up, now or before: then the distance
+    may be only a bound, below which nothing is, and the triangle the nearest known.
 
     It is signed where all distances count: at the first pose, which may be inside. From there on no centre crosses it.
     """
-    found = nearest(mesh, x, within, known, BUDGET)
+    found = nearest(mesh, x, within, known, max(budget, 0), enough)
     if found.bound < found.square:
-        return sqrt(found.bound), float(found.number), 1.0
+        return sqrt(found.bound), float(found.number), SPENT
+    left = SPENT if budget < 0 else max(budget - found.spent, 0)
     if found.number < 0:
-        return 1e300, -1.0, 0.0
+        return 1e300, -1.0, left
     gap = sqrt(found.square)
     if within >= ANYWHERE:
         gap, _, _ = closest_on_triangle(mesh, float(found.number), x)
-    return gap, float(found.number), 0.0
+    return gap, float(found.number), left
 
 
 @jit
-def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float) -> float:
+def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float, budget: int) -> tuple[float, int]:
     """Share of a way, which ends inside, that a fingertip can go and be outside still: as far as the clearance each
-    time. The next tick goes the rest."""
+    time; and what is left of the budget. The next tick goes the rest."""
     length, gone = vec3.norm(way), 0.0
     for _ in range(LOOKS):
         x = vec3.add_scaled(start, gone / length, way)
-        gap, number, _ = nearest_facet(mesh, x, radius + length, NO_TRIANGLE)
+        gap, number, budget = nearest_facet(mesh, x, radius + length, NO_TRIANGLE, budget, 0.0)
         if number < 0.0 or gap - radius <= 1e-9 * radius:
             break
         gone = min(gone + gap - radius, length)
-    return gone / length
+    return gone / length, budget
 
 
 @jit
-def travel_to_facet(shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool) -> tuple[float, float]:
-    """Share of the way at which something is met, and the number of the triangle; see `travel`.
+def travel_to_facet(
+    shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+) -> tuple[float, float, int]:
+    """Share of the way at which something is met, the number of the triangle, and what is left of the budget; see
+    `travel`.
 
     A fingertip that `leaves` rests on triangles, and is held by what it touches at the end of a short way. Where the
-    budget of a query is used up it goes no farther.
+    budget is used up it goes no farther.
     """
     way = vec3.sub(end, start)
     length = vec3.norm(way)
     if length <= STRIDE * radius:
         if leaves:
-            return NO_HIT, 0.0
-        gap, number, bounded = nearest_facet(shape, end, radius, NO_TRIANGLE)
+            return NO_HIT, 0.0, budget
+        gap, number, budget = nearest_facet(shape, end, radius, NO_TRIANGLE, budget, 0.0)
         if number < 0.0 or gap >= radius:
-            return NO_HIT, 0.0
-        return 0.0 if bounded != 0.0 else last_outside(shape, start, way, radius), number
+            return NO_HIT, 0.0, budget
+        share, left = last_outside(shape, start, way, radius, budget)
+        return share, number, left
     gone, outside, number = 0.0, 0.0, -1.0
     for _ in range(STRIDES):
         gone = min(gone, length)
-        gap, number, bounded = nearest_facet(
-            shape, vec3.add_scaled(start, gone / length, way), radius + length - gone, NO_TRIANGLE
+        gap, number, budget = nearest_facet(
+            shape, vec3.add_scaled(start, gone / length, way), radius + length - gone, NO_TRIANGLE, budget, 0.0
         )
-        if number < 0.0 or (gone == length and bounded == 0.0 and gap >= radius):
-            return NO_HIT, 0.0
-        if bounded != 0.0:
+        if number < 0.0 or (gone == length and gap >= radius):
+            return NO_HIT, 0.0, budget
+        if budget < 0:
             break
         if gone > 0.0 and gap < radius:
             before = vec3.add_scaled(start, outside / length, way)
-            share = last_outside(shape, before, vec3.scale((gone - outside) / length, way), radius)
-            return (outside + share * (gone - outside)) / length, number
+            share, budget = last_outside(shape, before, vec3.scale((gone - outside) / length, way), radius, budget)
+            return (outside + share * (gone - outside)) / length, number, budget
         outside = gone
         gone += max(gap - (1.0 - STRIDE) * radius, (1.0 - STRIDE) * radius)
-    return outside / length, number
+    return outside / length, number, budget
 
 
 @closest.of(Facet)
@@ -110,7 +120,7 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
 @closest.of(Mesh)
 def closest_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Of the whole mesh, for what is not a contact: an effect that draws to the surface."""
-    found = nearest(shape, x, ANYWHERE, NO_TRIANGLE, BUDGET)
+    found = nearest(shape, x, ANYWHERE, NO_TRIANGLE, BUDGET, 0.0)
     return closest_on_triangle(shape, float(max(found.number, 0)), x)
 
 
