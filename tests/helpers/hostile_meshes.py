@@ -53,11 +53,22 @@ def needle_strip(length: float = 0.2, thin: float = 2e-7, count: int = 40) -> Me
     return Mesh(vertices, sheet.triangles)
 
 
-def crumpled(seed: int = 3) -> Mesh:
+def crumpled(count: int = 40) -> Mesh:
     """Large triangles every way through each other."""
-    rng = np.random.default_rng(seed)
-    vertices = 0.05 * rng.normal(size=(3 * 40, 3))
-    return Mesh(vertices, np.arange(3 * 40, dtype=np.int32).reshape(-1, 3))
+    vertices = 0.05 * np.random.default_rng(3).normal(size=(3 * count, 3))
+    return Mesh(vertices, np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
+
+
+def dust(count: int = 100_000) -> Mesh:
+    """Small triangles in a cloud, every way."""
+    rng = np.random.default_rng(4)
+    places = 0.02 * rng.normal(size=(count, 1, 3)) + 5e-4 * rng.normal(size=(count, 3, 3))
+    return Mesh(places.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
+
+
+def shells(count: int = 60) -> Mesh:
+    """Balls within each other, half a micrometre apart."""
+    return meshes.joined(*(meshes.geodesic(10, 0.05 * (1.0 - 1e-5 * k)) for k in range(count)))
 
 
 def crevice(angle: float = 0.02) -> Mesh:
@@ -89,6 +100,16 @@ MADE: Final = {
 }
 """What is touched safely, by its name: triangles that are thin, doubled, turned or without area, through each other,
 missing, alone; close walls, and sizes and places at the ends of what is allowed."""
+
+
+MANY: Final = {
+    "fine slivers": lambda: meshes.cylinder(0.05, 0.1, 4000, 1, ends=False),
+    "fan": lambda: fan(),
+    "shells": shells,
+    "crumpled 100k": lambda: crumpled(100_000),
+    "dust": dust,
+}
+"""And of so many triangles about as near that a tick may not ask them all."""
 
 
 def fan(count: int = 20_000) -> Mesh:

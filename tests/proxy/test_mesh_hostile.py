@@ -125,3 +125,21 @@ def test_an_ellipsoid_is_refused_by_name(tmp_path):
     with pytest.raises(ConfigError, match="ellipsoid") as refused:
         engine(part, fingertip={"radii_m": [0.01, 0.008, 0.006]})
     assert "\n" not in str(refused.value) and "mesh" in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["star", "messy", "crossing"])
+def test_a_proxy_that_is_late_does_not_let_the_force_jump(tmp_path, name):
+    """A hand that goes deep, up to six radii, and fast: the proxy takes its time round the object, and the force does
+    not change by more than the stiffness times what probe and proxy went."""
+    made = hostile_meshes.MADE[name]()
+    smooth, _ = smooth_and_rough(tmp_path, made)
+    start = np.abs(made.vertices).max() + 2.0 * R
+    ways = np.concatenate([np.linspace([0.0, 0.0, start], [0.0, 0.0, 0.0], 150), wander(9, TICKS, 6.0 * R)])
+    records = go(smooth, ways)
+    deep = np.linalg.norm(records["proxy.position"] - ways, axis=1)
+    assert deep.max() > 2.0 * R
+    went = np.linalg.norm(np.diff(ways, axis=0), axis=1)
+    went += np.linalg.norm(np.diff(records["proxy.position"], axis=0), axis=1)
+    jumps = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
+    # The lift of a proxy among many facets is below a ten-thousandth of the radius, and so is what a pinch shares out.
+    assert (jumps <= STIFFNESS * (went + 2e-4 * R)).all()
