@@ -3,9 +3,9 @@
 Distances at random points, near the surface and far from it, are compared with those of all triangles asked in turn.
 Then a hand presses, drags and lifts at random, with friction, torsion and rolling, and in every tick the proxy's
 distance is asked of all triangles: it may not be below the fingertip's radius, nor may the proxy have gone through any
-of them since the last tick. Ticks are timed one by one, three times over, with those of an empty scene beside them.
-Without a file this is done on ten meshes made from formulas; with --hostile on those that nobody should have made, among
-them sockets that the fingertip fits into, where all triangles are about as near. Exit code 1 if anything was wrong.
+of them since the last tick. Ticks are timed one by one, five times over, with those of an empty scene beside them.
+Without a file this is done on ten meshes made from formulas; with --hostile on those that nobody should have made,
+sockets that the fingertip fits into among them, where all triangles are about as near. Exit code 1 if any was wrong.
 """
 
 from __future__ import annotations
