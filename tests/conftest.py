@@ -14,6 +14,7 @@ from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.drivers import opened
 
+pytest_plugins = ["helpers.pages"]
 collect_ignore = ["outside_driver"]
 """A package of its own, whose tests need it installed: tests/test_packaging.py runs them."""
 

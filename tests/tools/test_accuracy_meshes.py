@@ -1,24 +1,58 @@
 """`accuracy --meshes`: a mesh of a surface comes near to it at the order that geometry says."""
 
-from softfinger.tools.accuracy.meshes import CASES, converge, orders
+import numpy as np
+import pytest
 
-FINENESS = (16, 32, 64)
+from softfinger.tools.accuracy.meshes import CASES, HEADINGS_RAD, RADIUS_M, TICKS, TURN_RAD, converge, led, orders
+
+FINENESS = (8, 16, 32)
+SHARPEST_M = {"ball": 0.05, "cylinder": 0.03, "torus": 0.02}
+"""The smallest radius of curvature of each."""
 
 
-def test_a_ball_of_triangles_becomes_the_ball() -> None:
+@pytest.mark.parametrize("name", CASES)
+def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
     """Half as long edges: the force and how far the contact point is off the surface are a quarter of what they were,
-    since a facet bulges by the square of its size; the force's direction is nearer by half at least, and shaded it
-    is so from the start. Nothing steps by more than the angle between two facets."""
-    rows = list(converge("ball", FINENESS))
+    since a facet bulges by the square of its size; so is the angle that is rolled over many edges, where errors of
+    direction cancel. The force's direction is nearer by half, and shaded it is so from the start."""
+    rows = list(converge(name, FINENESS))
     found = orders(rows)
     assert found["force_n"] > 1.8 and found["point_m"] > 1.8
+    # Where edges are crossed differs from mesh to mesh, so this slope scatters: 1.7 to 2.1. A loss at every edge has 1.
+    assert found["rolled_m"] > 1.5
     assert 0.8 < found["direction_rad"] < 1.5
     for row in rows:
         assert row["shaded_rad"] < 0.5 * row["direction_rad"]
-        assert row["shaded_step_rad"] < 2e-3
-        # A facet of that edge is at most so far below the ball of 50 mm, which the force feels at 1000 N/m.
-        assert row["point_m"] < row["edge_m"] ** 2 / (4.0 * 0.05)
-        assert row["force_n"] < 1000.0 * row["edge_m"] ** 2 / (4.0 * 0.05)
+        assert row["shaded_step_rad"] < 0.5 * row["step_rad"]
+        # A facet of that edge is at most so far off the surface, which the force feels at 1000 N/m.
+        bulge = row["edge_m"] ** 2 / (4.0 * SHARPEST_M[name])
+        assert row["point_m"] < bulge and row["force_n"] < 1000.0 * bulge
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_rolled_over_edges_does_not_depend_on_the_tick(name: str) -> None:
+    """Half as long ticks leave the difference from the surface as it was: it is the mesh's, and nothing is lost in the
+    tick that goes over an edge. An error of first order in the tick would be half."""
+    long, short = (next(converge(name, FINENESS[1:2], ticks))["rolled_m"] for ticks in (TICKS // 2, TICKS))
+    assert short == pytest.approx(long, rel=0.05)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_paths_go_askew_over_edges(name: str) -> None:
+    """Each comes near to four facets of other normals at least, even where they are few: a path that stays on one has
+    nothing to lose at edges. Its angles sum up to that of the path, r d(theta) = |dc|, c on the surface grown by r."""
+    vertices, triangles = CASES[name].triangles(FINENESS[1])
+    a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    for heading in HEADINGS_RAD:
+        path = led(CASES[name], heading, TICKS)
+        near = [int(np.linalg.norm((a + b + c) / 3.0 - point, axis=1).argmin()) for point in path.points[::20]]
+        assert len(np.unique(normals[near].round(9), axis=0)) >= 4
+        centers = path.points + RADIUS_M * path.normals
+        way = np.linalg.norm(np.diff(centers, axis=0), axis=1).sum()
+        # Summed at the ends of ticks: off by half a tick's angle, at most.
+        assert path.rolled[-1] == pytest.approx(way / RADIUS_M, abs=0.5 * TURN_RAD / TICKS)
 
 
 def test_triangles_are_wound_outward_and_join() -> None:

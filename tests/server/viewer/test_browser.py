@@ -52,19 +52,6 @@ def daemon() -> Iterator[Daemon]:
         yield running
 
 
-@pytest.fixture(scope="module")
-def screen(daemon: Daemon) -> Iterator[Screen]:
-    endpoint, commands = daemon.publisher.endpoint, str(daemon.commands_endpoint)
-    with served("--endpoint", endpoint, "--commands", commands) as screen:
-        yield screen
-
-
-@pytest.fixture
-def client(daemon: Daemon) -> Iterator[Client]:
-    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=60.0) as client:
-        yield client
-
-
 def test_the_page_shows_what_is_rendered(screen: Screen) -> None:
     """The mode in words, the scene's name among the choices, and a white ball on a plane that is not white."""
     assert eventually(lambda: screen.shows("free"))

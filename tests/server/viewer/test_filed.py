@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import meshes
-from helpers.browser import Screen, coloured, eventually, served, why_none
+from helpers.browser import Screen, coloured, eventually, why_none
 
 from softfinger.config import schema
 from softfinger.config.load import build, load_rig
@@ -45,19 +45,6 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     with Daemon(load_rig("simulated-hand", RIG), build(schema.Scene, scene, "ball"), scene_name="ball") as running:
         running.start()
         yield running
-
-
-@pytest.fixture(scope="module")
-def screen(daemon: Daemon) -> Iterator[Screen]:
-    with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
-        assert eventually(lambda: screen.shows("free"))
-        yield screen
-
-
-@pytest.fixture
-def client(daemon: Daemon) -> Iterator[Client]:
-    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=300.0) as client:
-        yield client
 
 
 def drawn(screen: Screen) -> float:

@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from helpers.browser import Screen, eventually, served, why_none
+from helpers.browser import Screen, eventually, why_none
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema.contact import RollingMethod
@@ -37,19 +37,6 @@ def daemon() -> Iterator[Daemon]:
     with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
         running.start()
         yield running
-
-
-@pytest.fixture(scope="module")
-def screen(daemon: Daemon) -> Iterator[Screen]:
-    with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
-        assert eventually(lambda: screen.shows("free"))
-        yield screen
-
-
-@pytest.fixture
-def client(daemon: Daemon) -> Iterator[Client]:
-    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=180.0) as client:
-        yield client
 
 
 def place(client: Client) -> np.ndarray:

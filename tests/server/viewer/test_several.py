@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.browser import Screen, eventually, served, why_none
+from helpers.browser import Screen, eventually, why_none
 from helpers.two_fingers import NAMES, two_devices, two_fingers
 
 from softfinger.server.app import Daemon
@@ -40,18 +40,6 @@ def daemon() -> Iterator[Daemon]:
     with Daemon(rig, two_fingers(object=[TABLE, LID]), scene_name="two") as running:
         running.start()
         yield running
-
-
-@pytest.fixture(scope="module")
-def screen(daemon: Daemon) -> Iterator[Screen]:
-    with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
-        yield screen
-
-
-@pytest.fixture
-def client(daemon: Daemon) -> Iterator[Client]:
-    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=60.0) as client:
-        yield client
 
 
 def stands(screen: Screen, node: str, place: list[float], within_m: float) -> bool:
