@@ -183,19 +183,29 @@ def settle_among_several(
     """
     if not any_faceted(objects):
         return settle_for(objects, radius, probe, start, center, active, BUDGET)
-    rest, whole = Rest(center, active, False, BUDGET), probe
-    for _ in range(2):
-        rest = settle_for(objects, radius, whole, start, center, active, rest.left)
-        way, deep = vec3.sub(rest.center, center), vec3.sub(probe, center)
-        if vec3.dot(way, way) > (STRIDE * radius) ** 2:  # it may be on the other side of something
-            rest = Rest(center, active, True, rest.left)
-        if not rest.late or rest.left < 0:
+    rest, whole, held = Rest(center, active, True, 0), probe, active
+    for budget in (2 * BUDGET // 3, BUDGET // 3):
+        goal = vec3.add(whole, displacement(held.push, held.n1, held.n2, held.n3))
+        if is_a_step(center, goal, radius):
+            rest = settle_for(objects, radius, whole, start, center, held, budget)
+            if not is_a_step(center, rest.center, radius):  # it may be on the other side of something
+                rest = Rest(center, active, True, rest.left)
+        if not rest.late:
             break
+        deep = vec3.sub(probe, center)
         whole = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(deep), 0.5), deep)
-    if whole == probe and not rest.late:
+        _, held = relax(objects, radius, whole, center, active, 1)
+    if whole == probe:
         return rest
     _, held = relax(objects, radius, probe, rest.center, rest.active, 1)
     return Rest(rest.center, held, True, rest.left)
+
+
+@jit
+def is_a_step(start: Vec3, end: Vec3, radius: float) -> bool:
+    """Whether a fingertip that is outside at both crosses nothing thin between."""
+    way = vec3.sub(end, start)
+    return vec3.dot(way, way) <= (STRIDE * radius) ** 2
 
 
 @jit
