@@ -95,7 +95,7 @@ class Offsets(NamedTuple):
         int, 3, "float", "m", "fingertip", "displacement of the skin against the fingertip along the surface"
     ]
     contact_budget: Annotated[
-        int, 1, "int", "1", "", "1 if a mesh could not be searched to the end and the proxy stayed"
+        int, 1, "int", "1", "", "1 if a mesh or height map could not be searched to the end and the proxy stayed"
     ]
 
 

@@ -159,7 +159,9 @@ def on_the_only_object(
 
     # Where friction lets go the proxy follows, and the forces are those at its new place.
     slips = kept.mode == SLIDING or kept.deflection != comes.deflection or comes.strays
-    center, rests = settle_on_one(objects, finger.radius, position, comes.center, kept.deflection, comes.active, slips)
+    center, rests, bounded = settle_on_one(
+        objects, finger.radius, position, comes.center, kept.deflection, comes.active, slips
+    )
     normal = rests.n1
     felt = embossed(objects, rests, position)
     against = velocity_at(form, comes.against, moves, probe, state.probe, normal, since)
@@ -230,7 +232,7 @@ def on_the_only_object(
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(deflection, normal)),
         patches=(touched,),
-        budget=0.0,
+        budget=bounded,
     )
     return after, contact
 

@@ -35,15 +35,23 @@ class Report:
     mended: tuple[str, ...]
     noted: tuple[str, ...]
 
-    def rows(self) -> list[tuple[str, str]]:
-        """For people: what, and what about it."""
+    def rows(self, inside: bool = False) -> list[tuple[str, str]]:
+        """For people: what, and what about it, for an object that is touched from `inside` or not."""
         size = " x ".join(f"{edge:.4g}" for edge in self.size_m)
         bodies = "" if self.bodies == 1 else f", {self.bodies:,} bodies"
         found = [("triangles", f"{self.triangles:,} on {self.vertices:,} vertices{bodies}"), ("size", f"{size} m")]
         found.append(("surface", self._surface()))
         found.append(("mended", "; ".join(self.mended) or "nothing was to be"))
         found.append(("noted", "; ".join(self.noted)))
+        if inside and not self.watertight:
+            found.append(("inside", self._no_inside()))
         return found
+
+    def _no_inside(self) -> str:
+        why, what = "it is not watertight", "mend what is noted"
+        if self.open_edges:
+            why, what = f"it has {self.open_edges:,} open edges", "close its holes"
+        return f"inside = true does nothing here: {why}, so it is felt from the side where the hand begins; or {what}"
 
     def _surface(self) -> str:
         if self.watertight:

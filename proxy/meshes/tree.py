@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -32,8 +31,8 @@ class Tree(NamedTuple):
     closed: bool
 
 
-def build_tree(vertices: Doubles, triangles: Whole, told: Callable[[float], None] = lambda share: None) -> Tree:
-    """The tree over `triangles` (m, 3) of `vertices` (n, 3) m; `told` gets the share that is done, now and then."""
+def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
+    """The tree over `triangles` (m, 3) of `vertices` (n, 3) m."""
     count = len(triangles)
     middles = np.empty((count, 3), np.float32)
     columns = [vertices[:, axis] for axis in range(3)]  # one at a time: five times as fast
@@ -49,7 +48,6 @@ def build_tree(vertices: Doubles, triangles: Whole, told: Callable[[float], None
     node = 0
     while node < nodes:
         node = build.arrange(middles, order, low, high, nodes, node)
-        told(0.5 * node / nodes)
     corners, place = np.empty((count, 3), np.int32), np.full(len(vertices), -1, np.int32)
     used = build.renumber(triangles, order, corners, place)
     arranged = np.empty((used, 3))
@@ -60,10 +58,8 @@ def build_tree(vertices: Doubles, triangles: Whole, told: Callable[[float], None
     tree, node, child = build.Branches(low, high, lanes, first), 0, 1
     while node < nodes:
         node, child = build.enclose(arranged, corners, tree, node, child, middle, size)
-        told(0.5 + 0.4 * node / nodes)
     across = np.empty((count, 3), np.int32)
     loose = build.join(corners, np.zeros(used + 1, np.int32), np.empty(3 * count, np.int32), across)
     upward = np.zeros((used, 3))
     build.raise_normals(arranged, corners, upward)
-    told(1.0)
     return Tree(lanes, first, arranged, corners, across, upward, center, size, loose == 0)

@@ -220,7 +220,7 @@ def _object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
     if isinstance(item, Textured) and item.texture is not None:
         rows += _texture_rows(item, item.texture)
     if isinstance(item, Mesh):
-        rows += [(f"  {name}", text) for name, text in _report(item).rows()]
+        rows += [(f"  {name}", text) for name, text in _report(item).rows(item.inside)]
     return rows
 
 

@@ -21,7 +21,8 @@ from softfinger.proxy.heightmaps import kernel_heightmap, thinned, tightest
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.geometry import rotations
-from softfinger.proxy.kernels.geometry.surfaces import closest, curvature
+from softfinger.proxy.kernels.geometry.surfaces import curvature
+from softfinger.proxy.kernels.geometry.surfaces.footing import BUDGET, nearest_from
 from softfinger.proxy.kernels.geometry.surfaces.heightmap import height_at
 from softfinger.proxy.kernels.native.jit import OPTIONS
 from softfinger.proxy.record import AT
@@ -39,12 +40,13 @@ def compiled_heights(shape, places, found):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**OPTIONS)
-def compiled_closest(shape, points, found):  # type: ignore[no-untyped-def]
+def compiled_nearest(shape, points, budget, found):  # type: ignore[no-untyped-def]
     for k in range(len(points)):
-        gap, p, n = closest(shape, (points[k, 0], points[k, 1], points[k, 2]))
-        found[k, 0] = gap
-        found[k, 1], found[k, 2], found[k, 3] = p
-        found[k, 4], found[k, 5], found[k, 6] = n
+        x = (points[k, 0], points[k, 1], points[k, 2])
+        near = nearest_from(shape, x, x, budget)
+        found[k, 0] = near.gap
+        found[k, 1], found[k, 2], found[k, 3] = near.point
+        found[k, 4], found[k, 5], found[k, 6] = near.normal
 
 
 @numba.njit(**OPTIONS)
@@ -71,10 +73,10 @@ def heights_of(shape: model.Heightmap, x: Array, y: Array) -> Array:
     return found * [shape.pitch, 1.0, 1.0, *[1.0 / shape.pitch] * 3]
 
 
-def nearest(shape: model.Heightmap, points: Array) -> Array:
-    """gap, point and normal (n, 7)."""
+def nearest(shape: model.Heightmap, points: Array, budget: int = 10**7) -> Array:
+    """gap, point and normal (n, 7), with a budget that is never used up."""
     found = np.empty((len(points), 7))
-    compiled_closest(shape, np.ascontiguousarray(points, dtype=float), found)
+    compiled_nearest(shape, np.ascontiguousarray(points, dtype=float), budget, found)
     return found
 
 
@@ -243,7 +245,7 @@ def test_where_all_is_as_near_the_gap_is_never_too_large() -> None:
     shape = kernel_heightmap(sampled(300, 300, 1e-4, bowl) + 1e-9 * NOISE.normal(size=(300, 300)), 1e-4)
     points = np.array([0.0, 0.0, 0.02]) + 1e-5 * NOISE.normal(size=(20, 3))
     surface = everywhere(shape, 1)
-    for x, gap in zip(points, nearest(shape, points)[:, 0], strict=True):
+    for x, gap in zip(points, nearest(shape, points, BUDGET)[:, 0], strict=True):
         assert 0.0 < gap <= np.linalg.norm(surface - x, axis=1).min()
 
 

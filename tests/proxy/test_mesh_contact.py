@@ -131,6 +131,22 @@ def test_a_socket_that_fits_uses_up_the_budget_and_holds(tmp_path):
     assert records[-1, AT.force + 1] == pytest.approx(-2.9, abs=0.05)  # 3 mm less the room of 0.1 mm, at 1000 N/m
 
 
+def test_an_open_cavity_is_felt_from_within(tmp_path):
+    """A ball with a hole smaller than the fingertip: with `inside` and without it the same forces to
+    the bit, those of the hollow ball away from the hole."""
+    ball = meshes.geodesic(16, 0.03)
+    kept = ball.vertices[ball.triangles].mean(axis=1)[:, 2] < 0.0295
+    file = saved(tmp_path, ball.vertices, ball.triangles[kept])
+    way = wander(4, 1500, 0.024)
+    way[:, 2] = -np.abs(way[:, 2])
+    way = way * np.minimum(np.arange(1500) / 200.0, 1.0)[:, None]
+    sheet, hollow = (go(engine(thing("cavity", "mesh", file=file, inside=inside)), way) for inside in (False, True))
+    whole = go(engine(thing("ball", "mesh", file=saved(tmp_path, *ball, name="ball.ply"), inside=True)), way)
+    assert (np.asarray(sheet) == np.asarray(hollow)).all()
+    assert (whole["contact.mode"] > 0).mean() > 0.1
+    np.testing.assert_allclose(hollow["force"], whole["force"], rtol=0.0, atol=1e-6)
+
+
 def test_it_lets_out_what_begins_inside(tmp_path):
     """The first pose of all is in contact where it stands, as with every shape, and comes out to the nearest face."""
     running = engine(thing("part", "mesh", file=saved(tmp_path, *box(0.03, 0.03, 0.03))))

@@ -211,6 +211,11 @@ def test_check_prints_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main(["check", "--json", str(scene)]) == 0
     (found,) = json.loads(capsys.readouterr().out)
     assert found["meshes"]["part"]["triangles"] == 180 and found["meshes"]["part"]["open_edges"] == 0
+    scene.write_text(scene.read_text().replace('"ball.stl"\n', '"ball.stl"\ninside = true\n'))
+    assert main(["check", str(scene)]) == 0 and "does nothing" not in capsys.readouterr().out
+    (tmp_path / "ball.stl").write_bytes(stl_binary(Mesh(BALL.vertices, BALL.triangles[1:])))
+    assert main(["check", str(scene)]) == 0
+    assert re.search(r"inside +inside = true does nothing here: it has 3 open edges, .*close", capsys.readouterr().out)
     (tmp_path / "ball.stl").write_bytes(stl_binary(BALL)[:-7])
     assert main(["check", str(scene)]) == 2
     assert "object 'part': file:" in (said := capsys.readouterr().err) and "it was cut off" in said

@@ -12,6 +12,7 @@ from softfinger.proxy.kernels.contact.carry import (
 )
 from softfinger.proxy.kernels.contact.constraints import INSIDE, NONE, Constraints, one_constraint, pressed
 from softfinger.proxy.kernels.contact.half_spaces import Push
+from softfinger.proxy.kernels.contact.lodged import lifted_on
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.geometry.bodies import (
@@ -130,10 +131,13 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
         index, met, left = first_hit(objects, start, position, radius, False, NOBODY, left)
     active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position
     if index >= 0.0:
-        _, point, normal = closest_to(objects, index, met)
+        gap, point, normal = closest_to(objects, index, met)
         center = vec3.add_scaled(point, radius, normal)
         if state.started != 0.0 and any_faceted(objects):
             center = met  # other facets are as near: on this one it might be inside of those
+        elif state.started == 0.0 or gap < radius * (1.0 - INSIDE):  # a bound, of a map not searched to the end
+            if not is_outside(objects, radius, center, center, left):
+                center = lifted_on(objects, index, center, radius) if state.started == 0.0 else met
         push = Push(max(vec3.dot(vec3.sub(center, position), normal), 0.0), 0.0, 0.0)
         active = Constraints(first=index, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
         ended = state.mode != FREE and push.first <= INSIDE * radius

@@ -101,32 +101,32 @@ def pressed(normal: Vec3, behind: Vec3) -> Constraints:
 @jit
 def settle_on_one(
     objects: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, active: Constraints, slips: bool
-) -> tuple[Vec3, Constraints]:
-    """Bring the proxy to rest on the only object.
+) -> tuple[Vec3, Constraints, float]:
+    """Bring the proxy to rest on the only object; and 1 if its search had to stop before that was found.
 
     center      (3,) m  where its roll has brought it
     deflection  (3,) m  what friction keeps between proxy and probe, tangent
     slips               False where friction holds it
     """
     if not slips:
-        return center, active
-    center, normal = rest_on(objects[0].shape, objects[0], radius, probe, center, deflection, active.n1)
-    return center, pressed(normal, vec3.sub(center, probe))
+        return center, active, 0.0
+    center, normal, bounded = rest_on(objects[0].shape, objects[0], radius, probe, center, deflection, active.n1)
+    return center, pressed(normal, vec3.sub(center, probe)), bounded
 
 
 @rest_on.of(Plane)
 def rest_on_plane(
     shape: Plane, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> tuple[Vec3, Vec3]:
+) -> tuple[Vec3, Vec3, float]:
     """Found from the probe alone, so that a tick does not wait for the last one's proxy."""
     gap, _, normal = closest_on(body, probe)
-    return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal
+    return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal, 0.0
 
 
 @rest_on.otherwise
 def rest_on_curved(
     shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> tuple[Vec3, Vec3]:
+) -> tuple[Vec3, Vec3, float]:
     """Project the probe onto the tangent plane, put that onto the surface, and again from there.
 
     In a hollow the probe itself is displaced, not its image in the tangent plane: the surface through the probe is the
@@ -139,7 +139,7 @@ def rest_on_curved(
     if deflection == (0.0, 0.0, 0.0):
         _, point, foot_normal = closest_on(body, probe)
         if vec3.dot(foot_normal, normal) > SAME_SIDE:
-            return vec3.add_scaled(point, radius, foot_normal), foot_normal
+            return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
     near, rounds = (SETTLED * radius) ** 2, SLIDING_ROUNDS
     if deflection == (0.0, 0.0, 0.0):
         rounds = ROUNDS
@@ -153,18 +153,18 @@ def rest_on_curved(
         center = moved
         if vec3.dot(step, step) <= near:
             break
-    return center, normal
+    return center, normal, 0.0
 
 
 @rest_on.of(Heightmap)
 def rest_on_heightmap(
     shape: Heightmap, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> tuple[Vec3, Vec3]:
+) -> tuple[Vec3, Vec3, float]:
     pose = body.pose
-    rest, up = lodge(
+    rest, up, bounded = lodge(
         shape, radius, into(pose, probe), into(pose, center), turn_into(pose, deflection), turn_into(pose, normal)
     )
-    return out_of(pose, rest), turn_out_of(pose, up)
+    return out_of(pose, rest), turn_out_of(pose, up), bounded
 
 
 @jit

@@ -7,17 +7,25 @@ the centre that is behind none of them; there the feet anew, and whether some ot
 which is a foot then, too. On one foot alone the curvature of the offset surface makes that Newton's
 method. What the tick ends with has been asked of the whole map: the proxy is never inside of it. And no step is longer
 than the fingertip's clearance, so it goes round no ridge.
+
+What a tick asks has a budget, counted as in `footing`: one for coming to rest, one for a roll, one for a first touch.
+Where it is used up the proxy stays where it was, outside, and the next tick asks anew.
 """
 
 from typing import Any, Final, NamedTuple
 
+from numba import literal_unroll
+
 from softfinger.proxy.kernels.contact.half_spaces import displacement, hold
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.surfaces import curvature, follows
+from softfinger.proxy.kernels.geometry.entries import has, member, places
+from softfinger.proxy.kernels.geometry.frames import into, out_of
+from softfinger.proxy.kernels.geometry.surfaces import NO_HIT, curvature, follows, travel
 from softfinger.proxy.kernels.geometry.surfaces.contract import direction
-from softfinger.proxy.kernels.geometry.surfaces.heightmap import near
-from softfinger.proxy.kernels.geometry.surfaces.tiles import nearest_from
+from softfinger.proxy.kernels.geometry.surfaces.footing import above, downhill, gap_within, nearest_from
+from softfinger.proxy.kernels.geometry.sweep import ADVANCES, TOUCHING
 from softfinger.proxy.kernels.model import Heightmap, Vec3
+from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined
 
@@ -35,6 +43,14 @@ SAME: Final = 1e-6
 """Share of the radius within which two feet are one."""
 ON: Final = 1e-9
 """Share of the radius, and sine, by which the fingertip's lowest point may miss the surface and still be its foot."""
+REST_BUDGET: Final = 1000
+"""Tiles that are asked for where the proxy rests, all rounds together."""
+ROLL_BUDGET: Final = 300
+"""For whether there is room where a roll ends."""
+WAY_BUDGET: Final = 600
+"""For a way to the first touch, all steps together."""
+END_BUDGET: Final = 200
+"""For its end, beside those."""
 SHORTEST: Final = 0.25
 """1 - depth x curvature at the least: Newton's step is four times that in the tangent plane at the most."""
 
@@ -86,23 +102,36 @@ def at_most(way: Vec3, longest: float) -> Vec3:
 
 
 @outlined
-def lodge(shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, normal: Vec3) -> tuple[Vec3, Vec3]:
-    """Proxy and normal, in the frame of the shape: near `center` the centre nearest to the probe and `lag` (3,) m."""
+def lodge(shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, normal: Vec3) -> tuple[Vec3, Vec3, float]:
+    """Near `center` the centre nearest to the probe and `lag` (3,) m, in the frame of the shape.
+
+    returns  proxy (3,) m, normal (3,), and 1 if the budget was used up before it was known where there is room
+    """
     rest, up, slides = center, normal, lag != (0.0, 0.0, 0.0)
+    left, bounded = REST_BUDGET, 0.0
     feet = Feet(1, vec3.add_scaled(center, -radius, normal), center, center)
     for turn in range(ROUNDS):
-        _, p1, n1 = near(shape, center, feet.one)
+        _, p1, n1, _, spent = downhill(shape, center, feet.one)
+        left -= spent
         p2, n2, p3, n3 = p1, n1, p1, n1
         if feet.many > 1:
-            _, p2, n2 = near(shape, center, feet.two)
+            _, p2, n2, _, spent = downhill(shape, center, feet.two)
+            left -= spent
             p3, n3 = p2, n2
         if feet.many > 2:
-            _, p3, n3 = near(shape, center, feet.three)
+            _, p3, n3, _, spent = downhill(shape, center, feet.three)
+            left -= spent
         feet = Feet(feet.many, p1, p2, p3)
         clear = True
         if turn > 0:
-            gap, other, other_normal = nearest_from(shape, center, p1)
+            gap, other, other_normal, _, spent = nearest_from(shape, center, p1, left)
+            left -= spent
             clear = gap >= radius * (1.0 - INSIDE)
+            if left <= 0 and not clear:
+                bounded = 1.0
+                if vec3.norm(vec3.sub(rest, other)) < radius * (1.0 - SAME):  # it began inside: the way out is up
+                    rest = above(shape, rest, radius)
+                break
             if not clear and not is_foot(feet, other, SAME * radius):
                 feet = with_foot(feet, other)
                 p3, n3 = other, other_normal
@@ -123,7 +152,8 @@ def lodge(shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, norma
             _, up = direction(push, n1)
         then = vec3.add(rest, at_most(vec3.sub(then, rest), STRIDE * radius))
         if feet.many == 1:
-            _, p1, n1 = near(shape, then, p1)
+            _, p1, n1, _, spent = downhill(shape, then, p1)
+            left -= spent
             landed = vec3.add_scaled(p1, radius, n1)
             if vec3.norm(vec3.sub(landed, rest)) <= radius:
                 then = landed
@@ -131,18 +161,81 @@ def lodge(shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, norma
         if turn > 0 and clear and (step <= SETTLED * radius or (slides and turn >= SLIDING_ROUND)):
             break
         center = then
-    return rest, up
+    return rest, up, bounded
 
 
 @follows.of(Heightmap)
 def follows_over_heightmap(shape: Heightmap, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
     """On one foot, not too far for a tick, and to a place where the fingertip has room."""
     foot = vec3.add_scaled(start, -radius, normal)
-    _, point, up = near(shape, start, foot)
+    _, point, up, _, _ = downhill(shape, start, foot)
     if vec3.norm(vec3.sub(point, foot)) > ON * radius or vec3.dot(up, normal) < 1.0 - ON:
         return False
     way = vec3.norm(vec3.sub(end, start))
     if way > STRIDE * radius:
         return False
-    gap, _, _ = nearest_from(shape, end, point)
+    gap, _, _, _, _ = nearest_from(shape, end, point, ROLL_BUDGET)
     return gap >= radius * (1.0 - INSIDE)
+
+
+@by_type
+def lifted(shape: Any, x: Vec3, radius: float) -> Any:
+    """Where a fingertip at `x` (3,) m that is not known to be outside is for certain."""
+
+
+@lifted.otherwise
+def lifted_nowhere(shape: Any, x: Vec3, radius: float) -> Vec3:
+    return x
+
+
+@lifted.of(Heightmap)
+def lifted_over_heightmap(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
+    return above(shape, x, radius)
+
+
+@jit
+def lifted_on(objects: Any, index: float, center: Vec3, radius: float) -> Vec3:
+    """`lifted` of the object with that place, in the world."""
+    found = center
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            body = member(entry, index - at)
+            found = out_of(body.pose, lifted(body.shape, into(body.pose, center), radius))
+        at += places(entry)
+    return found
+
+
+@travel.of(Heightmap)
+def travel_over_heightmap(shape: Heightmap, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
+    """As over any shape (`sweep`), but for what is farther than the way, which is not asked for.
+
+    Where the budget is used up the fingertip goes no farther; a short way, which leads through nothing, it goes if
+    there is room at its end.
+    """
+    way = vec3.sub(end, start)
+    length = vec3.norm(way)
+    gap, spent = gap_within(shape, start, radius + length, WAY_BUDGET)
+    clearance, touching = gap - radius, TOUCHING * radius
+    if clearance >= length:
+        return NO_HIT
+    if clearance <= touching:
+        gap, _ = gap_within(shape, end, radius, END_BUDGET)
+        return 0.0 if gap - radius < (min(clearance, 0.0) if leaves else 0.0) else NO_HIT
+    share, left = 0.0, WAY_BUDGET - spent
+    for _ in range(ADVANCES):
+        if left <= 0:
+            break
+        share += clearance / length
+        if share >= 1.0:
+            return NO_HIT
+        gap, spent = gap_within(shape, vec3.add_scaled(start, share, way), radius + (1.0 - share) * length, left)
+        left -= spent
+        clearance = gap - radius
+        if left > 0 and clearance <= touching:
+            return share
+    # A glancing pass comes ever closer without meeting: it counts only if it ends inside.
+    if left <= 0 and length > STRIDE * radius:
+        return share
+    gap, _ = gap_within(shape, end, radius, END_BUDGET)
+    return share if gap < radius else NO_HIT

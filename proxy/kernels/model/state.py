@@ -187,7 +187,7 @@ class Contact(NamedTuple):
     patch_normal     of the object, in the fingertip frame
     patch_stretch    m, of the skin against the fingertip along the surface, in the fingertip frame
     patches          tuple of PatchContact, as many as FingerState has patches, in their order
-    budget           1 if the proxy stays where it was, as a mesh could not be searched to the end in this tick
+    budget           1 if the proxy stays where it was, as a mesh or height map could not be searched to the end
     """
 
     mode: float

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.geometry.surfaces import closest, closest_from
 from softfinger.proxy.kernels.geometry.surfaces.grown import arm
 from softfinger.proxy.kernels.model import Grown, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
@@ -54,10 +54,17 @@ def land(shape: Any, radius: float, center: Vec3) -> tuple[Vec3, Vec3]:
     return vec3.add_scaled(point, radius, normal), normal
 
 
+@jit
+def land_from(shape: Any, radius: float, start: Vec3, up: Vec3, center: Vec3) -> tuple[Vec3, Vec3]:
+    """The same after a roll from `start` (3,) m, with the normal `up` (3,) there."""
+    _, point, normal = closest_from(shape, center, vec3.add_scaled(start, -radius, up))
+    return vec3.add_scaled(point, radius, normal), normal
+
+
 @roll.of(None)
 def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
     """The contact stays; it is only put back onto the surface, so that rounding does not add up."""
-    center, new_normal = land(shape, radius, center)
+    center, new_normal = land_from(shape, radius, center, normal, center)
     return Roll(center, new_normal, (0.0, 0.0, 0.0), 0.0, rotations.twist(turn, normal))
 
 

@@ -11,7 +11,7 @@ Source: Salvietti, Malvezzi, Prattichizzo (2013), Algorithm 1 and eqs. 2-7.
 from math import sqrt
 from typing import Any
 
-from softfinger.proxy.kernels.contact.rolling.base import Roll, land, roll
+from softfinger.proxy.kernels.contact.rolling.base import Roll, land_from, roll
 from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.geometry.surfaces import ahead, curvature, transport
 from softfinger.proxy.kernels.model import EulerZxz, EulerZyx, Quaternion, Vec3
@@ -35,7 +35,8 @@ def roll_about(
 ) -> Roll:  # fmt: skip
     """The step that rolls by `theta` about the unit tangent `axis`, zero where there is no roll."""
     along, length = vec3.cross(axis, normal), radius * theta
-    center, new_normal = land(shape, radius, ahead(shape, radius, center, normal, along, length))
+    moved = ahead(shape, radius, center, normal, along, length)
+    center, new_normal = land_from(shape, radius, center, normal, moved)
     motion = transport(shape, vec3.scale(length, along), normal, new_normal)
     return Roll(center, new_normal, motion, theta, spin)
 

@@ -10,7 +10,7 @@ import numba
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, earlier, pace, roll, roll_angle, surface_part
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.surfaces import closest, transport
+from softfinger.proxy.kernels.geometry.surfaces import closest_from, transport
 from softfinger.proxy.kernels.model import Midpoint, MontanaRk4, MontanaRk45, Quaternion, Vec3
 from softfinger.proxy.kernels.native.jit import OPTIONS, jit
 
@@ -31,13 +31,14 @@ def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, nor
     """The midpoint rule: second order, two closest-point queries."""
     w = rotations.log(turn)
     point, n, slope = center, normal, (0.0, 0.0, 0.0)
+    begun = vec3.add_scaled(center, -radius, normal)
     spin = 0.0
     length, tilted = 0.0, 0.0
     for stage in range(2):
         part = 0.5 if stage == 0 else 1.0
         slope, spin = pace(earlier(shape, w, 1.5 - part), radius, w, n), vec3.dot(w, n)
         length, tilted = surface_part(shape, slope, n), vec3.norm(vec3.cross(w, n))
-        _, point, n = closest(earlier(shape, w, 1.0 - part), vec3.add_scaled(center, part, slope))
+        _, point, n = closest_from(earlier(shape, w, 1.0 - part), vec3.add_scaled(center, part, slope), begun)
     end = vec3.add_scaled(point, radius, n)
     motion = unrolled(slope, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin)
@@ -50,6 +51,7 @@ def roll_montana_rk4(
     """One step of the classical Runge-Kutta rule: fourth order, four closest-point queries."""
     w = rotations.log(turn)
     point, n, moved = center, normal, (0.0, 0.0, 0.0)
+    begun = vec3.add_scaled(center, -radius, normal)
     spin, length, tilted, left = 0.0, 0.0, 0.0, 1.0
     # A loop rather than four stages written out: the closest point is compiled into the kernel once.
     for stage in range(4):
@@ -61,14 +63,14 @@ def roll_montana_rk4(
         tilted += weight * vec3.norm(vec3.cross(w, n))
         ahead = moved if stage == 3 else vec3.scale(1.0 if stage == 2 else 0.5, slope)
         left = 0.5 if stage < 2 else 0.0
-        _, point, n = closest(earlier(shape, w, left), vec3.add(center, ahead))
+        _, point, n = closest_from(earlier(shape, w, left), vec3.add(center, ahead), begun)
     end = vec3.add_scaled(point, radius, n)
     motion = unrolled(moved, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin)
 
 
-def foot(shape: Any, x: Vec3) -> tuple[Vec3, Vec3]:
-    _, point, normal = closest(shape, x)
+def foot(shape: Any, x: Vec3, start: Vec3) -> tuple[Vec3, Vec3]:
+    _, point, normal = closest_from(shape, x, start)
     return point, normal
 
 
@@ -94,33 +96,34 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
     allowed = tolerance * radius
     k1 = pace(earlier(shape, w, 1.0), radius, w, n)
     for trial in range(MAX_TRIALS):
+        begun = vec3.add_scaled(center, -radius, n)
         shortest = left / (MAX_TRIALS - trial) if trial >= MAX_TRIALS // 2 else 0.0
         h = min(max(h, shortest), left)
         then = earlier(shape, w, left - 1 / 5 * h)
-        _, n2 = foot(then, vec3.add_scaled(center, h / 5, k1))
+        _, n2 = foot(then, vec3.add_scaled(center, h / 5, k1), begun)
         k2 = pace(then, radius, w, n2)
         slope = combine(3 / 40, k1, 9 / 40, k2)
         then = earlier(shape, w, left - 3 / 10 * h)
-        _, n3 = foot(then, vec3.add_scaled(center, h, slope))
+        _, n3 = foot(then, vec3.add_scaled(center, h, slope), begun)
         k3 = pace(then, radius, w, n3)
         slope = vec3.add_scaled(combine(44 / 45, k1, -56 / 15, k2), 32 / 9, k3)
         then = earlier(shape, w, left - 4 / 5 * h)
-        _, n4 = foot(then, vec3.add_scaled(center, h, slope))
+        _, n4 = foot(then, vec3.add_scaled(center, h, slope), begun)
         k4 = pace(then, radius, w, n4)
         slope = vec3.add(
             combine(19372 / 6561, k1, -25360 / 2187, k2), combine(64448 / 6561, k3, -212 / 729, k4)
         )  # fmt: skip
         then = earlier(shape, w, left - 8 / 9 * h)
-        _, n5 = foot(then, vec3.add_scaled(center, h, slope))
+        _, n5 = foot(then, vec3.add_scaled(center, h, slope), begun)
         k5 = pace(then, radius, w, n5)
         slope = vec3.add(combine(9017 / 3168, k1, -355 / 33, k2), combine(46732 / 5247, k3, 49 / 176, k4))
         slope = vec3.add_scaled(slope, -5103 / 18656, k5)
         then = earlier(shape, w, left - h)
-        _, n6 = foot(then, vec3.add_scaled(center, h, slope))
+        _, n6 = foot(then, vec3.add_scaled(center, h, slope), begun)
         k6 = pace(then, radius, w, n6)
         slope = vec3.add(combine(35 / 384, k1, 500 / 1113, k3), combine(125 / 192, k4, -2187 / 6784, k5))
         slope = vec3.add_scaled(slope, 11 / 84, k6)
-        point, n7 = foot(then, vec3.add_scaled(center, h, slope))
+        point, n7 = foot(then, vec3.add_scaled(center, h, slope), begun)
         k7 = pace(then, radius, w, n7)
 
         off = vec3.add(combine(71 / 57600, k1, -71 / 16695, k3), combine(71 / 1920, k4, -17253 / 339200, k5))

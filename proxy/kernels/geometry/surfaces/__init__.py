@@ -3,12 +3,13 @@
 See `contract` for what a shape has to give. A package of its own may give the same for shapes of its own.
 """
 
-from softfinger.proxy.kernels.geometry.surfaces import ellipsoid, grown, heightmap, plane, round, sharp, tiles, torus
+from softfinger.proxy.kernels.geometry.surfaces import ellipsoid, footing, grown, heightmap, plane, round, sharp, torus
 from softfinger.proxy.kernels.geometry.surfaces.contract import (
     NO_HIT,
     ahead,
     bend,
     closest,
+    closest_from,
     curvature,
     follows,
     is_hollow,
@@ -24,9 +25,11 @@ __all__ = [
     "ahead",
     "bend",
     "closest",
+    "closest_from",
     "curvature",
     "ellipsoid",
     "follows",
+    "footing",
     "grown",
     "heightmap",
     "is_hollow",
@@ -35,7 +38,6 @@ __all__ = [
     "round",
     "sharp",
     "tangent_plane",
-    "tiles",
     "torus",
     "transport",
     "travel",

@@ -6,6 +6,7 @@
 These two are all that a new shape has to give. What follows has a default, which serves whatever `closest` and
 `curvature` describe; a shape says otherwise where it knows better, as the plane does.
 
+    closest_from(shape, x, start)            -> as `closest`        for a fingertip that rolls there from a point
     transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v carried to the new normal
     is_hollow(shape)                         -> bool                whether it is touched from inside; default: no
     bend(shape, radius, point, normal)       -> 1/m                 how much it bends round the fingertip
@@ -49,6 +50,17 @@ def closest(shape: Any, x: Vec3) -> Any: ...
 
 
 @by_type
+def closest_from(shape: Any, x: Vec3, start: Vec3) -> Any:
+    """`closest` for a fingertip that rolls there from the surface point `start` (3,) m: where many points are near
+    what is downhill from there will do."""
+
+
+@closest_from.otherwise
+def closest_from_anywhere(shape: Any, x: Vec3, start: Vec3) -> Any:
+    return closest(shape, x)
+
+
+@by_type
 def curvature(shape: Any, radius: float, point: Vec3, normal: Vec3) -> Any: ...
 
 
@@ -77,7 +89,8 @@ def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> A
 
 @by_type
 def rest_on(shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3) -> Any:
-    """Proxy and normal on a single object, the `body` of this shape; all but the shape in the world."""
+    """Proxy and normal on a single object, the `body` of this shape, all but the shape in the world; and 1 if the
+    proxy stays where it was since the budget of the search was used up."""
 
 
 @by_type

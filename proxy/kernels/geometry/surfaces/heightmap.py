@@ -12,11 +12,11 @@ where the distance is least nearby, found by Newton's method on D(s, t) = |(s, t
 
 which is exact to rounding where it ends. As the surface is a graph, H is positive definite everywhere as long as w is
 below the least radius with which any valley bends (or, from below, any ridge): then the only foot is the nearest point.
-Elsewhere `tiles` finds out whether another foot is nearer.
+Elsewhere `footing` finds out whether another foot is nearer.
 """
 
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.surfaces.contract import (
@@ -27,7 +27,6 @@ from softfinger.proxy.kernels.geometry.surfaces.contract import (
     offset,
 )
 from softfinger.proxy.kernels.model import Heightmap, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined
 
@@ -35,12 +34,12 @@ STEPS = 24
 """Of Newton's method; it takes three to five, and more only where it starts far from any foot."""
 HALVINGS = 8
 """Times that a step is shortened to a quarter for want of descent; past them rounding is all that is left."""
+LOOKS = 48
+"""Heights that are looked at on the way to a foot; some ten mostly."""
 CONVERGED = 1e-7
 """Step, in pitches, after which the next would be below rounding: the convergence is quadratic."""
 SURE = 1e-3
 """Step, in pitches, that is taken without a look at the distance, whose rounding would hide what it gains."""
-ENDLESS = 1e300
-"""Cells that a way may lead which is not to end early."""
 LEAST = 1e-3
 """Of what the distance bends by in any direction, of 1 on a flat map: less is taken for it."""
 SQUARE = 1e-6
@@ -149,19 +148,24 @@ def newton(p: Vec3, foot: Foot) -> tuple[float, float]:
 
 
 @outlined
-def descend(shape: Heightmap, p: Vec3, start: Place, reach: float) -> Foot:
-    """The foot of `p` that is downhill from `start`, or where the way to it goes farther than `reach`."""
-    foot = foot_at(shape, p, start.s, start.t)
+def descend(shape: Heightmap, p: Vec3, start: Place, reach: float) -> tuple[Foot, int]:
+    """The foot of `p` that is downhill from `start`, or where the way to it goes farther than `reach`; and how many
+    heights were looked at."""
+    foot, looks = foot_at(shape, p, start.s, start.t), 1
     for _ in range(STEPS):
+        if looks >= LOOKS:
+            break
         ds, dt = newton(p, foot)
         size = abs(ds) + abs(dt)
         then = foot_at(shape, p, foot.s + ds, foot.t + dt)
+        looks += 1
         if size > SURE:
             for _ in range(HALVINGS):
                 if then.square < foot.square:
                     break
                 ds, dt = 0.25 * ds, 0.25 * dt
                 then = foot_at(shape, p, foot.s + ds, foot.t + dt)
+                looks += 1
             if not then.square < foot.square:
                 break
         foot = then
@@ -169,13 +173,20 @@ def descend(shape: Heightmap, p: Vec3, start: Place, reach: float) -> Foot:
             break
         if abs(foot.s - start.s) > reach or abs(foot.t - start.t) > reach:
             break
-    return foot
+    return foot, looks
 
 
 @jit
 def in_pitches(shape: Heightmap, x: Vec3) -> Vec3:
     per = 1.0 / shape.pitch
     return (x[0] * per + 0.5 * shape.columns, x[1] * per + 0.5 * shape.rows, x[2] * per)
+
+
+@jit
+def is_below(shape: Heightmap, x: Vec3) -> bool:
+    """Whether `x` (3,) m is in the solid."""
+    p = in_pitches(shape, x)
+    return height_at(shape, p[0], p[1]).z > p[2]
 
 
 @jit
@@ -192,20 +203,9 @@ def touching(shape: Heightmap, x: Vec3, foot: Foot) -> tuple[float, Vec3, Vec3]:
     gap = vec3.dot(away, normal)
     if vec3.norm(vec3.add_scaled(away, -gap, normal)) > SQUARE * abs(gap) and abs(gap) > CONVERGED * shape.pitch:
         size, along = direction(away, normal)
-        sign = 1.0 if gap > 0.0 else -1.0
+        sign = -1.0 if is_below(shape, x) else 1.0
         gap, normal = sign * size, vec3.scale(sign, along)
     return gap, point, normal
-
-
-@by_type
-def near(shape: Any, x: Vec3, point: Vec3) -> Any:
-    """`closest` of the foot of `x` that is downhill from the surface point `point`, whatever is nearer elsewhere."""
-
-
-@near.of(Heightmap)
-def near_on_heightmap(shape: Heightmap, x: Vec3, point: Vec3) -> tuple[float, Vec3, Vec3]:
-    at = in_pitches(shape, point)
-    return touching(shape, x, descend(shape, in_pitches(shape, x), Place(at[0], at[1]), ENDLESS))
 
 
 @curvature.of(Heightmap)

@@ -1,4 +1,4 @@
-"""The nearest point of a height map that bends more than the fingertip: tiles that cannot have it are left out.
+"""Tiles of a height map, and what they say of what lies over them without a look at it.
 
 A tile is a square of 2^level cells at a multiple of that, level 0 the cells themselves. What lies over it is within
 `thick` of a facet, z = a + b1 (s - s_c) + b2 (t - t_c), measured along z, and bends up and down by no more than
@@ -6,42 +6,21 @@ A tile is a square of 2^level cells at a multiple of that, level 0 the cells the
 to a point than the facet is, less `thick`: of a tile for which that is farther than the best foot nothing is looked at.
 A facet is near to what it stands for by the square of the tile's size, so few are. And where the distance is convex,
 in four tiles round a foot or in one, there is no other foot.
-
-The tiles are visited depth first, of four the nearer ones first, without a stack: where a tile is says what comes next.
-The number of visits is bounded. Where the bound is reached the answer is the best foot so far, and its gap the
-certain one: the least that any tile that was left may be away. So a fingertip is held a little too early, never late.
 """
 
 from math import sqrt
 from typing import Final, NamedTuple
 
-from softfinger.proxy.kernels.geometry.surfaces.contract import closest
-from softfinger.proxy.kernels.geometry.surfaces.heightmap import (
-    Foot,
-    Place,
-    descend,
-    foot_at,
-    gradient,
-    held,
-    in_pitches,
-    touching,
-)
+from softfinger.proxy.kernels.geometry.surfaces.heightmap import Foot, Place, gradient, held
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined
 
-VISITS: Final = 768
-"""Tiles that are asked for one point, 10 ns each."""
-DESCENTS: Final = 96
-"""Feet that are looked for in cells, 100 ns each."""
 LEVELS: Final = 24
 """More than any map has."""
 NUMBERS: Final = 6
 """Of a tile: a, b1, b2, thick, valley, ridge."""
 AS_NEAR: Final = 1.0 - 4e-13
 """Share of the best square distance at which another one is no nearer, but for rounding."""
-ASTRAY: Final = 2.0
-"""Cells that the way from a cell to its foot may lead; farther on another cell finds it."""
 FAR: Final = 1e300
 
 
@@ -154,16 +133,38 @@ def place_of(place: float, level: int, count: float) -> int:
     return min(int(held(place, count)) >> level, wide(count, level) - 1)
 
 
+class Around(NamedTuple):
+    """Tiles of a level, from `left` to `right` and from `top` to `bottom`."""
+
+    level: int
+    left: int
+    right: int
+    top: int
+    bottom: int
+
+
+@jit
+def tiles_around(shape: Heightmap, p: Vec3, reach: float, side: int) -> Around:
+    """The tiles in which all is that lies within `reach`, in pitches, along the grid: `side` + 1 a side at most."""
+    level, top = 0, int(shape.levels) - 1
+    while level < top and side * (1 << level) < 2.0 * reach:
+        level += 1
+    return Around(
+        level=level,
+        left=place_of(p[0] - reach, level, shape.columns),
+        right=place_of(p[0] + reach, level, shape.columns),
+        top=place_of(p[1] - reach, level, shape.rows),
+        bottom=place_of(p[1] + reach, level, shape.rows),
+    )
+
+
 @jit
 def convex_around(shape: Heightmap, p: Vec3, foot: Foot) -> bool:
     """Whether the distance is convex wherever something may be nearer than the foot: then it is the nearest point."""
-    reach = sqrt(foot.square)
-    level, top = 0, int(shape.levels) - 1
-    while level < top and (1 << level) < 2.0 * reach:
-        level += 1
-    for j in range(place_of(p[1] - reach, level, shape.rows), place_of(p[1] + reach, level, shape.rows) + 1):
-        for i in range(place_of(p[0] - reach, level, shape.columns), place_of(p[0] + reach, level, shape.columns) + 1):
-            if not tile_at(shape, p, level, i, j).convex:
+    around = tiles_around(shape, p, sqrt(foot.square), 1)
+    for j in range(around.top, around.bottom + 1):
+        for i in range(around.left, around.right + 1):
+            if not tile_at(shape, p, around.level, i, j).convex:
                 return False
     return True
 
@@ -193,79 +194,3 @@ def beaten(p: Vec3, tile: Tile, place: Foot, square: float) -> bool:
     gs, gt = gradient(p, place)
     falls = least_along(gs, place.s - tile.middle_s, tile.half) + least_along(gt, place.t - tile.middle_t, tile.half)
     return place.square + 2.0 * falls >= AS_NEAR * square
-
-
-@jit
-def best_of_quarters(shape: Heightmap, p: Vec3, start: Foot, i: int, j: int) -> Foot:
-    """The nearest of a place and the middles of a cell's quarters: from there the cell's best foot is downhill."""
-    for number in range(4):
-        other = foot_at(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
-        if other.square < start.square:
-            start = other
-    return start
-
-
-@outlined
-def search(shape: Heightmap, p: Vec3, best: Foot) -> tuple[Foot, float]:
-    """The nearest foot, and the distance that nothing is below; `best` is one of the feet."""
-    top = int(shape.levels) - 1
-    level, i, j = top, 0, 0
-    descents, left, reach = 0, FAR, sqrt(best.square)
-    for visit in range(VISITS + 4 * LEVELS):
-        if i < wide(shape.columns, level) and j < wide(shape.rows, level):
-            tile = tile_at(shape, p, level, i, j)
-            square, way = square_to_box(tile), Place(0.0, 0.0)
-            asks = square < AS_NEAR * best.square and not (tile.convex and has(tile, best))
-            if asks:
-                square, way = to_facet(tile)
-            if asks and square < (reach + tile.thick) * (reach + tile.thick) * AS_NEAR:
-                if visit >= VISITS or descents >= DESCENTS:
-                    left = min(left, max(sqrt(square) - tile.thick, 0.0))
-                elif level > 0:
-                    level -= 1
-                    i = 2 * i + nearer_half(p[0], i, level + 1)
-                    j = 2 * j + nearer_half(p[1], j, level + 1)
-                    continue
-                else:
-                    start = foot_at(shape, p, p[0] + way.s, p[1] + way.t)
-                    if not beaten(p, tile, start, best.square):
-                        descents += 1
-                        if not tile.convex:
-                            start = best_of_quarters(shape, p, start, i, j)
-                        foot = descend(shape, p, Place(start.s, start.t), ASTRAY)
-                        if foot.square < best.square:
-                            best = descend(shape, p, Place(foot.s, foot.t), FAR)
-                            reach = sqrt(best.square)
-        # On to the next of four, in their order from the nearer one; behind the fourth up.
-        while level < top:
-            near_i, near_j = nearer_half(p[0], i >> 1, level + 1), nearer_half(p[1], j >> 1, level + 1)
-            number = ((i & 1) ^ near_i) + 2 * ((j & 1) ^ near_j)
-            if number < 3:
-                number += 1
-                i = (i & ~1) + ((number & 1) ^ near_i)
-                j = (j & ~1) + ((number >> 1) ^ near_j)
-                break
-            level, i, j = level + 1, i >> 1, j >> 1
-        if level == top:
-            break
-    return best, min(left, reach)
-
-
-@outlined
-def nearest_from(shape: Heightmap, x: Vec3, start: Vec3) -> tuple[float, Vec3, Vec3]:
-    """`closest`, sooner where the foot that is downhill from `start` is as near as any."""
-    p, at = in_pitches(shape, x), in_pitches(shape, start)
-    foot = descend(shape, p, Place(at[0], at[1]), FAR)
-    certain = FAR
-    if not convex_around(shape, p, foot):
-        foot, certain = search(shape, p, foot)
-    gap, point, normal = touching(shape, x, foot)
-    if certain * shape.pitch < gap:
-        gap = certain * shape.pitch
-    return gap, point, normal
-
-
-@closest.of(Heightmap)
-def closest_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Where several points are nearest, any one of them."""
-    return nearest_from(shape, x, x)
