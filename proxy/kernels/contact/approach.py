@@ -135,9 +135,10 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
         center = vec3.add_scaled(point, radius, normal)
         if state.started != 0.0 and any_faceted(objects):
             center = met  # other facets are as near: on this one it might be inside of those
-        elif state.started == 0.0 or gap < radius * (1.0 - INSIDE):  # a bound, of a map not searched to the end
-            if not is_outside(objects, radius, center, center, left):
-                center = lifted_on(objects, index, center, radius) if state.started == 0.0 else met
+        elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE)) and not is_outside(
+            objects, radius, center, center, left
+        ):  # the gap is a bound, of a map that was not searched to the end
+            center = lifted_on(objects, index, center, radius) if state.started == 0.0 else met
         push = Push(max(vec3.dot(vec3.sub(center, position), normal), 0.0), 0.0, 0.0)
         active = Constraints(first=index, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
         ended = state.mode != FREE and push.first <= INSIDE * radius

@@ -184,7 +184,7 @@ def settle_among_several(
     if not any_faceted(objects):
         return settle_for(objects, radius, probe, start, center, active, BUDGET)
     rest, whole, held = Rest(center, active, True, 0), probe, active
-    for budget in (2 * BUDGET // 3, BUDGET // 3):
+    for budget in (3 * BUDGET // 4, BUDGET // 4):
         goal = vec3.add(whole, displacement(held.push, held.n1, held.n2, held.n3))
         if is_a_step(center, goal, radius):
             rest = settle_for(objects, radius, whole, start, center, held, budget)
@@ -233,7 +233,7 @@ def settle_for(
         # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
         gap, at, left = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active), left)
         active = with_touched(objects, radius, goal, active, gap, at)
-    found, lift = False, 0.0
+    found, lift, budget = False, 0.0, left
     for attempt in range(ATTEMPTS_ON_FACETS if faceted else ATTEMPTS):
         center, active = relax(objects, radius + lift, probe, center, active, rounds)
         if faceted and attempt == 0:
@@ -244,7 +244,7 @@ def settle_for(
             break
         if left < 0:
             break
-        if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * BUDGET):
+        if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * budget):
             lift = 2.0 * (radius - gap)
         if at != active.first and at != active.second and at != active.third:
             if active.second >= 0.0 and active.third >= 0.0:
