@@ -33,7 +33,8 @@ from softfinger.proxy.kernels.friction.footprint import footprint, torsion_under
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.machine import react
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.bodies import any_faceted, closest_to, deepest, number_of, pose_of
+from softfinger.proxy.kernels.geometry.bodies import any_wide, closest_to_within, deepest, number_of, pose_of
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.world import advance, place_all
 from softfinger.proxy.kernels.model import (
     NO_PATCH,
@@ -232,7 +233,7 @@ def on_the_only_object(
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(deflection, normal)),
         patches=(touched,),
-        budget=bounded,
+        budget=max(bounded, comes.bounded),
     )
     return after, contact
 
@@ -245,12 +246,12 @@ def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, le
         return center
     there = vec3.add(center, way)
     gap, at, left = deepest(objects, there, radius, known, left)
-    if any_faceted(objects):
+    if any_wide(objects):
         if gap >= radius:  # beside a convex edge it is a little above the surface
             return there
         if at < 0.0:
             return center
-    _, point, normal = closest_to(objects, at, there)
+    _, point, normal, left = closest_to_within(objects, at, there, left)
     there = vec3.add_scaled(point, radius, normal)
     gap, _, _ = deepest(objects, there, radius, known, left)
     return there if gap >= radius * (1.0 - INSIDE) else center
@@ -261,18 +262,19 @@ def among_several_objects(
     patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     radius, position = finger.radius, probe.position
-    start, center, active = state.center, state.center, one_constraint(NONE, (0.0, 0.0, 1.0))
+    start, center, left = state.center, state.center, BUDGET
+    active = one_constraint(NONE, (0.0, 0.0, 1.0))
     touches = state.mode == FREE
     if not touches:
         center, active = again(objects, radius, state, position)
         touches = has_ended(active)
     if touches:  # what is met in the tick in which the last contact ended is another one
         state = parted(state)
-        start, center, active = meet(finger, objects, state, position)
+        start, center, active, left = meet(finger, objects, state, position)
     if active.first < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt)
 
-    center, active, late, left = settle_among_several(objects, radius, position, start, center, active)
+    center, active, late, left = settle_among_several(objects, radius, position, start, center, active, left)
     last = carried_patches(objects, state.patches)
     held = hand_on(objects, last, active)
     way = aside(last, held)
@@ -303,7 +305,7 @@ def among_several_objects(
     shown = beside(objects, radius, center, tangent_to_all(active, lag), held_by(active), left)
     against = velocity_against(carry(objects, active.first), probe.velocity, state.probe.position, dt)
     extra, states = all_effects(scene, radius, objects, state, active, probe, against, dt)
-    if late and any_faceted(objects):
+    if late and any_wide(objects):
         extra = vec3.add(extra, drawn_after(objects, active, vec3.sub(center, position)))
     cause = one.cause
     if cause == CAUSE_NONE and touches:

@@ -78,7 +78,7 @@ def ask(shape: Any, points: Any, radius: float, found: Any) -> None:
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
         found[k, 0] = nearest_from(shape, x, x, BUDGET).spent
-        found[k, 1] = gap_within(shape, x, radius, BUDGET)[1]
+        found[k, 1] = gap_within(shape, x, radius, BUDGET).spent
         gap, point, normal = closest(shape, x)
         found[k, 2] = gap
         off = vec3.sub(vec3.add_scaled(point, gap, normal), x)

@@ -93,7 +93,7 @@ def roll_long(method: Any, shape: Any, radius: float, center: Any, normal: Any, 
     """
     off, stretched = 0.0, 0.0
     turn = rotations.exp(w)
-    out = Roll(center, normal, (0.0, 0.0, 0.0), 0.0, 0.0)
+    out = Roll(center, normal, (0.0, 0.0, 0.0), 0.0, 0.0, True)
     wander = rotations.exp((3e-3, 1e-3, 2e-3))
     for i in range(ticks):
         if i % 64 == 0:

@@ -19,7 +19,8 @@ from softfinger.proxy.kernels.geometry.bodies import (
     EVERYWHERE,
     NOBODY,
     any_faceted,
-    closest_to,
+    any_rugged,
+    closest_to_within,
     deepest,
     follows_on,
     is_inside,
@@ -45,11 +46,13 @@ from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ROLLING
 
 
 class Meeting(NamedTuple):
-    """A first touch: where the way of the proxy begins, where what is met holds it, and what that is, if anything."""
+    """A first touch: where the way of the proxy begins, where what is met holds it, and what that is, if anything. And
+    what is left of the tick's budget."""
 
     start: Vec3
     center: Vec3
     active: Constraints
+    left: int
 
 
 class Approach(NamedTuple):
@@ -59,6 +62,7 @@ class Approach(NamedTuple):
     theta, twist                      rad     roll and spin of the fingertip against the object in this tick
     against                           m/s     probe velocity against the object
     strays                            the roll is in `deflection` only, and `center` has not gone along
+    bounded                           1 if that is so because the budget was used up
     """
 
     mode: float
@@ -72,6 +76,7 @@ class Approach(NamedTuple):
     twist: float
     against: Vec3
     strays: bool
+    bounded: float
 
 
 @by_count
@@ -118,11 +123,14 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
     pose of all has no way: it is in contact where it stands inside.
     """
     radius = finger.radius
-    start, left = position, BUDGET // 2
+    start, budget = position, BUDGET // 2
+    if any_rugged(objects):  # on the way over a height map a fingertip asks more often
+        budget = 3 * BUDGET // 4
+    left = budget
     if state.started == 0.0:
         gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
         if left < 0 and index >= 0.0:  # of a mesh that was not searched to the end: what was found so far
-            gap, _, _ = closest_to(objects, index, position)
+            gap, _, _, left = closest_to_within(objects, index, position, left)
         met = position
         if gap >= radius:
             index = NONE
@@ -131,7 +139,7 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
         index, met, left = first_hit(objects, start, position, radius, False, NOBODY, left)
     active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position
     if index >= 0.0:
-        gap, point, normal = closest_to(objects, index, met)
+        gap, point, normal, left = closest_to_within(objects, index, met, left)
         center = vec3.add_scaled(point, radius, normal)
         if state.started != 0.0 and any_faceted(objects):
             center = met  # other facets are as near: on this one it might be inside of those
@@ -148,7 +156,9 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
             center = rest_of(state.patches, objects, radius, position, center, active)
     if not any_moves(objects):
         start = center
-    return Meeting(start, center, active)
+    # What a mesh was asked on the way is not counted twice: see `BUDGET`.
+    left = BUDGET - budget + max(left, 0) if any_rugged(objects) else BUDGET
+    return Meeting(start, center, active, left)
 
 
 @jit
@@ -170,6 +180,7 @@ def touch(finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: fl
         twist=0.0,
         against=against,
         strays=False,
+        bounded=0.0,
     )
 
 
@@ -204,7 +215,7 @@ def no_roll_in_hollow(
     nothing = (-0.0, -0.0, -0.0)
     if follows_on(objects, index, radius, start, rolled.center):
         return rolled, nothing, False
-    return Roll(start.center, start.normal, (0.0, 0.0, 0.0), 0.0, rolled.spin), nothing, True
+    return Roll(start.center, start.normal, (0.0, 0.0, 0.0), 0.0, rolled.spin, True), nothing, True
 
 
 @in_hollow.otherwise
@@ -220,18 +231,18 @@ def roll_in_hollow(
 ) -> tuple[Roll, Vec3, bool]:
     center, normal = start
     beyond = (-0.0, -0.0, -0.0)
-    strays = swings_on(objects, index, radius, center, normal, rolled.theta)
+    strays = not rolled.whole or swings_on(objects, index, radius, center, normal, rolled.theta)
     strays = strays or not follows_on(objects, index, radius, start, rolled.center)
     if strays:  # the roll winds the coupling in the tangent plane, and the centre goes where friction lets it
         theta, axis = rotations.tilt(turn, normal)
         beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
-        rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal))
+        rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.whole)
     elif is_inside(objects, index):
         # The normal that turns makes a tangent part of the depth: u (1 + depth / (R - r)) in a round hollow.
         begun = vec3.reject(vec3.sub(center, position), normal)
         ended = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
         wound = vec3.sub(ended, transport_on(objects, index, begun, normal, rolled.normal))
-        rolled = Roll(rolled.center, rolled.normal, wound, rolled.theta, rolled.spin)
+        rolled = Roll(rolled.center, rolled.normal, wound, rolled.theta, rolled.spin, True)
     return rolled, beyond, strays
 
 
@@ -245,6 +256,7 @@ def stay(scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: 
     turn = turn_against(carried, rotations.relative(probe.orientation, state.probe.orientation))
     rolled = roll_on(scene.rolling, objects, index, radius, moved, old_normal, turn)
     begun = OffsetPoint(moved, old_normal)
+    whole = rolled.whole
     rolled, beyond, strays = in_hollow(scene.rolling, objects, index, radius, position, begun, turn, rolled)
     center, normal = rolled.center, rolled.normal
     rolled_part = transport_on(objects, index, carried_direction(carried, last.rolled_part), old_normal, normal)
@@ -264,6 +276,7 @@ def stay(scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: 
         twist=rolled.spin,
         against=against,
         strays=strays,
+        bounded=0.0 if whole else 1.0,
     )
 
 

@@ -12,17 +12,22 @@ from softfinger.proxy.kernels.contact.lodged import lodge
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.bodies import (
-    any_faceted,
+    any_rugged,
+    any_wide,
     beside_on,
     closest_on,
     closest_to,
+    closest_to_within,
     deepest,
+    held_by_at,
     material_of,
+    rugged_on,
 )
 from softfinger.proxy.kernels.geometry.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.surfaces import is_hollow, rest_on
+from softfinger.proxy.kernels.geometry.surfaces.contract import direction
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import Heightmap, Plane, Vec3
 from softfinger.proxy.kernels.native.jit import jit
@@ -30,8 +35,8 @@ from softfinger.proxy.kernels.native.jit import jit
 ROUNDS = 10
 """Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""
 SLIDING_ROUNDS = 2
-"""The same for a proxy that slides, and on facets, whose edges alone are curved: what is left is far below the slip of
-one tick, and the next tick takes it up. Short of the end the proxy is outside, not inside."""
+"""The same for a proxy that slides, and on meshes and height maps: what is left is far below the slip of one tick, and
+the next tick takes it up. Short of the end the proxy is outside, not inside."""
 SAME_SIDE = 0.5
 """Cosine between two normals of one side of an object, one tick apart: a fingertip does not turn round it in a tick."""
 SETTLED = 1e-13
@@ -40,19 +45,21 @@ INSIDE = 1e-10
 """Depth, as a share of the fingertip's radius, that counts as inside an object and not as rounding."""
 FLAT = 1e-4
 """Volume spanned by three unit normals below which they lie in a plane, and may close in from all sides of it."""
-ATTEMPTS, ATTEMPTS_ON_FACETS = 4, 16
+ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
 """Times that something found in the way is added to what holds the proxy, before it stays where it was for a tick."""
 SOON, NEARLY = 3, 1e-4
 """Attempts after which, or after a quarter of the budget, and depth, as a share of the fingertip's radius, below which
 a proxy among more than three facets that are about as near is lifted off those that hold it: of the others each would
 be in the way in turn."""
+SAME_FOOT = 1.0 - 1e-4
+"""Cosine between the normals of two feet on a height map above which they are taken for one."""
 EDGES = 3
 """Edges that a fingertip goes over in a tick before all of the mesh is asked."""
 NONE = -1.0
 
 
 class Constraints(NamedTuple):
-    """Objects that hold the proxy.
+    """Objects that hold the proxy. While its rest is searched a height map may be several of them, one for each foot.
 
     first, second, third   places in the scene's tuple, -1 for none; the first is the one that is rolled on
     n1, n2, n3             (3,) 1   normals
@@ -169,22 +176,23 @@ def rest_on_heightmap(
 
 @jit
 def settle_among_several(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
 ) -> Rest:
     """Bring the proxy to rest among several objects, where it would be without friction.
 
     start   (3,) m  where its way in this tick begins, for what may be met on it: see `first_hit`
     center  (3,) m  where what holds it has carried it
     active          what holds it, pushing
+    left            of the budget
 
-    Over facets it goes no farther in a tick than a fingertip can go without crossing what is thin. A probe that asks
+    Over meshes and height maps it goes no farther in a tick than crosses nothing that is thin. A probe that asks
     for more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
     So is one that finds no rest.
     """
-    if not any_faceted(objects):
-        return settle_for(objects, radius, probe, start, center, active, BUDGET)
+    if not any_wide(objects):
+        return settle_for(objects, radius, probe, start, center, active, left)
     rest, whole, held = Rest(center, active, True, 0), probe, active
-    for budget in (3 * BUDGET // 4, BUDGET // 4):
+    for budget in (3 * left // 4, left // 4):
         goal = vec3.add(whole, displacement(held.push, held.n1, held.n2, held.n3))
         if is_a_step(center, goal, radius):
             rest = settle_for(objects, radius, whole, start, center, held, budget)
@@ -194,10 +202,10 @@ def settle_among_several(
             break
         deep = vec3.sub(probe, center)
         whole = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(deep), 0.5), deep)
-        _, held = relax(objects, radius, whole, center, active, 1)
+        _, held, _ = relaxed(objects, radius, whole, center, active, 1, rest.left)
     if whole == probe:
         return rest
-    _, held = relax(objects, radius, probe, rest.center, rest.active, 1)
+    _, held, _ = relaxed(objects, radius, probe, rest.center, rest.active, 1, rest.left)
     return Rest(rest.center, held, True, rest.left)
 
 
@@ -213,30 +221,30 @@ def settle_for(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
 ) -> Rest:
     """`settle_among_several` in one step, with what is `left` of the budget."""
-    faceted = any_faceted(objects)
-    rounds = SLIDING_ROUNDS if faceted else ROUNDS
+    wide = any_wide(objects)
+    rounds = SLIDING_ROUNDS if wide else ROUNDS
     before, active_before = center, active
     goal = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
     for _ in range(4):
         hit, stop, left = first_hit(objects, start, goal, radius, True, held_by(active), left)
         if hit < 0.0:
             break
-        _, point, normal = closest_to(objects, hit, stop)
+        _, point, normal, left = closest_to_within(objects, hit, stop, left)
         if active.second >= 0.0 and active.third >= 0.0:
             # Three constraints already: stop short of the fourth, and let the next tick sort it out.
             goal = stop
             break
         active = with_another(active, hit, normal)
-        goal, active = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1)
+        goal, active, left = relaxed(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
     center = goal
-    if not faceted:
+    if not wide:
         # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
         gap, at, left = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active), left)
         active = with_touched(objects, radius, goal, active, gap, at)
     found, lift, budget = False, 0.0, left
-    for attempt in range(ATTEMPTS_ON_FACETS if faceted else ATTEMPTS):
-        center, active = relax(objects, radius + lift, probe, center, active, rounds)
-        if faceted and attempt == 0:
+    for attempt in range(ATTEMPTS_ON_MANY if wide else ATTEMPTS):
+        center, active, left = relaxed(objects, radius + lift, probe, center, active, rounds, left)
+        if wide and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
         gap, at, left = deepest(objects, center, radius, held_by(active), left)
         if gap >= radius * (1.0 - INSIDE):
@@ -246,11 +254,13 @@ def settle_for(
             break
         if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * budget):
             lift = 2.0 * (radius - gap)
-        if at != active.first and at != active.second and at != active.third:
-            if active.second >= 0.0 and active.third >= 0.0:
-                active = without_weakest(active)
-            _, _, normal = closest_to(objects, at, center)
-            active = with_another(active, at, normal)
+        other = at != active.first and at != active.second and at != active.third
+        if other or any_rugged(objects):
+            _, _, normal, left = closest_to_within(objects, at, center, left)
+            if other or (rugged_on(objects, at) and not stands_on(active, at, normal)):
+                if active.second >= 0.0 and active.third >= 0.0:
+                    active = without_weakest(active)
+                active = with_another(active, at, normal)
     late = not found
     if not found:
         # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
@@ -258,8 +268,49 @@ def settle_for(
         late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
         if late:
             center = before
-            _, active = relax(objects, radius, probe, before, active_before, 1)
+            _, active, left = relaxed(objects, radius, probe, before, active_before, 1, left)
+    if any_rugged(objects):
+        active = one_foot_each(active)
     return Rest(center, strongest_first(objects, active), late, left)
+
+
+@jit
+def stands_on(active: Constraints, at: float, normal: Vec3) -> bool:
+    """Whether that place of the height map `at`, given by its normal, is one of the feet."""
+    if at == active.first and vec3.dot(normal, active.n1) > SAME_FOOT:
+        return True
+    if at == active.second and vec3.dot(normal, active.n2) > SAME_FOOT:
+        return True
+    return at == active.third and vec3.dot(normal, active.n3) > SAME_FOOT
+
+
+@jit
+def one_foot_each(active: Constraints) -> Constraints:
+    """The feet on one height map together: pushing along the sum of their pushes, by its length."""
+    push = active.push
+    if active.third >= 0.0 and (active.third == active.first or active.third == active.second):
+        if active.third == active.first:
+            first, n1 = together(push.first, active.n1, push.third, active.n3)
+            second, n2 = push.second, active.n2
+        else:
+            first, n1 = push.first, active.n1
+            second, n2 = together(push.second, active.n2, push.third, active.n3)
+        active = Constraints(
+            first=active.first, second=active.second, third=NONE, n1=n1, n2=n2, n3=n2, push=Push(first, second, 0.0)
+        )  # fmt: skip
+    if active.second >= 0.0 and active.second == active.first:
+        push = active.push
+        first, n1 = together(push.first, active.n1, push.second, active.n2)
+        active = Constraints(
+            first=active.first, second=active.third, third=NONE, n1=n1, n2=active.n3, n3=active.n3,
+            push=Push(first, push.third, 0.0),
+        )  # fmt: skip
+    return active
+
+
+@jit
+def together(one: float, n1: Vec3, two: float, n2: Vec3) -> tuple[float, Vec3]:
+    return direction(vec3.add_scaled(vec3.scale(one, n1), two, n2), n1)
 
 
 @jit
@@ -306,7 +357,17 @@ def leaves_no_room(active: Constraints) -> bool:
 def relax(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: Constraints, rounds: int
 ) -> tuple[Vec3, Constraints]:
-    """Nearest point to `base` behind the tangent planes of all holding objects, again and again at the new point.
+    """`relaxed` for a place that is known to need little of the budget."""
+    center, active, _ = relaxed(objects, radius, base, center, active, rounds, BUDGET)
+    return center, active
+
+
+@jit
+def relaxed(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: Constraints, rounds: int, left: int
+) -> tuple[Vec3, Constraints, int]:
+    """Nearest point to `base` behind the tangent planes of all holding objects, again and again at the new point. And
+    what is left of the budget.
 
     In a pinch the point between them; see `hold`.
     """
@@ -314,14 +375,18 @@ def relax(
     n1, n2, n3 = active.n1, active.n2, active.n3
     push = active.push
     for _ in range(rounds):
-        _, point, n1 = closest_to(objects, active.first, center)
+        point, n1, left = held_by_at(objects, active.first, center, radius, n1, left)
         b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
-        n2, b2, n3, b3 = n1, b1, n1, b1
-        if active.second >= 0.0:
-            _, point, n2 = closest_to(objects, active.second, center)
+        b2, b3 = b1, b1
+        if active.second < 0.0:
+            n2 = n1
+        else:
+            point, n2, left = held_by_at(objects, active.second, center, radius, n2, left)
             b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
-        if active.third >= 0.0:
-            _, point, n3 = closest_to(objects, active.third, center)
+        if active.third < 0.0:
+            n3 = n1
+        else:
+            point, n3, left = held_by_at(objects, active.third, center, radius, n3, left)
             b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
         held = hold(count_of(active), n1, n2, n3, b1, b2, b3)
         push = held.push
@@ -332,7 +397,7 @@ def relax(
             break
     return center, Constraints(
         first=active.first, second=active.second, third=active.third, n1=n1, n2=n2, n3=n3, push=push
-    )  # fmt: skip
+    ), left  # fmt: skip
 
 
 @jit

@@ -8,8 +8,8 @@ which is a foot then, too. On one foot alone the curvature of the offset surface
 method. What the tick ends with has been asked of the whole map: the proxy is never inside of it. And no step is longer
 than the fingertip's clearance, so it goes round no ridge.
 
-What a tick asks has a budget, counted as in `footing`: one for coming to rest, one for a roll, one for a first touch.
-Where it is used up the proxy stays where it was, outside, and the next tick asks anew.
+What a tick asks has a budget, counted as in `footing`: one for coming to rest, one for the end of a roll, and one for a
+first touch, that of meshes. Where it is used up the proxy stays where it was, outside, and the next tick asks anew.
 """
 
 from typing import Any, Final, NamedTuple
@@ -20,10 +20,10 @@ from softfinger.proxy.kernels.contact.half_spaces import displacement, hold
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.entries import has, member, places
 from softfinger.proxy.kernels.geometry.frames import into, out_of
-from softfinger.proxy.kernels.geometry.surfaces import NO_HIT, curvature, follows, travel
+from softfinger.proxy.kernels.geometry.surfaces import NO_HIT, curvature, follows
 from softfinger.proxy.kernels.geometry.surfaces.contract import direction
-from softfinger.proxy.kernels.geometry.surfaces.footing import above, downhill, gap_within, nearest_from
-from softfinger.proxy.kernels.geometry.sweep import ADVANCES, TOUCHING
+from softfinger.proxy.kernels.geometry.surfaces.footing import above, downhill, gap_within, left_of, nearest_from
+from softfinger.proxy.kernels.geometry.sweep import ADVANCES, TOUCHING, meets
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
@@ -47,10 +47,8 @@ REST_BUDGET: Final = 1000
 """Tiles that are asked for where the proxy rests, all rounds together."""
 ROLL_BUDGET: Final = 300
 """For whether there is room where a roll ends."""
-WAY_BUDGET: Final = 600
-"""For a way to the first touch, all steps together."""
 END_BUDGET: Final = 200
-"""For its end, beside those."""
+"""For whether there is room at the end of a way to a first touch."""
 SHORTEST: Final = 0.25
 """1 - depth x curvature at the least: Newton's step is four times that in the tangent plane at the most."""
 
@@ -206,36 +204,39 @@ def lifted_on(objects: Any, index: float, center: Vec3, radius: float) -> Vec3:
     return found
 
 
-@travel.of(Heightmap)
-def travel_over_heightmap(shape: Heightmap, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
-    """As over any shape (`sweep`), but for what is farther than the way, which is not asked for.
+@meets.of(Heightmap)
+def meets_heightmap(
+    shape: Heightmap, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+) -> tuple[float, float, int]:
+    """As over any shape (`travel`), but for what is farther than the way, which is not asked for.
 
-    Where the budget is used up the fingertip goes no farther; a short way, which leads through nothing, it goes if
-    there is room at its end.
+    What `leaves` a height map is held by what it touches at the end of a short way, as of a mesh. The way may ask half
+    of the budget. Where that is used up the fingertip goes no farther; a short way, which leads through nothing, it
+    goes if there is room at its end.
     """
     way = vec3.sub(end, start)
-    length = vec3.norm(way)
-    gap, spent = gap_within(shape, start, radius + length, WAY_BUDGET)
-    clearance, touching = gap - radius, TOUCHING * radius
+    length, short = vec3.norm(way), STRIDE * radius
+    if leaves and length <= short:
+        return NO_HIT, 0.0, budget
+    near = gap_within(shape, start, radius + length, budget // 2)
+    left, rest = left_of(budget // 2, near.whole, near.spent), left_of(budget, True, near.spent)
+    clearance, touching, share = near.gap - radius, TOUCHING * radius, 0.0
     if clearance >= length:
-        return NO_HIT
-    if clearance <= touching:
-        gap, _ = gap_within(shape, end, radius, END_BUDGET)
-        return 0.0 if gap - radius < (min(clearance, 0.0) if leaves else 0.0) else NO_HIT
-    share, left = 0.0, WAY_BUDGET - spent
-    for _ in range(ADVANCES):
-        if left <= 0:
+        return NO_HIT, 0.0, rest
+    begun = min(clearance, 0.0) if leaves else 0.0
+    for _ in range(ADVANCES if clearance > touching else 0):
+        if left < 0:
             break
         share += clearance / length
         if share >= 1.0:
-            return NO_HIT
-        gap, spent = gap_within(shape, vec3.add_scaled(start, share, way), radius + (1.0 - share) * length, left)
-        left -= spent
-        clearance = gap - radius
-        if left > 0 and clearance <= touching:
-            return share
+            return NO_HIT, 0.0, rest
+        near = gap_within(shape, vec3.add_scaled(start, share, way), radius + (1.0 - share) * length, left)
+        left, rest = left_of(left, near.whole, near.spent), left_of(rest, True, near.spent)
+        clearance = near.gap - radius
+        if left >= 0 and clearance <= touching:
+            return share, 0.0, rest
+    if left < 0 and length > short:
+        return share, 0.0, rest
     # A glancing pass comes ever closer without meeting: it counts only if it ends inside.
-    if left <= 0 and length > STRIDE * radius:
-        return share
-    gap, _ = gap_within(shape, end, radius, END_BUDGET)
-    return share if gap < radius else NO_HIT
+    near = gap_within(shape, end, radius, min(rest, END_BUDGET))
+    return (share if near.gap - radius < begun else NO_HIT), 0.0, left_of(rest, True, near.spent)

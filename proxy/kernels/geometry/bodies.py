@@ -15,8 +15,18 @@ from softfinger.proxy.kernels.geometry.entries import has, member, places
 from softfinger.proxy.kernels.geometry.frames import into, out_of, pose_values, turn_into, turn_out_of
 from softfinger.proxy.kernels.geometry.mesh.contact import nearest_facet
 from softfinger.proxy.kernels.geometry.mesh.triangle import beyond_edge
-from softfinger.proxy.kernels.geometry.surfaces import bend, closest, follows, is_hollow, tangent_plane, transport
-from softfinger.proxy.kernels.model import Facet, Material, Mesh, Pose, Quaternion, Vec3
+from softfinger.proxy.kernels.geometry.surfaces import (
+    bend,
+    closest,
+    closest_within,
+    follows,
+    held_at,
+    is_hollow,
+    tangent_plane,
+    transport,
+)
+from softfinger.proxy.kernels.geometry.surfaces.footing import gap_within, left_of
+from softfinger.proxy.kernels.model import Facet, Heightmap, Material, Mesh, Pose, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.rows import Rows
@@ -52,6 +62,37 @@ def closest_to(objects: Any, index: float, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 
 @jit
+def closest_to_within(objects: Any, index: float, x: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+    """`closest_within` of the object with that place."""
+    gap, point, normal = 0.0, x, (0.0, 0.0, 1.0)
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            body = member(entry, index - at)
+            gap, foot, up, left = closest_within(body.shape, into(body.pose, x), left)
+            point, normal = out_of(body.pose, foot), turn_out_of(body.pose, up)
+        at += places(entry)
+    return gap, point, normal, left
+
+
+@jit
+def held_by_at(
+    objects: Any, index: float, center: Vec3, radius: float, normal: Vec3, left: int
+) -> tuple[Vec3, Vec3, int]:
+    """`held_at` of the object with that place, in the world."""
+    point, up = center, normal
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            body = member(entry, index - at)
+            pose = body.pose
+            foot, n, left = held_at(body.shape, into(pose, center), radius, turn_into(pose, normal), left)
+            point, up = out_of(pose, foot), turn_out_of(pose, n)
+        at += places(entry)
+    return point, up, left
+
+
+@jit
 def material_of(objects: Any, index: float) -> Material:
     """Material of the object with that place; all have the same parts."""
     found = member(objects[0], 0.0).material
@@ -82,7 +123,7 @@ def roll_on(
     method: Any, objects: Any, index: float, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
 ) -> Roll:
     """`roll` over the object with that place, in the world."""
-    found = Roll(center, normal, (0.0, 0.0, 0.0), 0.0, 0.0)
+    found = Roll(center, normal, (0.0, 0.0, 0.0), 0.0, 0.0, True)
     at = 0.0
     for entry in literal_unroll(objects):
         if has(entry, at, index):
@@ -103,6 +144,7 @@ def roll_on(
                 turn_out_of(pose, local.motion),
                 local.theta,
                 local.spin,
+                local.whole,
             )
         at += places(entry)
     return found
@@ -111,7 +153,7 @@ def roll_on(
 @jit
 def roll_flat_on(method: Any, objects: Any, index: float, radius: float, normal: Vec3, turn: Quaternion) -> Roll:
     """`roll` in the tangent plane of the object with that place; of the Roll, `motion` and the angles."""
-    found = Roll(normal, normal, (0.0, 0.0, 0.0), 0.0, 0.0)
+    found = Roll(normal, normal, (0.0, 0.0, 0.0), 0.0, 0.0, True)
     at = 0.0
     for entry in literal_unroll(objects):
         if has(entry, at, index):
@@ -120,7 +162,7 @@ def roll_flat_on(method: Any, objects: Any, index: float, radius: float, normal:
             n, axis = turn_into(pose, normal), turn_into(pose, (turn[1], turn[2], turn[3]))
             turned = (turn[0], axis[0], axis[1], axis[2])
             local = roll(method, tangent_plane(body.shape, n), radius, vec3.scale(radius, n), n, turned)
-            found = Roll(normal, normal, turn_out_of(pose, local.motion), local.theta, local.spin)
+            found = Roll(normal, normal, turn_out_of(pose, local.motion), local.theta, local.spin, True)
         at += places(entry)
     return found
 
@@ -226,7 +268,7 @@ def beside_on(objects: Any, index: float, x: Vec3) -> float:
 
 class Deepest(NamedTuple):
     """The object nearest to a point: the gap (m), its place, -1 for none, and what is left of the budget; below 0 it
-    was used up on a mesh, and the gap may be only a bound below which nothing is."""
+    was used up on a mesh or a height map, and the gap may be only a bound below which nothing is."""
 
     gap: float
     place: float
@@ -272,6 +314,62 @@ def faceted_rows(entry: Any) -> float:
 
 
 @by_type
+def is_rugged(shape: Any) -> Any:
+    """1 for a shape that may hold a fingertip in several places, as one body."""
+
+
+@is_rugged.otherwise
+def is_even(shape: Any) -> float:
+    return 0.0
+
+
+@is_rugged.of(Heightmap)
+def is_heightmap(shape: Heightmap) -> float:
+    return 1.0
+
+
+@by_type
+def rugged_in(entry: Any) -> Any: ...
+
+
+@rugged_in.otherwise
+def rugged_object(entry: Any) -> float:
+    return is_rugged(entry.shape)
+
+
+@rugged_in.of(Rows)
+def rugged_rows(entry: Any) -> float:
+    return is_rugged(entry[0].shape)
+
+
+@jit
+def any_rugged(objects: Any) -> bool:
+    """Whether there is a height map among them: known when the scene is compiled."""
+    found = 0.0
+    for entry in literal_unroll(objects):
+        found += rugged_in(entry)
+    return found > 0.0
+
+
+@jit
+def rugged_on(objects: Any, index: float) -> bool:
+    """Whether the object with that place is a height map."""
+    found = 0.0
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            found = rugged_in(entry)
+        at += places(entry)
+    return found > 0.0
+
+
+@jit
+def any_wide(objects: Any) -> bool:
+    """Whether there is a mesh or a height map among them, which the fingertip may touch in many places."""
+    return any_faceted(objects) or any_rugged(objects)
+
+
+@by_type
 def nearest_in(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Any:
     """`deepest` among the objects of an entry that begins with the place `at`, as numbers in it."""
 
@@ -300,12 +398,18 @@ def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, at: float, known: 
     return Deepest(gap, number, left)
 
 
+@nearest_of_shape.of(Heightmap)
+def gap_over_heightmap(shape: Heightmap, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
+    near = gap_within(shape, x, within, budget)
+    return Deepest(near.gap, 0.0, left_of(budget, near.whole, near.spent))
+
+
 @nearest_in.of(Rows)
 def smallest_gap_in_rows(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
     smallest, number = 1e300, 0.0
     for i in range(len(entry)):
         body = entry[i]
-        gap, _, _ = closest(body.shape, into(body.pose, x))
+        gap, _, budget = nearest_of_shape(body.shape, into(body.pose, x), within, at + i, known, budget)
         if gap < smallest:
             smallest, number = gap, float(i)
     return Deepest(smallest, number, budget)
@@ -318,7 +422,7 @@ def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> D
     within        m  gaps beyond it may be left out; of no object, then, is the gap 1e300
     known   (3,)     places of up to three objects, -1 for none, to which no equally near triangle of their mesh is
                      preferred
-    budget           nodes and triangles of meshes that may be asked
+    budget           nodes and triangles of meshes, and tiles of height maps, that may be asked
     """
     smallest, index = 1e300, -1.0
     at = 0.0

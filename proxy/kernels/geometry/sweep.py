@@ -106,13 +106,13 @@ def first_hit(
     objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
 ) -> tuple[float, Vec3, int]:
     """Place of the first object met, -1 for none, where (3,) m its surface and the fingertip meet, and what is left of
-    the budget; where that is used up on a mesh it counts as met.
+    the budget; where that is used up on a mesh or a height map it counts as met.
 
     start   (3,) m  where the way begins, at the last tick: an object that has moved since has taken it along
     end     (3,) m  where the way ends now
     leaves          see `travel`
     skip            places of up to three objects that are not asked
-    budget          nodes and triangles of meshes that may be asked
+    budget          nodes and triangles of meshes, and tiles of height maps, that may be asked
     """
     share, index, where = NO_HIT, -1.0, end
     at = 0.0

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.surfaces import closest, closest_from
+from softfinger.proxy.kernels.geometry.surfaces import ROLLING, closest, closest_from
 from softfinger.proxy.kernels.geometry.surfaces.grown import arm
 from softfinger.proxy.kernels.model import Grown, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
@@ -25,6 +25,7 @@ class Roll(NamedTuple):
     motion   (3,)  m    how far the centre rolled: its path unrolled into the tangent plane at its end
     theta          rad  roll angle; of a ball |motion| / r
     spin           rad  rotation about the normal along the path
+    whole               False where the budget was used up on the way: then nothing but the angles counts
     """
 
     center: Vec3
@@ -32,6 +33,7 @@ class Roll(NamedTuple):
     motion: Vec3
     theta: float
     spin: float
+    whole: bool
 
 
 @by_type
@@ -57,7 +59,7 @@ def land(shape: Any, radius: float, center: Vec3) -> tuple[Vec3, Vec3]:
 @jit
 def land_from(shape: Any, radius: float, start: Vec3, up: Vec3, center: Vec3) -> tuple[Vec3, Vec3]:
     """The same after a roll from `start` (3,) m, with the normal `up` (3,) there."""
-    _, point, normal = closest_from(shape, center, vec3.add_scaled(start, -radius, up))
+    _, point, normal, _ = closest_from(shape, center, vec3.add_scaled(start, -radius, up), ROLLING)
     return vec3.add_scaled(point, radius, normal), normal
 
 
@@ -65,7 +67,7 @@ def land_from(shape: Any, radius: float, start: Vec3, up: Vec3, center: Vec3) ->
 def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
     """The contact stays; it is only put back onto the surface, so that rounding does not add up."""
     center, new_normal = land_from(shape, radius, center, normal, center)
-    return Roll(center, new_normal, (0.0, 0.0, 0.0), 0.0, rotations.twist(turn, normal))
+    return Roll(center, new_normal, (0.0, 0.0, 0.0), 0.0, rotations.twist(turn, normal), True)
 
 
 # --- what of it depends on the fingertip's form: that of an ellipsoid is in the shape that it sees ------------------

@@ -75,7 +75,7 @@ def roll_rotation_vector(
 def unroll_on_plane(shape: Plane, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     motion = vec3.scale(radius, vec3.cross(w, normal))
     center, end = land(shape, radius, vec3.add(center, motion))
-    return Roll(center, end, motion, vec3.norm(motion) / radius, vec3.dot(w, normal))
+    return Roll(center, end, motion, vec3.norm(motion) / radius, vec3.dot(w, normal), True)
 
 
 @unroll.of(Sphere)
@@ -83,7 +83,7 @@ def unroll_on_sphere(shape: Sphere, radius: float, center: Vec3, normal: Vec3, w
     distance = radius + shape.side * shape.radius
     end, motion, spin = over_sphere(radius, turning_share(radius, distance), normal, w)
     center, end = land(shape, radius, vec3.scale(distance, end))
-    return Roll(center, end, motion, vec3.norm(motion) / radius, spin)
+    return Roll(center, end, motion, vec3.norm(motion) / radius, spin, True)
 
 
 @unroll.of(Cylinder)
@@ -92,4 +92,4 @@ def unroll_on_cylinder(shape: Cylinder, radius: float, center: Vec3, normal: Vec
     end, motion, spin = over_cylinder(radius, turning_share(radius, distance), (0.0, 0.0, 1.0), normal, w)
     moved = (distance * end[0], distance * end[1], center[2] + motion[2])
     center, end = land(shape, radius, moved)
-    return Roll(center, end, motion, vec3.norm(motion) / radius, spin)
+    return Roll(center, end, motion, vec3.norm(motion) / radius, spin, True)

@@ -38,7 +38,7 @@ def roll_about(
     moved = ahead(shape, radius, center, normal, along, length)
     center, new_normal = land_from(shape, radius, center, normal, moved)
     motion = transport(shape, vec3.scale(length, along), normal, new_normal)
-    return Roll(center, new_normal, motion, theta, spin)
+    return Roll(center, new_normal, motion, theta, spin, True)
 
 
 @roll.of(EulerZxz)

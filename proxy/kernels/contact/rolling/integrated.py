@@ -10,7 +10,7 @@ import numba
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, earlier, pace, roll, roll_angle, surface_part
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.surfaces import closest_from, transport
+from softfinger.proxy.kernels.geometry.surfaces import ROLLING, closest_from, transport
 from softfinger.proxy.kernels.model import Midpoint, MontanaRk4, MontanaRk45, Quaternion, Vec3
 from softfinger.proxy.kernels.native.jit import OPTIONS, jit
 
@@ -38,10 +38,11 @@ def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, nor
         part = 0.5 if stage == 0 else 1.0
         slope, spin = pace(earlier(shape, w, 1.5 - part), radius, w, n), vec3.dot(w, n)
         length, tilted = surface_part(shape, slope, n), vec3.norm(vec3.cross(w, n))
-        _, point, n = closest_from(earlier(shape, w, 1.0 - part), vec3.add_scaled(center, part, slope), begun)
+        then = earlier(shape, w, 1.0 - part)
+        _, point, n, _ = closest_from(then, vec3.add_scaled(center, part, slope), begun, ROLLING)
     end = vec3.add_scaled(point, radius, n)
     motion = unrolled(slope, n, length)
-    return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin)
+    return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
 
 
 @roll.of(MontanaRk4)
@@ -63,15 +64,15 @@ def roll_montana_rk4(
         tilted += weight * vec3.norm(vec3.cross(w, n))
         ahead = moved if stage == 3 else vec3.scale(1.0 if stage == 2 else 0.5, slope)
         left = 0.5 if stage < 2 else 0.0
-        _, point, n = closest_from(earlier(shape, w, left), vec3.add(center, ahead), begun)
+        _, point, n, _ = closest_from(earlier(shape, w, left), vec3.add(center, ahead), begun, ROLLING)
     end = vec3.add_scaled(point, radius, n)
     motion = unrolled(moved, n, length)
-    return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin)
+    return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
 
 
-def foot(shape: Any, x: Vec3, start: Vec3) -> tuple[Vec3, Vec3]:
-    _, point, normal = closest_from(shape, x, start)
-    return point, normal
+def foot(shape: Any, x: Vec3, start: Vec3, budget: int) -> tuple[Vec3, Vec3, int]:
+    _, point, normal, budget = closest_from(shape, x, start, budget)
+    return point, normal, budget
 
 
 # Not inlined, unlike other kernels: six copies of an iterative closest point would take seconds to compile.
@@ -90,41 +91,43 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
 
     A sub-step is taken when its error is below tolerance x radius, and tried again shorter otherwise: where
     the curvature jumps, much shorter. The number of trials is bounded: after half of them a sub-step is at
-    least its share of what is left, and then taken whatever its error.
+    least its share of what is left, and then taken whatever its error. On a shape that has a budget it may end before.
     """
     n, motion, spin, tilted, left, h = normal, (0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 1.0
-    allowed = tolerance * radius
+    allowed, budget = tolerance * radius, ROLLING
     k1 = pace(earlier(shape, w, 1.0), radius, w, n)
     for trial in range(MAX_TRIALS):
         begun = vec3.add_scaled(center, -radius, n)
         shortest = left / (MAX_TRIALS - trial) if trial >= MAX_TRIALS // 2 else 0.0
         h = min(max(h, shortest), left)
         then = earlier(shape, w, left - 1 / 5 * h)
-        _, n2 = foot(then, vec3.add_scaled(center, h / 5, k1), begun)
+        _, n2, budget = foot(then, vec3.add_scaled(center, h / 5, k1), begun, budget)
         k2 = pace(then, radius, w, n2)
         slope = combine(3 / 40, k1, 9 / 40, k2)
         then = earlier(shape, w, left - 3 / 10 * h)
-        _, n3 = foot(then, vec3.add_scaled(center, h, slope), begun)
+        _, n3, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k3 = pace(then, radius, w, n3)
         slope = vec3.add_scaled(combine(44 / 45, k1, -56 / 15, k2), 32 / 9, k3)
         then = earlier(shape, w, left - 4 / 5 * h)
-        _, n4 = foot(then, vec3.add_scaled(center, h, slope), begun)
+        _, n4, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k4 = pace(then, radius, w, n4)
         slope = vec3.add(
             combine(19372 / 6561, k1, -25360 / 2187, k2), combine(64448 / 6561, k3, -212 / 729, k4)
         )  # fmt: skip
         then = earlier(shape, w, left - 8 / 9 * h)
-        _, n5 = foot(then, vec3.add_scaled(center, h, slope), begun)
+        _, n5, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k5 = pace(then, radius, w, n5)
         slope = vec3.add(combine(9017 / 3168, k1, -355 / 33, k2), combine(46732 / 5247, k3, 49 / 176, k4))
         slope = vec3.add_scaled(slope, -5103 / 18656, k5)
         then = earlier(shape, w, left - h)
-        _, n6 = foot(then, vec3.add_scaled(center, h, slope), begun)
+        _, n6, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k6 = pace(then, radius, w, n6)
         slope = vec3.add(combine(35 / 384, k1, 500 / 1113, k3), combine(125 / 192, k4, -2187 / 6784, k5))
         slope = vec3.add_scaled(slope, 11 / 84, k6)
-        point, n7 = foot(then, vec3.add_scaled(center, h, slope), begun)
+        point, n7, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k7 = pace(then, radius, w, n7)
+        if budget < 0:
+            break
 
         off = vec3.add(combine(71 / 57600, k1, -71 / 16695, k3), combine(71 / 1920, k4, -17253 / 339200, k5))
         off = vec3.add(off, combine(22 / 525, k6, -1 / 40, k7))
@@ -153,7 +156,7 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
                 break
         # An error of nothing, as on a plane, asks for the longest step; that of a fifth-order rule goes as h^5.
         h *= min(max(0.9 * (allowed / error) ** 0.2, 0.2), 5.0) if error > 0.0 else 5.0
-    return Roll(center, n, motion, roll_angle(shape, radius, motion, tilted), spin)
+    return Roll(center, n, motion, roll_angle(shape, radius, motion, tilted), spin, budget >= 0)
 
 
 @roll.of(MontanaRk45)

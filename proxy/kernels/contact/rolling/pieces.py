@@ -121,7 +121,7 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
         n = unit((n[0], n[1], 0.0), n)
     end = vec3.add_scaled((0.0, 0.0, cap * shape.half_length if cap != 0.0 else z), distance, n)
     center, n = land(shape, radius, end)
-    return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
+    return Roll(center, n, motion, vec3.norm(motion) / radius, spin, True)
 
 
 @jit
@@ -197,7 +197,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
             point = with_item(point, axis, side * h[axis])
         sides = with_item(sides, axis, side)
     center, n = land(shape, radius, vec3.add_scaled(point, radius, n))
-    return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
+    return Roll(center, n, motion, vec3.norm(motion) / radius, spin, True)
 
 
 @jit
@@ -234,7 +234,7 @@ def unroll_on_capped_cylinder(shape: CappedCylinder, radius: float, center: Vec3
         time, end, motion, spin = to_the_rim_by_end(shape, radius, center, normal, w)
     center, n = land(shape, radius, end)
     if time >= 1.0:
-        return Roll(center, n, motion, vec3.norm(motion) / radius, spin)
+        return Roll(center, n, motion, vec3.norm(motion) / radius, spin, True)
     rest = integrate(shape, radius, center, n, vec3.scale(1.0 - time, w), RIM_TOLERANCE)
     motion = vec3.add(transport(shape, motion, n, rest.normal), rest.motion)
-    return Roll(rest.center, rest.normal, motion, vec3.norm(motion) / radius, spin + rest.spin)
+    return Roll(rest.center, rest.normal, motion, vec3.norm(motion) / radius, spin + rest.spin, True)

@@ -6,7 +6,9 @@
 These two are all that a new shape has to give. What follows has a default, which serves whatever `closest` and
 `curvature` describe; a shape says otherwise where it knows better, as the plane does.
 
-    closest_from(shape, x, start)            -> as `closest`        for a fingertip that rolls there from a point
+    closest_from(shape, x, start, left)      -> as `closest`, left  for a fingertip that rolls there from a point
+    closest_within(shape, x, left)           -> as `closest`, left  with what is left of the tick's budget
+    held_at(shape, center, radius, normal, left) -> point, normal, left    where it holds a fingertip as it did before
     transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v carried to the new normal
     is_hollow(shape)                         -> bool                whether it is touched from inside; default: no
     bend(shape, radius, point, normal)       -> 1/m                 how much it bends round the fingertip
@@ -16,6 +18,9 @@ These two are all that a new shape has to give. What follows has a default, whic
     ahead(shape, radius, center, ...)                               where the centre gets by going straight ahead
     tangent_plane(shape, normal)                                    the plane through the origin that it is like there
     unroll(shape, radius, center, ...)                              rolling in closed form, without a default
+
+What takes long to ask has a budget; `left` is what is left of it, below 0 where it was used up. Only what is asked of
+meshes and height maps is counted.
 
 Defaults stand beside what they are made of: travel in geometry/sweep, rest_on in contact/constraints, ahead and unroll
 in contact/rolling. A shape that can be touched from inside has `side`, +1 or -1, and calls `may_be_hollow`.
@@ -41,6 +46,8 @@ Z_AXIS: Vec3 = (0.0, 0.0, 1.0)
 
 FAN = 1e-9
 """A component of a normal below this is none: rotating the normal out of the world and back leaves 1e-16."""
+ROLLING = 900
+"""What a roll may ask."""
 NO_HIT = 2.0
 """Share of the way that says: nothing was met on it."""
 
@@ -50,14 +57,38 @@ def closest(shape: Any, x: Vec3) -> Any: ...
 
 
 @by_type
-def closest_from(shape: Any, x: Vec3, start: Vec3) -> Any:
+def closest_from(shape: Any, x: Vec3, start: Vec3, left: int) -> Any:
     """`closest` for a fingertip that rolls there from the surface point `start` (3,) m: where many points are near
-    what is downhill from there will do."""
+    what is downhill from there will do. And what is left of the budget."""
 
 
 @closest_from.otherwise
-def closest_from_anywhere(shape: Any, x: Vec3, start: Vec3) -> Any:
-    return closest(shape, x)
+def closest_from_anywhere(shape: Any, x: Vec3, start: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+    gap, point, normal = closest(shape, x)
+    return gap, point, normal, left
+
+
+@by_type
+def closest_within(shape: Any, x: Vec3, left: int) -> Any:
+    """`closest` with what is `left` of the budget, and what is left then. Where it is used up the gap is a bound."""
+
+
+@closest_within.otherwise
+def closest_without_budget(shape: Any, x: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+    gap, point, normal = closest(shape, x)
+    return gap, point, normal, left
+
+
+@by_type
+def held_at(shape: Any, center: Vec3, radius: float, normal: Vec3, left: int) -> Any:
+    """Point and normal where it holds a fingertip at `center` (3,) m, that it held with that normal before: near there,
+    where a shape may hold it in several places. And what is left of the budget."""
+
+
+@held_at.otherwise
+def held_where_nearest(shape: Any, center: Vec3, radius: float, normal: Vec3, left: int) -> tuple[Vec3, Vec3, int]:
+    _, point, normal = closest(shape, center)
+    return point, normal, left
 
 
 @by_type

@@ -3,16 +3,23 @@
 Tiles (`tiles`) are visited depth first, of four the nearer ones first, without a stack: where a tile is says what comes
 next. Those that cannot have the nearest point are left out, and in the cells that remain Newton's method runs.
 
-What is asked is counted, 1 for a tile and LOOK for a height. Where the budget is used up the answer is the best foot so
-far, and a bound: the least that any tile that was left may be away. The surface is then taken to be that near, towards
-the best foot. So a fingertip is held a little too early, never late, and what it is put on is outside.
+What is asked is counted, 1 for a tile and LOOK for a height; that costs about what a node of a mesh does. Where the
+budget is used up the answer is the best foot so far, and a bound: the least that any tile that was left may be away.
+The surface is then taken to be that near, towards the best foot. So a fingertip is held a little too early, never late,
+and what it is put on is outside.
 """
 
 from math import sqrt
 from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.surfaces.contract import closest, closest_from, direction
+from softfinger.proxy.kernels.geometry.surfaces.contract import (
+    closest,
+    closest_from,
+    closest_within,
+    direction,
+    held_at,
+)
 from softfinger.proxy.kernels.geometry.surfaces.heightmap import (
     Foot,
     Place,
@@ -50,6 +57,8 @@ UNDER: Final = 8
 """Tiles a side, and one more, by which a fingertip is lifted over what is under it."""
 ASTRAY: Final = 2.0
 """Cells that the way from a cell to its foot may lead; farther on another cell finds it."""
+SPENT: Final = -1
+"""What is left of a budget that was used up."""
 ABOVE: Final = 1.0 + 1e-9
 """By what a limit is passed over, so that rounding does not leave out what is at it."""
 
@@ -77,6 +86,20 @@ class Touched(NamedTuple):
     normal: Vec3
     whole: bool
     spent: int
+
+
+class Gap(NamedTuple):
+    """A gap (m), or what it is not below where the budget was not enough, and what was asked for it."""
+
+    gap: float
+    whole: bool
+    spent: int
+
+
+@jit
+def left_of(budget: int, whole: bool, spent: int) -> int:
+    """What is left of a budget after a question, below 0 where it was used up, then or before."""
+    return SPENT if budget < 0 or not whole else max(budget - spent, 0)
 
 
 @jit
@@ -169,12 +192,14 @@ def nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> Touched
 
 
 @outlined
-def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> tuple[float, int]:
-    """The gap of `x` (3,) m, or what it is not below; FAR if it is above `reach`, m. And what was asked for it."""
+def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
+    """Of `x` (3,) m; FAR if it is above `reach`, m. Without budget no more is known than that of the box round all."""
     p, most = in_pitches(shape, x), reach / shape.pitch * ABOVE
     whole = tile_at(shape, p, int(shape.levels) - 1, 0, 0)
     if whole.w > 0.0 and square_to_box(whole) > most * most:
-        return FAR, 1
+        return Gap(FAR, True, 1)
+    if budget <= 0:
+        return Gap(sqrt(square_to_box(whole)) * shape.pitch if whole.w > 0.0 else -FAR, False, 1)
     foot, looks = descend(shape, p, Place(p[0], p[1]), FAR)
     spent = LOOK * looks + AROUND
     found = Found(foot, FAR, True, spent)
@@ -184,9 +209,9 @@ def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> tuple[fl
         found = search(shape, p, foot, budget - spent)
         found = Found(found.foot, found.bound, found.whole, found.spent + spent + LOOK)
         if found.foot.s == -FAR:  # no foot is as near
-            return FAR if found.whole else found.bound * shape.pitch, found.spent
+            return Gap(FAR if found.whole else found.bound * shape.pitch, found.whole, found.spent)
     near = touched(shape, x, found)
-    return near.gap, near.spent
+    return Gap(near.gap, near.whole, near.spent)
 
 
 @outlined
@@ -202,24 +227,58 @@ def above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
     return x[0], x[1], top * shape.pitch + radius
 
 
-@closest.of(Heightmap)
-def closest_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Where several points are nearest, any one of them."""
-    near = nearest_from(shape, x, x, BUDGET)
+@jit
+def as_asked(x: Vec3, near: Touched) -> tuple[float, Vec3, Vec3]:
+    """Gap, point and normal that belong together: where the gap is a bound the point is that far away."""
     if near.whole or near.gap < 0.0:
         return near.gap, near.point, near.normal
     _, up = direction(vec3.sub(x, near.point), near.normal)
     return near.gap, vec3.add_scaled(x, -near.gap, up), up
 
 
-@closest_from.of(Heightmap)
-def closest_from_on_heightmap(shape: Heightmap, x: Vec3, start: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Of the feet that are downhill from below `x` and from `start` the nearer: whether there is room is asked where
-    the roll ends (`follows`)."""
+@closest.of(Heightmap)
+def closest_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3]:
+    """Where several points are nearest, any one of them."""
+    return as_asked(x, nearest_from(shape, x, x, BUDGET))
+
+
+@closest_within.of(Heightmap)
+def closest_within_on_heightmap(shape: Heightmap, x: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+    near = nearest_from(shape, x, x, max(left, 0))
+    gap, point, normal = as_asked(x, near)
+    return gap, point, normal, left_of(left, near.whole, near.spent)
+
+
+@outlined
+def downhill_from_two(shape: Heightmap, x: Vec3, start: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+    """`closest_from`; without budget of the place below `x` alone."""
     p, at = in_pitches(shape, x), in_pitches(shape, start)
-    foot, _ = descend(shape, p, Place(p[0], p[1]), FAR)
+    if left < 0:
+        gap, point, normal = touching(shape, x, foot_at(shape, p, p[0], p[1]))
+        return gap, point, normal, left
+    foot, looks = descend(shape, p, Place(p[0], p[1]), FAR)
+    left -= LOOK * looks + AROUND
     if not convex_around(shape, p, foot):
-        other, _ = descend(shape, p, Place(at[0], at[1]), FAR)
+        other, looks = descend(shape, p, Place(at[0], at[1]), FAR)
+        left -= LOOK * looks
         if other.square < AS_NEAR * foot.square:
             foot = other
-    return touching(shape, x, foot)
+    gap, point, normal = touching(shape, x, foot)
+    return gap, point, normal, left
+
+
+@closest_from.of(Heightmap)
+def closest_from_on_heightmap(shape: Heightmap, x: Vec3, start: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+    """Of the feet that are downhill from below `x` and from `start` the nearer: whether there is room is asked where
+    the roll ends (`follows`)."""
+    return downhill_from_two(shape, x, start, left)
+
+
+@held_at.of(Heightmap)
+def held_by_a_foot(shape: Heightmap, center: Vec3, radius: float, normal: Vec3, left: int) -> tuple[Vec3, Vec3, int]:
+    """The foot that is downhill from where it was. Without budget the tangent plane in which the fingertip lies."""
+    start = vec3.add_scaled(center, -radius, normal)
+    if left < 0:
+        return start, normal, left
+    near = downhill(shape, center, start)
+    return near.point, near.normal, left - near.spent
