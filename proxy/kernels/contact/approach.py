@@ -25,6 +25,7 @@ from softfinger.proxy.kernels.geometry.bodies import (
     follows_on,
     is_inside,
     roll_on,
+    rugged_on,
     swings_on,
     transport_on,
 )
@@ -129,7 +130,9 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
     left = budget
     if state.started == 0.0:
         gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
-        if left < 0 and index >= 0.0:  # of a mesh that was not searched to the end: what was found so far
+        if (
+            left < 0 and index >= 0.0 and not rugged_on(objects, index)
+        ):  # of a mesh that was not searched to the end: what was found so far
             gap, _, _, left = closest_to_within(objects, index, position, left)
         met = position
         if gap >= radius:
@@ -141,8 +144,9 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
     if index >= 0.0:
         gap, point, normal, left = closest_to_within(objects, index, met, left)
         center = vec3.add_scaled(point, radius, normal)
-        if state.started != 0.0 and any_faceted(objects):
-            center = met  # other facets are as near: on this one it might be inside of those
+        together = any_faceted(objects) or (len(state.patches) > 1 and any_rugged(objects))
+        if state.started != 0.0 and together:
+            center = met  # others are as near, or the way was not searched to the end: on this one it might be inside
         elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE)) and not is_outside(
             objects, radius, center, center, left
         ):  # the gap is a bound, of a map that was not searched to the end

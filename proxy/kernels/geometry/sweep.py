@@ -63,7 +63,7 @@ def first_in(entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leave
 def meets_it(
     entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
 ) -> tuple[float, float, Vec3, int]:
-    met, begin = NO_HIT, start
+    met, number, begin = NO_HIT, 0.0, start
     if at != skip[0] and at != skip[1] and at != skip[2]:
         begin = ridden(entry.was, entry.pose, start)
         met, number, budget = meets(entry.shape, into(entry.pose, begin), into(entry.pose, end), radius, leaves, budget)

@@ -1,0 +1,72 @@
+"""What ticks ask of height maps, counted: `python -m helpers.counted_asks` in tests/, the scenes on standard input.
+
+Kernels are plain Python here, so that what is asked can be counted where it is asked, whoever asks. In:
+{"method": of rolling, "scenes": [[objects, points (n, 3)], ...]}; out, for each: what each tick asked, and its proxies.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+QUESTION: Final = 2 * (5 + 2 * 48) + 4 * 24 + 9
+"""What one may ask beyond its budget: the cell that is being looked at, the tiles on the way out and round a foot."""
+IN_COMPANY: Final = 1536 + 3 * QUESTION
+"""Of a tick: its budget, what the last question asks beyond it, and one foot where it began and one where it ended."""
+ALONE: Final = 900 + 2 * 300 + 1000 + 1152 + 5 * QUESTION
+"""A roll, whether there is room at two ends, a first touch, and coming to rest."""
+
+
+def poses_at(points: ArrayLike) -> Array:
+    """Poses (n, 7) of a hand that turns at `points` (n, 3) m, up to a third of a radian a tick."""
+    from helpers.touching import posed, spun
+
+    places = np.asarray(points, float)
+    return posed(places, spun((0.6, 0.0, 0.8), 0.3 * np.arange(len(places))))
+
+
+def count(method: str, scenes: list[Any]) -> list[Any]:
+    from softfinger.proxy.kernels.native import jit
+
+    jit.on_call = lambda compiled: compiled.py_func
+    from helpers.touching import scene_with
+    from softfinger.proxy.kernels.contact.rolling import integrated
+    from softfinger.proxy.kernels.geometry.surfaces import footing, heightmap, tiles
+    from softfinger.proxy.kernels.model import Pose
+    from softfinger.proxy.kernels.step import step
+    from softfinger.proxy.scene import build_scene, start_state
+
+    integrated.foot = integrated.foot.py_func
+    asked = 0
+
+    def counted(kernel: Any, cost: int) -> Any:
+        def call(*args: Any) -> Any:
+            nonlocal asked
+            asked += cost
+            return kernel(*args)
+
+        return call
+
+    tiles.tile_at = footing.tile_at = counted(tiles.tile_at, 1)
+    heightmap.height_at = counted(heightmap.height_at, footing.LOOK)
+    found = []
+    for things, points in scenes:
+        tree = build_scene(scene_with(*things, rolling={"method": method}))
+        state, each, centers = start_state(tree), [], []
+        for x, y, z, *turned in poses_at(points).tolist():
+            asked = 0
+            state, (contact,) = step(tree, state, (Pose((x, y, z), tuple(turned)),), 1e-3)
+            each.append(asked)
+            centers.append([float(v) for v in contact.center])
+        found.append((each, centers))
+    return found
+
+
+if __name__ == "__main__":
+    print(json.dumps(count(**json.load(sys.stdin))))

@@ -1,0 +1,102 @@
+"""Height maps that nobody should have made, hands that are thrown about on them, and all their places asked in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from helpers.touching import R, thing, wander
+from softfinger.proxy.kernels.geometry.surfaces.heightmap import height_at
+from softfinger.proxy.kernels.native.jit import OPTIONS
+
+Array = NDArray[np.float64]
+
+TICKS: Final = 300
+STIFFNESS: Final = 1000.0
+FINE: Final = 4
+"""Places to a pixel that are asked in turn."""
+
+
+def noise(count: int, height: float) -> Array:
+    return np.random.default_rng(1).uniform(-height, height, (count, count))
+
+
+def columns(count: int, height: float, every: int) -> Array:
+    """A needle of a pixel in so many, a checkerboard of 2."""
+    y, x = np.indices((count, count))
+    return height * ((x % every == 0) & (y % every == 0) | (every == 2) & (x % 2 == 1) & (y % 2 == 1))
+
+
+def steps(count: int, height: float, wide: int) -> Array:
+    y, x = np.indices((count, count)) // wide
+    return height * ((x + y) % 2)
+
+
+def pit(count: int, pitch: float, radius: float) -> Array:
+    """Half a ball, its rim at 0."""
+    y, x = (np.indices((count, count)) - 0.5 * (count - 1)) * pitch
+    return -np.sqrt(np.maximum(radius * radius - x * x - y * y, 0.0))
+
+
+MADE: Final[dict[str, Callable[[], tuple[float, Array]]]] = {
+    "flat": lambda: (5e-4, np.zeros((64, 64))),
+    "two": lambda: (1e-3, np.array([[0.0, 0.02]])),
+    "noise": lambda: (5e-4, noise(80, 5e-4)),
+    "high noise": lambda: (1e-3, noise(60, 0.02)),
+    "needles": lambda: (5e-4, columns(80, 0.01, 8)),
+    "checkerboard": lambda: (5e-4, columns(80, 0.01, 2)),
+    "steps": lambda: (1e-3, steps(60, 0.02, 9)),
+    "pit": lambda: (4e-4, pit(80, 4e-4, R)),
+    "wider pit": lambda: (4e-4, pit(80, 4e-4, 1.0005 * R)),
+}
+
+
+@numba.njit(**OPTIONS)
+def fill(shape: Any, points: Any) -> None:
+    for k in range(len(points)):
+        s, t = points[k, 0] / shape.pitch + 0.5 * shape.columns, points[k, 1] / shape.pitch + 0.5 * shape.rows
+        points[k, 2] = height_at(shape, s, t).z * shape.pitch
+
+
+def surface(shape: Any, beyond: float) -> Array:
+    """Points (n, 3) m of the map, FINE to a pixel along x and y, and of its level border as far out."""
+    half = 0.5 * max(shape.columns, shape.rows) * shape.pitch + beyond
+    x, y = np.meshgrid(*[np.arange(-half, half, shape.pitch / FINE)] * 2)
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    fill(shape, points)
+    return points
+
+
+def outside_by(shape: Any, centers: Array) -> float:
+    """How far (m) the fingertip's centres (n, 3) are from the nearest of all places asked, less the radius."""
+    places = surface(shape, 3e-3)
+    least = np.inf
+    for x in np.unique(centers, axis=0):
+        under = places[(np.abs(places[:, :2] - x[:2]) <= R).all(axis=1)]
+        if len(under):
+            least = min(least, float(np.square(under - x).sum(axis=1).min()) ** 0.5)
+    return least - R
+
+
+def hands(heights: Array, pitch: float) -> dict[str, Array]:
+    """Points (TICKS, 3) m: dragged through all heights, a metre a tick, and pressed into the middle."""
+    half, low, high = 0.5 * pitch * max(heights.shape), heights.min(), heights.max()
+    rng = np.random.default_rng(5)
+    dragged = wander(3, TICKS, 1.0, 0.03) * (half, half, 0.5 * (high - low) + 0.3 * R)
+    dragged[:, 2] += 0.5 * (low + high) + R
+    thrown = rng.normal(size=(TICKS, 3))
+    thrown /= 2.0 * np.linalg.norm(thrown, axis=1, keepdims=True)
+    middle = 0.02 * R * rng.normal(size=(TICKS, 3)) + (0.0, 0.0, 0.5 * (low + high))
+    middle[:100, 2] = np.linspace(high + 2.0 * R, middle[100, 2], 100)
+    return {"dragged": dragged, "thrown": thrown, "middle": middle}
+
+
+def part(folder: Path, heights: Array, pitch: float, **keys: Any) -> dict[str, Any]:
+    file = folder / "map.npy"
+    np.save(file, heights)
+    return thing("part", "heightmap", file=str(file), pitch_m=pitch, level_m=1.0, **keys)

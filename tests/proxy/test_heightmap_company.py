@@ -1,0 +1,146 @@
+"""Hostile height maps beside a plane, a ball, a mesh and another map, and rolled over in many steps: outside of all of
+them, a force that is safe, and a tick that asks no more than its budget."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from helpers import counted_asks, meshes
+from helpers.hostile_maps import MADE, STIFFNESS, hands, outside_by, part
+from helpers.touching import SMOOTH, R, engine, posed, saved, spun, thing
+from numpy.typing import NDArray
+from references.brute_force import balls_of, brute_distances
+
+from softfinger.proxy.heightmaps import kernel_heightmap
+
+Array = NDArray[np.float64]
+
+INSIDE: Final = 1e-9
+"""Of the radius: what counts as inside."""
+TILTED: Final = (0.9238795325112867, 0.3826834323650898, 0.0, 0.0)
+"""By 45 degrees about x."""
+COMPANY: Final = ("plane", "ball", "mesh", "map")
+
+
+def companion(kind: str, folder: Path, heights: Array, pitch: float, **keys: Any) -> dict[str, Any]:
+    """Another object that reaches out of the map: a slope, half a ball on it, the same map tilted."""
+    half, low, high = 0.5 * pitch * max(heights.shape), float(heights.min()), float(heights.max())
+    size = max(R, 0.3 * half)
+    if kind == "plane":
+        return thing("other", "plane", position_m=[0.2 * half, 0.0, high], orientation_wxyz=list(TILTED), **keys)
+    if kind == "ball":
+        return thing("other", "sphere", radius_m=size, position_m=[0.0, 0.0, low], **keys)
+    if kind == "mesh":
+        return thing("other", "mesh", file=saved(folder, *bumpy(size)), position_m=[0.0, 0.0, low], **keys)
+    made = part(folder, heights, pitch, orientation_wxyz=list(TILTED), position_m=[0.0, 0.3 * half, high], **keys)
+    return made | {"name": "other"}
+
+
+def bumpy(size: float) -> meshes.Mesh:
+    return meshes.bumpy_sphere(16, size, height=0.06)
+
+
+def turned_back(centers: Array) -> Array:
+    """Vectors (n, 3) in the frame of what is TILTED."""
+    half = np.sqrt(0.5)
+    x, y, z = centers.T
+    return np.stack([x, half * (y + z), half * (z - y)], axis=1)
+
+
+def outside_of_companion(kind: str, made: dict[str, Any], heights: Array, pitch: float, centers: Array) -> float:
+    """How far (m) the fingertip's centres (n, 3) are from it, less the radius."""
+    at = centers - np.asarray(made["position_m"])
+    if kind == "plane":
+        return float(turned_back(at)[:, 2].min()) - R
+    if kind == "ball":
+        return float(np.linalg.norm(at, axis=1).min()) - made["radius_m"] - R
+    if kind == "mesh":
+        size = max(R, 0.15 * pitch * max(heights.shape))
+        return float(brute_distances(balls_of(*bumpy(size)), at).min()) - R
+    return outside_by(kernel_heightmap(heights, pitch), turned_back(at))
+
+
+def way(heights: Array, pitch: float) -> Array:
+    """Points from above all through `hands`, one after the other, and up again between them."""
+    up = np.array([[0.0, 0.0, heights.max() + 3.0 * R + 2.0 * np.ptp(heights) + pitch * max(heights.shape)]])
+    return np.vstack([each for points in hands(heights, pitch).values() for each in (up, points[:150])])
+
+
+def touched_safely(folder: Path, kind: str, **keys: Any) -> None:
+    """Every map beside such an object, dragged, thrown and pressed: finite, outside of every place asked of both;
+    without friction pushed by no more than each of three that hold it is deep."""
+    for name, make in MADE.items():
+        pitch, heights = make()
+        points, tables = way(heights, pitch), {"rolling": None} if keys else {}
+        poses = posed(points, spun((0.0, 0.6, 0.8), np.sin(0.05 * np.arange(len(points)))))
+        (folder / name).mkdir()
+        other = companion(kind, folder, heights, pitch, **keys)
+        records = engine(part(folder / name, heights, pitch, **keys), other, **tables).run(poses)
+        centers = records["proxy.position"][records["contact.mode"] > 0]
+        assert len(centers) > 50 and np.isfinite(np.asarray(records)).all()
+        assert outside_by(kernel_heightmap(heights, pitch), centers) >= -INSIDE * R, name
+        assert outside_of_companion(kind, other, heights, pitch, centers) >= -INSIDE * R, name
+        if keys:
+            depth = np.linalg.norm(records["proxy.position"] - records["probe.position"], axis=1)
+            force = np.linalg.norm(records["force"], axis=1)
+            assert (force <= 3.0 * STIFFNESS * depth * (1.0 + 1e-9) + 1e-12).all(), name
+        assert set(np.unique(records["contact.budget"])) <= {0.0, 1.0}
+
+
+@pytest.mark.parametrize("kind", COMPANY)
+def test_beside_another_object_it_is_touched_safely(tmp_path: Path, kind: str) -> None:
+    """Without friction, which displaces the proxy that is shown."""
+    touched_safely(tmp_path, kind, material=SMOOTH)
+
+
+def test_with_friction_beside_a_plane_it_is_touched_safely(tmp_path: Path) -> None:
+    touched_safely(tmp_path, "plane")
+
+
+def test_in_many_steps_it_is_rolled_over_safely(tmp_path: Path) -> None:
+    """montana_rk45 on every map, and a hand that turns up to half a radian a tick."""
+    for name, make in MADE.items():
+        pitch, heights = make()
+        folder = tmp_path / name
+        folder.mkdir()
+        points = way(heights, pitch)
+        ticks = np.arange(len(points))
+        poses = posed(points, spun((0.6, 0.0, 0.8), 0.5 * ticks * np.sin(0.02 * ticks)))
+        records = engine(part(folder, heights, pitch), rolling={"method": "montana_rk45"}).run(poses)
+        centers = records["proxy.position"][records["contact.mode"] > 0]
+        assert len(centers) > 50 and np.isfinite(np.asarray(records)).all()
+        assert outside_by(kernel_heightmap(heights, pitch), centers) >= -INSIDE * R, name
+
+
+@pytest.mark.parametrize("situation", ["alone", "plane", "ball", "map"])
+def test_no_tick_asks_more_than_its_budget(tmp_path: Path, situation: str) -> None:
+    """Tiles and heights are counted where they are asked, in kernels that run as plain Python, on every hostile map:
+    alone under montana_rk45, and in company. And the same ticks come out as compiled."""
+    scenes = []
+    for name, make in MADE.items():
+        pitch, heights = make()
+        folder = tmp_path / name
+        folder.mkdir()
+        things = [part(folder, heights, pitch)]
+        if situation != "alone":
+            (folder / "other").mkdir()
+            things.append(companion(situation, folder / "other", heights, pitch))
+        scenes.append((things, way(heights, pitch)[::9].tolist()))
+    method = "montana_rk45" if situation == "alone" else "midpoint"
+    told = subprocess.run(
+        [sys.executable, "-m", "helpers.counted_asks"],
+        cwd=Path(counted_asks.__file__).parents[1],
+        input=json.dumps({"method": method, "scenes": scenes}),
+        capture_output=True, text=True, check=True, timeout=600,
+    ).stdout  # fmt: skip
+    most = counted_asks.ALONE if situation == "alone" else counted_asks.IN_COMPANY
+    for (things, points), (asked, centers) in zip(scenes, json.loads(told), strict=True):
+        assert 0 < max(asked) <= most
+        records = engine(*things, rolling={"method": method}).run(counted_asks.poses_at(points))
+        np.testing.assert_allclose(records["proxy.position"], centers, rtol=0, atol=1e-9)
