@@ -129,10 +129,15 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
         budget = 3 * BUDGET // 4
     left = budget
     if state.started == 0.0:
-        gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
-        if (
-            left < 0 and index >= 0.0 and not rugged_on(objects, index)
-        ):  # of a mesh that was not searched to the end: what was found so far
+        # A height map tells its side from near by; of a mesh all has to be asked for that.
+        within = radius if any_rugged(objects) else EVERYWHERE
+        gap, index, left = deepest(objects, position, within, NOBODY, left)
+        if any_rugged(objects) and any_faceted(objects) and gap >= radius:
+            gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
+            if rugged_on(objects, index):  # its bound: it has just been found to be farther
+                index = NONE
+        # Of a mesh that was not searched to the end: what was found so far.
+        if left < 0 and index >= 0.0 and not rugged_on(objects, index):
             gap, _, _, left = closest_to_within(objects, index, position, left)
         met = position
         if gap >= radius:
