@@ -19,7 +19,7 @@ QUESTION: Final = 2 * (5 + 2 * 48) + 4 * 24 + 9
 """What one may ask beyond its budget: the cell that is being looked at, the tiles on the way out and round a foot."""
 IN_COMPANY: Final = 1536 + 3 * QUESTION
 """Of a tick: its budget, what the last question asks beyond it, and one foot where it began and one where it ended."""
-ALONE: Final = 900 + 2 * 300 + 1000 + 1152 + 5 * QUESTION
+ALONE: Final = 600 + 2 * 300 + 1000 + 1152 + 5 * QUESTION
 """A roll, whether there is room at two ends, a first touch, and coming to rest."""
 
 
