@@ -69,8 +69,8 @@ def load(key: str, folder: Folder = KEPT) -> Kept | None:
 
 
 def _room(size: int) -> mmap.mmap:
-    """Memory in huge pages, where the system has them: a tick's way through a tree of many megabytes misses no entry
-    of the page table then."""
+    """Memory in huge pages, where the system has them: a page is cleared when it is first written to, and in small ones
+    that takes three quarters of the time of reading."""
     room = mmap.mmap(-1, max(1, size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     with contextlib.suppress(OSError):  # a kernel without them
         room.madvise(mmap.MADV_HUGEPAGE)
