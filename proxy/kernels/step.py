@@ -246,7 +246,7 @@ def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, le
     there = vec3.add(center, way)
     gap, at, left = deepest(objects, there, radius, known, left)
     if any_faceted(objects):
-        if gap >= radius:  # beside a convex edge it is a little above the surface
+        if gap >= radius * (1.0 - INSIDE):  # beside a convex edge it is a little above the surface
             return there
         if at < 0.0:
             return center
