@@ -23,7 +23,7 @@ from softfinger.proxy.kernels.contact.constraints import (
 )
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under, roundness, seen_by, torque_of, velocity_at
 from softfinger.proxy.kernels.contact.normal import press
-from softfinger.proxy.kernels.contact.patches import Motion, again, aside, carried_patches, hand_on
+from softfinger.proxy.kernels.contact.patches import Motion, again, aside, carried_patches, farther_than_probe, hand_on
 from softfinger.proxy.kernels.contact.rolling_resistance import Bent, resist
 from softfinger.proxy.kernels.contact.texture import embossed, roughened
 from softfinger.proxy.kernels.contact.wrench import outcome_of, wrench_of
@@ -247,7 +247,7 @@ def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, le
     there = vec3.add(center, way)
     gap, at, left = deepest(objects, there, radius, known, left)
     if any_wide(objects):
-        if gap >= radius:  # beside a convex edge it is a little above the surface
+        if gap >= radius * (1.0 - INSIDE):  # beside a convex edge it is a little above the surface
             return there
         if at < 0.0:
             return center
@@ -289,6 +289,7 @@ def among_several_objects(
         turn=rotations.relative(probe.orientation, state.probe.orientation),
         free=vec3.add(vec3.sub(position, state.probe.position), way),
         blocked=vec3.scale(-1.0, way),
+        farther=farther_than_probe(last, held),
         touches=touches,
     )
     rough = roughened(objects, active, center)

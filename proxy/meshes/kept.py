@@ -54,7 +54,7 @@ def load(key: str, folder: Folder = KEPT) -> Kept | None:
     try:
         with folder.opened(name) as file:
             # Read, not mapped: what becomes of the file later is nothing to a process that renders.
-            seen = mmap.mmap(-1, max(1, os.fstat(file.fileno()).st_size))
+            seen = _room(os.fstat(file.fileno()).st_size)
             if file.readinto(seen) != len(seen):  # type: ignore[attr-defined]
                 raise Unsound("it was cut off")
             with contextlib.suppress(OSError):  # of another user's folder only its age is lost
@@ -66,6 +66,15 @@ def load(key: str, folder: Folder = KEPT) -> Kept | None:
         if folder.problem() is None:
             log.warning("kept mesh %s is not used but built anew: %s", name, error)
         return None
+
+
+def _room(size: int) -> mmap.mmap:
+    """Memory in huge pages, where the system has them: a page is cleared when it is first written to, and in small ones
+    that takes three quarters of the time of reading."""
+    room = mmap.mmap(-1, max(1, size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    with contextlib.suppress(OSError):  # a kernel without them
+        room.madvise(mmap.MADV_HUGEPAGE)
+    return room
 
 
 def save(key: str, kept: Kept, folder: Folder = KEPT) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -56,10 +57,12 @@ def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
     size = float(np.sqrt(((most - least) ** 2).sum()))
     lanes, first = np.empty(nodes * NODE, np.float32), np.empty(nodes, np.int32)
     tree, node, child = build.Branches(low, high, lanes, first), 0, 1
-    while node < nodes:
-        node, child = build.enclose(arranged, corners, tree, node, child, middle, size)
-    across = np.empty((count, 3), np.int32)
-    loose = build.join(corners, np.zeros(used + 1, np.int32), np.empty(3 * count, np.int32), across)
-    upward = np.zeros((used, 3))
-    build.raise_normals(arranged, corners, upward)
-    return Tree(lanes, first, arranged, corners, across, upward, center, size, loose == 0)
+    across, upward = np.empty((count, 3), np.int32), np.zeros((used, 3))
+    with ThreadPoolExecutor(2) as beside:  # neither asks for the tree, and no kernel holds the interpreter's lock
+        rooms = np.zeros(used + 1, np.int32), np.empty(3 * count, np.int32)
+        loose = beside.submit(build.join, corners, *rooms, across)
+        normals = beside.submit(build.raise_normals, arranged, corners, upward)
+        while node < nodes:
+            node, child = build.enclose(arranged, corners, tree, node, child, middle, size)
+        normals.result()
+    return Tree(lanes, first, arranged, corners, across, upward, center, size, loose.result() == 0)

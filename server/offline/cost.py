@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.step import step
 from softfinger.proxy.kernels.tuples import same_for
 from softfinger.proxy.record import FREE
 from softfinger.proxy.scene import build_scene, start_state
-from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch, thread_cpu_ns
+from softfinger.server.loop.clock import Stopwatch, now_ns, sleep_until, stopwatch, thread_cpu_ns
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,13 @@ class Cost(NamedTuple):
 
 @entry
 def time_steps(
-    scene: Packed, start: Packed, poses: Array, dt: float, watch: Stopwatch, cpu_ns: NDArray[np.int64]
+    scene: Packed,
+    start: Packed,
+    poses: Array,
+    dt: float,
+    watch: Stopwatch,
+    cpu_ns: NDArray[np.int64],
+    apart_ns: int = 0,
 ) -> tuple[float, int]:
     """Step through `poses` (n, 7) once for each block, every finger along the same; returns a sum of forces, and the
     contacts of the first.
@@ -56,6 +62,7 @@ def time_steps(
     start    State at the first step; changed to that after the last
     watch    (blocks, m)  of each of m stretches of the poses, of n // m each
     cpu_ns   (blocks,)    out: time of the thread on a processor
+    apart_ns              sleep between stretches, as the servo loop does between ticks
     """
     parameters, total, touching = unpack(scene.like, scene.values), 0.0, 0
     state, timespec, short_ns = unpack(start.like, start.values), watch.timespec, watch.ns
@@ -63,6 +70,8 @@ def time_steps(
     for block in range(short_ns.shape[0]):
         cpu_begun = thread_cpu_ns(timespec)
         for stretch in range(short_ns.shape[1]):
+            if apart_ns > 0:
+                sleep_until(now_ns(timespec) + apart_ns, timespec)
             begun = now_ns(timespec)
             for i in range(stretch * length, (stretch + 1) * length):
                 pose = poses[i]

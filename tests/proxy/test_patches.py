@@ -344,6 +344,38 @@ def test_weight_shifted_between_walls_hands_the_moment_on():
     assert (np.linalg.norm(np.diff(torque, axis=0), axis=1) <= held * moved / 0.001 + 1e-12).all()
 
 
+BALL, DEEP, ARC = 0.05, 0.001, 0.4
+"""A ball's radius and the depth in it, m, and an angle on it, rad: stuck, 0.4 N if depth x angle is lost."""
+STUCK = material({"static": 5.0, "kinetic": 4.0})
+FAR = wall("far", (0.0, 0.0, 1.0), offset=-5.0)
+
+
+def over_the_ball(angles, turned):
+    """Records of a way over its top, by angles (n,) about y; the fingertip turned by angles (n,) about that axis."""
+    running = engine({"name": "ball", "shape": "sphere", "radius_m": BALL, "material": STUCK}, FAR)
+    out = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
+    running.run(poses(pressing((0.0, 0.0, BALL + R - DEEP))))
+    return running.run(poses((BALL + R - DEEP) * out, np.outer(turned, (0.0, 1.0, 0.0))))
+
+
+def test_a_fingertip_led_as_it_rolls_over_a_curve_is_not_wound():
+    """Its centre goes (R + r) d(phi) where it turns by d(theta) = (R + r) / r d(phi), and the probe, which is deeper,
+    (R + r - d) d(phi): not a slip. Half way and at the end, after the way back, nothing pulls it aside."""
+    angles = ARC * np.sin(np.linspace(0.0, np.pi, 1201))
+    records = over_the_ball(angles, (BALL + R) / R * angles)
+    assert records["contact.rolled"][-1] == pytest.approx(2.0 * (BALL + R) / R * ARC, rel=1e-3)  # out and back
+    assert records["contact.tangential_force"].max() < 1e-5
+
+
+def test_a_drag_over_a_curve_is_wound_by_the_way_of_the_probe():
+    """Not by the proxy's, which is longer: what a deep drag winds and a shallow one lets go would be work for nothing.
+    So where it is let go on the way that it came, none is left."""
+    angles = 0.08 * np.sin(np.linspace(0.0, np.pi, 1201))  # within the cone, 5 N
+    records = over_the_ball(angles, 0.0 * angles)
+    wound = 1000.0 * (BALL + R - DEEP) * angles
+    assert records["contact.tangential_force"] == pytest.approx(wound, abs=1e-6)
+
+
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("along", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):

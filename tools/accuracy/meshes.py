@@ -2,7 +2,8 @@
 
 A fingertip is pressed in by a millimetre, and led along paths that it would roll on the surface, askew over many edges.
 Along them the surface's own contact point and normal are known, and so are force and roll. Without friction the mesh's
-force and contact point stand beside them; then it sticks and rolls, and the angle that it has rolled is compared.
+force and contact point stand beside them; then it sticks and rolls, and the angle that it has rolled is compared, and
+how far friction's spring was wound by a hand that goes just as the fingertip rolls.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ MEASURES: Final = {
     "force_n": "force",
     "point_m": "contact point off the surface",
     "rolled_m": "angle rolled x radius",
+    "wound_m": "way rolled beside that led",
     "direction_rad": "direction",
     "shaded_rad": "direction, shaded",
 }
@@ -179,6 +181,7 @@ def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> di
         "force_n": largest(flat["contact.normal_force"] - STIFFNESS * DEPTH_M),
         "point_m": largest(off),
         "rolled_m": RADIUS_M * largest(rolls["contact.rolled"] - path.rolled),
+        "wound_m": largest(rolls["contact.tangential_force"]) / STIFFNESS,
         "direction_rad": largest(along(flat) - path.normals),
         "shaded_rad": largest(along(shaded) - path.normals),
         "step_rad": largest(np.diff(along(flat), axis=0)),

@@ -22,6 +22,7 @@ from softfinger.proxy.kernels.contact.constraints import Constraints, loads_of, 
 from softfinger.proxy.kernels.contact.fingertip import velocity_at
 from softfinger.proxy.kernels.contact.normal import press
 from softfinger.proxy.kernels.contact.texture import emboss_on
+from softfinger.proxy.kernels.friction.machine import split
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.bodies import material_of, roll_flat_on, transport_on
@@ -45,6 +46,7 @@ class Motion(NamedTuple):
     turn                  rotation of the fingertip since the last tick
     free     (3,)   m     way of the proxy without friction, less what carried it
     blocked  (3,)   m     way of the probe less that
+    farther  (3,)   m     how much farther the proxy went where the normals turned; in neither of the two above
     touches               a first touch, whose patches stick where it is now: nothing has moved them
     """
 
@@ -58,6 +60,7 @@ class Motion(NamedTuple):
     turn: Quaternion
     free: Vec3
     blocked: Vec3
+    farther: Vec3
     touches: bool
 
 
@@ -274,6 +277,19 @@ def aside(before: Patches, patches: Patches) -> Vec3:
 
 
 @jit
+def swung(before: Patches, patch: PatchState) -> Vec3:
+    """How far (3,) m the proxy goes because the normal of the object under a patch turned in this tick."""
+    was = on_body(before, patch.body)
+    return vec3.scale(was.push, vec3.sub(patch.normal, was.normal))
+
+
+@jit
+def farther_than_probe(before: Patches, patches: Patches) -> Vec3:
+    """How much farther (3,) m than the probe, which is deeper, the proxy goes over a curve or an edge."""
+    return vec3.add(vec3.add(swung(before, patches[0]), swung(before, patches[1])), swung(before, patches[2]))
+
+
+@jit
 def load_on(objects: Any, patch: PatchState, motion: Motion) -> Load:
     carried, since = carry(objects, patch.body), 0.0 if motion.touches else motion.dt
     velocity = velocity_against(carried, motion.probe.velocity, motion.last.position, motion.dt)
@@ -291,7 +307,9 @@ def sheared(
 
     e <- e - (dy - do) + r theta (a x n), all of it in the tangent plane: y the proxy without friction, o the object
     there. Of the probe's way that the proxy was kept from, only what unwinds e counts: the hand gets no more work from
-    the patch than its spring gives, whatever the others do meanwhile.
+    the patch than its spring gives, whatever the others do meanwhile. And where the proxy goes farther than the probe,
+    its way takes back what a roll has wound: a fingertip that is led as it rolls winds nothing. What a drag has wound
+    follows the probe, or a drag while pressed deep, let go while lifted, would give the hand work.
     """
     normal, carried = patch.normal, carry(objects, patch.body)
     deflection, rolled_part, theta, twist = patch.deflection, patch.rolled_part, 0.0, 0.0
@@ -307,6 +325,12 @@ def sheared(
         if square > 0.0:
             share = min(max(vec3.dot(deflection, blocked) / square, 0.0), 1.0)
             deflection = vec3.add_scaled(deflection, -share, blocked)
+        swing = vec3.reject(motion.farther, normal)
+        square = vec3.dot(swing, swing)
+        if square > 0.0:
+            _, by_roll = split(deflection, rolled_part)
+            share = min(max(min(vec3.dot(by_roll, swing), vec3.dot(deflection, swing)) / square, 0.0), 1.0)
+            deflection = vec3.add_scaled(deflection, -share, swing)
     seen = Patch(
         radius=motion.radius,
         resolution=motion.resolution,
