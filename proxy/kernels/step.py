@@ -10,20 +10,19 @@ from softfinger.proxy.kernels.contact.approach import (
     touch,
 )
 from softfinger.proxy.kernels.contact.carry import carried_direction, carry, velocity_against
-from softfinger.proxy.kernels.contact.constraints import (
-    INSIDE,
-    NONE,
-    Constraints,
-    drawn_after,
-    held_by,
-    one_constraint,
-    settle_among_several,
-    settle_on_one,
-    tangent_to_all,
-)
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under, roundness, seen_by, torque_of, velocity_at
 from softfinger.proxy.kernels.contact.normal import press
 from softfinger.proxy.kernels.contact.patches import Motion, again, aside, carried_patches, farther_than_probe, hand_on
+from softfinger.proxy.kernels.contact.rest.constraints import (
+    INSIDE,
+    NONE,
+    Constraints,
+    held_by,
+    one_constraint,
+    tangent_to_all,
+)
+from softfinger.proxy.kernels.contact.rest.several import drawn_after, settle_among_several
+from softfinger.proxy.kernels.contact.rest.single import settle_on_one
 from softfinger.proxy.kernels.contact.rolling_resistance import Bent, resist
 from softfinger.proxy.kernels.contact.texture import embossed, roughened
 from softfinger.proxy.kernels.contact.wrench import outcome_of, wrench_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from softfinger.proxy.kernels.contact.half_spaces import FACING, displacement, hold
+from softfinger.proxy.kernels.contact.rest.half_spaces import FACING, displacement, hold
 from softfinger.proxy.kernels.native.jit import entry
 
 

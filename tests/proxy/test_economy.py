@@ -48,6 +48,7 @@ STAND_INS = {
     "geometry.motion.pose_at_rest",
     "geometry.motion.no_moving_pose",
     "geometry.surfaces.contract.closest_from_anywhere",
+    "geometry.surfaces.contract.closest_without_budget",
     "geometry.surfaces.contract.follows_anywhere",
     "geometry.surfaces.plane.closest_on_plane",
     "geometry.surfaces.plane.transport_on_plane",
@@ -98,7 +99,7 @@ ADDED = {
     ("bare", "effect"): {"effects.forces"},
     ("bare", "motion"): {"geometry.motion"},
     ("bare", "texture"): {"contact.texture", "geometry.surfaces.charts"},
-    ("bare", "second object"): {"contact.constraints", "geometry.surfaces.round"},
+    ("bare", "second object"): {"contact.rest.constraints", "contact.rest.several", "geometry.surfaces.round"},
 }
 """Scenes that differ by one part, and modules of which the one without it must have less."""
 

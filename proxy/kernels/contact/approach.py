@@ -10,9 +10,9 @@ from softfinger.proxy.kernels.contact.carry import (
     turn_against,
     velocity_against,
 )
-from softfinger.proxy.kernels.contact.constraints import INSIDE, NONE, Constraints, one_constraint, pressed
-from softfinger.proxy.kernels.contact.half_spaces import Push
-from softfinger.proxy.kernels.contact.lodged import lifted_on
+from softfinger.proxy.kernels.contact.rest.constraints import INSIDE, NONE, Constraints, one_constraint, pressed
+from softfinger.proxy.kernels.contact.rest.half_spaces import Push
+from softfinger.proxy.kernels.contact.rest.lodged import lifted_on
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.geometry.bodies import (

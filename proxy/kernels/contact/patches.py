@@ -18,9 +18,10 @@ from softfinger.proxy.kernels.contact.carry import (
     turn_against,
     velocity_against,
 )
-from softfinger.proxy.kernels.contact.constraints import Constraints, loads_of, one_constraint, relax
 from softfinger.proxy.kernels.contact.fingertip import velocity_at
 from softfinger.proxy.kernels.contact.normal import press
+from softfinger.proxy.kernels.contact.rest.constraints import Constraints, loads_of, one_constraint
+from softfinger.proxy.kernels.contact.rest.several import relax
 from softfinger.proxy.kernels.contact.texture import emboss_on
 from softfinger.proxy.kernels.friction.machine import split
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 from numba import literal_unroll
 
-from softfinger.proxy.kernels.contact.constraints import Constraints
-from softfinger.proxy.kernels.contact.half_spaces import Push
+from softfinger.proxy.kernels.contact.rest.constraints import Constraints
+from softfinger.proxy.kernels.contact.rest.half_spaces import Push
 from softfinger.proxy.kernels.effects.forces import clamp
 from softfinger.proxy.kernels.friction.laws import scaled
 from softfinger.proxy.kernels.friction.torsion import gripped

@@ -22,7 +22,7 @@ These two are all that a new shape has to give. What follows has a default, whic
 What takes long to ask has a budget; `left` is what is left of it, below 0 where it was used up. Only what is asked of
 meshes and height maps is counted.
 
-Defaults stand beside what they are made of: travel in geometry/sweep, rest_on in contact/constraints, ahead and unroll
+Defaults stand beside what they are made of: travel in geometry/sweep, rest_on in contact/rest/single, ahead and unroll
 in contact/rolling. A shape that can be touched from inside has `side`, +1 or -1, and calls `may_be_hollow`.
 
 All in the frame of the shape, for any x within 1e100 m. `gap` is the signed distance, m, positive where the fingertip

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from numba import literal_unroll
 
-from softfinger.proxy.kernels.contact.half_spaces import displacement, hold
+from softfinger.proxy.kernels.contact.rest.half_spaces import displacement, hold
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.entries import has, member, places
 from softfinger.proxy.kernels.geometry.frames import into, out_of

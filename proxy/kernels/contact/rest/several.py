@@ -1,0 +1,236 @@
+"""Where the proxy comes to rest among several objects, the triangles of a mesh among them, without friction."""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.normal import spring
+from softfinger.proxy.kernels.contact.rest.constraints import (
+    INSIDE,
+    Constraints,
+    count_of,
+    held_by,
+    leaves_no_room,
+    loads_of,
+    one_constraint,
+    one_foot_each,
+    stands_on,
+    strongest_first,
+    with_another,
+    with_touched,
+    without_weakest,
+)
+from softfinger.proxy.kernels.contact.rest.half_spaces import Push, displacement, hold
+from softfinger.proxy.kernels.contact.rest.single import ROUNDS, SETTLED, SLIDING_ROUNDS
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.bodies import (
+    any_rugged,
+    any_wide,
+    beside_on,
+    closest_to_within,
+    deepest,
+    held_by_at,
+    material_of,
+    rugged_on,
+)
+from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
+from softfinger.proxy.kernels.geometry.sweep import first_hit
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import jit
+
+ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
+"""Times that something found in the way is added to what holds the proxy, before it stays where it was for a tick."""
+SOON, NEARLY = 3, 1e-4
+"""Attempts after which, or after a quarter of the budget, and depth, as a share of the fingertip's radius, below which
+a proxy among more than three facets that are about as near is lifted off those that hold it: of the others each would
+be in the way in turn."""
+EDGES = 3
+"""Edges that a fingertip goes over in a tick before all of the mesh is asked."""
+
+
+class Rest(NamedTuple):
+    """Where the proxy (3,) m comes to rest and what holds it there; if it is `late`, a place on the way, or where it
+    was since nothing better was found to be outside. And what is left of the budget, below 0 where it was used up."""
+
+    center: Vec3
+    active: Constraints
+    late: bool
+    left: int
+
+
+@jit
+def settle_among_several(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
+) -> Rest:
+    """Bring the proxy to rest among several objects, where it would be without friction.
+
+    start   (3,) m  where its way in this tick begins, for what may be met on it: see `first_hit`
+    center  (3,) m  where what holds it has carried it
+    active          what holds it, pushing
+    left            of the budget
+
+    Over meshes and height maps it goes no farther in a tick than crosses nothing that is thin. A probe that asks
+    for more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
+    So is one that finds no rest.
+    """
+    if not any_wide(objects):
+        return settle_for(objects, radius, probe, start, center, active, left)
+    rest, whole, held = Rest(center, active, True, 0), probe, active
+    for budget in (3 * left // 4, left // 4):
+        goal = vec3.add(whole, displacement(held.push, held.n1, held.n2, held.n3))
+        if is_a_step(center, goal, radius):
+            rest = settle_for(objects, radius, whole, start, center, held, budget)
+            if not is_a_step(center, rest.center, radius):  # it may be on the other side of something
+                rest = Rest(center, active, True, rest.left)
+        if not rest.late:
+            break
+        deep = vec3.sub(probe, center)
+        whole = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(deep), 0.5), deep)
+        _, held, _ = relaxed(objects, radius, whole, center, active, 1, rest.left)
+    if whole == probe:
+        return rest
+    _, held, _ = relaxed(objects, radius, probe, rest.center, rest.active, 1, rest.left)
+    return Rest(rest.center, held, True, rest.left)
+
+
+@jit
+def is_a_step(start: Vec3, end: Vec3, radius: float) -> bool:
+    """Whether a fingertip that is outside at both crosses nothing thin between."""
+    way = vec3.sub(end, start)
+    return vec3.dot(way, way) <= (STRIDE * radius) ** 2
+
+
+@jit
+def settle_for(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
+) -> Rest:
+    """`settle_among_several` in one step, with what is `left` of the budget."""
+    wide = any_wide(objects)
+    rounds = SLIDING_ROUNDS if wide else ROUNDS
+    before, active_before = center, active
+    goal = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
+    for _ in range(4):
+        hit, stop, left = first_hit(objects, start, goal, radius, True, held_by(active), left)
+        if hit < 0.0:
+            break
+        _, point, normal, left = closest_to_within(objects, hit, stop, left)
+        if active.second >= 0.0 and active.third >= 0.0:
+            # Three constraints already: stop short of the fourth, and let the next tick sort it out.
+            goal = stop
+            break
+        active = with_another(active, hit, normal)
+        goal, active, left = relaxed(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
+    center = goal
+    if not wide:
+        # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
+        gap, at, left = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active), left)
+        active = with_touched(objects, radius, goal, active, gap, at)
+    found, lift, budget = False, 0.0, left
+    for attempt in range(ATTEMPTS_ON_MANY if wide else ATTEMPTS):
+        center, active, left = relaxed(objects, radius + lift, probe, center, active, rounds, left)
+        if wide and attempt == 0:
+            center, active = step_over(objects, radius, probe, center, active)
+        gap, at, left = deepest(objects, center, radius, held_by(active), left)
+        if gap >= radius * (1.0 - INSIDE):
+            found = True
+            break
+        if left < 0:
+            break
+        if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * budget):
+            lift = 2.0 * (radius - gap)
+        other = at != active.first and at != active.second and at != active.third
+        if other or any_rugged(objects):
+            _, _, normal, left = closest_to_within(objects, at, center, left)
+            if other or (rugged_on(objects, at) and not stands_on(active, at, normal)):
+                if active.second >= 0.0 and active.third >= 0.0:
+                    active = without_weakest(active)
+                active = with_another(active, at, normal)
+    late = not found
+    if not found:
+        # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
+        gap, _, left = deepest(objects, before, radius, held_by(active_before), left)
+        late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
+        if late:
+            center = before
+            _, active, left = relaxed(objects, radius, probe, before, active_before, 1, left)
+    if any_rugged(objects):
+        active = one_foot_each(active)
+    return Rest(center, strongest_first(objects, active), late, left)
+
+
+@jit
+def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Constraints) -> tuple[Vec3, Constraints]:
+    """The proxy's goal (3,) m, and what holds it, after a way over the edge of the facet that holds it alone.
+
+    What is beside the facet is nearer at hand than what a search of the whole mesh finds, which then only agrees.
+    """
+    for _ in range(EDGES):
+        if active.second >= 0.0:
+            break
+        beyond = beside_on(objects, active.first, goal)
+        if beyond == active.first:
+            break
+        active = one_constraint(beyond, active.n1)
+        goal, active = relax(objects, radius, probe, goal, active, 1)
+    return goal, active
+
+
+@jit
+def relax(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: Constraints, rounds: int
+) -> tuple[Vec3, Constraints]:
+    """`relaxed` for a place that is known to need little of the budget."""
+    center, active, _ = relaxed(objects, radius, base, center, active, rounds, BUDGET)
+    return center, active
+
+
+@jit
+def relaxed(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: Constraints, rounds: int, left: int
+) -> tuple[Vec3, Constraints, int]:
+    """Nearest point to `base` behind the tangent planes of all holding objects, again and again at the new point. And
+    what is left of the budget.
+
+    In a pinch the point between them; see `hold`.
+    """
+    near = (SETTLED * radius) ** 2
+    n1, n2, n3 = active.n1, active.n2, active.n3
+    push = active.push
+    for _ in range(rounds):
+        point, n1, left = held_by_at(objects, active.first, center, radius, n1, left)
+        b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
+        b2, b3 = b1, b1
+        if active.second < 0.0:
+            n2 = n1
+        else:
+            point, n2, left = held_by_at(objects, active.second, center, radius, n2, left)
+            b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
+        if active.third < 0.0:
+            n3 = n1
+        else:
+            point, n3, left = held_by_at(objects, active.third, center, radius, n3, left)
+            b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
+        held = hold(count_of(active), n1, n2, n3, b1, b2, b3)
+        push = held.push
+        moved = vec3.add(base, displacement(held.place, n1, n2, n3))
+        step = vec3.sub(moved, center)
+        center = moved
+        if vec3.dot(step, step) <= near:
+            break
+    return center, Constraints(
+        first=active.first, second=active.second, third=active.third, n1=n1, n2=n2, n3=n3, push=push
+    ), left  # fmt: skip
+
+
+@jit
+def drawn_after(objects: Any, active: Constraints, behind: Vec3) -> Vec3:
+    """Force (3,) N beside what the constraints bear, on a probe whose proxy is late and `behind` (3,) m away from it.
+
+    Planes that hold the proxy change as it goes its way round; its distance from the probe does not jump, and so does
+    the force of a spring between the two.
+    """
+    distance, (one, two, three) = vec3.norm(behind), loads_of(objects, active)
+    pull = 0.0
+    if distance > 0.0:
+        pull = spring(material_of(objects, active.first).normal, distance) / distance
+    borne = displacement(Push(one, two, three), active.n1, active.n2, active.n3)
+    return vec3.sub(vec3.scale(pull, behind), borne)
