@@ -32,7 +32,8 @@ from softfinger.proxy.kernels.friction.footprint import footprint, torsion_under
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.machine import react
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.bodies import any_wide, closest_to_within, deepest, number_of, pose_of
+from softfinger.proxy.kernels.geometry.bodies import closest_to_within, deepest, number_of, pose_of
+from softfinger.proxy.kernels.geometry.kinds import any_wide
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.world import advance, place_all
 from softfinger.proxy.kernels.model import (

@@ -18,17 +18,15 @@ from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.geometry.bodies import (
     EVERYWHERE,
     NOBODY,
-    any_faceted,
-    any_rugged,
     closest_to_within,
     deepest,
     follows_on,
     is_inside,
     roll_on,
-    rugged_on,
     swings_on,
     transport_on,
 )
+from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged, rugged_on
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import (

@@ -21,16 +21,8 @@ from softfinger.proxy.kernels.contact.rest.constraints import (
 from softfinger.proxy.kernels.contact.rest.half_spaces import Push, displacement, hold
 from softfinger.proxy.kernels.contact.rest.single import ROUNDS, SETTLED, SLIDING_ROUNDS
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import (
-    any_rugged,
-    any_wide,
-    beside_on,
-    closest_to_within,
-    deepest,
-    held_by_at,
-    material_of,
-    rugged_on,
-)
+from softfinger.proxy.kernels.geometry.bodies import beside_on, closest_to_within, deepest, held_by_at, material_of
+from softfinger.proxy.kernels.geometry.kinds import any_rugged, any_wide, rugged_on
 from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.sweep import first_hit

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.surfaces import ROLLING, closest, closest_from
+from softfinger.proxy.kernels.geometry.surfaces import BUDGET_OF_A_ROLL, closest, closest_from
 from softfinger.proxy.kernels.geometry.surfaces.grown import arm
 from softfinger.proxy.kernels.model import Grown, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
@@ -59,7 +59,7 @@ def land(shape: Any, radius: float, center: Vec3) -> tuple[Vec3, Vec3]:
 @jit
 def land_from(shape: Any, radius: float, start: Vec3, up: Vec3, center: Vec3) -> tuple[Vec3, Vec3]:
     """The same after a roll from `start` (3,) m, with the normal `up` (3,) there."""
-    _, point, normal, _ = closest_from(shape, center, vec3.add_scaled(start, -radius, up), ROLLING)
+    _, point, normal, _ = closest_from(shape, center, vec3.add_scaled(start, -radius, up), BUDGET_OF_A_ROLL)
     return vec3.add_scaled(point, radius, normal), normal
 
 

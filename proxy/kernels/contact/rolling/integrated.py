@@ -10,7 +10,7 @@ import numba
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, earlier, pace, roll, roll_angle, surface_part
 from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.surfaces import ROLLING, closest_from, transport
+from softfinger.proxy.kernels.geometry.surfaces import BUDGET_OF_A_ROLL, closest_from, transport
 from softfinger.proxy.kernels.model import Midpoint, MontanaRk4, MontanaRk45, Quaternion, Vec3
 from softfinger.proxy.kernels.native.jit import OPTIONS, jit
 
@@ -39,7 +39,7 @@ def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, nor
         slope, spin = pace(earlier(shape, w, 1.5 - part), radius, w, n), vec3.dot(w, n)
         length, tilted = surface_part(shape, slope, n), vec3.norm(vec3.cross(w, n))
         then = earlier(shape, w, 1.0 - part)
-        _, point, n, _ = closest_from(then, vec3.add_scaled(center, part, slope), begun, ROLLING)
+        _, point, n, _ = closest_from(then, vec3.add_scaled(center, part, slope), begun, BUDGET_OF_A_ROLL)
     end = vec3.add_scaled(point, radius, n)
     motion = unrolled(slope, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
@@ -64,7 +64,7 @@ def roll_montana_rk4(
         tilted += weight * vec3.norm(vec3.cross(w, n))
         ahead = moved if stage == 3 else vec3.scale(1.0 if stage == 2 else 0.5, slope)
         left = 0.5 if stage < 2 else 0.0
-        _, point, n, _ = closest_from(earlier(shape, w, left), vec3.add(center, ahead), begun, ROLLING)
+        _, point, n, _ = closest_from(earlier(shape, w, left), vec3.add(center, ahead), begun, BUDGET_OF_A_ROLL)
     end = vec3.add_scaled(point, radius, n)
     motion = unrolled(moved, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
@@ -94,7 +94,7 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
     least its share of what is left, and then taken whatever its error. On a shape that has a budget it may end before.
     """
     n, motion, spin, tilted, left, h = normal, (0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 1.0
-    allowed, budget = tolerance * radius, ROLLING
+    allowed, budget = tolerance * radius, BUDGET_OF_A_ROLL
     k1 = pace(earlier(shape, w, 1.0), radius, w, n)
     for trial in range(MAX_TRIALS):
         begun = vec3.add_scaled(center, -radius, n)

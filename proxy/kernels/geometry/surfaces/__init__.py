@@ -5,8 +5,8 @@ See `contract` for what a shape has to give. A package of its own may give the s
 
 from softfinger.proxy.kernels.geometry.surfaces import ellipsoid, footing, grown, heightmap, plane, round, sharp, torus
 from softfinger.proxy.kernels.geometry.surfaces.contract import (
+    BUDGET_OF_A_ROLL,
     NO_HIT,
-    ROLLING,
     ahead,
     bend,
     closest,
@@ -24,8 +24,8 @@ from softfinger.proxy.kernels.geometry.surfaces.contract import (
 )
 
 __all__ = [
+    "BUDGET_OF_A_ROLL",
     "NO_HIT",
-    "ROLLING",
     "ahead",
     "bend",
     "closest",

@@ -46,7 +46,7 @@ Z_AXIS: Vec3 = (0.0, 0.0, 1.0)
 
 FAN = 1e-9
 """A component of a normal below this is none: rotating the normal out of the world and back leaves 1e-16."""
-ROLLING = 600
+BUDGET_OF_A_ROLL = 600
 """What a roll may ask."""
 NO_HIT = 2.0
 """Share of the way that says: nothing was met on it."""

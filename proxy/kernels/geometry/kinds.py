@@ -1,0 +1,92 @@
+"""Which objects may be touched in many places: what a scene without any leaves out, known when it is compiled."""
+
+from typing import Any
+
+from numba import literal_unroll
+
+from softfinger.proxy.kernels.geometry.entries import has, places
+from softfinger.proxy.kernels.model import Heightmap, Mesh
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.rows import Rows
+
+
+@by_type
+def is_faceted(shape: Any) -> Any:
+    """1 for a shape that is many flat ones, each an object of its own."""
+
+
+@is_faceted.otherwise
+def is_whole(shape: Any) -> float:
+    return 0.0
+
+
+@is_faceted.of(Mesh)
+def is_mesh(shape: Mesh) -> float:
+    return 1.0
+
+
+@by_type
+def is_rugged(shape: Any) -> Any:
+    """1 for a shape that may hold a fingertip in several places, as one body."""
+
+
+@is_rugged.otherwise
+def is_even(shape: Any) -> float:
+    return 0.0
+
+
+@is_rugged.of(Heightmap)
+def is_heightmap(shape: Heightmap) -> float:
+    return 1.0
+
+
+@by_type
+def shape_in(entry: Any) -> Any:
+    """The shape of an entry, or of the first of a row, whose others are of its kind."""
+
+
+@shape_in.otherwise
+def shape_of_object(entry: Any) -> Any:
+    return entry.shape
+
+
+@shape_in.of(Rows)
+def shape_of_first(entry: Any) -> Any:
+    return entry[0].shape
+
+
+@jit
+def any_faceted(objects: Any) -> bool:
+    """Whether there is a mesh among them."""
+    found = 0.0
+    for entry in literal_unroll(objects):
+        found += is_faceted(shape_in(entry))
+    return found > 0.0
+
+
+@jit
+def any_rugged(objects: Any) -> bool:
+    """Whether there is a height map among them."""
+    found = 0.0
+    for entry in literal_unroll(objects):
+        found += is_rugged(shape_in(entry))
+    return found > 0.0
+
+
+@jit
+def any_wide(objects: Any) -> bool:
+    """Whether there is one of either."""
+    return any_faceted(objects) or any_rugged(objects)
+
+
+@jit
+def rugged_on(objects: Any, index: float) -> bool:
+    """Whether the object with that place is a height map."""
+    found = 0.0
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if has(entry, at, index):
+            found = is_rugged(shape_in(entry))
+        at += places(entry)
+    return found > 0.0
