@@ -34,7 +34,7 @@ RUN /opt/softfinger/bin/softfinger warmup
 
 FROM python:3.12-slim-bookworm
 SHELL ["/bin/bash", "-eu", "-o", "pipefail", "-c"]
-# libusb for pyusb (hidapi brings its own). Unpinned: Debian keeps one version of it per release and
+# libusb for makers' libraries (pyusb and hidapi have their own). Unpinned: Debian keeps one version of it per release and
 # removes the old one at each point release, which would break the build and protect nothing.
 # hadolint ignore=DL3008
 RUN apt-get update \

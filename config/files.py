@@ -1,4 +1,4 @@
-"""Files that a user names: one way to open them, one way to write them.
+"""Files that a user names: one way to open them, one way to write them, and whose they have to be.
 
 A name may lead to anything: a pipe that nobody writes to, a device that never ends, a link that another user
 planted. What is opened is looked at before a byte is read, by its descriptor and not by its name, which may mean
@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Final
+
+from softfinger.config.errors import ConfigError
 
 LINKS_MAX: Final = 40
 _KINDS: Final = {
@@ -128,3 +130,18 @@ def _check_kind(mode: int, use: str) -> None:
     if not stat.S_ISREG(mode):
         kind = _KINDS.get(stat.S_IFMT(mode), "something else")
         raise OSError(errno.EINVAL, f"is {kind}: only a regular file can be {use}")
+
+
+def check_owner(path: str | Path, status: os.stat_result, why: str) -> None:
+    """Raise ConfigError for a file or folder that another user may have filled.
+
+    why  what another user could do with it
+    """
+    if status.st_uid not in (0, os.geteuid()):
+        raise ConfigError(f"{path}: belongs to another user ({status.st_uid}), who {why}: use one of your own")
+    # In a folder as /tmp is, nobody replaces what is not his.
+    kept = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not kept:
+        raise ConfigError(
+            f"{path}: others may write to it (mode {stat.S_IMODE(status.st_mode):o}), and so {why}: chmod go-w it"
+        )

@@ -23,6 +23,9 @@ TORQUE_MAX_NM: Final = Range(0.0, 2.0, "twice what a fingertip grip can hold aga
 FORCE_SLEW_N_PER_S: Final = Range(1.0, 20_000.0, "zero to the highest force in 2 ms; faster is a blow, not a contact")
 TORQUE_SLEW_NM_PER_S: Final = Range(0.01, 1_000.0, "zero to the highest torque in 2 ms")
 RAMP_S: Final = Range(0.01, 10.0, "a ramp of a few ticks is none; past 10 s an engaged device seems dead")
+SPEED_MAX_M_PER_S: Final = Range(0.1, 1e3, "slower is a stroke of every day; past 1000 nothing is a jump")
+TURN_MAX_RAD_PER_S: Final = Range(1.0, 1e4, "slower is a turn of every day; past 10 000 nothing is a jump")
+FROZEN_S: Final = Range(0.0, 60.0, "0 is no limit; past a minute nobody is helped")
 
 # The loop.
 RATE_HZ: Final = Range(100.0, 8_000.0, "below, walls chatter; above, there is no USB frame short enough")
@@ -79,6 +82,7 @@ FINGERS: Final = Range(0, 5, "a hand has five, and every finger is compiled into
 OBJECTS: Final = Range(1, 256, "every kind is compiled, and every object is asked in every tick")
 TOPIC_PART_LENGTH: Final = Range(1, 32, "a telemetry topic stays short")
 NAME_LENGTH: Final = Range(1, 64, "a name has to fit a line of a report")
+PARAMETER_RAMP_S: Final = Range(0.0, 10.0, "0 is at once; past 10 s nobody waits for what was set")
 HEARTBEAT_S: Final = Range(0.05, 60.0, "sooner a busy peer is taken for a dead one; later nobody waits for it")
 ENDPOINT_LENGTH: Final = Range(1, 256, "longer than any address ZeroMQ takes")
 

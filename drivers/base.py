@@ -22,7 +22,8 @@ from typing import Final, NamedTuple, Protocol, Self
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 OK: Final = 0
-"""A new sample was read, or the wrench was taken."""
+"""A new sample was read, or the wrench was taken. Not for a sample of before: how far a hand may have come is judged by
+the time since the last new one."""
 STALE: Final = 1
 """Read: no new sample, the last one is repeated. Write: taken, but limited by the device."""
 END: Final = 2

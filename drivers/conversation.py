@@ -183,6 +183,14 @@ def _mute(handle: int, misread: int) -> int:
 
 
 @jit
+def _ready(handle: int, wait_ms: int) -> None:
+    """Wait until the device has sent something, or for so long."""
+    at = int64_at(handle)
+    at[TALK.poll] = at[TALK.fd] | _POLLIN
+    poll_fd(int64_at(handle + 8 * TALK.poll), 1, wait_ms)
+
+
+@jit
 def _await(driver: Any, handle: int) -> int:
     """Throw away what is queued and wait for a sample of now, kicking; how many came, or a status below 0.
 
@@ -190,6 +198,9 @@ def _await(driver: Any, handle: int) -> int:
     """
     at = int64_at(handle)
     came: int = drain(driver, handle)
+    if came >= 0:
+        _ready(handle, 0)  # a terminal hands on what is under way, before it says that nothing is there
+        came = drain(driver, handle)
     begun = now = _now(handle)
     misread = at[TALK.misread]
     running = at[TALK.sensed] != 0
@@ -199,8 +210,7 @@ def _await(driver: Any, handle: int) -> int:
             status = _kick(driver, handle)
             if status < 0:
                 return status
-        at[TALK.poll] = at[TALK.fd] | _POLLIN
-        poll_fd(int64_at(handle + 8 * TALK.poll), 1, WAIT_MS)
+        _ready(handle, WAIT_MS)
         came = drain(driver, handle)
         if came != 0:
             break

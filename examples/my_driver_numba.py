@@ -9,7 +9,7 @@ rig may name it: docs/devices/writing-a-driver.md.
 
 import math
 import sys
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from softfinger.config.limits import Range
 from softfinger.config.schema import Table, within
@@ -44,7 +44,7 @@ AT = lay_out(Words)
 
 
 @c_function(IO_SIGNATURE)
-def read(handle, sample):
+def read(handle: int, sample: Any) -> int:
     words, given, force = int64_at(handle), float64_at(handle + 8 * AT.given), float64_at(handle + 8 * AT.force)
     time = words[AT.reads] * given[PERIOD]
     words[AT.reads] += 1
@@ -57,7 +57,7 @@ def read(handle, sample):
 
 
 @c_function(IO_SIGNATURE)
-def write(handle, wrench):
+def write(handle: int, wrench: Any) -> int:
     force = float64_at(handle + 8 * AT.force)
     some = False
     for i in range(3):

@@ -13,7 +13,8 @@ import math
 import sys
 import threading
 import traceback
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -47,10 +48,10 @@ class MyDevice(Device):
         self._functions = [C_FUNCTION(self._told(method)) for method in (self.read, self.write)]
 
     @staticmethod
-    def _told(method):
+    def _told(method: Callable[[Any], int]) -> Callable[[int, Any], int]:
         """`method` with a status for an exception: ctypes prints one and returns 0, which says that all is well."""
 
-        def called(handle, numbers):
+        def called(handle: int, numbers: Any) -> int:
             try:
                 return method(numbers)
             except Exception:
@@ -59,7 +60,7 @@ class MyDevice(Device):
 
         return called
 
-    def read(self, sample):
+    def read(self, sample: Any) -> int:
         time = self._reads * self._period
         self._reads += 1
         height = 0.010 - self._depth * math.sin(2.0 * math.pi * time)
@@ -68,14 +69,14 @@ class MyDevice(Device):
             sample[i] = number
         return OK
 
-    def write(self, wrench):
+    def write(self, wrench: Any) -> int:
         if not self._armed:
             return WITHHELD if any(wrench[0:6]) else OK
         self._force = wrench[0], wrench[1], wrench[2]
         return OK
 
     def io(self) -> DeviceIO:
-        read, write = (ctypes.cast(function, ctypes.c_void_p).value for function in self._functions)
+        read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._functions)
         return DeviceIO(read, write, 1)  # the methods know `self`, so the handle may be any number but 0
 
     def stop(self) -> None:

@@ -15,10 +15,10 @@ from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import SceneSource, load_scene, overridden
 from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_contacts
 from softfinger.proxy.kernels.model import Scene
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.native.jit import PLAIN, entry
 from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.step import step
-from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE
+from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
 from softfinger.proxy.records import Records
 from softfinger.proxy.scene import build_scene, other_model, start_state
 
@@ -59,6 +59,10 @@ def _vector(values: Array) -> Array:
     return values
 
 
+def _mode(number: float) -> ContactMode:
+    return ContactMode(int(number))
+
+
 def _cause(number: float) -> str:
     return CAUSE_NAMES[int(number)]
 
@@ -72,7 +76,7 @@ class Step:
 
     __slots__ = ("record",)
 
-    mode = Part(int, "contact.mode")
+    mode = Part(_mode, "contact.mode")
     object = Part(int, "contact.object")
     cause = Part(_cause, "contact.cause")
     velocity = Part(_vector, "probe.velocity")
@@ -134,6 +138,8 @@ def compiled(scene: Scene) -> Callable[..., None]:
 
     numba's own call would look at each number of both trees to find their types: a hundred microseconds.
     """
+    if PLAIN:
+        return lambda _scene, values, _start, *rest: step_many(scene, values, start_state(scene), *rest)
     like, start = (types.TypeRef(numba.typeof(tree)) for tree in (scene, start_state(scene)))
     leaves, table = types.float64[::1], types.float64[:, :, ::1]
     kernel: Any = step_many
@@ -152,8 +158,8 @@ class Engine:
     >>> from softfinger import Engine
     >>> engine = Engine("paper-plane")
     >>> touch = engine.step([0.0, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0])   # 0.5 mm into the plane z = 0, radius 10 mm
-    >>> touch.force.round(6).tolist(), touch.mode, touch.cause
-    ([0.0, 0.0, 0.5], 1, 'touch')
+    >>> touch.force.round(6).tolist(), touch.mode.name, touch.cause
+    ([0.0, 0.0, 0.5], 'ROLLING', 'touch')
     >>> engine.set("object.table.material.stiffness_n_per_m", 500.0)
     >>> engine.step([0.0, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0]).force.round(6).tolist()
     [0.0, 0.0, 0.25]
@@ -177,6 +183,11 @@ class Engine:
         self._poses, self._records = (np.zeros((1, 1, size)) for size in (7, RECORD_SIZE))
         self._pose, self._record = self._poses[0, 0], self._records[0, 0]
         self._position, self._orientation = self._pose[:3], self._pose[3:]
+
+    def __repr__(self) -> str:
+        objects = ", ".join(thing.name for thing in self.config.object)
+        fingers = f"fingers {', '.join(self.fingers)}; " if len(self.fingers) > 1 else ""
+        return f"<Engine: {fingers}objects {objects}; {1.0 / self.dt:g} Hz, after {self._tick} ticks>"
 
     def reset(self) -> None:
         """Forget the contact: the next step is the first."""
@@ -212,6 +223,8 @@ class Engine:
 
     def _take(self, config: schema.Scene, tree: Scene) -> None:
         self.config, self.scene, self._values = config, tree, flatten(tree)
+        if PLAIN:  # its arrays are those of the scene it was made for; a compiled one goes by their addresses
+            self._advance = None
 
     def step(self, position: ArrayLike, orientation: ArrayLike, dt: float | None = None) -> Step:
         """Advance by one pose.

@@ -6,6 +6,7 @@ is added here and nowhere else, at the end. Integers are exact in float64 up to 
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
 from itertools import accumulate
 from typing import Annotated, Final, Literal, NamedTuple, get_type_hints
 
@@ -20,9 +21,19 @@ PATCHES: Final = 3
 FREE: Final = 0
 ROLLING: Final = 1
 SLIDING: Final = 2
+
+
+class ContactMode(IntEnum):
+    """How a fingertip touches: `contact.mode` of records and messages, where it is the same number."""
+
+    FREE = FREE
+    ROLLING = ROLLING
+    SLIDING = SLIDING
+
+
 MODE_NAMES: Final = ("free", "rolling", "sliding")
 
-CAUSE_NAMES: Final = ("none", "touch", "drag", "theta_max", "stop", "reverse", "release")
+CAUSE_NAMES: Final = ("none", "touch", "drag", "theta_max", "stop", "reverse", "release", "restart")
 CAUSE_NONE: Final = 0
 CAUSE_TOUCH: Final = 1
 CAUSE_DRAG: Final = 2
@@ -30,6 +41,7 @@ CAUSE_THETA_MAX: Final = 3
 CAUSE_STOP: Final = 4
 CAUSE_REVERSE: Final = 5
 CAUSE_RELEASE: Final = 6
+CAUSE_RESTART: Final = 7
 
 
 class Offsets(NamedTuple):
@@ -95,7 +107,12 @@ class Offsets(NamedTuple):
         int, 3, "float", "m", "fingertip", "displacement of the skin against the fingertip along the surface"
     ]
     contact_budget: Annotated[
-        int, 1, "int", "1", "", "1 if a mesh or height map could not be searched to the end and the proxy stayed"
+        int,
+        1,
+        "int",
+        "1",
+        "",
+        "1 if a mesh or height map was not searched to the end: the proxy stayed, or a first touch is unknown",
     ]
 
 

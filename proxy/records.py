@@ -61,6 +61,14 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
             return rows[..., field.at : field.at + field.size]
         return rows[..., field.at].astype(np.int64) if field.kind == "int" else rows[..., field.at]
 
+    def __repr__(self) -> str:
+        count = f"{' x '.join(map(str, self.shape[:-1]))} ticks" if self.ndim > 1 else "one tick"
+        return f"<Records: {count}; fields {', '.join(NAMED)}>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """What IPython and notebooks offer behind `records[`."""
+        return list(NAMED)
+
     @property
     def structured(self) -> NDArray[Any]:
         """The same memory (...,) as numpy's structured type, a name for each field."""

@@ -131,6 +131,7 @@ def start_state(scene: model.Scene) -> model.State:
         center=model.ZERO,
         patches=(model.NO_PATCH,) * patches_of(scene.objects),
         rolled=0.0,
+        stuck=0.0,
         effects=effects,
     )
     world = model.World(started=0.0, time=0.0, poses=poses, was=poses)

@@ -10,8 +10,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from softfinger.config import schema
-from softfinger.config.errors import HapticError
+from softfinger.config.errors import HapticError, RealtimeError
+from softfinger.config.schema import commands_beside
 from softfinger.drivers import base
+from softfinger.proxy.kernels.native.jit import PLAIN
 from softfinger.server.gateway.service import Gateway
 from softfinger.server.loop import realtime, wayout
 from softfinger.server.loop.clock import NS_PER_S
@@ -59,6 +61,8 @@ class Daemon:
         sinks: Sequence[Sink] = (),
         scene_name: str = "unnamed",
     ) -> None:
+        if PLAIN:
+            raise RealtimeError("NUMBA_DISABLE_JIT is set, and the servo loop needs machine code: unset it")
         self._report = report
         self._rig = rig
         self._failure: HapticError | None = None
@@ -81,7 +85,10 @@ class Daemon:
                 metrics = self._metrics(rig.metrics.endpoint)
                 opened.append(metrics.stop)
             if gateway.commands is not None:
-                bound = listen(gateway.commands, KEY)
+                beside = rig.commands.endpoint is None and "commands" not in gateway.public
+                # The port that the telemetry got, where the rig leaves it open.
+                place = commands_beside(self.publisher.endpoint) if beside else gateway.commands
+                bound = listen(place, KEY, own=beside)
                 opened.append(bound.files.close)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare)
         except BaseException as error:
@@ -95,7 +102,10 @@ class Daemon:
         self.recordings: Final = Recordings(self.rendering, fingers, event)
         telemetry = Telemetry(self.publisher, self.servo)
         self.supervisor: Final = Supervisor(self.servo, self.fail, event)
-        doing = Doing(self._replace_scene, self.publisher.ring, event, self.stop, self.fail, self.recordings)
+        doing = Doing(
+            self._replace_scene, self.publisher.ring, self.publisher.endpoint, event, self.stop, self.fail,
+            self.recordings,
+        )  # fmt: skip
         commands = [] if bound is None else [Commands(bound, self.rendering, doing, scene_name)]
         self.commands_endpoint: Final = commands[0].endpoint if commands else None
         """Where commands are taken, None where they are off."""

@@ -1,13 +1,50 @@
-"""Types of command line arguments that several verbs take: refused before the work and not after it."""
+"""The parser of every verb, and types of arguments that several take: refused before the work and not after it."""
 
 import argparse
 import re
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final, NoReturn
 
 from softfinger.config.errors import ConfigError
 
 _NAMED: Final = re.compile(r"([A-Za-z0-9_-]+)=(.+)", re.DOTALL)
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse's, that takes -v and -q before a verb and behind it, and says which name is near a misspelt one.
+
+    Parsers of verbs, and of what is below these, are of the same class: argparse sees to that.
+    """
+
+    def __init__(self, *given: Any, **options: Any) -> None:
+        super().__init__(*given, **options)
+        # Without a default: one of a verb would undo what stood before it.
+        how_much = self.add_mutually_exclusive_group()
+        for flags, help in ((("-v", "--verbose"), "log more"), (("-q", "--quiet"), "log warnings and errors alone")):
+            how_much.add_argument(*flags, action="store_true", default=argparse.SUPPRESS, help=help)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse what no parser knows here, where its near names are known, and not in the parser above."""
+        found, left = super().parse_known_args(args, namespace)
+        if left:
+            self._refuse(left)
+        return found, left
+
+    def _refuse(self, words: Sequence[str]) -> NoReturn:
+        from softfinger.config.words import near  # takes longer to import than a command line to parse
+
+        known = [flag for action in self._actions for flag in action.option_strings]
+        told = [word + (near(word.partition("=")[0], known) if word.startswith("--") else "") for word in words]
+        self.error(f"unrecognized arguments: {' '.join(told)}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            from softfinger.config.words import near
+
+            error.message += near(value, action.choices or ())
+            raise
 
 
 def by_finger(values: Sequence[str], flag: str) -> dict[str, str]:

@@ -92,7 +92,7 @@ def main(argv: list[str] | None = None) -> int:
             discard(sys.stdout)
             return 0
         except (OSError, MemoryError) as error:
-            if "--verbose" in sys.argv:
+            if {"-v", "--verbose"} & set(sys.argv):
                 raise
             discard(sys.stdout)  # what could not be written is not tried again while closing
             return failed(reason(error), Exhausted.exit_code)
@@ -102,15 +102,18 @@ def run_verb(words: list[str]) -> int:
     """Parse the command line and run its verb; returns the exit code."""
     import logging
 
+    from softfinger.server import progress
+
     check_descriptors()
     # Only the verb that was asked for is imported: another verb's plotting library must not delay the first tick.
     parser = make_parser([word for word in words if word in VERBS][:1])
     args = parser.parse_args(words)
     logging.basicConfig(
-        level=logging.DEBUG if args.verbose else logging.INFO,
+        level=logging.DEBUG if args.verbose else logging.WARNING if args.quiet else logging.INFO,
         format="%(message)s" if sys.stderr.isatty() else "%(levelname)s %(message)s",
         handlers=[to_stderr()],
     )
+    progress.show(not args.quiet)
     signals.imported()
     if not gc.isenabled():  # what is imported by now stays, and is not looked through any more
         gc.freeze()
@@ -190,16 +193,17 @@ def check_descriptors() -> None:
 
 def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
     """The parser, with the options of the named verbs, or of all."""
-    import argparse
     from importlib.metadata import version
 
-    parser = argparse.ArgumentParser(
+    from softfinger.server.arguments import Parser
+
+    parser = Parser(
         prog="softfinger",
         description="Real-time haptic rendering: soft-finger contact with rolling and torsion.",
         epilog=(__doc__ or "").partition("\n\n")[2],
     )
     parser.add_argument("--version", action="version", version=f"softfinger {version('softfinger')}")
-    parser.add_argument("--verbose", action="store_true", help="log more")
+    parser.set_defaults(verbose=False, quiet=False)
     add_completion(parser)
     commands = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, verb in VERBS.items():

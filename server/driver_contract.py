@@ -252,9 +252,8 @@ class DriverContract:
             if way == "crash":  # there is no tick, so the force comes from before
                 Servo(device).write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
             servo.start()
-            while way == "stop_word" and servo.ticks < 100:
-                servo.wait_record()
             if way == "stop_word":
+                run_for(servo, 100)
                 assert math.hypot(*bench.displayed()) > 0.5
                 servo.stop()
             ended = servo.join(30.0)
@@ -300,8 +299,7 @@ class DriverContract:
                 servo = Loop([device], pulling(), RATE_HZ)
                 servo.compile()
                 servo.start()
-                while servo.ticks < 100:
-                    servo.wait_record()
+                run_for(servo, 100)
                 until = time.monotonic() + 30.0  # on a busy machine a withheld force fades in again
                 while math.hypot(*bench.displayed()) <= 0.5:
                     assert servo.running and time.monotonic() < until, case
@@ -314,6 +312,13 @@ class DriverContract:
                 assert not any(bench.displayed()), case
                 servo.close()
             bench.mend()
+
+
+def run_for(servo: Loop, ticks: int) -> None:
+    """Wait until a loop has done so many ticks; fails where it ends before, after which no record comes."""
+    while servo.ticks < ticks:
+        assert servo.running, f"the loop ended after {servo.ticks} ticks of {ticks}"
+        servo.wait_record()
 
 
 def first_failure(servo: Servo, patience_s: float) -> int:

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import zmq
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.files import open_input
+from softfinger.config.files import check_owner, open_input
 from softfinger.config.words import shown
 
 SIZE_MAX: Final = 4096
@@ -122,11 +122,14 @@ def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
     """Keys of a file by their kind, and its mode."""
     try:
         with open_input(path, SIZE_MAX) as file:
-            mode, text = os.fstat(file.fileno()).st_mode, file.read(SIZE_MAX)
+            status, text = os.fstat(file.fileno()), file.read(SIZE_MAX)
+        folder = Path(path).resolve().parent
+        for each, its in ((path, status), (folder, folder.stat())):
+            check_owner(each, its, "could put another key in the place of this")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{path}: no key can be read: {reason}; softfinger keys makes them") from error
     found = {kind.decode(): key for kind, key in _LINE.findall(text)}
     if "public" not in found:
         raise ConfigError(f"{path}: no CURVE certificate: it has no line public-key; softfinger keys makes them")
-    return found, mode
+    return found, status.st_mode

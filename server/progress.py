@@ -1,4 +1,7 @@
-"""Progress of what takes long: on a terminal a line that keeps clear of the log, elsewhere a line every few seconds."""
+"""Progress of what takes long: on a terminal a line that keeps clear of the log, elsewhere a line every few seconds.
+
+Whatever is waited for may have to compile kernels first, or load those that are kept: while it does, the line says so.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
+from softfinger.proxy.kernels.native.compiler.doing import DOING
+
 if TYPE_CHECKING:  # rich takes 50 ms to import, and only a terminal needs it
-    from rich.progress import Progress
+    from rich.progress import Progress, Task
 
 QUIET_S: Final = 0.5
 """What is done sooner shows nothing."""
@@ -25,6 +30,17 @@ _shown: Final = threading.Lock()
 """There is one display: of what is reported within something reported, nothing is shown."""
 
 
+_quiet: Final = threading.Event()
+
+
+def show(wanted: bool) -> None:
+    """Whether anything is shown from now on."""
+    if wanted:
+        _quiet.clear()
+    else:
+        _quiet.set()
+
+
 def on_terminal() -> bool:
     """Whether there is a terminal to draw on."""
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
@@ -33,7 +49,7 @@ def on_terminal() -> bool:
 @contextmanager
 def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """Report on `what` to stderr while the block runs; call the result with how many of `total` are done."""
-    if not _shown.acquire(blocking=False):
+    if _quiet.is_set() or not _shown.acquire(blocking=False):
         yield lambda number: None
         return
     try:
@@ -43,13 +59,21 @@ def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], No
         _shown.release()
 
 
+def described(what: str, count: int = 0, total: int | None = None) -> str:
+    """What is waited for: `simulating: compiling kernel 1`, and when that is done `simulating 40%`."""
+    if doing := str(DOING):
+        return f"{what}: {doing}"
+    return f"{what} {count / total:.0%}" if total else what
+
+
 @contextmanager
-def compiling(what: str) -> Iterator[None]:
-    """Report that `what` is compiled; the garbage collector, which would take a tenth of the time, comes behind it."""
+def making(kernels: str) -> Iterator[None]:
+    """Report on `kernels` that are compiled or loaded; the garbage collector, which would take a tenth of the time of
+    a compilation, comes behind it."""
     collects = gc.isenabled()
     gc.disable()
     try:
-        with progress(f"compiling {what}"):
+        with progress(kernels):
             yield
     finally:
         if collects:
@@ -59,7 +83,7 @@ def compiling(what: str) -> Iterator[None]:
 @contextmanager
 def counter() -> Iterator[Callable[[str], None] | None]:
     """On a terminal: call the result with a text, to show it in the last line. Elsewhere None."""
-    if not on_terminal():
+    if _quiet.is_set() or not on_terminal():
         yield None
         return
     with _shown:
@@ -88,6 +112,7 @@ def _display(bar: bool) -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
+    from rich.text import Text
 
     class Visible(Console):
         """The cursor stays: a process that is stopped or killed would leave the terminal without one."""
@@ -95,13 +120,25 @@ def _display(bar: bool) -> Progress:
         def show_cursor(self, show: bool = True) -> bool:
             return False
 
+    class What(TextColumn):
+        """Asked for ten times a second, so it says what is done with kernels just now."""
+
+        def render(self, task: Task) -> Text:
+            return Text(described(task.description), no_wrap=True, overflow="ellipsis")
+
+    class Share(TaskProgressColumn):
+        """Nothing while kernels are made: 0 % would be what is not begun."""
+
+        def render(self, task: Task) -> Text:
+            return Text() if str(DOING) else super().render(task)
+
     text = Column(no_wrap=True, overflow="ellipsis")
     columns: list[ProgressColumn] = [
         TimeElapsedColumn(),
-        TextColumn("{task.description}", markup=False, table_column=text),
+        What("", table_column=text),
     ]
     if bar:
-        columns += [BarColumn(), TaskProgressColumn()]
+        columns += [BarColumn(), Share()]
     # Long lines of the log are left to the terminal to wrap. Results for a pipe do not go to the terminal.
     console = Visible(stderr=True, soft_wrap=True, highlight=False)
     return Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
@@ -118,8 +155,8 @@ def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            share = f" {count / total:.0%}" if total else ""
-            print(f"{what}{share} ... {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
+            said = described(what, count, total)
+            print(f"{said} ... {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
             wait = PLAIN_PERIOD_S
 
     reporter = threading.Thread(target=report, daemon=True)

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
+from softfinger.config.errors import ConfigError
+from softfinger.config.schema import commands_beside
 from softfinger.server.wire.client import DEFAULT_ENDPOINT, Subscription, Window, subscribe
-from softfinger.server.wire.control import DEFAULT_COMMANDS, Control
+from softfinger.server.wire.commands import Empty
+from softfinger.server.wire.control import Control, R
 from softfinger.server.wire.protocol import CONTACT
 
 
 class Client(Control):
     """A running daemon: every command of docs/protocol.md is a method, and telemetry comes by `subscribe` or `window`.
 
-    telemetry, commands  endpoints as the daemon's first lines say them
+    telemetry, commands  endpoints as the daemon's first lines say them; where commands are left out, they are sought
+                         where a rig has them that does not say, and the daemon there has to be that with this telemetry
     timeout_s            how long to wait for an answer (None: what the command needs)
 
     Nothing is sent before it is asked for. A command raises CommandRefused where the daemon does not do it, NoAnswer
-    where nothing comes in time; telemetry NoTelemetry. What was opened here is closed with it. One thread only.
+    where nothing comes in time, ConfigError where another daemon would have got it; telemetry NoTelemetry. What was
+    opened here is closed with it. One thread only.
 
     >>> with Client() as daemon:
     ...     change = daemon.set_params({"object.table.material.stiffness_n_per_m": 800.0})
@@ -29,11 +34,26 @@ class Client(Control):
     """
 
     def __init__(
-        self, telemetry: str = DEFAULT_ENDPOINT, commands: str = DEFAULT_COMMANDS, timeout_s: float | None = None
+        self, telemetry: str = DEFAULT_ENDPOINT, commands: str | None = None, *, timeout_s: float | None = None
     ) -> None:
-        super().__init__(commands, timeout_s)
+        super().__init__(commands_beside(telemetry) if commands is None else commands, timeout_s)
         self.telemetry: Final = telemetry
+        self._met = commands is not None
         self._opened: Final = list[Subscription | Window]()
+
+    def __repr__(self) -> str:
+        return f"<Client: telemetry on {self.telemetry}, commands on {self.endpoint}>"
+
+    def _ask(self, method: str, params: Any, kind: type[R]) -> R:
+        if not self._met:
+            found = super()._ask("describe", Empty(), dict).get("endpoints", {}).get("telemetry", "an unknown endpoint")
+            if _place(found) != _place(self.telemetry):
+                raise ConfigError(
+                    f"commands at {self.endpoint} are those of the daemon whose telemetry is on {found}, and not on "
+                    f"{self.telemetry}: name its commands, too, as its first lines say them"
+                )
+            self._met = True
+        return super()._ask(method, params, kind)
 
     def subscribe(self, topics: Sequence[str] = (CONTACT,), timeout_s: float | None = None) -> Subscription:
         """Messages of `topics` as they arrive, an iterator; see `softfinger.server.wire.client.subscribe`."""
@@ -52,3 +72,8 @@ class Client(Control):
         super().close()
         for opened in self._opened:
             opened.close()
+
+
+def _place(endpoint: str) -> str:
+    """What tells endpoints of one machine apart: a path, or a port."""
+    return endpoint if endpoint.startswith("ipc:") else endpoint.rpartition(":")[2]

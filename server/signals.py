@@ -196,9 +196,7 @@ def _watch_main(receiver: int, state: _State) -> None:
 
 def _leave(number: int) -> None:
     """End the process from any thread, with the devices closed."""
-    for device in list(opened.devices):
-        with contextlib.suppress(Exception):
-            device.close()
+    opened.close_all()
     _say(f"ended by {named(number)}")
     os._exit(code_of(number))
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import tempfile
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from helpers.compiling import CompilationReport
 from helpers.stalls import Patience
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
@@ -18,7 +21,15 @@ pytest_plugins = ["helpers.pages"]
 collect_ignore = ["outside_driver"]
 """A package of its own, whose tests need it installed: tests/test_packaging.py runs them."""
 
-settings.register_profile("full")  # tests/proxy/test_invariants.py says what it is
+os.environ.pop("NUMBA_DISABLE_JIT", None)
+"""It has been read: this process has its kernels as plain Python, and the programs that it starts have machine code."""
+
+# The same cases in every run, however long each takes on a busy machine.
+settings.register_profile(
+    "suite", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)  # fmt: skip
+settings.register_profile("full", settings.get_profile("suite"))  # tests/proxy/test_invariants.py says what it is
+settings.load_profile("suite")
 SceneFactory = Callable[..., Scene]
 
 # A shell starts what it puts into the background with two of these ignored, nohup with the third. The program leaves it
@@ -28,6 +39,14 @@ for _number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(_number, signal.default_int_handler if _number == signal.SIGINT else signal.SIG_DFL)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _runtime_folder() -> Iterator[None]:
+    """Sockets of commands are the tests' own, not those of whoever runs them; in a short path, as sockets need it."""
+    with tempfile.TemporaryDirectory(prefix="softfinger-") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _no_device_of_another_test() -> Iterator[None]:
     """A device that a test left hanging, so that somebody still holds it, is not stopped by the next one's program."""
@@ -35,8 +54,22 @@ def _no_device_of_another_test() -> Iterator[None]:
     opened.devices.clear()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("softfinger")
+    group.addoption("--compiled", action="store_true", help="list every file whose tests compile kernels")
+    group.addoption("--exhaustive", action="store_true", help="all cases of tests marked `scaled`")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(Patience())
+    config.pluginmanager.register(CompilationReport())
+
+
+@pytest.fixture(scope="session")
+def cases(pytestconfig: pytest.Config) -> Callable[[int, int], int]:
+    """`cases(few, many)`: how many cases a test marked `scaled` takes, many with --exhaustive."""
+    exhaustive = pytestconfig.getoption("--exhaustive")
+    return lambda few, many: many if exhaustive else few
 
 
 def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -75,54 +108,6 @@ def paper_mapping(
     thing = merged({"name": "table", "shape": "plane"}, table or {})
     thing["material"] = merged(base_material, material or {})
     return {**merged(base, tables), "object": [thing]}
-
-
-FILES_A_WORKER = 12
-"""Files that one process of a parallel run takes, before another takes its place.
-
-numba frees nothing that it has compiled: a kernel of one more type of scene stays with 25 to 35 MB, a file of tests
-with up to 150 MB, and a process that took half of all files has grown to 2.5 GB. It starts anew in seconds.
-"""
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Files to processes, as `--dist loadfile`, with processes that end after so many."""
-    if config.getvalue("dist") != "loadfile":
-        return None
-    from xdist.scheduler import LoadFileScheduling
-
-    class Recycling(LoadFileScheduling):  # type: ignore[misc]
-        def remove_node(self, node: Any) -> str | None:
-            """What a process that crashed has not done is handed on, but for the test that it crashed in. (As it comes,
-            files that are done are handed on as well: who gets one has nothing to tell, and all wait for ever.)"""
-            left = {file: tests for file, tests in self.assigned_work.pop(node).items() if not all(tests.values())}
-            if not left:
-                return None
-            tests = next(iter(left.values()))
-            crashed: str = next(test for test, done in tests.items() if not done)
-            tests[crashed] = True
-            self.workqueue.update({file: tests for file, tests in left.items() if not all(tests.values())})
-            for other in self.assigned_work:
-                self._reschedule(other)
-            return crashed
-
-        def _reschedule(self, node: Any) -> None:
-            if node not in self.registered_collections:
-                return  # it is starting: it asks again
-            if self.workqueue and not node.shutting_down and len(self.assigned_work[node]) >= FILES_A_WORKER:
-                node.shutdown()  # behind what it has been given
-                config.pluginmanager.getplugin("dsession")._clone_node(node)
-            else:
-                super()._reschedule(node)
-
-    return Recycling(config, log)
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node: Any, error: object) -> None:
-    """A process that has done its files ends now: left to itself it would wait, with its memory, for the last one."""
-    node.ensure_teardown()
 
 
 @pytest.fixture

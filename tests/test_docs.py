@@ -25,8 +25,6 @@ from softfinger.server.cli import VERBS, main, make_parser
 from softfinger.server.wire import client, protocol
 from softfinger.server.wire.publisher import Publisher
 
-pytestmark = pytest.mark.real_time
-
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 RUNNING = (ROOT / "docs" / "operate" / "running.md").read_text()
@@ -72,6 +70,7 @@ def test_every_command_in_readme_and_docs_is_one():
     assert set(re.findall(r"softfinger (?!import\b)([a-z]+)\b", README + RUNNING + HOW)) - {"VERB"} <= set(VERBS)
 
 
+@pytest.mark.real_time
 def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
     """Each does what it is there for; those to a daemon to one that runs, those that run for ever for a second."""
     ran = []
@@ -99,6 +98,7 @@ def test_the_readme_is_two_screens():
     assert len(README.splitlines()) <= 100
 
 
+@pytest.mark.real_time
 def test_python_of_the_front_door_runs(tmp_path, endpoints, monkeypatch):
     """The programs of docs/python.md, one after the other, against a daemon that runs."""
     monkeypatch.chdir(tmp_path)
@@ -141,6 +141,7 @@ def test_the_site_has_every_page_once():
     assert sorted(named) == sorted(pages)
 
 
+@pytest.mark.exhaustive  # `make docs` builds it too
 def test_the_site_is_built(tmp_path):
     """By the rules of `make docs`, where its packages are: no link and no anchor of it leads nowhere."""
     pytest.importorskip("material", reason="the site needs the packages of `make docs`")
@@ -176,6 +177,7 @@ def test_scene_in_the_readme_is_valid():
     assert build(Scene, tomllib.loads(text), "README").object[0].name == "table"
 
 
+@pytest.mark.real_time
 def test_python_of_the_readme_runs():
     """The two programs: one that renders, and five lines that print the sliding samples of a real publisher."""
     first, code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
@@ -209,6 +211,7 @@ def numbers(cell: str) -> list[float]:
     return [float(part) for part in cell.split(",")]
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("row", table(CONVENTIONS, "Checked examples"), ids=lambda row: row[0])
 def test_signs_are_as_documented(row):
     """Each documented motion gives the documented force and torque."""

@@ -16,8 +16,6 @@ from nbclient import NotebookClient
 from softfinger.drivers.base import PROTOCOL
 from softfinger.server.driver_contract import Servo
 
-pytestmark = pytest.mark.real_time
-
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PNG = b"\x89PNG"
 LINES_MAX = 130
@@ -80,12 +78,14 @@ def test_stiffness_staircase() -> None:
     assert number(r"(\d+) pictures", out) == 1
 
 
+@pytest.mark.real_time
 def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     """Half the stiffness, half the force: the recording presses 1 mm deep."""
     out = said("change_a_parameter.py", *endpoints, cwd=tmp_path)
     assert "1000 -> 500; largest normal force 1.00 N -> 0.50 N" in out
 
 
+@pytest.mark.real_time
 def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     """A picture is drawn of what arrives."""
     out = said("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
@@ -93,6 +93,7 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     assert (tmp_path / "live.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.real_time
 def test_my_driver_python(tmp_path: Path) -> None:
     """1 mm into 1000 N/m, held with 3000 N/m: both give way, and 0.75 N are left; every tick of both runs was done."""
     out = said("my_driver_python.py", cwd=tmp_path)
@@ -118,6 +119,7 @@ def test_an_exception_in_a_python_driver_ends_the_run() -> None:
         assert Servo(device).read()[0] == PROTOCOL
 
 
+@pytest.mark.real_time
 def test_my_driver_numba(tmp_path: Path) -> None:
     """The daemon runs on it to the last tick."""
     said("my_driver_numba.py", cwd=tmp_path)

@@ -9,9 +9,11 @@ import json
 import pydoc
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
+import msgpack
 import msgspec
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ import softfinger
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.engine import Engine, PoseError, step_many
-from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
+from softfinger.proxy.record import AT, FIELDS, MODE_NAMES, RECORD_SIZE, columns
 from softfinger.proxy.records import Records
 from softfinger.server.cli import main
 from softfinger.server.offline.results import write_results
@@ -57,9 +59,51 @@ def test_every_name_is_there_and_none_more() -> None:
         assert methods and not [name for name, method in methods if not inspect.getdoc(method)]
     page = pydoc.plain(pydoc.render_doc(softfinger))
     for name in softfinger.__all__:
-        assert name in page and (name == "__version__" or getattr(softfinger, name).__doc__)
-    with pytest.raises(AttributeError, match="'engine': it offers Client, Engine"):
+        assert name == "__version__" or (name in page and getattr(softfinger, name).__doc__)
+    assert softfinger.__version__ in page
+    with pytest.raises(AttributeError, match=r"'engine' \(did you mean 'Engine'\?\): it offers .*Client"):
         _ = softfinger.engine
+
+
+def test_every_error_of_the_door_is_at_the_door() -> None:
+    """What its functions raise on purpose can be caught by a name of the package."""
+    for home in ("config.errors", "proxy.engine", "proxy.records", "wire.client", "wire.control", "wire.protocol"):
+        module = importlib.import_module(f"softfinger.{'server.' if home.startswith('wire') else ''}{home}")
+        raised = [
+            name for name, kind in vars(module).items() if isinstance(kind, type) and issubclass(kind, HapticError)
+        ]
+        assert raised and [name for name in raised if getattr(softfinger, name) is getattr(module, name)] == raised
+
+
+@pytest.mark.plain
+def test_a_mode_is_a_name_and_a_number(engine: Engine) -> None:
+    """A step's mode has a name, is equal to the number of records and messages, and is packed as that number."""
+    touch = engine.step(PRESSED, UPRIGHT)
+    assert touch.mode is softfinger.ContactMode.ROLLING and touch.mode == 1 == touch.record[AT.contact_mode]
+    assert [mode.name.lower() for mode in softfinger.ContactMode] == list(MODE_NAMES)
+    assert json.dumps(touch.mode) == "1" and msgpack.packb(touch.mode) == b"\x01"
+
+
+def test_what_is_printed_and_completed(client: partial[Client]) -> None:
+    """At a prompt each object says in a line what it is, and offers its fields."""
+    engine = Engine("paper-plane")
+    engine.step(PRESSED, UPRIGHT)
+    assert repr(engine) == "<Engine: objects table; 1000 Hz, after 1 ticks>"
+    assert repr(Engine("pinch")).startswith("<Engine: fingers thumb, index; objects ")
+    records = made_up()
+    assert repr(records).startswith("<Records: 4 ticks; fields timestamp, tick, ")
+    assert repr(records[0]).startswith("<Records: one tick; ") and repr(records["tick"]).startswith("array(")
+    assert records._ipython_key_completions_() == [field.name for field in FIELDS]
+    assert {"force", "mode", "penetration"} <= set(dir(engine.step(PRESSED, UPRIGHT)))
+    with client() as daemon:
+        assert repr(daemon) == f"<Client: telemetry on {daemon.telemetry}, commands on {daemon.endpoint}>"
+        samples, window = daemon.subscribe(timeout_s=20.0), daemon.window(samples=10)
+        assert repr(samples) == f"<Subscription to contact on {daemon.telemetry}>"
+        assert repr(window) == f"<Window: 0 of 10 ticks on {daemon.telemetry}, 0 lost>"
+        assert window._ipython_key_completions_() == records._ipython_key_completions_()
+        sample = next(samples)
+        assert {"tick", "contact", "force", "as_map"} <= set(dir(sample))
+        assert {"mode", "penetration"} <= set(dir(sample.contact))
 
 
 def test_the_door_is_light() -> None:
@@ -69,6 +113,7 @@ def test_the_door_is_light() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.exhaustive  # `make lint` reads every caller of ours with the same checker
 def test_a_type_checker_sees_the_names(tmp_path: Path) -> None:
     """mypy --strict knows the classes behind the names, and refuses a wrong argument."""
     program = "import softfinger\nreveal_type(softfinger.Engine('x').step([0.0], [1.0]).force)\nsoftfinger.Engine(1)\n"
@@ -153,6 +198,7 @@ def pressing(engine: Engine) -> float:
     return engine.step(PRESSED, UPRIGHT).normal_force
 
 
+@pytest.mark.plain
 def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
     """By name and by number, in contact, and to the bits of an engine that began so."""
     changes = {STIFFNESS: 500.0, "coupling.stiffness_n_per_m": 700.0}
@@ -166,6 +212,7 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
     assert engine.step(PRESSED, UPRIGHT).cause != "touch"  # it was in contact all the time
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -195,6 +242,21 @@ def test_nothing_is_compiled_anew(engine: Engine) -> None:
     assert len(step_many.overloads) == before
 
 
+def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
+    """A drag, and 10 s of one pose: the filtered velocity falls by a share in each tick, and ends as 0. As a number
+    below the smallest normal one it would make every tick slower for as long as the hand rests."""
+    engine.reset()
+    poses = np.tile([*PRESSED, *UPRIGHT], (10_300, 1))
+    poses[:300, :3] += np.linspace((-0.0013, 0.0007, 0.0002), (0.0, 0.0, 0.0), 300)
+    values = np.abs(np.asarray(engine.run(poses)))
+    assert not ((values > 0.0) & (values < np.finfo(float).tiny)).any()
+    velocity = values[:, AT.probe_velocity : AT.probe_velocity + 3]
+    assert velocity[299].all() and not velocity[-1].any()
+    still = engine.run(np.full((1, 7), poses[-1]))["probe.velocity"]
+    assert np.array_equal(still, np.zeros((1, 3)))
+
+
+@pytest.mark.plain
 @pytest.mark.parametrize(
     ("position", "orientation", "said"),
     [
@@ -214,6 +276,7 @@ def test_a_pose_that_is_none_is_refused(position: object, orientation: object, s
     assert pressing(engine) > 0.0
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("rate_hz", [0.0, -1000.0, np.nan, np.inf])
 def test_a_rate_that_no_servo_has_is_refused(rate_hz: float) -> None:
     """Before anything is compiled."""
@@ -221,6 +284,7 @@ def test_a_rate_that_no_servo_has_is_refused(rate_hz: float) -> None:
         Engine("paper-plane", rate_hz)
 
 
+@pytest.mark.plain
 def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
     """One by one or all at once, quaternions of any length; what a step returned stays as it was."""
     poses = np.random.default_rng(3).normal(size=(40, 7)) * 0.001 + [*PRESSED, 3.0, 0.0, 0.0, 0.0]
@@ -233,6 +297,7 @@ def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
 # --- scenes and recordings --------------------------------------------------------------------------
 
 
+@pytest.mark.plain
 def test_a_mapping_is_as_good_as_a_file() -> None:
     """The mapping of a scene makes the same scene; its faults are all named."""
     scene = load_scene("sphere")
@@ -275,6 +340,19 @@ def test_a_client_hears_what_it_changes(client: partial[Client]) -> None:
         told = next(event for event in events if event["name"] == "set_params")
         assert msgspec.to_builtins(told["what"])[STIFFNESS]["to"] in (810.0, 820.0)
     assert list(events) == []
+
+
+def test_each_place_has_the_clock_that_is_written(client: partial[Client], engine: Engine) -> None:
+    """docs/python.md: ticks times dt offline, the epoch on the wire, CLOCK_MONOTONIC and other names in get_state."""
+    engine.reset()
+    for records in (run_recording("tap"), engine.run(np.tile([*PRESSED, *UPRIGHT], (10, 1)))):
+        np.testing.assert_allclose(records["timestamp"], records["tick"] * 0.001, rtol=0.0, atol=1e-12)  # rounding
+        assert not records["servo.exec"].any() and not records["buttons"].any()
+    with client() as daemon:
+        sample, state = next(daemon.subscribe(timeout_s=20.0)), daemon.get_state()
+        assert abs(sample.timestamp - time.time()) < 3600.0  # an hour tells one clock from the other
+        assert abs(state.timestamp - time.monotonic()) < 3600.0
+        assert state.sequence > 0 and state.field_state["mode"] in list(softfinger.ContactMode)
 
 
 # --- what is shipped --------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.plain
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("config", "drivers", "proxy", "server", "tools")
 FOLDERS = sorted({path.parent for package in PACKAGES for path in (ROOT / package).rglob("*.py")})

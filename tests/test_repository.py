@@ -63,7 +63,8 @@ def test_ci_runs_what_is_supported() -> None:
     run = "\n".join(step.get("run", "") for step in steps(workflow))
     called = set(re.findall(r"make ([a-z-]+)", run))
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    assert {"lint", "docs", "test", "wheel"} <= called <= targets
+    assert {"lint", "docs", "test", "test-all", "wheel"} <= called <= targets
+    assert run.index("make test ") < run.index("make emulators") < run.index("make test-all")  # as .ci/run does
 
 
 def test_a_release_is_tested_attested_and_of_its_tag() -> None:

@@ -8,13 +8,16 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers.stalls import Sleeper
+from helpers.stalls import Sleepers
 
 pytest_plugins = ["pytester"]
 
 SECOND_TIME_LUCKY = """
+import pytest
+
 turns = []
 
+@pytest.mark.real_time
 def test_luck():
     turns.append(1)
     assert len(turns) == 2
@@ -24,7 +27,7 @@ def test_luck():
 NO_LUCK = """
 import pytest
 
-@pytest.mark.{mark}
+@pytest.mark.real_time
 def test_luck():
     assert False, "one tick was late"
 """
@@ -37,7 +40,7 @@ def run(pytester: pytest.Pytester, overslept_s: float, test: str = SECOND_TIME_L
         sys.path.insert(0, {str(Path(__file__).parent)!r})
         from helpers import stalls
         stalls.REST_WAIT_S = 0.0
-        stalls.Sleeper.longest_s = lambda self: {overslept_s}
+        stalls.Sleepers.longest_s = lambda self: {overslept_s}
         def pytest_configure(config):
             config.pluginmanager.register(stalls.Patience())
     """)
@@ -52,18 +55,18 @@ def test_repeated_where_the_machine_stood_still(pytester: pytest.Pytester) -> No
     result.stdout.fnmatch_lines(["*repeated, since the machine stood still*", "*::test_luck: overslept 50 ms; *"])
 
 
-def test_skipped_where_it_stood_still_each_time(pytester: pytest.Pytester) -> None:
-    """One that keeps real time, and the end of the run has what it said each time; another has failed."""
-    result = run(pytester, 0.05, NO_LUCK.format(mark="real_time"))
-    result.assert_outcomes(skipped=1)
-    result.stdout.fnmatch_lines(["*repeated, *", *["*::test_luck: overslept 50 ms; *"] * 3, "*1 skipped*"])
-    run(pytester, 0.05, NO_LUCK.format(mark="other")).assert_outcomes(failed=1)
-    run(pytester, 0.001, NO_LUCK.format(mark="real_time")).assert_outcomes(failed=1)
+def test_failed_where_it_stood_still_each_time(pytester: pytest.Pytester) -> None:
+    """Three times is a failure, whatever the machine did, and the end of the run has what it said each time."""
+    result = run(pytester, 0.05, NO_LUCK)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*repeated, *", *["*::test_luck: overslept 50 ms; *"] * 3])
+    run(pytester, 0.001, NO_LUCK).assert_outcomes(failed=1)
 
 
 def test_failed_where_it_kept_time(pytester: pytest.Pytester) -> None:
-    """A test that passes on the second try has failed."""
+    """A test that passes on the second try has failed; so has one that does not wait for the clock."""
     run(pytester, 0.001).assert_outcomes(failed=1)
+    run(pytester, 0.05, SECOND_TIME_LUCKY.replace("@pytest.mark.real_time", "")).assert_outcomes(failed=1)
 
 
 def test_no_garbage_is_looked_for_meanwhile(pytester: pytest.Pytester) -> None:
@@ -81,25 +84,30 @@ def test_no_garbage_is_looked_for_meanwhile(pytester: pytest.Pytester) -> None:
     run(pytester, 0.001, test).assert_outcomes(passed=2)
 
 
-def test_sleeper_tells_a_stall() -> None:
-    """A program that is stopped for 50 ms oversleeps by as much."""
-    sleeper = Sleeper()
+def test_a_stall_of_one_processor_is_told() -> None:
+    """A program that is stopped for 50 ms oversleeps by as much, on whichever processor it is."""
+    sleepers = Sleepers()
     try:
-        sleeper.longest_s()
-        os.kill(sleeper._program.pid, signal.SIGSTOP)
-        time.sleep(0.05)
-        os.kill(sleeper._program.pid, signal.SIGCONT)
-        assert sleeper.longest_s() > 0.04
+        sleepers.longest_s()  # they are up
+        assert [os.sched_getaffinity(program.pid) for program in sleepers._programs] == [
+            {cpu} for cpu in sorted(os.sched_getaffinity(0))
+        ]
+        for program in sleepers._programs:
+            sleepers.longest_s()
+            os.kill(program.pid, signal.SIGSTOP)
+            time.sleep(0.05)
+            os.kill(program.pid, signal.SIGCONT)
+            assert sleepers.longest_s() > 0.04
     finally:
-        sleeper.close()
+        sleepers.close()
 
 
-def test_sleeper_waits_for_a_machine_that_keeps_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And for no longer: the second half-second that it asks about is quiet."""
-    sleeper, overslept = Sleeper(), iter([0.0, 0.05, 0.001, 0.05])
+def test_a_machine_that_keeps_time_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And for no longer: the second half-second that is asked about is quiet."""
+    sleepers, overslept = Sleepers(), iter([0.0, 0.05, 0.001, 0.05])
     try:
-        monkeypatch.setattr(sleeper, "longest_s", lambda: next(overslept))
-        sleeper.rest()
+        monkeypatch.setattr(sleepers, "longest_s", lambda: next(overslept))
+        sleepers.rest()
         assert next(overslept) == 0.05
     finally:
-        sleeper.close()
+        sleepers.close()

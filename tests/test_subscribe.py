@@ -13,8 +13,6 @@ import pytest
 
 from softfinger.server.wire.client import subscribe
 
-pytestmark = pytest.mark.real_time
-
 PROGRAMS = Path(__file__).resolve().parents[1] / "examples" / "subscribe"
 MODES = ("free", "rolling", "sliding")
 CHANGES = 3
@@ -53,6 +51,7 @@ def octave(_: Path) -> list[str]:
     return [str(program), str(PROGRAMS / "subscribe_octave.m")]
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("make", [python, cpp, javascript, octave])
 def test_a_program_prints_what_was_published(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:
     """Each line is a tick with mode and force as another subscriber got them; each but the first is a change."""

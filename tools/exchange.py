@@ -205,7 +205,7 @@ def compile_exchange() -> None:
     """Compile the loop, so that a device that is opened afterwards does not wait for it."""
     like = (Io(0, 0, 0), Io(0, 0, 0), Span(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     arguments = (*like, np.zeros(8, np.int64), make_scratch(), np.zeros((1, ROW_SIZE)))
-    with progress("compiling the exchange (once for each version)"):
+    with progress("kernels of the exchange"):
         exchange_loop.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
 
 

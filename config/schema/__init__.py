@@ -63,8 +63,12 @@ from softfinger.config.schema.rig import (
     Servo,
     Telemetry,
     Tool,
+    commands_beside,
+    commands_of,
     endpoint_complaint,
     is_public,
+    runtime_folder,
+    telemetry_of,
 )
 from softfinger.config.schema.scene import FingerParts, Scene
 from softfinger.config.schema.shapes import (
@@ -151,11 +155,15 @@ __all__ = [
     "Vibration",
     "Viscosity",
     "add_shape",
+    "commands_beside",
+    "commands_of",
     "endpoint_complaint",
     "is_public",
     "known",
+    "runtime_folder",
     "said",
     "sized",
+    "telemetry_of",
     "unit",
     "within",
 ]

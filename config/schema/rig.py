@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import msgspec
@@ -66,6 +69,15 @@ class Guard(Table, frozen=True, kw_only=True):
         float, within(limits.TORQUE_SLEW_NM_PER_S, "fastest change of the torque", 50.0)
     ] = 50.0
     ramp_s: Annotated[float, within(limits.RAMP_S, "time over which force fades in after engaging", 0.5)] = 0.5
+    speed_max_m_per_s: Annotated[
+        float, within(limits.SPEED_MAX_M_PER_S, "a pose that comes faster is a jump: no force", 10.0)
+    ] = 10.0
+    turn_max_rad_per_s: Annotated[
+        float, within(limits.TURN_MAX_RAD_PER_S, "a pose that turns faster is a jump: no force", 100.0)
+    ] = 100.0
+    frozen_s: Annotated[
+        float, within(limits.FROZEN_S, "no force after a pose has repeated for so long under one; 0: never mind", 5.0)
+    ] = 5.0
 
 
 class Telemetry(Table, frozen=True, kw_only=True):
@@ -91,6 +103,52 @@ _TCP: Final = re.compile(r"tcp://(\[[^\]]*\]|[^:/@\[\]]+):(\*|[0-9]{1,5})")
 _LOOPBACK: Final = re.compile(r"localhost|127(\.[0-9]{1,3}){3}|\[::1\]")
 _PORT_MAX: Final = 65535
 _IPC_PATH_MAX: Final = 107  # bytes of a Unix socket's path
+
+
+BESIDE: Final = ".commands"
+"""What a socket of commands is called by, behind the port or the path of the telemetry."""
+
+
+def runtime_folder() -> Path:
+    """`softfinger` in $XDG_RUNTIME_DIR, or where that is not set a folder of this user in the temp directory; whether
+    it is there or not."""
+    given = os.environ.get("XDG_RUNTIME_DIR", "")
+    if given.startswith("/"):
+        return Path(given) / "softfinger"
+    return Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
+
+
+def commands_beside(telemetry: str) -> str:
+    """Where commands are taken of a daemon with this telemetry, where its rig does not say.
+
+    A socket that this user alone reaches: the path with .commands behind, of a port on loopback one in the user's
+    runtime folder, named by the port. Beside telemetry that is open to the network the next port, by key as that.
+    """
+    if telemetry.startswith("ipc://"):
+        return f"{telemetry}{BESIDE}"
+    host, _, port = telemetry.rpartition(":")
+    if not is_public(telemetry):
+        return f"ipc://{runtime_folder()}/{port}{BESIDE}"
+    if not port.isdecimal() or port == "0":
+        return telemetry
+    return f"{host}:{int(port) + (1 if int(port) < _PORT_MAX else -1)}"
+
+
+def commands_of(endpoint: str) -> str:
+    """Where to command the daemon of an address, which may be that of its telemetry: the socket beside it, if there is
+    one; otherwise the address itself."""
+    beside = commands_beside(endpoint)
+    path = Path(beside.removeprefix("ipc://"))
+    return beside if beside.startswith("ipc:") and path.is_socket() else endpoint
+
+
+def telemetry_of(endpoint: str) -> str:
+    """Where the daemon of an address publishes, which may be that of a socket of commands beside the telemetry;
+    otherwise the address itself."""
+    if not endpoint.startswith("ipc://") or not endpoint.endswith(BESIDE):
+        return endpoint
+    path = Path(endpoint.removeprefix("ipc://").removesuffix(BESIDE))
+    return f"tcp://127.0.0.1:{path.name}" if path.parent == runtime_folder() else f"ipc://{path}"
 
 
 def is_public(endpoint: str) -> bool:
@@ -122,7 +180,8 @@ class Commands(Table, frozen=True, kw_only=True):
             sized(
                 limits.ENDPOINT_LENGTH,
                 "ZeroMQ address to bind, as in [telemetry]; off: no commands; "
-                "absent: the port after the telemetry's, or its ipc path with .commands behind",
+                "absent: a socket for this user alone, or the port after the telemetry's where that is open to the "
+                "network",
                 "tcp://127.0.0.1:5556",
             ),
         ]
@@ -134,6 +193,10 @@ class Commands(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None
+    ramp_s: Annotated[
+        float,
+        within(limits.PARAMETER_RAMP_S, "time over which parameters that act on the force change; 0: at once", 0.1),
+    ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.endpoint) and self.endpoint not in (None, OFF):
@@ -227,12 +290,7 @@ class Rig(Table, frozen=True, kw_only=True):
         given = self.commands.endpoint
         if given is not None:
             return None if given == OFF else given
-        if self.telemetry.endpoint.startswith("ipc://"):
-            return f"{self.telemetry.endpoint}.commands"
-        host, _, port = self.telemetry.endpoint.rpartition(":")
-        if port in ("*", "0"):
-            return f"{host}:{port}"
-        return f"{host}:{int(port) + (1 if int(port) < _PORT_MAX else -1)}"
+        return commands_beside(self.telemetry.endpoint)
 
     def faults(self) -> Iterator[Complaint]:
         yield from self._device_faults()
@@ -264,7 +322,7 @@ class Rig(Table, frozen=True, kw_only=True):
             yield (
                 "commands.endpoint",
                 msgspec.UNSET,
-                f"{beside}, which follows from the telemetry's, is none: give one",
+                f"{beside}, which follows from the telemetry's, is none: give one, of at most {_IPC_PATH_MAX} bytes",
             )
         elif beside == self.telemetry.endpoint and not beside.endswith((":*", ":0")):
             yield "commands.endpoint", beside, "is the telemetry's: give another"

@@ -15,6 +15,7 @@ import usb.core
 import usb.util
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DevicePermission
+from softfinger.drivers.system import libusb
 from softfinger.drivers.system.rules import how_to_permit
 
 VENDOR: Final = 0x0403
@@ -124,12 +125,7 @@ def open_line(serial: str | None, node: str | None = None) -> Line:
     Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
     """
     try:
-        found: list[Any] = list(usb.core.find(find_all=True, idVendor=VENDOR, idProduct=PRODUCT))
-    except usb.core.NoBackendError as error:
-        raise DeviceError(
-            "libusb is not installed or cannot be loaded, and the Falcon is reached through it: "
-            "`apt install libusb-1.0-0`"
-        ) from error
+        found = libusb.find(idVendor=VENDOR, idProduct=PRODUCT)
     except usb.core.USBError as error:
         raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb is there") from error
     if node is not None:

@@ -22,7 +22,7 @@ from softfinger.drivers.serial.frames import (
     encode,
     take,
 )
-from softfinger.drivers.system.libc import EAGAIN, read_now, write_now
+from softfinger.drivers.system.libc import EAGAIN, read_waiting, write_now
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.rotations import (
     about_x,
@@ -79,6 +79,7 @@ class Words(NamedTuple):
     cut: Annotated[int, counter("forces past the largest")]
     asked_at: Annotated[int, word("`bytes` when the last frame was sent; ANSWERED or more since then are its answer")]
     newline: Annotated[int, word("what wakes the device")]
+    waiting: Annotated[int, word("bytes that the system has for this driver")]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
     scratch: Annotated[int, numbers("of a frame being read", NUMBERS)]
     values: Annotated[int, numbers("of the newest frame", NUMBERS)]
@@ -94,10 +95,8 @@ def _drain(driver: Serial, handle: int) -> int:
     at = int64_at(handle)
     incoming, frames = handle + 8 * AT.incoming, 0
     for _ in range(DRAIN_MAX):
-        count = read_now(at[TALK.fd], incoming + LOOKBACK, CHUNK)
-        if count == -EAGAIN:
-            break
-        if count <= 0:
+        count = read_waiting(at[TALK.fd], incoming + LOOKBACK, CHUNK, handle + 8 * AT.waiting)
+        if count < 0:
             return LOST
         at[AT.bytes] += count
         at[TALK.misread] += count

@@ -14,6 +14,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
+from softfinger.config.errors import DeviceError
+from softfinger.drivers.system import libusb
+
 Bus = Literal["usb", "hid", "serial"]
 
 ROOT: Final = Path("/")
@@ -245,8 +248,8 @@ def seen_by_pyusb(**ids: int) -> list[Any]:
     import usb.core
 
     try:
-        return list(usb.core.find(find_all=True, **ids))
-    except (usb.core.USBError, usb.core.NoBackendError):  # the second is a ValueError
+        return libusb.find(**ids)
+    except (usb.core.USBError, DeviceError):
         return []
 
 

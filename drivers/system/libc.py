@@ -13,8 +13,11 @@ _CPointer: Any = types.CPointer
 IO_SIGNATURE: Final[Any] = types.int64(types.int64, _CPointer(types.float64))
 
 EINTR: Final = 4
+EIO: Final = 5
 EAGAIN: Final = 11
 ETIMEDOUT: Final = 110
+
+_FIONREAD: Final = 0x541B
 
 TIMESPEC_WORDS: Final = 2
 INTERRUPTED_MAX: Final = 4
@@ -22,6 +25,7 @@ INTERRUPTED_MAX: Final = 4
 
 read_fd: Any = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
 write_fd: Any = types.ExternalFunction("write", types.int64(types.int32, types.int64, types.uint64))
+_ioctl: Any = types.ExternalFunction("ioctl", types.int32(types.int32, types.uint64, types.int64))
 poll_fd: Any = types.ExternalFunction("poll", types.int32(_CPointer(types.int64), types.uint64, types.int32))
 errno_location: Any = types.ExternalFunction("__errno_location", _CPointer(types.int32)())
 _clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, _CPointer(types.int64)))
@@ -55,3 +59,22 @@ read_now: Any = _unless_interrupted(read_fd)
 
 write_now: Any = _unless_interrupted(write_fd)
 """write_now(fd, address, size): bytes that a non-blocking file took, or minus the error's number."""
+
+
+@jit
+def read_waiting(fd: int, address: int, size: int, word: int) -> int:
+    """`read_now` of a terminal, 0 where nothing waits there; `word` is the address of one word for the system's count.
+
+    A plain read that finds nothing there does not return at once: it waits until a thread of the kernel has handed on
+    what may be under way (`n_tty_read` flushes the port's work), a quarter of a second where all processors are busy.
+    """
+    at = int64_at(word)
+    at[0] = 0  # the system fills the lower half
+    if _ioctl(fd, _FIONREAD, word) != 0:
+        return -int(errno_location()[0])
+    if at[0] == 0:
+        return 0
+    count: int = read_now(fd, address, size)
+    if count == 0:
+        return -EIO
+    return 0 if count == -EAGAIN else count

@@ -3,7 +3,9 @@
 from typing import Any
 
 from softfinger.proxy.kernels.contact.approach import (
+    STUCK_TICKS,
     has_ended,
+    is_clear,
     meet,
     parted,
     stay,
@@ -54,7 +56,7 @@ from softfinger.proxy.kernels.model import (
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.tuples import same_for
-from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_TOUCH, FREE, SLIDING
+from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, CAUSE_TOUCH, FREE, SLIDING
 
 
 @jit
@@ -123,7 +125,7 @@ def on_the_only_object(
         state = parted(state)
         comes = touch(finger, objects, state, probe, dt)
     if comes.active.first < 0.0:
-        return out_of_contact(scene, finger, objects, state, probe, dt)
+        return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
 
     rough = roughened(objects, comes.active, comes.center)
     material, last = rough[0].material, state.patches[0]
@@ -206,6 +208,7 @@ def on_the_only_object(
         center=center,
         patches=(patch,),
         rolled=rolled,
+        stuck=0.0,
         effects=states,
     )
     cause = kept.cause if kept.cause != CAUSE_NONE else comes.cause
@@ -264,15 +267,18 @@ def among_several_objects(
     radius, position = finger.radius, probe.position
     start, center, left = state.center, state.center, BUDGET
     active = one_constraint(NONE, (0.0, 0.0, 1.0))
-    touches = state.mode == FREE
+    touches, stuck = state.mode == FREE, state.stuck
+    if stuck >= STUCK_TICKS and is_clear(objects, radius, position):
+        return out_of_contact(scene, finger, objects, state, probe, dt, left)
     if not touches:
         center, active = again(objects, radius, state, position)
         touches = has_ended(active)
+    before = center
     if touches:  # what is met in the tick in which the last contact ended is another one
         state = parted(state)
         start, center, active, left = meet(finger, objects, state, position)
     if active.first < 0.0:
-        return out_of_contact(scene, finger, objects, state, probe, dt)
+        return out_of_contact(scene, finger, objects, state, probe, dt, left)
 
     center, active, late, left = settle_among_several(objects, radius, position, start, center, active, left)
     last = carried_patches(objects, state.patches)
@@ -318,6 +324,7 @@ def among_several_objects(
         center=center,
         patches=(one.after, two.after, three.after),
         rolled=rolled,
+        stuck=stuck + 1.0 if late and center == before else 0.0,
         effects=states,
     )
     unsearched = 1.0 if late and left < 0 else 0.0
@@ -360,36 +367,38 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
         return state.probe.velocity
     gain = 1.0 / (time_constant + dt)
     moved = vec3.sub(position, state.probe.position)
-    return vec3.add_scaled(vec3.scale(time_constant * gain, state.probe.velocity), gain, moved)
+    return vec3.faded(vec3.add_scaled(vec3.scale(time_constant * gain, state.probe.velocity), gain, moved))
 
 
 @jit
 def out_of_contact(
-    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, left: int
 ) -> tuple[FingerState, Contact]:
-    """State and outcome in free space."""
+    """State and outcome in free space; or, with less than 0 `left` of the budget, at a first pose of which that is not
+    known yet: the next tick's is the first again."""
     up, free = (0.0, 0.0, 1.0), float(FREE)
     force, states = all_effects(
         scene, finger.radius, objects, state, one_constraint(NONE, up), probe, probe.velocity, dt
     )  # fmt: skip
     after = FingerState(
-        started=1.0,
+        started=1.0 if left >= 0 else state.started,
         probe=probe,
         mode=free,
         center=probe.position,
         patches=same_for(state.patches, NO_PATCH),
         rolled=0.0,
+        stuck=0.0,
         effects=states,
     )
-    return after, no_contact(state, probe, force)
+    return after, no_contact(state, probe, force, 1.0 if left < 0 else 0.0)
 
 
 @jit
-def no_contact(state: FingerState, probe: Probe, force: Vec3) -> Contact:
-    """The outcome in free space; leaving a contact is a release."""
+def no_contact(state: FingerState, probe: Probe, force: Vec3, unsearched: float) -> Contact:
+    """The outcome in free space; leaving a contact is a release, or a new start where the proxy was stuck in it."""
     zero, cause = (0.0, 0.0, 0.0), float(CAUSE_NONE)
     if state.mode != FREE:
-        cause = float(CAUSE_RELEASE)
+        cause = float(CAUSE_RESTART) if state.stuck >= STUCK_TICKS else float(CAUSE_RELEASE)
     return Contact(
         mode=float(FREE),
         object=-1.0,
@@ -411,7 +420,7 @@ def no_contact(state: FingerState, probe: Probe, force: Vec3) -> Contact:
         patch_normal=zero,
         patch_stretch=zero,
         patches=same_for(state.patches, NO_PATCH_CONTACT),
-        budget=0.0,
+        budget=unsearched,
     )
 
 

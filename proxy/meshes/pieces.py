@@ -47,7 +47,8 @@ def first_alike(rows: Rows) -> Numbers:
     """For each row (n, k) of uint64 or uint32 the number of the first that is the same."""
     slots = 1 << max(4, (2 * len(rows)).bit_length())
     first = np.empty(len(rows), np.int32)
-    _alike(rows, np.uint64(_SEED), np.full(slots, -1, np.int32), first)
+    with np.errstate(over="ignore"):  # as plain Python, numpy would tell of each product that is taken modulo 2^64
+        _alike(rows, np.uint64(_SEED), np.full(slots, -1, np.int32), first)
     return first
 
 

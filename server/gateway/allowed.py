@@ -5,13 +5,13 @@ from __future__ import annotations
 import errno
 import logging
 import os
-import stat
 import threading
 import time
 from pathlib import Path
 from typing import Final
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.files import check_owner
 from softfinger.config.schema import Security
 from softfinger.server.keys import read_pair, read_public
 
@@ -78,8 +78,7 @@ class Allowed:
     def _read_all(self, strictly: bool) -> None:
         names: dict[bytes, str] = {}
         try:
-            if os.stat(self.folder).st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-                raise ConfigError(f"{self.folder}: others may write to it, and so let themselves in: chmod 755 it")
+            check_owner(self.folder, os.stat(self.folder), "could let anybody in")
             for path in sorted(self.folder.glob("*.key")):
                 self._read_one(path, names, strictly)
         except (OSError, ConfigError) as error:

@@ -25,6 +25,8 @@ from softfinger.server.wire.endpoint import Bound
 LOOK_S: Final = 1.0
 """How often the folders of keys are looked at, and connections counted."""
 POLL_MS: Final = 100
+LAST_MS: Final = 200
+"""Where nothing more has come for so long, the server that has ended has said all."""
 FILES_MAX: Final = 256
 """File descriptors, and so connections: libzmq has no bound of its own, and leaves those in the system's queue that it
 has none for."""
@@ -125,7 +127,8 @@ class Forward:
 
     def _drain(self) -> None:
         """Hand on what the server, which has ended, had to say last."""
-        while self.stream is not None and self.stream.socket.poll(0):
+        # libzmq's own thread may not have read yet what the server sent before it ended.
+        while self.stream is not None and self.stream.socket.poll(LAST_MS):
             self.stream.take()
 
     def _ways(self) -> Iterator[tuple[Any, Callable[[], Any]]]:

@@ -30,6 +30,8 @@ WatchdogSec=2s
 Restart=no
 Environment=PYTHONUNBUFFERED=1
 RuntimeDirectory=softfinger
+# Of a user it is the folder of all their daemons' sockets: it stays when this one ends.
+RuntimeDirectoryPreserve=yes
 NoNewPrivileges=yes
 LockPersonality=yes
 RestrictSUIDSGID=yes
@@ -43,7 +45,8 @@ StateDirectory=softfinger
 CacheDirectory=softfinger
 WorkingDirectory=%S/softfinger
 Environment=SOFTFINGER_CACHE_DIR=%C/softfinger
-# Its sockets are for the group.
+# Sockets that the rig names are for the group; where it names none for commands, theirs is for this account alone.
+Environment=XDG_RUNTIME_DIR=%t
 UMask=0007
 LimitRTPRIO={RTPRIO}
 LimitMEMLOCK=infinity

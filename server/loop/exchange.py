@@ -4,20 +4,33 @@ A device for each finger, in the order of the scene's fingers. With one of them 
 is compiled.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.drivers.base import END, HELD, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_SIZE, WITHHELD
+from softfinger.drivers.base import (
+    END,
+    HELD,
+    PROTOCOL,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_SIZE,
+    TIMEOUT,
+    WITHHELD,
+)
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.atomics import call_device
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.record import AT
 from softfinger.server.loop import wayout
-from softfinger.server.loop.guard import POSE_REFUSED
+from softfinger.server.loop.guard import POSE_JUMPED, POSE_REFUSED
+from softfinger.server.loop.inputs.poses import doubt, nothing_seen
 from softfinger.server.loop.tick import elsewhere, held, let_go, record_wrench
+
+NOT_TAKEN: Final = POSE_REFUSED | POSE_JUMPED
+"""Bits of a pose without which a run may end."""
 
 
 class Io(NamedTuple):
@@ -36,6 +49,9 @@ class Line(NamedTuple):
     sample  what it said, with that
     wrench  what it is written
     record  its finger's part of the tick's record
+    held    (2,)   ticks in a row whose wrench it has not taken, and how many may be
+    seen    memory of what its poses were (server.loop.inputs.poses)
+    doubt   (1,)   the guard's bit of what speaks against the pose of this tick, 0 if nothing does
     """
 
     raw: NDArray[np.float64]
@@ -43,6 +59,9 @@ class Line(NamedTuple):
     sample: NDArray[np.float64]
     wrench: NDArray[np.float64]
     record: NDArray[np.float64]
+    held: NDArray[np.int64]
+    seen: NDArray[np.float64]
+    doubt: NDArray[np.int64]
 
 
 class Stamp(NamedTuple):
@@ -55,9 +74,25 @@ class Stamp(NamedTuple):
     busy: float
 
 
-def make_line(record: NDArray[np.float64]) -> Line:
-    """Memory for a device whose finger's part of the record is given."""
-    return Line(np.zeros(SAMPLE_SIZE), np.zeros(3), np.zeros(SAMPLE_SIZE), np.zeros(6), record)
+def make_line(record: NDArray[np.float64], held_max: int) -> Line:
+    """Memory for a device whose finger's part of the record is given, and that may keep a force for so many ticks."""
+    held = np.array([0, held_max], np.int64)
+    return Line(
+        np.zeros(SAMPLE_SIZE),
+        np.zeros(3),
+        np.zeros(SAMPLE_SIZE),
+        np.zeros(6),
+        record,
+        held,
+        nothing_seen(),
+        np.zeros(1, np.int64),
+    )
+
+
+@jit
+def known(status: int) -> int:
+    """A driver's status; one that no driver has is an answer that is not in its protocol."""
+    return PROTOCOL if status > HELD else status
 
 
 @jit
@@ -99,16 +134,19 @@ def records_of_several(lines: Any) -> Any:
 
 
 @by_count
-def read_all(ios: Any, lines: Any, offsets: Any, starts: Any, hands: Any) -> Any:
+def read_all(ios: Any, lines: Any, guards: Any, offsets: Any, starts: Any, hands: Any, dt: float) -> Any:
     """Read a sample of every device, and add its offset; FingerMemories, as they are where a driver withholds the force
-    or the offset is another one, and statuses."""
+    or the offset is another one, and statuses. A pose that is not believed becomes none.
+
+    dt  s  since the last read
+    """
 
 
 @read_all.of(1)
-def read_one(ios: Any, lines: Any, offsets: Any, starts: Any, hands: Any) -> Any:
+def read_one(ios: Any, lines: Any, guards: Any, offsets: Any, starts: Any, hands: Any, dt: float) -> Any:
     line, offset, hand = lines[0], offsets[0], hands[0]
     # Not into the sample: a driver that has nothing new may leave what it gave before.
-    status = call_device(ios[0].read, ios[0].handle, line.raw)
+    status = known(call_device(ios[0].read, ios[0].handle, line.raw))
     if status == WITHHELD:
         hand = let_go(starts[0], hand)
     for i in range(SAMPLE_SIZE):
@@ -120,13 +158,16 @@ def read_one(ios: Any, lines: Any, offsets: Any, starts: Any, hands: Any) -> Any
         line.offset[i] = offset[i]
     if moved:
         hand = elsewhere(starts[0], hand)
+    line.doubt[0] = doubt(guards[0], line.seen, line.raw, status, hand.guarded.force, dt)
+    if line.doubt[0] != 0:
+        line.sample[0] = np.nan
     return (hand,), (status,)
 
 
 @read_all.of(2)
-def read_several(ios: Any, lines: Any, offsets: Any, starts: Any, hands: Any) -> Any:
-    hand, status = read_all(ios[:1], lines[:1], offsets[:1], starts[:1], hands[:1])
-    others, statuses = read_all(ios[1:], lines[1:], offsets[1:], starts[1:], hands[1:])
+def read_several(ios: Any, lines: Any, guards: Any, offsets: Any, starts: Any, hands: Any, dt: float) -> Any:
+    hand, status = read_all(ios[:1], lines[:1], guards[:1], offsets[:1], starts[:1], hands[:1], dt)
+    others, statuses = read_all(ios[1:], lines[1:], guards[1:], offsets[1:], starts[1:], hands[1:], dt)
     return hand + others, status + statuses
 
 
@@ -142,7 +183,10 @@ def write_all(ios: Any, lines: Any, tools: Any, starts: Any, befores: Any, hands
 def write_one(ios: Any, lines: Any, tools: Any, starts: Any, befores: Any, hands: Any) -> Any:
     line, hand = lines[0], hands[0]
     put_wrench(line.wrench, hand.guarded.force, hand.guarded.torque)
-    status = call_device(ios[0].write, ios[0].handle, line.wrench)
+    status = known(call_device(ios[0].write, ios[0].handle, line.wrench))
+    line.held[0] = line.held[0] + 1 if status == HELD else 0
+    if line.held[0] > line.held[1]:
+        status = TIMEOUT
     if status in (WITHHELD, HELD):
         hand = let_go(starts[0], hand) if status == WITHHELD else held(befores[0].guarded, hand)
         record_wrench(tools[0], hand.guarded, line.record)
@@ -190,6 +234,8 @@ def stamp_one(lines: Any, stamp: Stamp, statuses_in: Any, statuses_out: Any) -> 
     record[AT.servo_device] = max(statuses_in[0], statuses_out[0])
     record[AT.buttons] = sample[SAMPLE_BUTTONS]
     record[AT.gripper] = sample[SAMPLE_GRIPPER]
+    if lines[0].doubt[0] != 0:
+        record[AT.servo_guard] = lines[0].doubt[0]
 
 
 @stamp_all.of(2)
@@ -200,7 +246,7 @@ def stamp_several(lines: Any, stamp: Stamp, statuses_in: Any, statuses_out: Any)
 
 @by_count
 def guarded_bits(lines: Any) -> Any:
-    """Bits of the guards in this tick, all together, and the first finger whose pose was refused, 0 if none was."""
+    """Bits of the guards in this tick, all together, and the first finger whose pose was not taken, 0 if all were."""
 
 
 @guarded_bits.of(1)
@@ -212,7 +258,7 @@ def bits_of_one(lines: Any) -> tuple[int, int]:
 def bits_of_several(lines: Any) -> tuple[int, int]:
     own, _ = guarded_bits(lines[:1])
     bits, place = guarded_bits(lines[1:])
-    return own | bits, 0 if own & POSE_REFUSED or not bits & POSE_REFUSED else place + 1
+    return own | bits, 0 if own & NOT_TAKEN or not bits & NOT_TAKEN else place + 1
 
 
 @by_count

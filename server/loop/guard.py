@@ -1,15 +1,18 @@
 """The guard between contact step and device: every wrench passes, there is no way around.
 
 In order: what is not finite becomes zero, the ramp after engaging, the clamp by norm (the direction
-is kept), the limit on change per tick. Because the last output lies within the clamp and so does the
-new goal, every point between them does too, so the slew limit cannot leave the clamp.
+is kept), the limit on change per tick. The ramp scales the wrench and the limit of the clamp alike: else a stiff wall,
+which asks for many times the limit, would give all of it after a few ticks.
+
+Because the last output lies within the clamp and so does the new goal, every point between them does too, so the slew
+limit cannot leave the clamp.
 
 Ramp and slew limit go by ticks that happened, not by time gone by: a hand that was held up for five ticks
 is given one tick's change after them, not five. After a pause longer than PAUSE_MAX_S, and after anything
 that has zeroed the force (a refused pose, disarming, the driver itself), it comes up from zero again.
 """
 
-from math import isfinite
+from math import inf, isfinite
 from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.geometry import vec3
@@ -18,6 +21,7 @@ from softfinger.proxy.kernels.native.jit import jit
 
 GUARD_NAMES: Final = (
     "pose_refused", "not_finite", "ramping", "force_clamped", "torque_clamped", "slew_limited", "disarmed",
+    "pose_jumped", "pose_frozen",
 )  # fmt: skip
 """Name of each bit of `servo.guard`, lowest first."""
 POSE_REFUSED: Final = 1
@@ -27,10 +31,13 @@ FORCE_CLAMPED: Final = 8
 TORQUE_CLAMPED: Final = 16
 SLEW_LIMITED: Final = 32
 DISARMED: Final = 64
+POSE_JUMPED: Final = 128
+POSE_FROZEN: Final = 256
 
 
 class Guard(NamedTuple):
-    """Limits: N, N m, N/s, N m/s, s; `armed` 1 or 0."""
+    """Limits: N, N m, N/s, N m/s, s; `armed` 1 or 0. Of the poses that it believes: m/s, rad/s, and how long (s) one
+    may repeat bit for bit under force, 0 for ever. `turns`: 1 where the hand is given the torque, 0 where it is not."""
 
     force_max: float
     torque_max: float
@@ -38,6 +45,10 @@ class Guard(NamedTuple):
     torque_slew: float
     ramp: float
     armed: float
+    speed_max: float = inf
+    turn_max: float = inf
+    frozen: float = 0.0
+    turns: float = 1.0
 
 
 class Guarded(NamedTuple):
@@ -113,10 +124,10 @@ def guard_wrench(
     if gain < 1.0:
         bits |= RAMPING
         force, torque = vec3.scale(gain, force), vec3.scale(gain, torque)
-    force, clamped = clamp(force, guard.force_max)
+    force, clamped = clamp(force, gain * guard.force_max)
     if clamped:
         bits |= FORCE_CLAMPED
-    torque, clamped = clamp(torque, guard.torque_max)
+    torque, clamped = clamp(torque, gain * guard.torque_max)
     if clamped:
         bits |= TORQUE_CLAMPED
     force, limited = slew(guarded.force, force, guard.force_slew * period)

@@ -9,16 +9,25 @@ A loop that does not come to its next tick cannot say so: that is for a watchdog
 from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.native.jit import jit
-from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED
+from softfinger.server.loop.guard import NOT_FINITE, POSE_JUMPED, POSE_REFUSED
 
 NO_POSE: Final = 5
 NO_FORCE: Final = 6
 STARVED: Final = 7
+JUMPING: Final = 8
 """Faults, numbered on from the ends of the loop (server.loop.wayout)."""
 
 SILENCE_MAX_S: Final = 0.5
 """Time of ticks without a usable pose, or without a finite force, less that of good ones. The hand feels nothing
 meanwhile; half a second bears a cable that was touched, and is not long enough to wonder whether anything runs."""
+
+JUMP_S: Final = 0.1
+"""What one jump of a pose counts of that time: each takes the force away for most of the ramp that follows, so five in
+a row, or ten a second, leave nothing to render."""
+
+HELD_MAX_S: Final = 0.25
+"""Time for which a device may take no wrench, one tick after the other: it keeps the force of before, which no limit of
+the guard reaches. As long as a loop that stalls is borne, which does the same."""
 
 LOST_SHARE: Final = 0.5
 LOST_MAX_S: Final = 0.5
@@ -61,8 +70,10 @@ def examine(health: Health, bits: int, late: float, dt: float, period: float) ->
     dt      s  until the next deadline to be kept, a period when none was missed
     period  s  nominal length of a tick
     """
-    bad = bits & (POSE_REFUSED | NOT_FINITE)
+    bad = bits & (POSE_REFUSED | POSE_JUMPED | NOT_FINITE)
     silent = max(health.silent + (period if bad != 0 else -period), 0.0)
+    if bits & POSE_JUMPED:
+        silent += JUMP_S
     gap = min(dt - period, GAP_MAX_S)
     if gap < GAP_MIN_S:
         gap = 0.0
@@ -71,7 +82,7 @@ def examine(health: Health, bits: int, late: float, dt: float, period: float) ->
     woken_late = max(health.late + (min(late, gap) - paid if gap > 0.0 else -paid), 0.0)
     fault = 0
     if silent > SILENCE_MAX_S:
-        fault = NO_POSE if bits & POSE_REFUSED else NO_FORCE
+        fault = JUMPING if bits & POSE_JUMPED else NO_POSE if bits & POSE_REFUSED else NO_FORCE
     elif lost > LOST_MAX_S:
         fault = STARVED
     return Health(silent, lost, woken_late), fault

@@ -1,9 +1,10 @@
 """Time-domain passivity: what the rendering has taken from the hand, and damping when it gives more than that.
 
-The force that was commanded is held while the hand moves, so the work of a tick is exactly minus that force
-times the motion since. Work below zero is energy that the sampled contact has made; the controller burns
-it with a damper for as long as it is owed, also after the release. What was taken during a contact does not
-count after it: friction's losses must not pay for the next wall.
+The wrench that was commanded is held while the hand moves, so the work of a tick is minus that force times the way of
+the handle since, minus that torque times its turn: exactly, where it turned about one axis. Work below zero is energy
+that the sampled contact has made; the controller burns it with a damper for as long as it is owed, also after the
+release. The damper is a force, whatever made the debt: few devices display a torque. What was taken during a contact
+does not count after it: friction's losses must not pay for the next wall.
 
 Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, with the work taken over
 the held force as in Ryu, Preusche, Hannaford, Hirzinger (2005), Time domain passivity control with reference
@@ -13,9 +14,13 @@ energy following.
 from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.geometry.rotations import log, relative, rotate
+from softfinger.proxy.kernels.geometry.tool import Tool
+from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.record import FREE
+from softfinger.server.loop.guard import Guarded
 
 
 class Passivity(NamedTuple):
@@ -34,39 +39,71 @@ class Energy(NamedTuple):
 NO_ENERGY: Final = Energy(0.0, 0.0)
 
 
+class Motion(NamedTuple):
+    """From one tick to the next: poses of the fingertip, and the tool or None that it is on."""
+
+    before: Pose
+    now: Pose
+    tool: Any
+
+
 @by_type
-def keep_passive(passivity: Any, energy: Energy, held: Vec3, moved: Vec3, mode: float, force: Vec3, dt: float) -> Any:
+def handle_at(tool: Any, tip: Pose) -> Any:
+    """Where (3,) m the handle is."""
+
+
+@handle_at.of(None)
+def handle_at_tip(tool: None, tip: Pose) -> Vec3:
+    return tip.position
+
+
+@handle_at.of(Tool)
+def handle_behind_tool(tool: Tool, tip: Pose) -> Vec3:
+    return vec3.sub(tip.position, rotate(tip.orientation, tool.lever))
+
+
+@jit
+def work_on_hand(held: Guarded, motion: Motion) -> float:
+    """Work (J) that a wrench on the handle, held in between, does over a motion."""
+    way = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
+    turn = log(relative(motion.now.orientation, motion.before.orientation))
+    return vec3.dot(held.force, way) + vec3.dot(held.torque, turn)
+
+
+@by_type
+def keep_passive(
+    passivity: Any, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
+) -> Any:
     """The force with the damping that keeps the rendering passive.
 
     energy          Energy  what the last tick left
-    held    (3,)    N       force that was commanded since, after the guard
-    moved   (3,)    m       motion of the hand under it
+    held            Guarded wrench on the handle that was commanded since, after the guard
+    motion          Motion  of the hand under it
     mode                    of the contact now
     force   (3,)    N       as the contact step computed it
     dt              s       time since the last tick
     returns         Energy, force (3,) N
-
-    Of forces alone: the moment's work is not counted.
     """
 
 
 @keep_passive.of(None)
 def leave_as_it_is(
-    passivity: None, energy: Energy, held: Vec3, moved: Vec3, mode: float, force: Vec3, dt: float
+    passivity: None, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
     return energy, force
 
 
 @keep_passive.of(Passivity)
 def burn_what_is_owed(
-    passivity: Passivity, energy: Energy, held: Vec3, moved: Vec3, mode: float, force: Vec3, dt: float
+    passivity: Passivity, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
     """A damper alpha v burns alpha v^2 T in the tick to come, if the hand goes on as it did: alpha = -E / (v^2 T)."""
-    work = energy.work - vec3.dot(held, moved)
+    work = energy.work - work_on_hand(held, motion)
     if mode == FREE:
         work = min(work, 0.0)
     if not work < 0.0 or not dt > 0.0 or not passivity.damping_max > 0.0:
         return Energy(work, 0.0), force
+    moved = vec3.sub(motion.now.position, motion.before.position)
     damping, square = passivity.damping_max, vec3.dot(moved, moved)
     if -work * dt < damping * square:
         damping = -work * dt / square

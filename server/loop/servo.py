@@ -32,6 +32,7 @@ from softfinger.server.loop.exchange import (
     write_zeros,
 )
 from softfinger.server.loop.health import HEALTHY, examine
+from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
 from softfinger.server.loop.shared.ring import Ring, push
 from softfinger.server.loop.tick import Memory, Tuning, tick
 from softfinger.server.loop.wayout import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
@@ -62,12 +63,14 @@ class Shared(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory of the loop alone, allocated before it starts: a Line for each device, its record a part of `row`."""
+    """Memory of the loop alone, allocated before it starts: a Line for each device, its record a part of `row`; the way
+    from the parameters of now to those that are wanted."""
 
     timespec: NDArray[np.int64]
     values: NDArray[np.float64]
     row: NDArray[np.float64]
     lines: tuple[Line, ...]
+    way: Way
 
 
 @entry
@@ -81,7 +84,8 @@ def servo_loop(
     """
     timespec, lines = scratch.timespec, scratch.lines
     seen = refresh(shared.tuning, -1, scratch.values)
-    tuning = unpack(tuning_like, scratch.values)
+    stay(scratch.way, scratch.values)
+    tuning = unpack(tuning_like, scratch.way.now)
     memory = start
     nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
@@ -97,9 +101,13 @@ def servo_loop(
 
         newest = refresh(shared.tuning, seen, scratch.values)
         if newest != seen:
-            seen, tuning = newest, unpack(tuning_like, scratch.values)
+            seen = newest
+            head_for(scratch.way, scratch.values)
+        if scratch.way.left[0] > 0:
+            advance(scratch.way)
+            tuning = unpack(tuning_like, scratch.way.now)
 
-        befores, statuses = read_all(ios, lines, tuning.offsets, start.fingers, memory.fingers)
+        befores, statuses = read_all(ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
         place, status = ended(statuses)
         if place >= 0:
             ending, finger = FINISHED if status == END else READ_FAILED, place

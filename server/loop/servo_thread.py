@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import Device
-from softfinger.proxy.kernels.native.pack import flatten
 from softfinger.proxy.kernels.native.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import wayout
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.exchange import Io, make_line
+from softfinger.server.loop.health import HELD_MAX_S
+from softfinger.server.loop.inputs.ramp import leaves, make_way
 from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
 from softfinger.server.loop.shared.ring import Feed, Ring, make_ring, take
 from softfinger.server.loop.tick import Tuning, begin
@@ -72,6 +73,7 @@ class Servo:
     tuning   scene and guard
     rate_hz  tick rate
     ticks    how many ticks to run, None until stopped
+    ramp_s   over which parameters that `tune` changes, and that act on the force, go to their new values; 0: at once
     prepare  called in the servo thread before the first tick (real-time settings); what it returns is
              called in the same thread after the last
 
@@ -87,8 +89,9 @@ class Servo:
         rate_hz: float,
         ticks: int | None = None,
         prepare: Callable[[], Callable[[], None]] | None = None,
+        ramp_s: float = 0.0,
     ) -> None:
-        self._ticks, self._prepare = -1 if ticks is None else ticks, prepare
+        self._ticks, self._prepare, self._ramp_s = -1 if ticks is None else ticks, prepare, ramp_s
         self._tuned: list[Tuning] = []
         self._tuned_at = 0
         self._ended: Ended | None = None
@@ -110,9 +113,10 @@ class Servo:
 
     def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
         """A loop for this servo: the first one, or one to `replace` it, with as many fingers."""
-        values, period = flatten(tuning), period_ns(rate_hz)
+        values, period = leaves(tuning), period_ns(rate_hz)
         row = np.zeros(len(devices) * RECORD_SIZE)
-        lines = tuple(map(make_line, np.split(row, len(devices))))
+        held_max = int(HELD_MAX_S * rate_hz)
+        lines = tuple(make_line(record, held_max) for record in np.split(row, len(devices)))
         capacity = 1 << int(np.ceil(np.log2(max(RING_SECONDS * rate_hz, 1024))))
         ring = self._rings[-1] if self._rings else None
         if ring is None or len(ring.slots) != capacity:
@@ -124,7 +128,13 @@ class Servo:
             tuple(Io(*device.io()) for device in devices),
             Schedule(period, self._epoch_ns, self._ticks, int(all(device.info.own_clock for device in devices))),
             shared,
-            Scratch(np.zeros(2, np.int64), values.copy(), row, lines),
+            Scratch(
+                np.zeros(2, np.int64),
+                values.copy(),
+                row,
+                lines,
+                make_way(tuning, round(self._ramp_s * rate_hz)),
+            ),
         )
         return Loop(tuple(devices), tuning, shared, arguments)
 
@@ -356,7 +366,8 @@ class Servo:
         return alike(tuning, self._loop.tuning)
 
     def tune(self, tuning: Tuning) -> None:
-        """Change parameters while running; the scene's parts must be the same (`fits`). One thread at a time."""
+        """Change parameters while running, along the ramp; the scene's parts must be the same (`fits`). One thread at a
+        time."""
         if not self.fits(tuning):
             raise ValueError("the new tuning has other parts than the one compiled: replace the loop")
         # The scene that was replaced may own arrays, and the loop reads them until it has taken the new one. It has
@@ -364,7 +375,7 @@ class Servo:
         if self.ticks >= self._tuned_at + 2:
             del self._tuned[:-1]
         self._tuned.append(tuning)
-        publish(self.shared.tuning, flatten(tuning))
+        publish(self.shared.tuning, leaves(tuning))
         self._tuned_at = self.ticks
 
     def close(self) -> None:

@@ -6,9 +6,9 @@ The servo loop and `simulate` both run this, on the same poses to the same bits.
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
-from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.rotations import normalize
 from softfinger.proxy.kernels.geometry.tool import about_handle, about_tip, tip_of
+from softfinger.proxy.kernels.geometry.vec3 import scale
 from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
@@ -16,8 +16,8 @@ from softfinger.proxy.kernels.record import put3, write_contact
 from softfinger.proxy.kernels.step import no_contact, step
 from softfinger.proxy.record import AT, POSITION_MAX_M
 from softfinger.proxy.scene import start_state
-from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, Guarded, guard_wrench
-from softfinger.server.loop.passivity import NO_ENERGY, Energy, keep_passive
+from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, Guard, Guarded, guard_wrench
+from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, keep_passive
 
 UNMOVED: Final = (-0.0, -0.0, -0.0)
 """An offset that changes no bit of what it is added to, a zero's sign included."""
@@ -141,6 +141,7 @@ def entered(world: World, finger: FingerState, pose: Pose) -> FingerState:
         center=finger.center,
         patches=finger.patches,
         rolled=finger.rolled,
+        stuck=finger.stuck,
         effects=finger.effects,
     )
 
@@ -163,6 +164,12 @@ def arrive_with_several(hands: Any, tools: Any, world: World, samples: Any) -> A
     return finger + fingers, pose + poses
 
 
+@jit
+def felt(guard: Guard, given: Guarded) -> Guarded:
+    """What of a wrench a hand is given: no torque where the device displays none, whatever it senses."""
+    return Guarded(given.force, scale(guard.turns, given.torque), given.gain)
+
+
 @by_count
 def command(hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any) -> Any:
     """After the step: FingerMemories with the wrench to be commanded, one for each finger.
@@ -177,19 +184,20 @@ def command_one(
 ) -> Any:
     hand, start, record, state, contact = hands[0], starts[0], records[0], stepped[0][0], stepped[1][0]
     guard, tool = output.guards[0], output.tools[0]
-    before, moved = hand.contact, (0.0, 0.0, 0.0)
+    before = hand.contact
     if usable(samples[0]):
         position, orientation = state.probe.position, state.probe.orientation
-        if before.started != 0.0:
-            moved = vec3.sub(position, before.probe.position)
+        now = Pose(position, orientation)
+        was = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
+        motion = Motion(was, now, tool)
         energy, force = keep_passive(
-            output.passivity, hand.energy, hand.guarded.force, moved, contact.mode, contact.force, instant.dt
+            output.passivity, hand.energy, felt(guard, hand.guarded), motion, contact.mode, contact.force, instant.dt
         )
         torque = about_handle(tool, orientation, force, contact.torque)
         guarded, bits = guard_wrench(guard, hand.guarded, force, torque, instant.dt, instant.period)
     else:
         position, orientation = before.probe.position, before.probe.orientation
-        contact = no_contact(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0))
+        contact = no_contact(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
         state, guarded, energy, bits = start.contact, start.guarded, start.energy, POSE_REFUSED
     torque = about_tip(tool, orientation, guarded.force, guarded.torque)
     write_contact(record, instant.number, instant.dt, position, orientation, contact, guarded.force, torque)

@@ -22,6 +22,9 @@ log: Final = logging.getLogger(__name__)
 DAMPING_MAX_NS_PER_M: Final = 20.0
 """Of the passivity controller, where the scene gives none: at 1 kHz a device of 20 g still bears it."""
 
+FORCE_DOF: Final = 3
+"""Degrees of freedom that a device which displays forces alone is moved in."""
+
 
 def make_tuning(
     scene: schema.Scene,
@@ -74,7 +77,10 @@ def _tell_what_is_too_stiff(scene: schema.Scene, force_max: float, device: Devic
 
 
 def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard:
-    """The guard of a rig, armed, lowered to what the device allows."""
+    """The guard of a rig, armed, lowered to what the device allows.
+
+    Poses are doubted where a force is held in a hand: what is recorded or computed may jump and stand still.
+    """
     force, torque = guard.force_max_n, guard.torque_max_nm
     if device is not None and force > device.force_max_n:
         log.warning("guard.force_max_n = %g N is lowered to the device's %g N", force, device.force_max_n)
@@ -82,7 +88,12 @@ def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard
     if device is not None and torque > device.torque_max_nm:
         log.warning("guard.torque_max_nm = %g N m is lowered to the device's %g N m", torque, device.torque_max_nm)
         torque = device.torque_max_nm
-    return Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
+    limits = Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
+    if device is not None and device.actuated_dof <= FORCE_DOF:
+        limits = limits._replace(turns=0.0)
+    if device is None or not device.holds_a_force:
+        return limits
+    return limits._replace(speed_max=guard.speed_max_m_per_s, turn_max=guard.turn_max_rad_per_s, frozen=guard.frozen_s)
 
 
 def _passivity(wanted: schema.Passivity | None) -> Passivity | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import logging
-import threading
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
+from softfinger.drivers import opened
 from softfinger.drivers.base import FORCE_OFF, PROTOCOL, TIMEOUT, Device
 from softfinger.proxy.kernels.native.atomics import call_device
 from softfinger.proxy.kernels.native.jit import jit
@@ -69,9 +69,14 @@ def stop(device: Device) -> None:
     try:
         _named(device, device.stop, "be stopped")
     except BaseException:
-        io, zero = device.io(), np.zeros(6)
-        ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(io.write)(io.handle, zero.ctypes.data)
+        _write_plainly(device)
         raise
+
+
+def _write_plainly(device: Device) -> None:
+    """Zero by the device's own write, whatever else goes on with it."""
+    io, zero = device.io(), np.zeros(6)
+    ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(io.write)(io.handle, zero.ctypes.data)
 
 
 def close(device: Device) -> None:
@@ -80,36 +85,33 @@ def close(device: Device) -> None:
 
 
 def stop_all(devices: Sequence[Device]) -> None:
-    """`stop` of each, at the same time: one that fails, or hangs, keeps no other from its zero."""
-    _at_once(stop, devices)
+    """`stop` of each, at the same time: one that fails, or hangs, keeps no other from its zero.
+
+    Raises the first error once all are done, or have had `opened.END_S`; the others are logged.
+    """
+    failures = opened.at_once(stop, devices)
+    hung = [device for device, error in failures if isinstance(error, TimeoutError)]
+    opened.at_once(_write_plainly, hung)  # which may hang as well
+    _raise_first("be stopped", failures)
 
 
 def close_all(devices: Sequence[Device]) -> None:
     """`close` of each, as `stop_all`."""
-    _at_once(close, devices)
+    _raise_first("be closed", opened.at_once(close, devices))
 
 
-def _at_once(act: Callable[[Device], None], devices: Sequence[Device]) -> None:
-    """Raises the first error once all are done; the others are logged."""
-    failures: list[BaseException] = []
-
-    def run(device: Device) -> None:
-        try:
-            act(device)
-        except BaseException as error:
-            failures.append(error)
-
-    threads = [threading.Thread(target=run, args=(device,), daemon=True) for device in devices[1:]]
-    for thread in threads:
-        thread.start()
-    for device in devices[:1]:
-        run(device)
-    for thread in threads:
-        thread.join()
-    for other in failures[1:]:
+def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) -> None:
+    errors = [
+        _failed(device, what, str(error)) if isinstance(error, TimeoutError) else error for device, error in failures
+    ]
+    for other in errors[1:]:
         log.error("on the way out besides: %s", other)
-    if failures:
-        raise failures[0]
+    if errors:
+        raise errors[0]
+
+
+def _failed(device: Device, what: str, said: str) -> DeviceError:
+    return DeviceError(f"{device.info.name} could not {what} ({said}): it may still display a force: switch it off")
 
 
 def _named(device: Device, act: Callable[[], None], what: str) -> None:
@@ -119,9 +121,7 @@ def _named(device: Device, act: Callable[[], None], what: str) -> None:
         raise
     except Exception as error:
         said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise DeviceError(
-            f"{device.info.name} could not {what} ({said}): it may still display a force: switch it off"
-        ) from error
+        raise _failed(device, what, said) from error
 
 
 def device_failure(device: Device, ended: Ended, finger: str = "") -> HapticError | None:
@@ -136,6 +136,12 @@ def device_failure(device: Device, ended: Ended, finger: str = "") -> HapticErro
         return DeviceError(
             f"{name}: no usable pose for {health.SILENCE_MAX_S:g} s{because}: zero force was commanded; "
             "see to its sensors and its cable, then start again"
+        )
+    if ended.ending == health.JUMPING:
+        return DeviceError(
+            f"{name}: its pose jumps again and again, farther than a hand comes in the time{because}: zero force was "
+            "commanded; see to its sensors and its cable, then start again; where it was a hand, raise "
+            "guard.speed_max_m_per_s or guard.turn_max_rad_per_s"
         )
     if ended.ending not in (READ_FAILED, WRITE_FAILED):
         return None

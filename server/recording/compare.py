@@ -23,7 +23,7 @@ from softfinger.drivers.base import HELD, WITHHELD, DeviceInfo
 from softfinger.proxy.kernels.native.pack import Packed, flatten, packed
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
-from softfinger.server.loop.guard import DISARMED, POSE_REFUSED
+from softfinger.server.loop.guard import DISARMED, POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import tick_many
@@ -116,7 +116,7 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
         )
     ticks = run.first["tick"].astype(np.int64)
     poses = np.stack([np.column_stack((f["probe.position"], f["probe.orientation"])) for f in run.fingers.values()], 1)
-    poses[_bits(run, POSE_REFUSED)] = np.nan  # as the device gave them, whatever it was
+    poses[_bits(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # as the device gave them, whatever it was
     recorded = _at_rest(
         np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1),
         np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1),
@@ -124,7 +124,8 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     devices, settle = _devices(run), _settle(scene, run.rate_hz)
     columns = np.empty((len(ticks), len(names), len(_COLUMNS)))
     right, left_out = np.zeros(len(ticks), dtype=bool), list[Span]()
-    for part in _parts(run, scene, ticks):
+    ramp = round(rig.commands.ramp_s * run.rate_hz)
+    for part in _parts(run, scene, ticks, ramp):
         some = slice(part.start, part.stop)
         _simulate(run, part, make_tuning(part.scene, rig.guard, devices), poses[some], columns[some])
         start = part.start
@@ -136,10 +137,12 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
             start += int(np.argmax(rests)) if rests.any() else len(rests)
         right[start : part.stop] = True
         left_out += _span(ticks, part.start, start, part.why)
-    for row in _commands(run, scene, ticks):  # before one is told, it may have been done
-        first = max(0, row - round(COMMAND_S * run.rate_hz))
+    for row in _commands(run, scene, ticks, ramp):  # before one is told, it may have been done
+        first = max(0, row - ramp - round(COMMAND_S * run.rate_hz))
         right[first:row] = False
-        left_out += _span(ticks, first, row, "when the command after them was done is not recorded")
+        left_out += _span(
+            ticks, first, row, "when the command after them was done is not recorded, or it was on its way"
+        )
     held = _held(run)
     right[held] = False
     if held.any():
@@ -252,7 +255,7 @@ class _Part(NamedTuple):
     why: str
 
 
-def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> Iterator[_Part]:
+def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> Iterator[_Part]:
     """The run, divided where the chain breaks."""
     breaks = {0: "the recording begins in the middle of a run"}
     for row in (np.flatnonzero(np.diff(ticks) != 1) + 1).tolist():
@@ -260,7 +263,7 @@ def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> Iterator[
     held = _held(run)
     for row in (np.flatnonzero(held[:-1] & ~held[1:]) + 1).tolist():
         breaks[row] = "the force was withheld or disarmed"
-    changes = _commands(run, scene, ticks)
+    changes = _commands(run, scene, ticks, ramp)
     breaks |= dict.fromkeys(changes, "a command came before")
     end = _end(run, scene, ticks)
     starts = sorted(row for row in breaks if row < end)
@@ -270,12 +273,12 @@ def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> Iterator[
         yield _Part(start, stop, scene, breaks[start])
 
 
-def _commands(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> dict[int, dict[str, Any]]:
-    """The first row with what a command changed, and that, by dotted key of the scene."""
+def _commands(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> dict[int, dict[str, Any]]:
+    """The first row with what a command changed, `ramp` ticks after it, and that, by dotted key of the scene."""
     changes: dict[int, dict[str, Any]] = {}
     for event in run.events:
         if event["kind"] == "command" and event["name"] in _CHANGING:
-            row = int(np.searchsorted(ticks, event["tick"] + COMMAND_TICKS))
+            row = int(np.searchsorted(ticks, event["tick"] + COMMAND_TICKS + ramp))
             changes.setdefault(row, {}).update(_changed(scene, event) or {})
     return changes
 

@@ -57,7 +57,8 @@ class Recorder:
     """Writes to an unbuffered file that is open already, from a thread of its own, until `stop`.
 
     about    as of `RecordingFile`
-    trouble  called from the thread with a sentence when ticks were left out, and when the recording ends early
+    trouble  called from the thread with a sentence when ticks were left out, and when the recording ends early: then
+             with True behind it
     guards   names of the guard's bits, where events are to be told from the ticks; None where they come by `event`
     """
 
@@ -66,7 +67,7 @@ class Recorder:
         file: IO[bytes],
         fingers: Sequence[str],
         about: Mapping[str, Any],
-        trouble: Callable[[str], None],
+        trouble: Callable[[str, bool], None],
         guards: Sequence[str] | None = None,
     ) -> None:
         self._file, self._fingers, self._about, self._trouble = file, list(fingers), about, trouble
@@ -158,7 +159,7 @@ class Recorder:
             if not isinstance(error, OSError):
                 log.exception("recording failed")
             self._queue.clear()
-            self._trouble(f"the recording ends after {self._ticks} ticks: {self._error}")
+            self._trouble(f"the recording ends after {self._ticks} ticks: {self._error}", True)
         finally:
             with contextlib.suppress(OSError):
                 self._file.close()
@@ -197,8 +198,9 @@ class Recorder:
         dropped = self._dropped
         if count := dropped - self._told_dropped:
             self._told_dropped = dropped
-            self._trouble(f"{count} ticks from tick {self._dropped_from} on are not recorded: the disk was too slow")
+            begun = self._dropped_from
+            self._trouble(f"{count} ticks from tick {begun} on are not recorded: the disk was too slow", False)
         events_dropped = self._events_dropped
         if count := events_dropped - self._told_events_dropped:
             self._told_events_dropped = events_dropped
-            self._trouble(f"{count} events are not recorded: the disk was too slow")
+            self._trouble(f"{count} events are not recorded: the disk was too slow", False)

@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, Final
 
+import msgspec
+
 from softfinger.proxy.record import FIELDS
 from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS, EVENT_KEYS, Key
 
@@ -169,7 +171,8 @@ def event_message(event: Mapping[str, Any]) -> bytes:
     """An event's map, as the wire has it, encoded."""
     known = {key.name for key in _keys_of(event)}
     fields = {key: value for key, value in event.items() if key in known and key in _EVENT_FIELDS}
-    more = {key: value for key, value in event.items() if key not in fields}
+    # A value may be a type of the wire, as the change of a parameter is.
+    more = msgspec.to_builtins({key: value for key, value in event.items() if key not in fields})
     # `from` is a word of Python's, so no keyword argument.
     message = message_class(EVENT)(**fields | ({MORE: json.dumps(more)} if more else {}))
     return bytes(message.SerializeToString())

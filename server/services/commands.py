@@ -53,6 +53,7 @@ class Doing(NamedTuple):
 
     replace     puts a scene in under a name, and returns the first tick with it
     ring        where local readers find every tick, as `describe` has it
+    telemetry   endpoint that it is published on
     event       publishes an event
     stop        ends the run in order
     fail        ends the run with an error
@@ -61,6 +62,7 @@ class Doing(NamedTuple):
 
     replace: Callable[[schema.Scene, str], int]
     ring: Callable[[], dict[str, Any]]
+    telemetry: str
     event: Callable[..., None]
     stop: Callable[[], None]
     fail: Callable[[HapticError], None]
@@ -186,7 +188,7 @@ class Commands(Worker):
         changed = {key: change for key, change in each.items() if change.before != change.after}
         if changed:
             self._tell("set_params", request.command_id, changed)
-        return wire.Changed(changed, tick)
+        return wire.Changed(changed, tick, self._rendering.rig.commands.ramp_s)
 
     def _set_scene(self, peer: int, request: Request) -> None:
         asked: wire.SetScene = request.params
@@ -316,7 +318,10 @@ class Commands(Worker):
 
     def _describe(self, request: Request) -> dict[str, Any]:
         about = described(self._rendering, self._scene_name)
-        return {"wire": wire_schema(), "ring": self._doing.ring(), "commands": wire.schema()} | about
+        endpoints = {"telemetry": self._doing.telemetry, "commands": self.endpoint}
+        return {
+            "wire": wire_schema(), "ring": self._doing.ring(), "commands": wire.schema(), "endpoints": endpoints,
+        } | about  # fmt: skip
 
     def _mesh(self, request: Request) -> wire.Triangles:
         _, thing = self._object(request.params.object)

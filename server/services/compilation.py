@@ -81,7 +81,7 @@ class SceneChanges(Worker):
     def work(self) -> None:
         while (change := self._taken()) is not None:
             try:
-                self._compile(change.scene)
+                self._compile(change.scene, change.name)
                 outcome: int | Exception = self._replace(change.scene, change.name)
             except Exception as error:
                 outcome = error
@@ -97,8 +97,8 @@ class SceneChanges(Worker):
             change, self._next = self._next, None
             return None if self.closing.is_set() else change
 
-    def _compile(self, scene: schema.Scene) -> None:
-        """Have the loop of a scene in the cache; Superseded where a later one is asked for meanwhile."""
+    def _compile(self, scene: schema.Scene, name: str) -> None:
+        """Have the loop of a scene, called `name`, in the cache; Superseded where a later one is wanted by then."""
         if Servo.compiled_for(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
             return  # in the second case a process of its own would be of no use
         with self._changed:
@@ -112,6 +112,7 @@ class SceneChanges(Worker):
                 text=True,
                 start_new_session=True,  # Ctrl-C is the daemon's affair
             )
+        log.info("scene %s: compiling what is not kept of it, in a process of its own", name)
         try:
             assert compiler.stdin is not None and compiler.stderr is not None
             with compiler.stderr as told:

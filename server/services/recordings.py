@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
@@ -20,6 +22,8 @@ from softfinger.server.services.description import described
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.wire.protocol import SCHEMA
+
+log: Final = logging.getLogger(__name__)
 
 ENDING: Final = ".mcap"
 STOP_S: Final = 0.5
@@ -62,6 +66,7 @@ class Recordings:
         self._ending: list[Recorder] = []  # the disk may still be taking the last of them
         self._ended = Written(0, 0, 0, 0, 0.0)
         self._path = Path()
+        self._failure: RecordingError | None = None
         self._settings: Any = None
         self.sink: Final = Sink("recordings", self._take)
 
@@ -69,9 +74,13 @@ class Recordings:
         """Nothing: a recording begins when it is asked for."""
 
     def stop(self) -> None:
+        """End what is recorded. Raises RecordingError, once, where a recording of this run has ended early."""
         with self._changing:
             if self._recorder is not None:
                 self._recorder.stop(CLOSE_S)
+            failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
 
     def record(self, path: str | Path, scene_name: str) -> None:
         """Record into a new file of whoever started the daemon; RecordingError where it cannot be made."""
@@ -136,7 +145,8 @@ class Recordings:
             if self._settings is not None:
                 about["settings"] = self._settings
             self._path = (folder / path if folder is not None else path).absolute()
-            self._recorder = Recorder(file, self._fingers, about, self._trouble, GUARD_NAMES)
+            trouble = partial(self._trouble, self._path)
+            self._recorder = Recorder(file, self._fingers, about, trouble, GUARD_NAMES)
             return self._path
 
     def _take(self, records: NDArray[np.float64], drops: int) -> None:
@@ -146,8 +156,12 @@ class Recordings:
             for place in range(fingers.shape[1]):
                 recorder.take(fingers[:, place], place)
 
-    def _trouble(self, message: str) -> None:
-        self._event("fault", "recording", message=f"{self._path}: {message}")
+    def _trouble(self, path: Path, message: str, ended: bool) -> None:
+        said = f"{path}: {message}"
+        if ended and self._failure is None:
+            self._failure = RecordingError(said)
+        log.error("%s", said)
+        self._event("fault", "recording", message=said)
 
 
 def _opened(path: Path, folder: Path | None) -> IO[bytes]:

@@ -28,7 +28,7 @@ from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.servo_thread import Loop, Servo
 from softfinger.server.loop.tick import UNMOVED, Tuning
 from softfinger.server.loop.tuning import make_tuning, with_scene
-from softfinger.server.progress import compiling
+from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
 
 PAUSE_TICKS: Final = 3
@@ -98,8 +98,8 @@ class Rendering:
         devices = open_devices(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
-            with compiling("what calls the device (once for each version)"):
-                self.servo: Final = Servo(devices, self._tuning, rig.servo.rate_hz, ticks, prepare)
+            with making("kernels that call the device"):
+                self.servo: Final = Servo(devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s)
         except BaseException as error:
             wayout.every(lambda: wayout.close_all(devices), first=error)
             raise
@@ -170,7 +170,8 @@ class Rendering:
         return not self._disarmed
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
-        """Put values in place of the scene's, keys as of `load_scene`: from one tick on all of them, or none.
+        """Put values in place of the scene's, keys as of `load_scene`: from one tick on all of them, or none. What acts
+        on the force is there once the ramp of the rig's [commands] is over.
 
         Returns the scene before and after, and how many ticks had begun without them at the least. `where` is named
         in messages. Raises ConfigError where a value is out of its range, or would need another loop; Replacing.

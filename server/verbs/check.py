@@ -110,7 +110,7 @@ def with_costs(finding: Finding) -> Finding:
 
     scene = load_scene(_locate(finding.file))
     parts = list(without_parts(scene))
-    with progress(f"compiling and measuring {finding.file}", len(parts) + 2) as done:
+    with progress(f"measuring {finding.file}", len(parts) + 2) as done:
         poses = touching_poses(scene)
         whole = measure(scene, poses).median_ns
         rows = [("cost of a tick", f"{whole:.0f} ns, back to back, pressed into the first object")]

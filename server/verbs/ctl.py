@@ -12,11 +12,13 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import read_toml
+from softfinger.config.schema import commands_of
 from softfinger.config.words import near, shown
 from softfinger.server import keys
 from softfinger.server.arguments import duration
+from softfinger.server.progress import progress
 from softfinger.server.wire.commands import METHODS, table
-from softfinger.server.wire.control import DEFAULT_COMMANDS, Control
+from softfinger.server.wire.control import Control
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "params", nargs="*", metavar="key=value", help="its parameters: values of TOML or JSON, else texts"
     )
-    parser.add_argument("--endpoint", default=DEFAULT_COMMANDS, help="of the daemon (default: %(default)s)")
+    parser.add_argument("--endpoint", help="of the daemon: its telemetry or its commands (default: your own daemon's)")
     keys.add_options(parser)
     parser.add_argument("--timeout", type=duration, metavar="S", help="wait so long (default: what the method needs)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -54,7 +56,10 @@ def run(args: argparse.Namespace) -> int:
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
         # Read here, as this user: the daemon opens no file that a client names.
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
-    with Control(args.endpoint, args.timeout, keys.of_options(args)) as daemon:
+    waiting = f"{args.method}: the daemon compiles the scene, or loads what is kept of it"
+    shown_wait = progress(waiting if args.method == "set_scene" else f"{args.method}: waiting for the daemon")
+    endpoint = args.endpoint and commands_of(args.endpoint)
+    with Control(endpoint, args.timeout, keys.of_options(args)) as daemon, shown_wait:
         result = msgspec.to_builtins(daemon.ask(args.method, params))
     if args.json:
         print(json.dumps(result))

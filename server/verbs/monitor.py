@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.schema import telemetry_of
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
 from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, silence, subscribe
@@ -42,7 +43,11 @@ _MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.description = "Show what a running server renders: contact mode, forces, lateness, events."
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
+    parser.add_argument(
+        "--endpoint",
+        default=DEFAULT_ENDPOINT,
+        help="of the daemon: its telemetry or its commands (%(default)s)",
+    )
     keys.add_options(parser)
     parser.add_argument("--once", action="store_true", help="show one summary and leave")
     parser.add_argument("--json", action="store_true", help="write JSON objects, one a line")
@@ -54,6 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the verb. Raises NoTelemetry if nothing arrives, ProtocolError for a stream that is not ours."""
+    args.endpoint = telemetry_of(args.endpoint)
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not (0.0 < value < math.inf):

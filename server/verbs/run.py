@@ -21,8 +21,9 @@ from softfinger.proxy.scene import explain
 from softfinger.server import signals
 from softfinger.server.app import Daemon
 from softfinger.server.arguments import duration
+from softfinger.server.loop import wayout
 from softfinger.server.loop.realtime import Setting
-from softfinger.server.progress import compiling, counter
+from softfinger.server.progress import counter, making
 from softfinger.server.watcher import Watcher
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         changes["device.loop"], sources["device.loop"] = False, "command line --once"
     if args.view:
         check_viewer()
-    with compiling("what calls the device (once for each version)"):  # as its driver is imported
+    with making("kernels that call the device"):  # as its driver is imported
         rig = load_rig(args.rig or (LED_RIG if args.view else RIG), changes, sources)
     scene = load_scene(args.scene)
     rate = rig.servo.rate_hz
@@ -87,6 +88,8 @@ def run(args: argparse.Namespace) -> int:
     daemon, watchers = Daemon(rig, scene, ticks, report_settings, scene_name=args.scene), list[Watcher]()
     page = None
     try:
+        if args.view:
+            page = Shown(daemon)
         if args.record is not None:
             daemon.recordings.record(args.record, args.scene)
         if args.watcher:
@@ -94,43 +97,45 @@ def run(args: argparse.Namespace) -> int:
         log.info("scene %s: %s", args.scene, explain(scene))
         log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rate, daemon.publisher.endpoint)
         log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
+        if (daemon.commands_endpoint or "").startswith("tcp:"):
+            log.warning("commands by tcp: every user of this machine may command; ipc:///PATH keeps others out")
         for name, endpoint in daemon.public.items():
             log.info("%s for other machines on %s, by key", name, endpoint)
         if daemon.metrics_endpoint is not None:
             log.info("metrics on %s/metrics", daemon.metrics_endpoint)
-        if args.view:
-            page = show_page(daemon)
+        if page is None:
+            log.info("to see it in the browser, with the mouse for a hand: run it with --view")
         log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(daemon.publisher.endpoint))
         begun = time.monotonic()
-        with compiling("the kernels (once for each version and scene)"):
+        with making("kernels of the scene"):
             found = daemon.servo.compile()
         if not found:
             where = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
             log.info("compiled in %.0f s; %s", time.monotonic() - begun, where)
         with signals.asked(daemon.stop, daemon.pause):
             daemon.start()
-            watch(daemon)
+            watch(daemon, page)
             log.info("stopped after %d ticks; force is zero", daemon.servo.ticks)
     finally:
         with signals.held():
-            daemon.close()
-            for watcher in watchers:
-                watcher.dismiss()
-            if page is not None:
-                page.terminate()
-                try:
-                    page.wait(PAGE_END_S)
-                except subprocess.TimeoutExpired:
-                    page.kill()
-                    page.wait()
+            first = sys.exception()
+            pages = [] if page is None else [page.close]
+            others = [*(watcher.dismiss for watcher in watchers), *pages]
+            failed = wayout.every(lambda: daemon.close(first), *others, first=first)
+        if failed is not None and failed is not first:
+            raise failed
     return signals.code_of_stop()
 
 
 def shown_by(endpoint: str) -> str:
     """The command that shows what is published on an endpoint, as a shell would find this program."""
+    return f"{program()} monitor" + ("" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}")
+
+
+def program() -> str:
+    """This program, as a shell would find it."""
     called = Path(sys.argv[0])
-    program = str(called) if called.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
-    return f"{program} monitor" + ("" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}")
+    return str(called) if called.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
 
 
 def check_viewer() -> None:
@@ -139,12 +144,47 @@ def check_viewer() -> None:
         raise ConfigError("--view: the page needs viser: pip install 'softfinger[viewer]'")
 
 
-def show_page(daemon: Daemon) -> subprocess.Popen[bytes]:
-    """Start `softfinger view` of a daemon, a process of its own; it says where the page is."""
-    if daemon.commands_endpoint is None:
-        raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
-    endpoints = ["--endpoint", daemon.publisher.endpoint, "--commands", daemon.commands_endpoint]
-    return subprocess.Popen([sys.executable, "-m", "softfinger.server.cli", "view", *endpoints])
+class Shown:
+    """`softfinger view` of a daemon, a process of its own: nothing that goes wrong there stops the servo.
+
+    Says where the page is, and waits for that; ConfigError where the daemon takes no commands.
+    """
+
+    def __init__(self, daemon: Daemon) -> None:
+        if daemon.commands_endpoint is None:
+            raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
+        self._words = ["view", "--endpoint", daemon.publisher.endpoint, "--commands", daemon.commands_endpoint]
+        command = [sys.executable, "-m", "softfinger.server.cli", *self._words, "--print-address"]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self._over = False
+        assert self._process.stdout is not None
+        try:
+            with self._process.stdout as said:
+                address = said.readline().strip()
+            if address:
+                log.info("the page is %s; to stop it: Ctrl-C", address)
+            else:
+                self._process.wait()
+                self.look()
+        except BaseException:
+            self.close()
+            raise
+
+    def look(self) -> None:
+        """Say so, once, when the page has ended."""
+        if not self._over and (code := self._process.poll()) is not None:
+            self._over = True
+            again = f"{program()} {shlex.join(self._words)}"
+            log.warning("the page has ended, with exit code %d; the servo goes on; to see it again: %s", code, again)
+
+    def close(self) -> None:
+        """End it; by force where it does not."""
+        self._process.terminate()
+        try:
+            self._process.wait(PAGE_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
 
 def report_settings(settings: list[Setting]) -> None:
@@ -170,11 +210,16 @@ def watch_over(daemon: Daemon) -> list[Watcher]:
     return [Watcher(*word) for word in words]
 
 
-def watch(daemon: Daemon) -> None:
+def watch(daemon: Daemon, page: Shown | None) -> None:
     """Show that the servo runs, until it ends: a line kept up to date on a terminal, else a log line at times."""
     with counter() as show:
-        while not daemon.wait(PLAIN_PERIOD_S if show is None else TERMINAL_PERIOD_S):
-            servo = daemon.servo
+        told = time.monotonic()
+        while not daemon.wait(TERMINAL_PERIOD_S):
+            if page is not None:
+                page.look()
+            if show is None and time.monotonic() - told < PLAIN_PERIOD_S:
+                continue
+            told, servo = time.monotonic(), daemon.servo
             line = f"{servo.ticks} ticks, {servo.missed} missed, {servo.drops} records dropped"
             if show is None:
                 log.info("%s", line)

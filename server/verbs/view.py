@@ -9,10 +9,10 @@ import webbrowser
 from typing import Final
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.schema import commands_beside
 from softfinger.server import keys, signals
 from softfinger.server.arguments import duration
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
-from softfinger.server.wire.control import DEFAULT_COMMANDS
 
 log: Final = logging.getLogger(__name__)
 
@@ -30,10 +30,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", help="of a recording that does not say its own, or in place of that")
     parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
     parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
-    parser.add_argument("--commands", default=DEFAULT_COMMANDS, help="commands endpoint (default: %(default)s)")
+    parser.add_argument("--commands", help="commands endpoint (default: beside that)")
     keys.add_options(parser)
-    parser.add_argument("--host", default=HOST, help="address of the page; who opens it may command (%(default)s)")
+    parser.add_argument("--host", default=HOST, help="address that the page is served on (%(default)s)")
+    parser.add_argument(
+        "--allow-host",
+        action="append",
+        default=[],
+        metavar="NAME[:PORT]",
+        help="another name that a browser may call the page by, behind a tunnel or proxy; may be repeated",
+    )
     parser.add_argument("--port", type=int, default=PORT, help="of the page, or the next free one (%(default)s)")
+    parser.add_argument(
+        "--print-address", action="store_true", help="the address alone on standard output, for programs"
+    )
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
     parser.add_argument("--duration", type=duration, metavar="S", help="leave after S seconds (default: stay)")
 
@@ -54,14 +64,18 @@ def run(args: argparse.Namespace) -> int:
     recording = None if args.recording is None else load(args.recording, args.scene)
     if args.host == HOST:  # beside a servo, most likely, and one that may have no priority
         os.nice(NICE)
-    daemon = Daemon(args.endpoint, args.commands, keys.of_options(args))
-    page, asked = Page(args.host, args.port), list[bool]()
+    daemon = Daemon(args.endpoint, args.commands or commands_beside(args.endpoint), keys.of_options(args))
+    page, asked = Page(args.host, args.port, tuple(args.allow_host)), list[bool]()
     try:
         fed = LivePage(page, daemon) if recording is None else RecordedPage(page, recording, args.tick)
         try:
-            log.info("the page is %s; to stop it: Ctrl-C", page.address)
+            if args.print_address:
+                print(page.address, flush=True)
+                os.dup2(2, 1)  # whoever reads it reads no more, and a browser may have something to say
+            else:
+                log.info("the page is %s; to stop it: Ctrl-C", page.address)
             if args.host != HOST:
-                log.warning("whoever reaches %s may command the daemon: there is no password", args.host)
+                log.warning("whoever has this address may command the daemon, and it crosses the network in plain text")
             if not args.no_open and _can_open():
                 webbrowser.open(page.address)
             with signals.asked(lambda: asked.append(True)):

@@ -16,7 +16,7 @@ from softfinger.config.load import load_scene, shipped
 from softfinger.proxy.engine import compiled
 from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
 from softfinger.server.offline.simulate import simulate
-from softfinger.server.progress import compiling
+from softfinger.server.progress import making
 from softfinger.server.services.compilation import compile_loop
 from softfinger.server.wire.native.sender import Sender
 
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     for name in args.scenes or shipped(schema.Scene):
         scene = load_scene(name)
         begun = time.monotonic()
-        with compiling(f"for {name}"):
+        with making(f"kernels for {name}"):
             tuning = compile_loop(scene)
             simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
             compiled(tuning.scene)

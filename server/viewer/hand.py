@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
+from softfinger.server.viewer.controls import on_list, on_slider
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.glyphs import UNTURNED, Quaternion, about, product
 from softfinger.server.viewer.nodes.looks import CM
@@ -122,7 +123,7 @@ class Hand:
         self._how = gui.add_dropdown("a drag", tuple(HOW))
         self._finger = gui.add_dropdown("finger", ("",), visible=False)
         names = (("x, mm", 60.0), ("y, mm", 60.0), ("height, mm", 60.0))
-        turns = (("roll about x, deg", 90.0), ("roll about y, deg", 90.0), ("spin, deg", 180.0))
+        turns = (("turned about x, deg", 90.0), ("about y, deg", 90.0), ("about z, deg", 180.0))
         self._sliders = [gui.add_slider(name, -end, end, 0.1, 0.0) for name, end in (*names, *turns)]
         for slider in self._sliders:
             slider.on_update(self._slid)
@@ -152,7 +153,7 @@ class Hand:
         for modifier, how in ((None, None), ("shift", "press"), ("cmd/ctrl", "roll")):
 
             async def dragged(event: Any, how: str | None = how) -> None:  # in order: viser waits for one after another
-                self._dragged(finger, event, how or HOW[self._how.value])
+                self._dragged(finger, event, how or self._plain())
 
             ball.on_drag("left", modifier=modifier)(dragged)
 
@@ -173,13 +174,19 @@ class Hand:
             self._go(finger, nudged(target, nudge, self._fingers[finger].radius))
             self._show()
 
+    def _plain(self) -> str:
+        return HOW[self._how.value] if on_list(self._how) else "move"
+
     def _chosen(self) -> str:
-        return next(iter(self._fingers), "") if len(self._fingers) < 2 else str(self._finger.value)
+        only = len(self._fingers) < 2 or self._finger.value not in self._fingers
+        return next(iter(self._fingers), "") if only else str(self._finger.value)
 
     def _target(self, finger: str) -> Target | None:
         return self._targets.get(finger, self._seen.get(finger))
 
     def _go(self, finger: str, target: Target) -> None:
+        if not np.isfinite((*target.position, *target.orientation)).all():
+            return
         led = self._fingers[finger]
         self._targets[finger] = Target(np.clip(target.position, led.low, led.high), target.orientation)
         self._send(finger, self._targets[finger])
@@ -198,12 +205,17 @@ class Hand:
         target = moved(start, eye, grabbed, pointer, how, self._fingers[finger].radius)
         if target is not None:
             self._go(finger, target)
+            if finger == self._chosen():
+                self._place_sliders()
         if event.phase == "end":
             del self._begun[finger]
             self._show()
 
     def _slid(self, event: Any) -> None:
         if event.client is None or not self._fingers:  # set by this program, not by a person
+            return
+        if not all(map(on_slider, self._sliders)):
+            self._place_sliders()
             return
         x, y, z, *angles = (slider.value for slider in self._sliders)
         turn = from_angles(*(radians(angle) for angle in angles))

@@ -13,6 +13,7 @@ from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.proxy.pictures import Filed
+from softfinger.proxy.record import AT
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.driven import Handles, drive_of, resting
 from softfinger.server.viewer.hand import Hand, Led, Target
@@ -85,7 +86,7 @@ class LivePage:
         self._handles.step()
         for finger, rows in news.ticks.items():
             self._hand.see(finger, rows[-1])
-        self._page.show(news.ticks)
+        self._page.show({finger: rows[rows[:, AT.tick] >= self._first] for finger, rows in news.ticks.items()})
 
     def _look(self) -> None:
         """Ask what the daemon is, and renders."""

@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.load import build
-from softfinger.proxy.record import AT, MODE_NAMES
+from softfinger.proxy.record import AT
+from softfinger.server.viewer.access import Access
+from softfinger.server.viewer.controls import on_slider
 from softfinger.server.viewer.nodes.bodies import Began, Bodies
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.looks import Looks
 from softfinger.server.viewer.nodes.meshes import Mesh
+from softfinger.server.viewer.nodes.states import State
 from softfinger.server.viewer.plots import Plots
 
 Array = NDArray[np.float64]
@@ -44,13 +47,15 @@ FIRST_CAMERA: Final = Camera((4.5, -8.5, 5.5), (0.0, 0.0, 0.6), 0.75)
 
 
 class Page:
-    """A page on `host`:`port`, or the next port that is free. What feeds it calls `change`, `show` and `say`."""
+    """A page on `host`:`port`, or the next port that is free, for whoever has its `address`; `allowed` are more names
+    of its host. What feeds it calls `change`, `show` and `say`."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, allowed: tuple[str, ...] = ()) -> None:
+        access = Access(host, allowed, TITLE)
         logging.getLogger("websockets").setLevel(logging.WARNING)  # it tells of every page that is opened
-        with contextlib.redirect_stdout(io.StringIO()):  # it draws a box with its address
+        with access.guarding(), contextlib.redirect_stdout(io.StringIO()):  # it draws a box with its address
             self.server: Final = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
-        self.address: Final = f"http://{'localhost' if host == '127.0.0.1' else host}:{self.server.get_port()}"
+        self.address: Final = access.address(self.server.get_port())
         # Without a graphics card each would cost a third of a frame.
         self.server.scene.configure_environment_map(None)
         self.server.scene.configure_default_lights(cast_shadow=False)
@@ -135,19 +140,22 @@ class Page:
             nodes.forget()
 
     def say(self, text: str, title: str = "") -> None:
-        """Something that the viewer is told, until something else is; with a title it is shown in front, too."""
+        """Something that the viewer is told, until something else is; a title is shown in front, too."""
         if self._closed:  # an answer that came late
             return
         self._said.content = f"**{title}** {text}" if title else text
         if title:
             for client in self.server.get_clients().values():
-                client.add_notification(title, text, auto_close_seconds=8.0, color="orange")
+                client.add_notification(title, "see above the tabs why", auto_close_seconds=8.0, color="orange")
 
     def _keep_up(self) -> None:
         now = time.monotonic()
         if now - self._told > TEXT_S and self._newest and not self._paused.value:
             self._told = now
-            self._state.content = "\n\n".join(told(name, row) for name, row in self._newest.items())
+            self._state.content = "\n\n".join(
+                told(name, row, self.fingers[name].state, self.fingers[name].cm_per_newton)
+                for name, row in self._newest.items()
+            )
         if now - self._plotted > PLOT_S and not self._paused.value:
             self._plotted = now
             self._plots.show()
@@ -159,18 +167,23 @@ class Page:
 
 
 def _bound(control: Any, looks: Looks, name: str) -> None:
-    control.on_update(lambda event: setattr(looks, name, control.value))
+    """What a control says, as a look: a checkbox, or a slider within its ends."""
+
+    def told(event: Any) -> None:
+        if not hasattr(control, "max") or on_slider(control):
+            setattr(looks, name, control.value)
+
+    control.on_update(told)
 
 
-def told(name: str, row: Array) -> str:
-    """A tick in words."""
-    mode = MODE_NAMES[int(row[AT.contact_mode])]
+def told(name: str, row: Array, state: State, cm_per_newton: float) -> str:
+    """A tick in words, with the scale of the force's arrow."""
     row = np.round(row, 9) + 0.0  # no minus before a zero
     return (
-        f"{name + ': ' if name else ''}**{mode}** · normal {row[AT.contact_normal_force]:.2f} N · "
+        f"{name + ': ' if name else ''}**{state}** · normal {row[AT.contact_normal_force]:.2f} N · "
         f"tangential {row[AT.contact_tangential_force]:.2f} N · depth {1e3 * row[AT.contact_penetration]:.2f} mm · "
         f"torsion {1e3 * row[AT.contact_torsion]:.2f} mN m · spin {np.degrees(row[AT.contact_spin]):.1f}° · "
-        f"rolled {np.degrees(row[AT.contact_rolled]):.1f}° · tick {row[AT.tick]:.0f}"
+        f"rolled {np.degrees(row[AT.contact_rolled]):.1f}° · arrow {cm_per_newton:g} cm/N · tick {row[AT.tick]:.0f}"
     )
 
 

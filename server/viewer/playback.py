@@ -16,6 +16,7 @@ from softfinger.proxy.record import AT
 from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.reader import Event, Note, Ticks, contents
+from softfinger.server.viewer.controls import on_list, on_slider
 from softfinger.server.viewer.driven import Drives
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.nodes.meshes import Mesh
@@ -107,17 +108,18 @@ class Player:
         self._shown, self._place = -BEFORE, float(min(max(tick, 0), self._count - 1))
         self._slider = gui.add_slider("tick", 0, self._count - 1, 1, int(self._place))
         self._slider.on_update(self._scrubbed)
+        self._time = gui.add_markdown("")
         self._play = gui.add_checkbox("play", False)
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
 
     def _scrubbed(self, event: Any) -> None:
-        if event.client is not None:
+        if event.client is not None and on_slider(self._slider):
             self._place = float(self._slider.value)
 
     def advance(self, dt: float) -> None:
         """`dt` s have gone by."""
         if self._play.value:
-            self._place += dt * self._rate_hz * float(self._speed.value)
+            self._place += dt * self._rate_hz * float(self._speed.value if on_list(self._speed) else 1.0)
             if self._place > self._count - 1:
                 self._place = 0.0
             self._slider.value = int(self._place)
@@ -130,6 +132,7 @@ class Player:
         jumped = not 0 < here - self._shown < BEFORE
         first = max(0, here - BEFORE) if jumped else self._shown + 1
         self._shown = here
+        self._time.content = f"{here / self._rate_hz:.3f} s of {(self._count - 1) / self._rate_hz:.3f} s"
         return {name: rows[first : here + 1] for name, rows in self._fingers.items()}, jumped
 
 

@@ -1,4 +1,4 @@
-"""Force, spin and lateness over the last seconds, as plots beside the picture."""
+"""Force, depth, spin, torsion and lateness over the last seconds, as plots beside the picture."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ COLOURS: Final = ("#1f6feb", "#d1242f")
 
 
 class Plots:
-    """Three plots of one finger. Lateness is the largest of the ticks of a point."""
+    """Four plots of one finger. Lateness is the largest of the ticks of a point."""
 
     def __init__(self, gui: Any) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=POINTS)
         self._late, self._changed = 0.0, False
         self._plots = [
             _plot(gui, "force, N", ("normal", "tangential")),
+            _plot(gui, "depth, mm; torsion, mN m", ("depth", "torsion")),
             _plot(gui, "spin, degrees", ("spin", "roll")),
             _plot(gui, "lateness, us", ("woken late", "step")),
         ]
@@ -38,6 +39,8 @@ class Plots:
                 row[AT.timestamp],
                 row[AT.contact_normal_force],
                 row[AT.contact_tangential_force],
+                1e3 * row[AT.contact_penetration],
+                1e3 * row[AT.contact_torsion],
                 np.degrees(row[AT.contact_spin]),
                 np.degrees(row[AT.contact_rolled]),
                 1e6 * self._late,

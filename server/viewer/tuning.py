@@ -8,6 +8,7 @@ from typing import Any, Final, get_args
 from softfinger.config import schema
 from softfinger.config.load import describe, shipped
 from softfinger.config.schema.contact import RollingMethod
+from softfinger.server.viewer.controls import on_list, on_slider
 
 NO_ROLLING: Final = "none"
 Change = Callable[[str, dict[str, Any]], None]
@@ -114,12 +115,18 @@ class Tuning:
     def _slid(self, event: Any, name: str) -> None:
         if event.client is None or self._scene is None:  # set by this program, not by a person
             return
+        if not on_slider(self._knobs[name].slider):
+            self._show()
+            return
         number = self._number()
         wanted = self._knobs[name].wanted(self._scene.object[number].material)
         self._params(name, {f"object.{number}.material.{key}": value for key, value in wanted.items()})
 
     def _rolled(self, event: Any) -> None:
         if event.client is None or self._scene is None:
+            return
+        if not on_list(self._rolling):
+            self._show()
             return
         scene, method = describe(self._scene), self._rolling.value
         if method == NO_ROLLING:
@@ -129,5 +136,7 @@ class Tuning:
         self._set_scene("scene", {"scene": scene, "name": self._name})
 
     def _chosen(self, event: Any) -> None:
-        if event.client is not None and self._choice.value != self._name:
+        if not on_list(self._choice):
+            self._show()
+        elif event.client is not None and self._choice.value != self._name:
             self._set_scene("scene", {"scene": self._choice.value})

@@ -78,6 +78,10 @@ class Sample:
         except KeyError:
             raise AttributeError(f"a {self.topic} message has no key {name!r}") from None
 
+    def __dir__(self) -> list[str]:
+        keys = self.data if isinstance(self.data, dict) else getattr(self.data, "__struct_fields__", ())
+        return sorted({*object.__dir__(self), *keys})
+
     def as_map(self) -> dict[str, Any]:
         """The message as plain dicts; the vectors of a contact message are tuples."""
         plain: dict[str, Any] = msgspec.to_builtins(self.data)
@@ -98,6 +102,7 @@ class Subscription(Closing):
                 f"or {FINGERS} for all of them"
             )
         self.endpoint = endpoint
+        self.topics: Final = tuple(topics)
         self.timeout_s = timeout_s
         self._ticks: dict[str, int] = {}
         self._wait_ms = -1
@@ -118,6 +123,9 @@ class Subscription(Closing):
             raise ConfigError(
                 f"cannot connect to endpoint {endpoint!r}: {error}; it looks like {DEFAULT_ENDPOINT} or ipc:///path"
             ) from error
+
+    def __repr__(self) -> str:
+        return f"<Subscription to {', '.join(self.topics)} on {self.endpoint}>"
 
     def receive(self, timeout_s: float | None = None) -> Sample | None:
         """Next message, or None if none comes within `timeout_s` (None: wait for ever).
@@ -260,6 +268,13 @@ class Window(Closing):
         self._rows[self._end] = record_of(sample)
         self._end += 1
         self.lost += sample.lost
+
+    def __repr__(self) -> str:
+        return f"<Window: {len(self)} of {self._size} ticks on {self._subscription.endpoint}, {self.lost} lost>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """What IPython and notebooks offer behind `window[`."""
+        return [field.name for field in FIELDS]
 
     def __len__(self) -> int:
         return min(self._end, self._size)

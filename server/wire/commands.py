@@ -89,10 +89,12 @@ class Change(Struct, frozen=True, rename={"before": "from", "after": "to"}):
 
 
 class Changed(Struct, frozen=True):
-    """What has changed, by dotted key, and how many ticks had begun without it at the least."""
+    """What has changed, by dotted key, how many ticks had begun without it at the least, and in how many seconds from
+    then on what acts on the force is there."""
 
     changed: dict[str, Change]
     tick: int
+    ramp_s: float = 0.0
 
 
 class SetScene(Struct, frozen=True, forbid_unknown_fields=True):

@@ -24,6 +24,7 @@ import zmq
 import zmq.asyncio
 
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
+from softfinger.config.schema import Telemetry, commands_beside, runtime_folder
 from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.commands import (
@@ -50,10 +51,10 @@ from softfinger.server.wire.commands import (
     Zero,
     Zeroed,
 )
+from softfinger.server.wire.endpoint import check_runtime_folder
 
 R = TypeVar("R")
 
-DEFAULT_COMMANDS: Final = "tcp://127.0.0.1:5556"
 TIMEOUT_S: Final = 5.0
 SCENE_TIMEOUT_S: Final = 300.0
 """A scene is compiled first, which takes half a minute, and longer on a busy machine."""
@@ -67,6 +68,11 @@ class NoAnswer(HapticError):
     exit_code = 9
 
 
+def default_commands() -> str:
+    """Where a daemon of this user takes commands whose rig says nothing of endpoints."""
+    return commands_beside(Telemetry().endpoint)
+
+
 def _connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
     socket.linger = 0
     socket.maxmsgsize = _ANSWER_MAX
@@ -74,11 +80,17 @@ def _connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) 
     if keys is not None:
         keys.put_on(socket)
     try:
+        if endpoint.startswith(f"ipc://{runtime_folder()}/"):
+            check_runtime_folder()
+    except ConfigError:
+        socket.close()
+        raise
+    try:
         socket.connect(endpoint)
     except zmq.ZMQError as error:
         socket.close()
         raise ConfigError(
-            f"cannot connect to endpoint {endpoint!r}: {error}; it looks like {DEFAULT_COMMANDS} or ipc:///path"
+            f"cannot connect to endpoint {endpoint!r}: {error}; it looks like ipc:///path or tcp://127.0.0.1:5556"
         ) from error
 
 
@@ -107,7 +119,7 @@ def _result(answer: dict[str, Any], kind: type[R]) -> R:
 def _no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
     return NoAnswer(
         f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
-        "and is this its [commands] endpoint?"
+        "as this user, and is this its [commands] endpoint, which its first lines say?"
     )
 
 
@@ -118,15 +130,19 @@ def _timeout(method: str, timeout_s: float | None) -> float:
 class Control(Closing):
     """A client that waits for each answer, for at most `timeout_s` (None: what the method needs). One thread only.
 
+    `endpoint` is what the daemon's first lines say; without one, that of this user's daemon on the usual telemetry.
     `keys` are for a server that wants some.
     """
 
     def __init__(
-        self, endpoint: str = DEFAULT_COMMANDS, timeout_s: float | None = None, keys: ClientKeys | None = None
+        self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s = endpoint, timeout_s
+        self.endpoint, self.timeout_s = endpoint or default_commands(), timeout_s
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-        _connected(self._socket, endpoint, keys)
+        _connected(self._socket, self.endpoint, keys)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: commands on {self.endpoint}>"
 
     def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
         """Any method by name; returns the result as it came."""
@@ -229,11 +245,11 @@ class AsyncControl:
     """A client for asyncio: any number of requests may wait for their answers. Use it with `async with`."""
 
     def __init__(
-        self, endpoint: str = DEFAULT_COMMANDS, timeout_s: float | None = None, keys: ClientKeys | None = None
+        self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s = endpoint, timeout_s
+        self.endpoint, self.timeout_s = endpoint or default_commands(), timeout_s
         self._socket: zmq.asyncio.Socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
-        _connected(self._socket, endpoint, keys)
+        _connected(self._socket, self.endpoint, keys)
         self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._reader: asyncio.Task[None] | None = None
 

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from softfinger.config.errors import AddressInUse, ConfigError
+from softfinger.config.files import check_owner
+from softfinger.config.schema import runtime_folder
 
 LISTEN_BACKLOG: Final = 128
 """Connections that the system keeps until they are accepted."""
@@ -70,11 +72,43 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
-def listen(endpoint: str, key: str, public: bool = False) -> Bound:
+def make_runtime_folder() -> None:
+    """Make the folder, mode 700, unless it is there. Raises ConfigError as `check_runtime_folder`, and where it cannot
+    be made."""
+    folder = runtime_folder()
+    try:
+        folder.mkdir(mode=0o700)
+    except FileExistsError:
+        pass  # whose it is, and whether it is one, is looked at in either case
+    except OSError as error:
+        raise ConfigError(
+            f"{folder}: cannot be made for the socket of commands: {error.strerror}; set XDG_RUNTIME_DIR to a folder "
+            "of your own, or give [commands] endpoint"
+        ) from error
+    check_runtime_folder()
+
+
+def check_runtime_folder() -> None:
+    """Raise ConfigError where the folder is a link or no folder, or another user may have put a socket into it; one
+    that is not there has none."""
+    folder = runtime_folder()
+    try:
+        status = folder.lstat()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise ConfigError(f"{folder}: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own") from error
+    if not stat.S_ISDIR(status.st_mode):
+        raise ConfigError(f"{folder}: is no folder: move it away, or set XDG_RUNTIME_DIR to a folder of your own")
+    check_owner(folder, status, "could take commands in the place of the daemon")
+
+
+def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> Bound:
     """Bind an endpoint.
 
     key     the key of the rig that the endpoint is the value of, for messages
     public  it may be one that other machines reach: who listens there checks keys
+    own     an ipc socket is for this user alone; others are for the group, too
 
     Raises AddressInUse if another process holds the endpoint, ConfigError if it cannot or may not be bound.
     """
@@ -83,7 +117,7 @@ def listen(endpoint: str, key: str, public: bool = False) -> Bound:
     with ExitStack() as files:
         try:
             if scheme == "ipc":
-                listener = files.enter_context(_listen_ipc(Path(address), endpoint, key, files))
+                listener = files.enter_context(_listen_ipc(Path(address), endpoint, key, files, own))
             else:
                 listener = files.enter_context(_listen_tcp(address))
                 address = address.rpartition(":")[0] + f":{listener.getsockname()[1]}"
@@ -111,12 +145,14 @@ def _listen_tcp(address: str) -> socket.socket:
     return listener
 
 
-def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack) -> socket.socket:
+def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack, own: bool) -> socket.socket:
+    if path.parent == runtime_folder():
+        make_runtime_folder()
     files.callback(os.close, _claim(path, endpoint, key))
     path.unlink(missing_ok=True)  # of a server that has gone: the lock is ours
     listener = socket.socket(socket.AF_UNIX)
-    # Group may connect, others not. The mask belongs to the process, so it is put back at once.
-    mask = os.umask(0o117)
+    # Group may connect unless it is one's own, others not. The mask belongs to the process, so it is put back at once.
+    mask = os.umask(0o177 if own else 0o117)
     try:
         listener.bind(str(path))
     except BaseException:

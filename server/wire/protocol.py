@@ -89,7 +89,7 @@ _FINGER_KEY: Final = Key("finger", "str", "", "", "name of the finger, empty whe
 
 EVENT_EXTRA_KEYS: Final = {
     "contact": (
-        Key("cause", "str", "", "", "why the mode changed: touch, drag, theta_max, stop, reverse or release"),
+        Key("cause", "str", "", "", "why the mode changed: touch, drag, theta_max, stop, reverse, release or restart"),
         Key("from", "int", "1", "", "contact mode before"),
         Key("to", "int", "1", "", "contact mode after"),
         Key("object", "int", "1", "", "index of the object touched or released"),

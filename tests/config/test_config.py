@@ -6,7 +6,9 @@ import argparse
 import itertools
 import json
 import math
+import os
 import re
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,12 +21,14 @@ from hypothesis import strategies as st
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene, read_toml, shipped
-from softfinger.config.schema import Rig, Scene
+from softfinger.config.schema import Rig, Scene, commands_beside
 from softfinger.config.schema.pairing import pair, single_device
 from softfinger.proxy.record import FIELDS
 from softfinger.proxy.scene import build_scene
 from softfinger.server.verbs import check
 from softfinger.server.verbs import schema as schema_verb
+
+pytestmark = pytest.mark.plain
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -285,20 +289,44 @@ def test_local_endpoints_are_accepted(endpoint: str) -> None:
 @pytest.mark.parametrize(
     ("telemetry", "given", "expected"),
     [
-        ("tcp://127.0.0.1:5555", None, "tcp://127.0.0.1:5556"),
-        ("tcp://127.0.0.1:65535", None, "tcp://127.0.0.1:65534"),
-        ("tcp://[::1]:*", None, "tcp://[::1]:*"),
-        ("tcp://localhost:0", None, "tcp://localhost:0"),
+        ("tcp://127.0.0.1:5555", None, "ipc:///run/user/7/softfinger/5555.commands"),
+        ("tcp://[::1]:65535", None, "ipc:///run/user/7/softfinger/65535.commands"),
         ("ipc:///run/t", None, "ipc:///run/t.commands"),
         ("ipc:///run/t", "tcp://127.0.0.1:9", "tcp://127.0.0.1:9"),
         ("tcp://127.0.0.1:*", "tcp://127.0.0.1:*", "tcp://127.0.0.1:*"),
         ("ipc:///run/t", "off", None),
     ],
 )
-def test_commands_are_taken_beside_the_telemetry(telemetry: str, given: str | None, expected: str | None) -> None:
+def test_commands_are_taken_beside_the_telemetry(
+    telemetry: str, given: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The endpoint of commands follows from the telemetry's, unless it is given, or off."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
     mapping = put(rig(), "telemetry.endpoint", telemetry) | ({"commands": {"endpoint": given}} if given else {})
     assert build(Rig, mapping, "f.toml").commands_endpoint == expected
+
+
+@pytest.mark.parametrize(
+    ("telemetry", "expected"),
+    [
+        ("tcp://rig.lab:5555", "tcp://rig.lab:5556"),
+        ("tcp://0.0.0.0:65535", "tcp://0.0.0.0:65534"),
+        ("tcp://0.0.0.0:*", "tcp://0.0.0.0:*"),
+    ],
+)
+def test_commands_beside_public_telemetry_are_on_the_next_port(telemetry: str, expected: str) -> None:
+    """Other machines reach no socket of a user."""
+    assert commands_beside(telemetry) == expected
+
+
+def test_commands_without_a_runtime_folder_are_in_the_temp_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a folder named by the user; a place too long for a socket is a fault that says what to give."""
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    folder = Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
+    assert commands_beside("tcp://127.0.0.1:5555") == f"ipc://{folder}/5555.commands"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/" + 90 * "x")
+    (fault,) = faults_of(Rig, put(rig(), "telemetry.endpoint", "tcp://127.0.0.1:5555"))
+    assert "commands.endpoint: ipc:///xxx" in fault and "107 bytes" in fault and "give one" in fault
 
 
 def test_a_number_too_long_to_print_is_a_fault_like_any_other() -> None:
@@ -458,6 +486,9 @@ def test_ceilings_cannot_be_raised_by_a_file() -> None:
         "force_slew_n_per_s": limits.FORCE_SLEW_N_PER_S,
         "torque_slew_nm_per_s": limits.TORQUE_SLEW_NM_PER_S,
         "ramp_s": limits.RAMP_S,
+        "speed_max_m_per_s": limits.SPEED_MAX_M_PER_S,
+        "turn_max_rad_per_s": limits.TURN_MAX_RAD_PER_S,
+        "frozen_s": limits.FROZEN_S,
     }
     assert set(ceilings) == set(schema.Guard.__struct_fields__)
     for key, span in ceilings.items():
@@ -536,6 +567,22 @@ def test_overrides_replace_values_and_name_their_flag() -> None:
     first, second = (str(fault) for fault in caught.value.faults)
     assert first.startswith("command line --rate: servo.rate_hz = 9000000000.0: must be a number from 100 to 8000 Hz")
     assert second.startswith("override: servo.realtime = 'on'")
+
+
+def test_a_fault_names_the_nearest_source() -> None:
+    """Of the flags that a key's value may have come from, the one that gave most of the key."""
+    sources = {"servo": "command line --servo", "servo.rate_hz": "command line --rate"}
+    with pytest.raises(FaultyConfig) as caught:
+        load_rig("replay", {"servo.rate_hz": 9e9}, sources)
+    assert [fault.where for fault in caught.value.faults] == ["command line --rate"]
+
+
+def test_an_entry_is_named_by_the_whole_of_its_name() -> None:
+    """Names may have dots: of two, one of which begins with the other, the longer is meant where it fits."""
+    balls = [{"name": name, "shape": "sphere", "radius_m": 0.02, "material": "rubber"} for name in ("a", "a.b")]
+    mapping = {"fingertip": {"radius_m": 0.01}, "object": balls}
+    found = load_scene(mapping, {"object.a.b.radius_m": 0.03, "object.a.radius_m": 0.04})
+    assert [ball.radius_m for ball in found.object] == [0.04, 0.03]
 
 
 def test_another_driver_drops_the_options_of_the_first() -> None:

@@ -15,6 +15,8 @@ from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene,
 from softfinger.config.toml import DEPTH_MAX, PARTS_MAX, parse_toml
 from softfinger.server.verbs.check import examine_file
 
+pytestmark = pytest.mark.plain
+
 SIZE = 1_000_000
 """Just below the largest file that is read."""
 LATE_S = 120

@@ -15,6 +15,8 @@ from softfinger.proxy.kernels.geometry.surfaces import closest
 from softfinger.proxy.scene import shape_bodies
 from softfinger.server.verbs import schema as schema_verb
 
+pytestmark = pytest.mark.plain
+
 SHAPES: dict[str, dict[str, Any]] = {
     "plane": {},
     "sphere": {"radius_m": 0.05},

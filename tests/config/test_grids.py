@@ -16,6 +16,8 @@ from softfinger.config import limits
 from softfinger.config.arrays.grids import read_grid
 from softfinger.config.errors import ConfigError
 
+pytestmark = pytest.mark.plain
+
 GRID = np.array([[0.0, 255.0, 7.0], [128.0, 1.0, 64.0]])
 
 
@@ -78,6 +80,7 @@ def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
         ("a.pgm", b"P2 2 1 255\n1 2", "is no binary grey picture (P5): export it as raw PGM"),
         ("a.pgm", b"P5" + b" #" * 4000, "is no binary grey picture"),
         ("a.pgm", b"P5 2 2 255\nabc", "has 3 bytes of picture: 2 x 2 need 4"),
+        ("a.pgm", b"P5 2 2 255\nabcde", "has 5 bytes of picture: 2 x 2 need 4"),
         ("a.pgm", b"P5 9999999 9999999 255\nabc", "has 3 bytes of picture: 9999999 x 9999999 need"),
         ("a.pgm", b"P5 1 1 0\na", "says that white is 0: must be 1 to 65535"),
         ("a.npy", b"no array", "magic string is not correct"),

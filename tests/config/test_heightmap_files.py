@@ -17,6 +17,8 @@ from softfinger.proxy.scene import build_scene
 from softfinger.server.recording.picture import drawn
 from softfinger.server.verbs.check import examine_file
 
+pytestmark = pytest.mark.plain
+
 HEIGHTS = np.add.outer(np.arange(30) * 1e-4, np.arange(40) * 2e-4)
 
 SCENE = """

@@ -38,6 +38,8 @@ from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.doctor import report
 from softfinger.tools.sweep_results import open_rows
 
+pytestmark = pytest.mark.plain
+
 STRANGER = 54321
 HANGS_S = 60
 """Longer than any of these takes on a busy machine; what waits for a pipe waits for ever."""
@@ -118,6 +120,7 @@ def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -
     done = subprocess.run(
         [sys.executable, "-m", "softfinger.server.cli", *words, *extra],
         cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        env={key: value for key, value in os.environ.items() if key != "NUMBA_DISABLE_JIT"},
     )  # fmt: skip
     assert done.returncode in (2, 3), done.stderr
     assert "only a regular file can be read" in done.stderr and "Traceback" not in done.stderr

@@ -13,6 +13,8 @@ from softfinger.config.load import build, describe
 from softfinger.config.materials import FILE, library
 from softfinger.config.schema import Material, Scene
 
+pytestmark = pytest.mark.plain
+
 NAMES = sorted(library())
 
 

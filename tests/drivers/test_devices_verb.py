@@ -351,6 +351,7 @@ def test_a_machine_without_devices_says_so() -> None:
     assert "--rig simulated" in text[0]
 
 
+@pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_is_listed() -> None:
     """The verb itself beside an emulated arm: node, name, serial number, driver and rigs, usable."""
@@ -369,6 +370,7 @@ def test_an_emulated_device_is_listed() -> None:
     )
 
 
+@pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_without_hidraw_is_listed() -> None:
     """An arm on the USB bus alone: its node there, usable, and why through threads."""

@@ -41,6 +41,8 @@ from softfinger.tools.exchange import (
 )
 from softfinger.tools.exchange_figures import HISTOGRAM_S, burst_figures, figures, histogram
 
+pytestmark = pytest.mark.real_time  # after a pause of the loop the guard starts at zero force
+
 RIG = load_rig("replay", {"servo.realtime": "off"})
 RATE_HZ = RIG.servo.rate_hz
 ARMED = Guard(5.0, 0.3, 2000.0, 50.0, 0.01, 1.0)

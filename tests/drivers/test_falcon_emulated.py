@@ -26,7 +26,11 @@ from softfinger.proxy.record import AT
 
 TESTBED = Path(__file__).parents[1] / "emulators" / "falcon_testbed.py"
 CONTRACT = Path(__file__).parents[1] / "helpers" / "falcon_contract.py"
-pytestmark = [pytest.mark.real_time, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
+pytestmark = [
+    pytest.mark.real_time,
+    pytest.mark.system,
+    pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT)),
+]
 
 
 def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:

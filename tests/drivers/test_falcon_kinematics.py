@@ -72,6 +72,15 @@ def test_forward_inverts_inverse_over_the_workspace() -> None:
     assert worst < 1e-9
 
 
+def test_a_search_that_fails_begins_again_at_the_centre() -> None:
+    """From no number, or out of reach, the last solution leads nowhere; the place is found all the same."""
+    for place in places(100):
+        theta, _ = delta.inverse(tuple(place))
+        for last in ((math.nan, 0.0, 0.11), (0.5, -0.5, -0.4)):
+            again, found = delta.forward(theta, last)
+            assert found and math.dist(place, again) < 1e-9
+
+
 def test_rows_of_k_are_the_derivative() -> None:
     """K is d theta1 / d p, from central differences."""
     h = 1e-6  # m: its square times the third derivative, and rounding over it, stay below 1e-6 rad/m

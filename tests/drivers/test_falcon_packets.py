@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -67,10 +68,11 @@ def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
     return came
 
 
-def test_a_million_packets_with_noise_between() -> None:
+@pytest.mark.scaled
+def test_packets_with_noise_between(cases: Callable[[int, int], int]) -> None:
     """Whole packets are all received, in order and unchanged, whatever noise and cut packets stand between them."""
     rng = np.random.default_rng(3)
-    number = 1_000_000
+    number = cases(20_000, 1_000_000)
     counts = rng.integers(-32768, 32768, (number, 3))
     wire = np.full((number, 24), 0x41, np.uint8)  # up to eight bytes of noise before each
     wire[:, :8] = rng.integers(0x3D, 0x100, (number, 8))  # anything above '<', which would begin a packet
@@ -87,10 +89,11 @@ def test_a_million_packets_with_noise_between() -> None:
     assert word[AT.garbled] >= number
 
 
-def test_noise_is_no_packet() -> None:
-    """Of ten million random bytes none are taken for a reply: 12 nibbles, half a byte of bits and 2 fixed bytes
-    come by chance once in 256^2 16^12 2."""
-    data = np.random.default_rng(4).integers(0, 256, 10_000_000).astype(np.uint8)
+@pytest.mark.scaled
+def test_noise_is_no_packet(cases: Callable[[int, int], int]) -> None:
+    """Of random bytes none are taken for a reply: 12 nibbles, half a byte of bits and 2 fixed bytes come by chance once
+    in 256^2 16^12 2."""
+    data = np.random.default_rng(4).integers(0, 256, cases(200_000, 10_000_000)).astype(np.uint8)
     word = blank()
     assert _stream(word.ctypes.data, data, np.zeros((10, 3), np.int64)) == 0
 

@@ -9,13 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import paper_mapping
 from helpers.drd_stub import COMPILER
 from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, stub, usb_library
 
-from softfinger.config.load import build, load_rig
-from softfinger.config.schema import Scene
-from softfinger.server.driver_contract import RATE_HZ
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.driver_contract import PULL, RATE_HZ
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 
@@ -46,12 +44,12 @@ def pull(stub: UsbStub) -> np.ndarray:
 
 @contextmanager
 def running(stub: UsbStub, ramp_s: float, **knobs: float) -> Iterator[None]:
-    """The servo's loop under a scene that pulls up. A tick counts as one, however late a busy machine makes it."""
-    mapping = paper_mapping(effect=[{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}])
+    """The servo's loop under the contract's scene, pulling up. A tick counts as one, however late it is."""
+    scene = load_scene({**PULL, "effect": [{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}]})
     guard = load_rig("falcon", {"guard.ramp_s": ramp_s, "guard.force_slew_n_per_s": SLEW_N * RATE_HZ}).guard
     with FalconBench(stub).open(timeout_s=2.0, kick_s=0.02) as device:
         device.info = replace(device.info, own_clock=True)
-        servo = Servo([device], make_tuning(build(Scene, mapping, "test scene"), guard, [device.info]), RATE_HZ)
+        servo = Servo([device], make_tuning(scene, guard, [device.info]), RATE_HZ)
         servo.compile()
         stub.update(still=1, logged=0, **knobs)
         servo.start()

@@ -24,7 +24,7 @@ from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.app import Daemon
-from softfinger.server.driver_contract import RATE_HZ, Servo
+from softfinger.server.driver_contract import RATE_HZ, Servo, run_for
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tuning import make_tuning
@@ -190,8 +190,7 @@ def test_stop_while_a_transfer_hangs(
         servo = s.Servo([device], tuning, RATE_HZ)
         servo.compile()
         servo.start()
-        while servo.ticks < 100:
-            servo.wait_record()
+        run_for(servo, 100)
         time.sleep(0.05)
         device.stop()
         assert stub.busy() and servo.ticks == 100  # it hangs still
@@ -224,7 +223,7 @@ def test_stop_waits_for_the_exchange_under_way(stub: Stub, bench: StubBench) -> 
     assert stub["threads"] == 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)])
 def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
     """The command line's daemon on the stand-in, pressing: a signal ends it in order, exit code 0, and the device was
     zeroed, disabled and closed, with expert mode off."""

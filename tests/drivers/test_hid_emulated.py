@@ -50,7 +50,11 @@ def _umockdev() -> str | None:
 
 
 WHY_NOT = _umockdev()
-pytestmark = [pytest.mark.real_time, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
+pytestmark = [
+    pytest.mark.real_time,
+    pytest.mark.system,
+    pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT)),
+]
 
 STROKE = {"place": [0.0, 0.0, 0.012], "press": 0.006, "drag": 0.02}
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from emulators.woodenhaptics import TABLE, Arm
 from helpers.hid_devices import RIGS, rig_options
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from softfinger.drivers.hid import chain
@@ -82,11 +83,15 @@ def test_jacobian_is_the_derivative(rig: str) -> None:
         assert not cut
 
 
-def test_power_is_kept() -> None:
-    """Motors turning at their rates take k I omega = f . v: sign and size of every ratio agree with the kinematics."""
+@pytest.mark.parametrize("unlike", [False, True], ids=["shipped", "three unlike joints"])
+def test_power_is_kept(unlike: bool) -> None:
+    """Motors that turn take k I omega = f . v: sign and size of every ratio agree with the kinematics, also
+    where no two joints are alike."""
     given = rig_options("woodenhaptics-polhem-v1").kinematics
     assert isinstance(given, Chain)
-    arm, generator, h = arm_of("woodenhaptics-polhem-v1"), np.random.default_rng(7), 1e-3
+    if unlike:
+        given = replace(given, body_m=(0.16, 0.12, 0.09), torque_constant_nm_per_a=(0.03, 0.05, 0.02))
+    arm, generator, h = chain.make_chain(given), np.random.default_rng(7), 1e-3
     for counts in generator.uniform(-3000, 3000, (100, 3)):
         turning, force = generator.normal(size=3), generator.normal(size=3)
         ahead, behind = (

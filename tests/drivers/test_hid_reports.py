@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 import tomllib
+from collections.abc import Callable
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -120,15 +121,17 @@ def test_every_type_is_written_as_struct_writes_it(kind: str, value: float, offs
     assert cut == (not info.min - 0.5 <= value < info.max + 0.5)
 
 
-def test_a_million_reports_of_any_bytes() -> None:
+@pytest.mark.scaled
+def test_reports_of_any_bytes(cases: Callable[[int, int], int]) -> None:
     """Random bytes decode to finite numbers, or are refused; those of integer fields never are."""
+    number = cases(20_000, 500_000)
     generator = np.random.default_rng(9)
     options = build(Options, described(), "described")
     for wire, floats in ((rig_options("woodenhaptics-polhem-v1").reports.input, False), (options.reports.input, True)):
         table, scratch, values = reports.input_table(wire), np.zeros(1, np.int64), np.zeros(reports.SENSED_SIZE)
-        stream = generator.integers(0, 256, 500_000 + wire.bytes, dtype=np.uint8)
+        stream = generator.integers(0, 256, number + wire.bytes, dtype=np.uint8)
         refused = wrong = 0
-        for at in range(500_000):  # each byte of the stream begins a report
+        for at in range(number):  # each byte of the stream begins a report
             if not reports.decode_once(stream[at : at + wire.bytes], table, scratch, values):
                 refused += 1
             elif not np.isfinite(values.sum()):

@@ -253,6 +253,17 @@ def test_resampling_has_no_velocity_step_and_no_overshoot() -> None:
     assert samples[:, 2].max() == 0.020
 
 
+def test_a_turn_goes_the_short_way_whatever_the_sign() -> None:
+    """A quaternion and its negative are one orientation: between samples of either sign the turn is the same, as scipy
+    has it."""
+    t, half = np.array([0.0, 0.1, 0.2]), np.array([0.0, 0.2, 0.5])
+    turned = np.stack((np.cos(half), np.sin(half), 0 * half, 0 * half), axis=1)
+    samples = resample(Poses(t, np.zeros((3, 3)), turned * [[1.0], [-1.0], [1.0]]), 1000.0)
+    wanted = Slerp(t, Rotation.from_rotvec(np.outer(2.0 * half, (1.0, 0.0, 0.0))))(np.arange(201) / 1000.0)
+    found = Rotation.from_quat(samples[:, [4, 5, 6, 3]])
+    assert (wanted.inv() * found).magnitude().max() < 1e-12  # rounding
+
+
 def test_resampling_refuses_what_is_too_short_or_too_long() -> None:
     """Less than two ticks, or more than fit in memory, is an error that gives the numbers."""
     still = np.zeros((2, 3)), np.array([[1.0, 0, 0, 0]] * 2)

@@ -268,7 +268,7 @@ def nonsense(text: bytes) -> Callable[[bytes], bytes]:
 def test_damaged_frames_are_no_pose_and_no_force(spoil: Callable[[bytes], bytes]) -> None:
     """Whatever comes in place of a frame, the last pose stays and the force ends; a good frame mends it. A line that
     never gets better is a device that speaks another language, and its bytes are told."""
-    with board(quiet_s=0.02) as (device, itself, cable):
+    with board(quiet_s=0.02, timeout_s=2.0) as (device, itself, cable):
         servo = Servo(device)
         known = fresh(servo)
         itself.place = (0.05, 0.05, 0.05)
@@ -289,6 +289,7 @@ def test_damaged_frames_are_no_pose_and_no_force(spoil: Callable[[bytes], bytes]
         assert fresh(servo)[:3] != known[:3]
         assert device.reason() == ""
         cable.spoil = spoil
+        device._block.word[TALK.timeout_after] = 50_000_000  # ns: only from here on is a time-out waited for
         while (status := servo.read()[0]) >= 0:
             cable.say(spoil(itself.frame()))
             time.sleep(0.001)
@@ -341,6 +342,30 @@ def test_a_blocked_port_stops_no_tick() -> None:
         cable.deaf.clear()
         time.sleep(0.05)
         assert all(not any(words[:3]) for words in cable.board.sent[forces:])
+
+
+def test_a_port_is_read_only_where_something_is_there() -> None:
+    """A terminal that is asked for what it has not got waits for a thread of the kernel. In its place stands a pipe,
+    whose reader would wait for ever."""
+    with board(quiet_s=0.2, timeout_s=2.0) as (device, itself, _):
+        servo = Servo(device)
+        fresh(servo)
+        out, into = os.pipe()
+        fd = int(device._block.word[TALK.fd])
+        terminal = os.dup(fd)
+        os.dup2(out, fd)
+        try:
+            for _ in range(3):
+                assert servo.read()[0] in (OK, STALE)
+            itself.place = (0.05, 0.05, 0.05)
+            os.write(into, b"\n" + itself.frame())
+            status, sample = servo.read()
+            assert status == OK
+            np.testing.assert_allclose(sample[:3], (0.05, 0.05, 0.05), atol=1e-6)  # the frame's micrometres
+        finally:
+            os.dup2(terminal, fd)
+            for each in (terminal, out, into):
+                os.close(each)
 
 
 def test_a_frame_that_went_out_in_part_is_finished_first() -> None:
@@ -456,7 +481,7 @@ def test_options_that_cannot_be_are_refused(key: str, value: object, message: st
 
 def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
     """Compiled afresh, the C functions name nothing outside themselves but system calls, clock and libm."""
-    allowed = {"read", "write", "poll", "clock_gettime", "__errno_location", "sin", "cos"}
+    allowed = {"read", "write", "poll", "ioctl", "clock_gettime", "__errno_location", "sin", "cos"}
     allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
     for function in (exchange.read, exchange.write):
         ir = numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm()

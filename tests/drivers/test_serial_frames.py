@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from math import floor
 from typing import Any
 
@@ -119,13 +120,15 @@ def test_a_frame_has_its_newline_last() -> None:
     assert not decoded(framed(PUBLISHED)[:-1] + b" ")[1].any()
 
 
-def test_a_million_damaged_frames() -> None:
+@pytest.mark.scaled
+def test_damaged_frames(cases: Callable[[int, int], int]) -> None:
     """Frames with bytes replaced at random: within bounds or refused, some of them compared with Python's reading."""
     generator = np.random.default_rng(17)
     alphabet = np.frombuffer(b"0123456789" * 4 + b" .-+ .-+einfax,\n\r\0\xff\x80", np.uint8)
     base = np.frombuffer(framed(PUBLISHED) + framed(PUBLISHED + b"\n"), np.uint8).reshape(2, FRAME_BYTES)
     accepted, block = 0, 100_000
-    for _ in range(10):
+    blocks = cases(1, 10)
+    for _ in range(blocks):
         rows = np.tile(base, (block // 2, 1))
         for _ in range(3):
             at = generator.integers(0, FRAME_BYTES, block)
@@ -141,7 +144,7 @@ def test_a_million_damaged_frames() -> None:
             said = expected(rows[n].tobytes())
             assert (said is not None) == usable[n], rows[n].tobytes()
             assert said is None or said == values[n].tolist()
-    assert 100_000 < accepted < 900_000
+    assert 0.1 < accepted / (blocks * block) < 0.9
 
 
 def numbered(n: int) -> bytes:

@@ -60,8 +60,9 @@ def test_closed_loop_through_the_daemon() -> None:
     assert all(any(row == tick for tick in given) for row in felt)
     # The hand's spring (300 N/m) and the wall's share what the hand means to press; without a wall it would be 4 mm.
     stiffness = scene.object[0].material.stiffness_n_per_m
-    depth = (0.010 - places[:, 2].min() * 1e-6) / 0.004
-    assert depth == pytest.approx(300.0 / (300.0 + stiffness), rel=0.15)  # the hand's stroke is not at rest
+    # It presses half of the time: the middle of that half, since a board that answers late lets the hand go deeper.
+    depth = (0.010 - np.percentile(places[:, 2], 25) * 1e-6) / 0.004
+    assert depth == pytest.approx(300.0 / (300.0 + stiffness), rel=0.15)  # it drags meanwhile
     assert not reached[-1].any()
     assert board.force == (0.0, 0.0, 0.0)
 

@@ -6,7 +6,7 @@ import contextlib
 import math
 import socket
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -295,19 +295,21 @@ def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.nda
     return seen
 
 
-def test_a_million_reports_leave_a_pose_in_the_box() -> None:
-    """10^6 reports of random bytes, lengths and kinds, decoded and followed: counts that an int16 holds, buttons that a
+@pytest.mark.scaled
+def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> None:
+    """Reports of random bytes, lengths and kinds, decoded and followed: counts that an int16 holds, buttons that a
     float64 holds, a position in the box, a unit quaternion."""
     generator = np.random.default_rng(8)
     total = np.zeros(3, np.int64)
     deflection, buttons = np.zeros(6), np.zeros(1)
-    for _ in range(10):
+    number = cases(1, 10)
+    for _ in range(number):
         reports = generator.integers(0, 256, (100_000, 64), dtype=np.uint8)
         reports[::2, 0] = generator.integers(1, 4, 50_000)
         counts = generator.integers(0, 65, 100_000)
         total += wild(reports, counts, make_setup(Options()), deflection, buttons)
-    assert total.sum() == 1_000_000
-    assert total.min() > 10_000
+    assert total.sum() == number * 100_000
+    assert total.min() > number * 1_000
 
 
 @pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led], ids=["spacemouse", "simulated"])
@@ -334,6 +336,7 @@ def test_a_closed_device_reads_as_lost() -> None:
         assert servo.read()[0] == LOST
 
 
+@pytest.mark.real_time
 def test_a_puck_feels_its_way_through_a_scene() -> None:
     """Pushed down onto the plane through the servo's loop: contact begins, and every force is the engine's on the same
     poses."""

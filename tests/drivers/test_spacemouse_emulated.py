@@ -22,7 +22,11 @@ from softfinger.proxy.record import AT
 
 TESTBED = Path(__file__).parents[1] / "emulators" / "puck_testbed.py"
 CLI = (sys.executable, "-m", "softfinger.server.cli")
-pytestmark = [pytest.mark.real_time, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
+pytestmark = [
+    pytest.mark.real_time,
+    pytest.mark.system,
+    pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT)),
+]
 
 
 def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:

@@ -13,17 +13,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import paper_mapping
 from emulators.serialboard import Board, Cable
 from helpers.hid_devices import Answering, Api, described, ends
 from helpers.serial_devices import PLACE, opened
 
-from softfinger.config.load import build, load_rig
-from softfinger.config.schema import Scene
+from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import pumped
-from softfinger.server.driver_contract import RATE_HZ
+from softfinger.server.driver_contract import PULL, RATE_HZ
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
@@ -103,10 +101,10 @@ WAYS = {"serial": serial, "hid node": lambda: hid("node"), "hid thread": lambda:
 
 
 def pulling(ramp_s: float) -> Tuning:
-    """A scene that pulls with PULL_N wherever the finger is."""
-    mapping = paper_mapping(effect=[{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}])
+    """A scene that pulls with PULL_N wherever the finger is; of the contract's kind, so that it is compiled once."""
+    scene = load_scene({**PULL, "effect": [{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}]})
     guard = load_rig("woodenhaptics-v3", {"guard.ramp_s": ramp_s, "guard.force_slew_n_per_s": SLEW_N * RATE_HZ}).guard
-    return make_tuning(build(Scene, mapping, "test scene"), guard)
+    return make_tuning(scene, guard)
 
 
 @contextmanager

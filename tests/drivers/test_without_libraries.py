@@ -12,8 +12,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import libusb_package
 import pytest
 from helpers.drd_stub import COMPILER, stub_library
+
+from softfinger.drivers.system.libusb import SONAME
 
 __all__ = ["stub_library"]  # fixture
 
@@ -25,6 +28,15 @@ MAY_MOUNT = (
 )
 mounts = pytest.mark.skipif(not MAY_MOUNT, reason="this system gives no name space of mounts (unshare)")
 
+NEITHER = "libusb is not installed or cannot be loaded.*pip install.* libusb-package, or apt install libusb"
+
+LOADED = """
+from softfinger.drivers.system import libusb
+print(libusb.backend() is not None)
+print(*{line.strip().split(None, 5)[5] for line in open("/proc/self/maps") if "libusb" in line})
+"""
+"""A program that says whether pyusb has a libusb, and which files of that name it has loaded."""
+
 
 def hidden(*paths: Path | str) -> list[str]:
     """A command in front of another, for which these files are empty."""
@@ -32,25 +44,63 @@ def hidden(*paths: Path | str) -> list[str]:
     return [*NAMESPACE, "sh", "-c", script, "sh"]
 
 
-def loads_libusb(front: list[str], environ: dict[str, str]) -> bool:
-    code = "import usb.backend.libusb1 as one; print(one.get_backend() is not None)"
-    said = subprocess.run(
-        [*front, sys.executable, "-c", code], env=environ, capture_output=True, text=True, timeout=60, check=True
+def environment(folder: Path, *, system: str, package: bool) -> dict[str, str]:
+    """Of a process where the system's libusb is "there", "broken" or "as it is", with the package's or without it.
+
+    folder  for the files that make it so
+    """
+    environ = dict(os.environ)
+    if system != "as it is":
+        library = folder / SONAME
+        if system == "there":
+            shutil.copy(str(libusb_package.get_library_path()), library)
+        else:
+            library.touch()
+        environ["LD_LIBRARY_PATH"] = str(folder)
+    if not package:
+        missing = folder / "missing"
+        missing.mkdir()
+        (missing / "libusb_package.py").write_text("raise ImportError('not installed')")
+        environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(missing), environ.get("PYTHONPATH"))))
+    return environ
+
+
+def loaded(environ: dict[str, str]) -> tuple[bool, str]:
+    """What a process says that runs `LOADED`."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED], env=environ, capture_output=True, text=True, timeout=120, check=True
     )
-    return "True" in said.stdout
+    found, files = done.stdout.split("\n")[:2]
+    return found == "True", files
 
 
-@pytest.fixture(params=["broken", pytest.param("absent", marks=mounts)])
-def bare(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[list[str], dict[str, str]]:
-    """A command in front and an environment in which libusb cannot be loaded, or is nowhere to be found."""
-    if request.param == "broken":
-        (tmp_path / "libusb-1.0.so.0").touch()
-        front, environ = [], os.environ | {"LD_LIBRARY_PATH": str(tmp_path)}
-    else:
-        # find_library asks the loader's cache, then a compiler and a linker, which are on the path
-        front, environ = [*hidden("/etc/ld.so.cache"), "env", "PATH=/nonexistent"], dict(os.environ)
-    assert not loads_libusb(front, environ), "libusb is still there"
-    return front, environ
+@pytest.mark.parametrize("package", [True, False], ids=["package", "no package"])
+def test_the_systems_libusb_comes_first(package: bool, tmp_path: Path) -> None:
+    """Where the loader finds a libusb, no other is loaded."""
+    environ = environment(tmp_path, system="there", package=package)
+    assert loaded(environ) == (True, str((tmp_path / SONAME).resolve()))
+
+
+def test_the_packages_libusb_stands_in(tmp_path: Path) -> None:
+    """Where the system's cannot be loaded, it is the one of libusb-package, and a look for a Falcon needs no other."""
+    environ = environment(tmp_path, system="broken", package=True)
+    assert loaded(environ) == (True, str(Path(str(libusb_package.get_library_path())).resolve()))
+    code, said = said_by(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
+    assert code != 0 and "libusb is not installed" not in said, said
+    assert re.search(r"no Falcon|USB devices cannot be listed", said), said
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> tuple[list[str], dict[str, str]]:
+    """A command in front (none) and an environment in which no libusb can be loaded."""
+    environ = environment(tmp_path, system="broken", package=False)
+    assert loaded(environ) == (False, ""), "libusb is still there"
+    return [], environ
+
+
+def endpoints(folder: Path) -> list[str]:
+    """Words for a daemon that takes no port of this machine."""
+    return ["--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
 
 
 def said_by(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, str]:
@@ -65,7 +115,7 @@ def said_by(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, s
 @pytest.mark.parametrize(
     ("rig", "words"),
     [
-        ("falcon", "libusb is not installed or cannot be loaded.*apt install libusb"),
+        ("falcon", NEITHER),
         ("omega-6", "libdrd is not on this machine"),
         ("woodenhaptics-2019", "no HID device 16c0:0486"),
         ("woodenhaptics-v3", "no serial port 16c0:0483"),
@@ -76,10 +126,20 @@ def test_run_says_in_one_error_what_is_missing(
     rig: str, words: str, bare: tuple[list[str], dict[str, str]], tmp_path: Path
 ) -> None:
     """Each rig of a device ends with one line, exit code not 0."""
-    code, said = said_by(bare, "run", "--rig", rig, "--duration", "1", "--endpoint", f"ipc://{tmp_path}/t")
+    code, said = said_by(bare, "run", "--rig", rig, "--duration", "1", *endpoints(tmp_path))
     assert code != 0
     assert re.search(words, said), said
     assert len(said.strip().splitlines()) == 1, said
+
+
+def test_no_libusb_at_all(tmp_path: Path) -> None:
+    """Where the loader finds no file of that name it is the same error as where the file is broken."""
+    environ = environment(tmp_path, system="as it is", package=False)
+    if loaded(environ)[0]:
+        pytest.skip("this system has a libusb")
+    code, said = said_by(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
+    assert code != 0
+    assert re.search(NEITHER, said) and len(said.strip().splitlines()) == 1, said
 
 
 @pytest.mark.skipif(COMPILER is None, reason="the stand-in for the maker's library is C, and there is no compiler")
@@ -90,16 +150,17 @@ def test_makers_library_that_sees_no_device(
     rig = tmp_path / "rig.toml"
     rig.write_text(f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n')
     front, environ = bare
-    code, said = said_by((front, environ | {"STUB_DRD_SET": "devices=0"}), "run", "--rig", str(rig))
+    words = ("run", "--rig", str(rig), *endpoints(tmp_path))
+    code, said = said_by((front, environ | {"STUB_DRD_SET": "devices=0"}), *words)
     assert code != 0, said
     assert said.strip().splitlines()[-1].startswith("softfinger: no device of Force Dimension is attached"), said
 
 
-@pytest.mark.parametrize("words", [("devices", "--ask"), ("doctor",)])
+@pytest.mark.parametrize("words", [("devices", "--ask"), ("doctor", "--seconds", "0.1")])
 def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str], dict[str, str]]) -> None:
     """What is attached is told as far as it can be seen, and the doctor says that libusb is missing."""
     code, said = said_by(bare, *words)
-    if words == ("doctor",):
+    if words[0] == "doctor":
         assert re.search(r"libusb: not found", said), said
     else:
         assert code == 0, said
@@ -107,14 +168,15 @@ def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str]
 
 @mounts
 @pytest.mark.parametrize("words", [("run", "--rig", "woodenhaptics-2019", "--duration", "1"), ("devices",)])
-def test_hidapi_without_its_libraries(words: tuple[str, ...]) -> None:
+def test_hidapi_without_its_libraries(words: tuple[str, ...], tmp_path: Path) -> None:
     """hidapi brings libraries of its own; where they are broken the error says what to install."""
     import hidraw
 
     bundled = list((Path(hidraw.__file__).parent / "hidapi.libs").glob("lib*"))
     if not bundled:
         pytest.skip("this hidapi brings no libraries of its own")
-    code, said = said_by((hidden(*bundled), dict(os.environ)), *words)
+    own = endpoints(tmp_path) if words[0] == "run" else []
+    code, said = said_by((hidden(*bundled), dict(os.environ)), *words, *own)
     if words[0] == "run":
         assert code != 0 and "hidapi cannot be loaded" in said and len(said.strip().splitlines()) == 1, said
     else:

@@ -1,7 +1,8 @@
 """What ticks ask of height maps, counted: `python -m helpers.counted_asks` in tests/, the scenes on standard input.
 
-Kernels are plain Python here, so that what is asked can be counted where it is asked, whoever asks. In:
-{"method": of rolling, "scenes": [[objects, points (n, 3)], ...]}; out, for each: what each tick asked, and its proxies.
+For a process with NUMBA_DISABLE_JIT=1: kernels are plain Python there, so a function that reads a map can count its
+calls. In: {"method": of rolling, "scenes": [[objects, points (n, 3)], ...]}; out, for each scene: the reads of each
+tick, and its proxies.
 """
 
 from __future__ import annotations
@@ -32,17 +33,14 @@ def poses_at(points: ArrayLike) -> Array:
 
 
 def count(method: str, scenes: list[Any]) -> list[Any]:
-    from softfinger.proxy.kernels.native import jit
-
-    jit.on_call = lambda compiled: compiled.py_func
     from helpers.touching import scene_with
-    from softfinger.proxy.kernels.contact.rolling import integrated
     from softfinger.proxy.kernels.geometry.surfaces import footing, heightmap, tiles
     from softfinger.proxy.kernels.model import Pose
+    from softfinger.proxy.kernels.native.jit import PLAIN
     from softfinger.proxy.kernels.step import step
     from softfinger.proxy.scene import build_scene, start_state
 
-    integrated.foot = integrated.foot.py_func
+    assert PLAIN
     asked = 0
 
     def counted(kernel: Any, cost: int) -> Any:

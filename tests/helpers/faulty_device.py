@@ -31,15 +31,19 @@ from softfinger.proxy.kernels.native.memory import float64_at, int64_at
 
 Fault = Literal[
     "none", "lost", "timeout", "protocol", "write_lost", "nan", "zero_quaternion", "stall", "far",
-    "withheld_read", "withheld_write", "stall_and_jump", "hang", "held",
+    "withheld_read", "withheld_write", "stall_and_jump", "hang", "held", "unknown_read", "unknown_write",
+    "jump", "jumps", "frozen",
 ]  # fmt: skip
 FAULTS: tuple[Fault, ...] = (
     "none", "lost", "timeout", "protocol", "write_lost", "nan", "zero_quaternion", "stall", "far",
-    "withheld_read", "withheld_write", "stall_and_jump", "hang", "held",
+    "withheld_read", "withheld_write", "stall_and_jump", "hang", "held", "unknown_read", "unknown_write",
+    "jump", "jumps", "frozen",
 )  # fmt: skip
 
-AT, FAULT, READS, WRITES, ARMED, KEPT, STALL_US, COUNT, FREE = range(9)
+AT, FAULT, READS, WRITES, ARMED, KEPT, STALL_US, COUNT, FREE, JUMP_UM = range(10)
 ROOM = 100_000
+UNKNOWN = HELD + 1
+"""A status that no driver has."""
 
 usleep = types.ExternalFunction("usleep", types.int32(types.uint32))
 
@@ -74,6 +78,12 @@ def _read(handle: int, sample: Any) -> int:
         sample[0] = 1e300
     elif fault == 9:
         return WITHHELD
+    elif fault == 14:
+        return UNKNOWN
+    elif fault == 16 or (fault == 17 and number % 2 == 0):
+        sample[1] = 1e-6 * word[JUMP_UM]
+    elif fault == 18:
+        sample[0] = 0.005 * np.sin(0.02 * word[AT])
     elif fault == 12:
         while word[FREE] == 0:
             usleep(1000)
@@ -99,7 +109,7 @@ def _write(handle: int, wrench: Any) -> int:
         for i in range(6):
             kept[i] = float64_at(word[KEPT] + 48 * (word[WRITES] - 2))[i]
         return HELD
-    return OK
+    return UNKNOWN if word[FAULT] == 15 and word[READS] > word[AT] else OK
 
 
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -107,6 +117,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     at: int = 100
     count: int = 1
     stall_us: int = 3500
+    jump_m: float = 0.05
     own_clock: bool = False
     refuses_to_arm: bool = False
     stop_fails: bool = False
@@ -117,8 +128,9 @@ class FaultyDevice(Device):
         self._options = options
         self._word = np.zeros(16, np.int64)
         self._kept = np.zeros((ROOM, 6))
-        self._word[[AT, FAULT, KEPT, STALL_US, COUNT]] = (
+        self._word[[AT, FAULT, KEPT, STALL_US, COUNT, JUMP_UM]] = (
             options.at, FAULTS.index(options.fault), self._kept.ctypes.data, options.stall_us, options.count,
+            round(1e6 * options.jump_m),
         )  # fmt: skip
         far = (1.0, 1.0, 1.0)
         self.info = DeviceInfo("faulty", 6, 6, 1e3, 1e2, 1e6, 1e3, (-1.0, -1.0, -1.0), far, options.own_clock)

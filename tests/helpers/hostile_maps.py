@@ -6,13 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from helpers.touching import R, thing, wander
-from softfinger.proxy.kernels.geometry.surfaces.heightmap import height_at
-from softfinger.proxy.kernels.native.jit import OPTIONS
 
 Array = NDArray[np.float64]
 
@@ -56,20 +53,27 @@ MADE: Final[dict[str, Callable[[], tuple[float, Array]]]] = {
 }
 
 
-@numba.njit(**OPTIONS)
-def fill(shape: Any, points: Any) -> None:
-    for k in range(len(points)):
-        s, t = points[k, 0] / shape.pitch + 0.5 * shape.columns, points[k, 1] / shape.pitch + 0.5 * shape.rows
-        points[k, 2] = height_at(shape, s, t).z * shape.pitch
+def weights_at(places: Array, count: float) -> Array:
+    """What each of `count` + 3 coefficients counts for at places (n,) in cells: the cubic B-spline as a sum of
+    truncated powers, and what is beyond the rim as the rim."""
+    apart = np.abs(np.clip(places, 0.0, count)[:, None] + 1.0 - np.arange(int(count) + 3))
+    weights: Array = (np.maximum(2.0 - apart, 0.0) ** 3 - 4.0 * np.maximum(1.0 - apart, 0.0) ** 3) / 6.0
+    return weights
+
+
+def grid_of(shape: Any, x: Array, y: Array) -> Array:
+    """Points (n, 3) m of the map over a grid of x and y, m, in numpy: nothing of it is a kernel's."""
+    across = weights_at(x / shape.pitch + 0.5 * shape.columns, shape.columns)
+    down = weights_at(y / shape.pitch + 0.5 * shape.rows, shape.rows)
+    heights = down @ shape.coefficients.array.reshape(down.shape[1], across.shape[1]) @ across.T
+    at_x, at_y = np.meshgrid(x, y)
+    return np.column_stack([at_x.ravel(), at_y.ravel(), shape.pitch * heights.ravel()])
 
 
 def surface(shape: Any, beyond: float) -> Array:
     """Points (n, 3) m of the map, FINE to a pixel along x and y, and of its level border as far out."""
     half = 0.5 * max(shape.columns, shape.rows) * shape.pitch + beyond
-    x, y = np.meshgrid(*[np.arange(-half, half, shape.pitch / FINE)] * 2)
-    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    fill(shape, points)
-    return points
+    return grid_of(shape, *[np.arange(-half, half, shape.pitch / FINE)] * 2)
 
 
 def outside_by(shape: Any, centers: Array) -> float:

@@ -20,7 +20,9 @@ R = 0.01
 FRICTION = {"static": 0.6, "kinetic": 0.5}
 TORSION = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
 SMOOTH = {"friction": None, "torsion": None}
-"""Of a material without friction."""
+"""Of a material without friction: other code than with it."""
+SLIPPERY = {"friction": {"static": 0.0, "kinetic": 0.0}}
+"""Of a material whose friction is none: the same code with other numbers, so that nothing more is compiled."""
 
 
 def saved(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: str = "part.ply") -> str:

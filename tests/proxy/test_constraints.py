@@ -7,6 +7,8 @@ from scipy.optimize import nnls
 from softfinger.proxy.kernels.contact.rest.half_spaces import FACING, displacement, hold
 from softfinger.proxy.kernels.native.jit import entry
 
+pytestmark = pytest.mark.plain
+
 
 @entry
 def solve(count, n1, n2, n3, b1, b2, b3):

@@ -16,6 +16,8 @@ from references.hand import Hand, drive
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import ROLLING, SLIDING
 
+pytestmark = pytest.mark.plain
+
 R = 0.01
 EXACT = 1e-12
 

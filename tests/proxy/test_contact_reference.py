@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory
+from helpers.examples import Cases
 from references.contact_reference import Parameters, ReferenceContact
 from references.hand import Hand
 from references.rolling_reference import zxz_roll
@@ -15,6 +16,8 @@ from references.rotation import matrix, quaternion, rodrigues
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, CAUSE_NAMES
+
+pytestmark = pytest.mark.plain
 
 DT = 1e-3
 
@@ -88,9 +91,13 @@ def random_motion(rng: np.random.Generator, q: Parameters) -> Hand:
 
 
 SEEDS = range(12)
+FEW = 6
+"""Of them in `make test`."""
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=[pytest.mark.exhaustive] if seed >= FEW else []) for seed in SEEDS]
+)
 def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> None:
     """On every tick: the same mode and cause, and the same proxy, force, torque, roll and spin up to rounding."""
     rng = np.random.default_rng(seed)
@@ -111,16 +118,18 @@ def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> No
         assert got.spin == pytest.approx(expected.spin, abs=1e-10), where
 
 
-def test_random_motion_meets_every_transition(plane_scene: SceneFactory) -> None:
+@pytest.mark.scaled
+def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: Cases) -> None:
     """The comparison above covers all causes, so that agreeing means something."""
     seen: dict[str, int] = {}
-    for seed in SEEDS:
+    for seed in SEEDS[: cases(FEW, len(SEEDS))]:
         rng = np.random.default_rng(seed)
         scene, q = random_case(rng, plane_scene)
         records = Engine(scene).run(np.array(random_motion(rng, q).poses), DT)
         for cause in records[:, AT.contact_cause]:
             seen[CAUSE_NAMES[int(cause)]] = seen.get(CAUSE_NAMES[int(cause)], 0) + 1
-    assert all(seen.get(cause, 0) >= 5 for cause in CAUSE_NAMES), seen
+    of_one_object = set(CAUSE_NAMES) - {"restart"}  # which is for meshes
+    assert all(seen.get(cause, 0) >= 5 for cause in of_one_object), seen
 
 
 def test_large_rotations_in_one_tick(plane_scene: SceneFactory) -> None:

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 import pytest
 from conftest import SceneFactory
+from helpers.examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.hand import Array
@@ -29,6 +30,8 @@ from softfinger.proxy.kernels.native.jit import OPTIONS
 from softfinger.proxy.kernels.native.pack import flatten
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
+
+pytestmark = pytest.mark.plain
 
 ZERO, UP = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 DT = 0.001
@@ -332,7 +335,8 @@ def test_compiled_equals_plain_python(compiled: Any, ticks: list[Any], carrier: 
                 assert flatten(after) == pytest.approx(flatten(expected), abs=1e-15)
 
 
-@settings(max_examples=1000, deadline=None, derandomize=True)
+@pytest.mark.scaled
+@examples(300, 1000)
 @given(
     st.lists(st.tuples(anywhere, anywhere, finite.map(abs), st.booleans(), finite, normals()), min_size=1, max_size=3),
     st.sampled_from([None, CARRIER]),

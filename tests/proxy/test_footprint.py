@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory, paper_mapping
-from hypothesis import given, settings
+from helpers.examples import Cases, examples
+from hypothesis import given
 from numpy.typing import NDArray
 from references.hand import Hand, drive
 from references.laws import Handling, axis_angles, column, handling, work_of_the_hand
@@ -25,8 +26,9 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.laws import lever_of, torsion_laws
 from softfinger.proxy.record import AT
 
+pytestmark = pytest.mark.plain
+
 R, K, G, MU = 0.01, 1000.0, 45e3, 0.6
-CASES = settings(max_examples=300, deadline=None, derandomize=True)
 HERTZ: dict[str, Any] = {"shear_modulus_pa": G}
 POWER: dict[str, Any] = {"shear_modulus_pa": G, "radius_m": 0.004, "exponent": 0.2, "pressure_exponent": 4.0}
 FOLLOWS: dict[str, Any] = {"stiffness_nm_per_rad": None, "friction_length_m": None}
@@ -140,20 +142,21 @@ def test_dragged_and_spun_it_is_on_the_limit_surface_of_the_patch(name: str) -> 
     assert column(records, "contact.torsion")[-1] == pytest.approx(-(moment**2) * omega / size, rel=1e-6)
 
 
-def test_pressing_on_a_wound_finger_keeps_its_energy() -> None:
-    """phi^2 k_z stays, so the moment goes as sqrt(k_z), and a hand that trembles for 1000 cycles lets nothing go."""
+@pytest.mark.scaled
+def test_pressing_on_a_wound_finger_keeps_its_energy(cases: Cases) -> None:
+    """phi^2 k_z stays, so the moment goes as sqrt(k_z), and a hand that trembles for many cycles lets nothing go."""
     hand = pressed(0.002).go(50, turn=[0, 0, 0.02])
     wound = hand.at
     hand.go(50, move=[0, 0, -0.004])
     hard = hand.at
     hand.go(50, move=[0, 0, 0.004])
-    for _ in range(1000):
+    for _ in range(cases(300, 1000)):
         hand.go(3, move=[0, 0, -4e-4]).go(3, move=[0, 0, 4e-4])
     records = run(soft(HERTZ), hand)
     moment = column(records, "contact.torsion")
     assert moment[wound] == pytest.approx(-2.0 * R * 0.02, rel=1e-9)
     assert moment[hard] == pytest.approx(moment[wound] * 3.0**0.5, rel=1e-9)
-    # Six thousand roots and products, each rounded.
+    # Six thousand roots and products at most, each rounded.
     assert moment[-1] == pytest.approx(moment[wound], rel=1e-11)
 
 
@@ -204,11 +207,12 @@ def test_a_drag_stretches_the_skin_the_other_way_in_the_fingertips_frame() -> No
     assert column(records, "contact.tangential_force")[-1] == pytest.approx(K * 3e-4, rel=1e-9)
 
 
+@pytest.mark.scaled
 def test_the_contact_in_the_fingertips_frame_is_the_worlds_turned() -> None:
     """Normal and stretch are the world's in the frame of the measured orientation, and the centre is -r normal."""
     engine = soft(HERTZ, table={"shape": "sphere", "radius_m": 0.05, "position_m": [0.0, 0.0, -0.05]})
 
-    @CASES
+    @examples(15, 300)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()
@@ -243,6 +247,7 @@ MODELS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("name", list(PATCHES))
 @pytest.mark.parametrize("kind", list(MODELS))
 def test_it_gives_no_energy_however_it_is_loaded(name: str, kind: str) -> None:
@@ -253,7 +258,7 @@ def test_it_gives_no_energy_however_it_is_loaded(name: str, kind: str) -> None:
     patch = PATCHES[name] | {"rolling_loss": 0.4}
     engine = soft(patch, material={"torsion": FOLLOWS | MODELS[kind]})
 
-    @CASES
+    @examples(15, 300)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()
@@ -273,12 +278,13 @@ def test_it_gives_no_energy_however_it_is_loaded(name: str, kind: str) -> None:
     check()
 
 
+@pytest.mark.scaled
 def test_rolling_alone_gives_no_energy_while_the_load_changes() -> None:
     """The same of the moment against rolling, whose spring holds M^2 / 2 k with k = 3/16 alpha r f_N."""
     alpha = 0.4
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
 
-    @CASES
+    @examples(15, 300)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory, paper_mapping
-from hypothesis import given, settings
+from helpers.examples import examples
+from hypothesis import given
 from references.hand import Hand, drive
 from references.laws import (
     ANISOTROPIC,
@@ -31,6 +32,8 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.laws import friction_laws
+
+pytestmark = pytest.mark.plain
 
 R = 0.01
 EXACT = 1e-12
@@ -238,6 +241,7 @@ def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
 # --- under any law ---------------------------------------------------------------------------------
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
     """Whatever the hand does, the force is inside the static cone, or inside the kinetic one where that is wider."""
@@ -245,8 +249,8 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
     scale = np.array([1.0, 0.5]) if "anisotropic" in law else np.ones(2)
     kinetic = np.array([0.9, 0.4]) if "anisotropic" in law else np.ones(2)
 
-    # 90 hands of some 130 ticks: 10^4 cases.
-    @settings(max_examples=90, deadline=None, derandomize=True)
+    # 90 hands of some 130 ticks are 10^4 cases.
+    @examples(15, 90)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()
@@ -269,12 +273,13 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
     check()
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_no_energy_comes_out_of_the_contact(plane_scene: SceneFactory, law: str) -> None:
     """The hand has always put in at least what the springs store, so no closed cycle gives anything."""
     engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
 
-    @settings(max_examples=90, deadline=None, derandomize=True)
+    @examples(15, 90)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()

@@ -1,15 +1,18 @@
-"""Height maps that nobody should have made, in a hand that is thrown about: outside, a force that is safe, a budget."""
+"""Height maps that nobody should have made, in a hand that is thrown about: outside, a force that is safe, a budget.
+
+Compiled, which takes half a minute: in each case a hand makes thousands of ticks, and a tick on such a map asks so
+much that plain Python would take minutes. All cases share one type of scene.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Final
 
-import numba
 import numpy as np
 import pytest
 from helpers.hostile_maps import MADE, STIFFNESS, hands, outside_by, part, surface
-from helpers.touching import SMOOTH, R, engine, posed, spun
+from helpers.touching import SLIPPERY, R, engine, posed, spun
 from numpy.typing import NDArray
 
 from softfinger.proxy.engine import Engine
@@ -19,7 +22,7 @@ from softfinger.proxy.kernels.geometry.surfaces import closest
 from softfinger.proxy.kernels.geometry.surfaces.footing import BUDGET, LOOK, gap_within, nearest_from
 from softfinger.proxy.kernels.geometry.surfaces.heightmap import LOOKS
 from softfinger.proxy.kernels.geometry.surfaces.tiles import LEVELS
-from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.jit import entry
 
 Array = NDArray[np.float64]
 
@@ -27,7 +30,7 @@ LAST: Final = LOOK * (5 + 2 * LOOKS) + 4 * LEVELS
 """What a question may ask beyond its budget: the cell that is being looked at, and the tiles on the way out."""
 
 
-@numba.njit(**OPTIONS)
+@entry
 def ask(shape: Any, points: Any, radius: float, found: Any) -> None:
     """Into `found` (n, 4): what the nearest point asked, what a limited gap did; both answers of `closest`."""
     for k in range(len(points)):
@@ -61,8 +64,8 @@ def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
     pitch, heights = MADE[name]()
     shape, met = kernel_heightmap(heights, pitch), False
     for smooth in (True, False):
-        keys = {"material": SMOOTH} if smooth else {}
-        running = engine(part(tmp_path, heights, pitch, **keys), **({"rolling": None} if smooth else {}))
+        keys = {"material": SLIPPERY} if smooth else {}
+        running = engine(part(tmp_path, heights, pitch, **keys))
         for points in hands(heights, pitch).values():
             running.reset()
             begun = np.vstack([[0.0, 0.0, heights.max() + 3.0 * R + np.ptp(heights)], points])
@@ -75,7 +78,7 @@ def test_the_first_pose_may_be_deep_inside(tmp_path: Path, name: str) -> None:
     """Three radii below the lowest place: in contact, outside, finite."""
     pitch, heights = MADE[name]()
     points = np.tile([0.3 * pitch * len(heights), 0.0, heights.min() - 3.0 * R], (20, 1))
-    running = engine(part(tmp_path, heights, pitch, material=SMOOTH), rolling=None)
+    running = engine(part(tmp_path, heights, pitch, material=SLIPPERY))
     assert is_safe(running, kernel_heightmap(heights, pitch), points, True).all()
 
 
@@ -100,7 +103,7 @@ def test_no_question_asks_more_than_its_budget(name: str) -> None:
 def test_a_pit_that_fits_uses_up_the_budget_and_holds(tmp_path: Path) -> None:
     """All of it is equally near: the ticks in which the proxy stays say so, and there it is where it was."""
     pitch, heights = MADE["pit"]()
-    running = engine(part(tmp_path, heights, pitch, material=SMOOTH), rolling=None)
+    running = engine(part(tmp_path, heights, pitch, material=SLIPPERY))
     records = running.run(posed(np.vstack([[0.0, 0.0, 3.0 * R], hands(heights, pitch)["middle"]])))
     stays = np.flatnonzero((records["contact.budget"][1:] == 1) & (records["contact.mode"][:-1] > 0)) + 1
     assert len(stays) > 10

@@ -5,7 +5,8 @@ import functools
 import numba
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from helpers.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from references.laws import K_Z, axis_angles, column, stored_energy, work_of_the_hand
 
@@ -17,12 +18,9 @@ from softfinger.proxy.kernels.geometry import rotations
 from softfinger.proxy.kernels.geometry.motion import pose_at
 from softfinger.proxy.kernels.native.jit import OPTIONS
 
+pytestmark = pytest.mark.plain
+
 R = 0.01
-CASES = settings(
-    max_examples=10_000 if settings.get_current_profile_name() == "full" else 1000,
-    deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow],
-)  # fmt: skip
-"""A thousand each; ten thousand, in minutes, with `--hypothesis-profile=full`."""
 GRIP = {
     "stiffness_n_per_m": 1000.0,
     "damping_ns_per_m": 1.0,
@@ -129,7 +127,8 @@ ABOVE = (0.0, 0.0, 0.055)
 """Outside of everything: what begins inside stays inside."""
 
 
-@CASES
+@pytest.mark.scaled
+@examples(150)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_proxy_is_never_inside_any_object(found, count):
     """After every tick the fingertip's sphere about the proxy is outside all objects, unless it began inside one."""
@@ -138,7 +137,8 @@ def test_proxy_is_never_inside_any_object(found, count):
     assert gaps(column(records, "proxy.position", 3)).min() > R * (1.0 - 1e-9)
 
 
-@CASES
+@pytest.mark.scaled
+@examples(150)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_force_is_within_the_friction_cone_and_never_pulls(found, count):
     """The tangential force is at most mu_s times the normal force, which is not negative; torsion keeps its limit."""
@@ -182,12 +182,13 @@ def legs_of_force(running, corners, which, reach):
     return np.bincount(sides, work, len(corners))
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("kind", list(REACH))
 def test_closed_cycle_of_a_frictionless_contact_gives_no_energy(kind):
     """Round a random closed polyline the rendered force does no work, and on each side what K depth^2 / 2 loses."""
     running, reach, which = engine(kind, "slick"), REACH[kind], np.array(AXES[kind])
 
-    @CASES
+    @examples(50)
     @given(numbers(6, 3), st.integers(4, 6))
     def check(found, count):
         # All corners in a ball of 0.35 reach about a point at 0.95 reach: partly in contact, never near the middle.
@@ -221,7 +222,8 @@ def cycle(at, goals, turns, ticks=8):
     return np.concatenate(poses)
 
 
-@CASES
+@pytest.mark.scaled
+@examples(100)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_plane_with_friction_gives_no_energy(found, count):
     """Pressed, rolled, dragged, spun and brought back, the hand has put in all along what the springs store, or more.
@@ -237,7 +239,8 @@ def test_closed_cycle_on_a_plane_with_friction_gives_no_energy(found, count):
     assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
 
 
-@CASES
+@pytest.mark.scaled
+@examples(100)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
     """The same on a ball, up to what a tick misses of the normal's turn.
@@ -261,7 +264,8 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
     assert ((work_of_the_hand(records) - stored_energy(records))[1:] + missed).min() > -1e-14
 
 
-@CASES
+@pytest.mark.scaled
+@examples(120)
 @given(quaternion, shift, numbers(4, 6), st.integers(2, 4))
 def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
     """A rigid motion of the whole world, scene and hand, moves all results with it."""
@@ -286,7 +290,8 @@ def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
         assert np.abs(column(other, name, 3) - expected).max() < error, name
 
 
-@CASES
+@pytest.mark.scaled
+@examples(120)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_finger_side_point_is_exactly_that_of_the_orientation(found, count):
     """The contact on the fingertip is -r R^T n, so it cannot drift from the orientation."""
@@ -303,7 +308,8 @@ any_quaternion = st.tuples(*[st.floats(-1e6, 1e6)] * 4).filter(lambda q: 1e-6 <=
 any_dt = st.one_of(st.just(0.0), st.floats(1e-9, 1e3))
 
 
-@CASES
+@pytest.mark.scaled
+@examples(150)
 @given(st.lists(st.tuples(st.tuples(anything, anything, anything), any_quaternion, any_dt), min_size=1, max_size=4))
 def test_no_finite_input_gives_anything_but_finite_output(ticks):
     """Poses a thousand kilometres apart, any rotation, any time step: every number that comes out is finite."""
@@ -363,7 +369,8 @@ def matrices_of(quaternions):
     return out
 
 
-@CASES
+@pytest.mark.scaled
+@examples(500)
 @given(numbers(1, 4), st.floats(-6.0, 6.0))
 def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
     """From 1e-6 to 1e6 long, a quaternion becomes the rotation it stands for, orthogonal to some ulp."""
@@ -375,7 +382,8 @@ def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
     np.testing.assert_allclose(matrices[0], rotation(q[0]), atol=16 * ULP)
 
 
-@CASES
+@pytest.mark.scaled
+@examples(150)
 @given(numbers(3, 3), st.integers(1, 300))
 def test_a_walk_of_rotations_stays_rotations(found, ticks):
     """After up to 300 turns, each from the one before, orientation and step are unit and no drift has come together."""
@@ -387,7 +395,8 @@ def test_a_walk_of_rotations_stays_rotations(found, ticks):
     assert_rotations(matrices_of([orientations[-1], steps[-1]]))
 
 
-@CASES
+@pytest.mark.scaled
+@examples(300)
 @given(numbers(1, 7), st.floats(-100.0, 100.0), st.floats(0.0, 1e9))
 def test_poses_of_moving_objects_stay_rotations(found, rate, time):
     """Thirty years on, a turntable and a sinusoid have turned their object by a rotation."""
@@ -403,7 +412,8 @@ def test_poses_of_moving_objects_stay_rotations(found, rate, time):
     assert_rotations(matrices_of(out))
 
 
-@CASES
+@pytest.mark.scaled
+@examples(25)
 @given(numbers(3, 3), st.floats(1e-4, 2e-3))
 def test_contact_keeps_its_directions_over_many_ticks(found, deep):
     """Over two hundred ticks of rolling on a ball, normal and finger-side point neither grow nor shrink."""

@@ -9,6 +9,7 @@ import hashlib
 import os
 import pickle
 import resource
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -104,22 +105,18 @@ def kernels(cache: Path) -> list[Path]:
 
 
 def test_a_kernel_is_kept_and_loaded_again(scripts: Path, tmp_path: Path) -> None:
-    """The second process loads what the first compiled, without a word; the folder is the user's alone."""
-    cache = tmp_path / "cache"
-    assert start(scripts / "outer.py", cache) == ("4.0 0", "")
-    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
-    (kept,) = kernels(cache)
-    for folder in (cache, kept.parent):
-        assert folder.stat().st_mode & 0o777 == 0o700
-    assert kept.stat().st_mode & 0o777 == 0o600
+    """The second process loads what the first compiled, without a word; the folder is the user's alone.
 
-
-def test_a_hit_brings_in_no_compiler(scripts: Path, tmp_path: Path) -> None:
-    """What numba needs to compile, and SciPy with it, would be most of what a start imports: a hit does without."""
+    What numba needs to compile, and SciPy with it, would be most of what a start imports: a hit does without.
+    """
     cache, outer = tmp_path / "cache", scripts / "outer.py"
     outer.write_text(f"import sys\n{OUTER}\nprint(bool({{'numba.np.arraymath', 'scipy.linalg'}} & sys.modules.keys()))")
     assert start(outer, cache) == ("4.0 0\nTrue", "")
     assert start(outer, cache) == ("4.0 1\nFalse", "")
+    (kept,) = kernels(cache)
+    for folder in (cache, kept.parent):
+        assert folder.stat().st_mode & 0o777 == 0o700
+    assert kept.stat().st_mode & 0o777 == 0o600
 
 
 def test_a_kernel_finds_what_only_numba_offers(tmp_path: Path) -> None:
@@ -130,43 +127,64 @@ def test_a_kernel_finds_what_only_numba_offers(tmp_path: Path) -> None:
     assert start(script, cache) == ("1000 1 True", "")
 
 
-@pytest.mark.parametrize("place", [0.0, 0.01, 0.5, 0.999])
-def test_a_flipped_bit_is_found(scripts: Path, tmp_path: Path, place: float) -> None:
-    """One bit changed anywhere in the file: it is said, the kernel is compiled anew, and kept whole again."""
-    cache = tmp_path / "cache"
-    start(scripts / "outer.py", cache)
-    (kept,) = kernels(cache)
-    data = bytearray(kept.read_bytes())
-    data[int(place * len(data))] ^= 0x10
-    kept.write_bytes(data)
-    printed, said = start(scripts / "outer.py", cache)
-    assert printed == "4.0 0" and "compiled anew: damaged" in said
-    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
+def flip(place: float) -> Callable[[Path, bytes], object]:
+    """Changes one bit, so far into the file."""
+
+    def change(kept: Path, whole: bytes) -> None:
+        data = bytearray(whole)
+        data[int(place * len(data))] ^= 0x10
+        kept.write_bytes(data)
+
+    return change
 
 
-@pytest.mark.parametrize("damage", ["empty", "short", "fifo", "link", "other pickle"])
-def test_what_is_no_kept_kernel_is_compiled_anew(scripts: Path, tmp_path: Path, damage: str) -> None:
-    """Files that a crash, a full disk or an accident left behind end no start, and are replaced."""
-    cache = tmp_path / "cache"
-    start(scripts / "outer.py", cache)
-    (kept,) = kernels(cache)
-    whole = kept.read_bytes()
-    kept.unlink()
-    if damage == "empty":
-        kept.touch()
-    elif damage == "short":
-        kept.write_bytes(whole[: len(whole) // 2])
-    elif damage == "fifo":
-        os.mkfifo(kept)
-    elif damage == "link":
-        (tmp_path / "elsewhere").write_bytes(whole)
-        kept.symlink_to(tmp_path / "elsewhere")
-    else:
-        body = pickle.dumps("no kernel")
-        kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
-    printed, said = start(scripts / "outer.py", cache)
-    assert printed == "4.0 0" and "compiled anew" in said
-    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
+def lead_elsewhere(kept: Path, whole: bytes) -> None:
+    elsewhere = kept.parents[2] / "elsewhere"
+    elsewhere.write_bytes(whole)
+    kept.symlink_to(elsewhere)
+
+
+def pickle_other(kept: Path, whole: bytes) -> None:
+    body = pickle.dumps("no kernel")
+    kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
+
+
+DAMAGED: dict[str, Callable[[Path, bytes], object]] = {
+    "first_bit": flip(0.0),
+    "early_bit": flip(0.01),
+    "middle_bit": flip(0.5),
+    "last_bit": flip(0.999),
+    "empty": lambda kept, whole: kept.touch(),
+    "short": lambda kept, whole: kept.write_bytes(whole[: len(whole) // 2]),
+    "fifo": lambda kept, whole: os.mkfifo(kept),
+    "link": lead_elsewhere,
+    "other_pickle": pickle_other,
+}
+"""What is put in the place of a kept kernel, which has that name."""
+
+
+def test_what_is_damaged_is_compiled_anew(scripts: Path, tmp_path: Path) -> None:
+    """A program starts though a kept kernel has one bit changed, or is what a crash, a full disk or an accident left.
+    It names the file, compiles the kernel, and keeps it again."""
+    cache, script = tmp_path / "cache", scripts / "many.py"
+    made = [f"@entry\ndef {name}(x):\n    return scaled(x) + 1.0\n" for name in DAMAGED]
+    told = [f"print({name}(1.5), sum({name}.stats.cache_hits.values()))" for name in DAMAGED]
+    head = "from inner import scaled\nfrom softfinger.proxy.kernels.native.jit import entry\n"
+    script.write_text("\n".join([head, *made, *told]))
+    assert start(script, cache) == ("\n".join(["4.0 0"] * len(DAMAGED)), "")
+    kept = {path.name.partition("-")[0]: path for path in kernels(cache)}
+    assert kept.keys() == DAMAGED.keys()
+    for name, damage in DAMAGED.items():
+        whole = kept[name].read_bytes()
+        if not name.endswith("_bit"):
+            kept[name].unlink()
+        damage(kept[name], whole)
+    printed, said = start(script, cache)
+    assert printed.splitlines() == ["4.0 0"] * len(DAMAGED)
+    for name in DAMAGED:
+        (line,) = (line for line in said.splitlines() if kept[name].name in line)
+        assert "compiled anew" in line and ("damaged" in line or not name.endswith("_bit"))
+    assert start(script, cache) == ("\n".join(["4.0 1"] * len(DAMAGED)), "")
 
 
 def test_an_edit_is_obeyed_where_nothing_can_be_kept(scripts: Path) -> None:
@@ -206,6 +224,7 @@ def test_a_full_disk_is_no_reason_not_to_run(tmp_path: Path) -> None:
     assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
 
 
+@pytest.mark.exhaustive
 @as_root
 def test_a_disk_without_room(tmp_path: Path) -> None:
     """The same on a file system that is full."""
@@ -222,6 +241,7 @@ def test_a_disk_without_room(tmp_path: Path) -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.exhaustive
 def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None:
     """Processes that compile the same kernel into the same folder at the same time leave one whole file."""
     cache = tmp_path / "cache"
@@ -276,8 +296,7 @@ class Planted:
 
 
 @as_root
-@pytest.mark.parametrize("whose", ["all", "folder", "file"])
-def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path, whose: str) -> None:
+def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> None:
     """A pickle with a right checksum, under the name that is looked for: it runs as us if it is ours, else it does not.
 
     The first half shows that the plant works: without the check of owners it would run.
@@ -287,15 +306,19 @@ def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path, who
     (kept,) = kernels(cache)
     body = pickle.dumps(Planted(proof))
     kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
+    for whose in ("all", "folder", "file"):
+        shutil.copytree(cache, tmp_path / whose)
     start(scripts / "outer.py", cache)
     assert proof.is_dir()
     proof.rmdir()
-    kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
-    for path in {"all": [cache, kept.parent, kept], "folder": [kept.parent], "file": [kept]}[whose]:
-        os.chown(path, STRANGER, STRANGER)
-    printed, said = start(scripts / "outer.py", cache)
-    assert printed == "4.0 0" and not proof.exists()
-    assert ("compiled anew" if whose == "file" else f"belongs to user {STRANGER}") in said
+    for whose in ("all", "folder", "file"):
+        (planted,) = kernels(tmp_path / whose)
+        above = {"all": [tmp_path / whose, planted.parent, planted], "folder": [planted.parent], "file": [planted]}
+        for path in above[whose]:
+            os.chown(path, STRANGER, STRANGER)
+        printed, said = start(scripts / "outer.py", tmp_path / whose)
+        assert printed == "4.0 0" and not proof.exists()
+        assert ("compiled anew" if whose == "file" else f"belongs to user {STRANGER}") in said
 
 
 def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Named tuples of many values are built by keyword: a value in the wrong place of twenty is seen by nobody."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import numba
@@ -13,22 +14,26 @@ BY_POSITION_MAX = 6
 """As many values are read at a glance: two points, or three weights and what they weigh."""
 
 
+@cache
+def nodes(path, kind):
+    """All of a kind in a file."""
+    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    return [node for node in ast.walk(tree) if isinstance(node, kind)]
+
+
+@cache
 def named_tuples():
     """Names of all NamedTuple classes that kernels have."""
-    classes = (node for tree in trees() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    classes = (node for path in sorted(KERNELS.rglob("*.py")) for node in nodes(path, ast.ClassDef))
     return {node.name for node in classes if any(ast.unparse(base) == "NamedTuple" for base in node.bases)}
 
 
-def trees():
-    return [ast.parse(path.read_text(encoding="utf-8"), str(path)) for path in sorted(KERNELS.rglob("*.py"))]
-
-
+@pytest.mark.plain
 @pytest.mark.parametrize("path", sorted(KERNELS.rglob("*.py")), ids=lambda path: str(path.relative_to(KERNELS)))
 def test_long_tuples_are_built_by_keyword(path):
     """No named tuple of a kernel is built from more values by position than a reader can count."""
     known = named_tuples()
-    calls = (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call))
-    built = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in known]
+    built = [call for call in nodes(path, ast.Call) if isinstance(call.func, ast.Name) and call.func.id in known]
     assert [f"line {call.lineno}: {call.func.id}" for call in built if len(call.args) > BY_POSITION_MAX] == []
 
 

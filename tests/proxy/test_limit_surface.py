@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import SceneFactory, paper_mapping
-from hypothesis import given, settings
+from helpers.examples import Cases, examples
+from hypothesis import given
 from hypothesis import strategies as st
 from references.hand import Hand, drive
 from references.laws import ANISOTROPIC, Handling, column, handling
@@ -19,6 +20,8 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.friction.ellipsoid import multiplier, near, shrink
 from softfinger.proxy.record import ROLLING, SLIDING
+
+pytestmark = pytest.mark.plain
 
 R = 0.01
 F, TAU = 0.5, 0.004
@@ -37,7 +40,8 @@ sizes = st.floats(-12, 12).map(lambda exponent: 10.0**exponent)
 components = st.floats(-1e3, 1e3)
 
 
-@settings(max_examples=1000, deadline=None, derandomize=True)
+@pytest.mark.scaled
+@examples(300, 1000)
 @given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
 def test_nearest_point_is_on_the_surface_and_straight_below(
     y: tuple[float, float, float], weight: tuple[float, float, float]
@@ -56,7 +60,8 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
     assert np.array(p) == pytest.approx(exact, rel=1e-13, abs=1e-300)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@pytest.mark.scaled
+@examples(150, 300)
 @given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
 def test_multiplier_equals_bisection(y: tuple[float, float, float], weight: tuple[float, float, float]) -> None:
     """Newton's multiplier is the one that halving an interval finds, which needs no derivative."""
@@ -138,12 +143,13 @@ def test_inside_the_surface_nothing_is_coupled(plane_scene: SceneFactory) -> Non
         assert coupled.events == alone.events
 
 
+@pytest.mark.scaled
 def test_the_surface_is_never_left(plane_scene: SceneFactory) -> None:
     """Whatever the hand does, (f_T / mu_s f_N)^2 + (tau_n / tau_max)^2 is at most one."""
     engine = Engine(plane_scene(material=COUPLED, coupling={"damping_ns_per_m": 1.0}))
 
     # 90 hands of some 130 ticks: 10^4 cases.
-    @settings(max_examples=90, deadline=None, derandomize=True)
+    @examples(15, 90)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()
@@ -169,12 +175,13 @@ def test_a_pure_spin_after_a_slide_goes_on_slipping(plane_scene: SceneFactory) -
     assert trace.torque[-1, 2] == pytest.approx(-TAU, rel=1e-9)
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("spin", [0.0, 0.4])
-def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, spin: float) -> None:
+def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, cases: Cases, spin: float) -> None:
     """Held at rest after a slip, through encoders that flicker by one step, it sticks once and stays stuck."""
     hand, rng = pressed().go(200, move=[0.01, 0, 0], turn=[0, 0, spin]), np.random.default_rng(5)
     x = hand.x.copy()
-    for _ in range(3000):
+    for _ in range(cases(1000, 3000)):
         hand.go_to(1, x + 1e-5 * np.array([*rng.integers(-1, 2, 2), 0]))
     scene = plane_scene(material=COUPLED, probe={"position_resolution_m": 1e-5})
     trace = drive(Engine(scene), hand)

@@ -17,6 +17,7 @@ from softfinger.proxy.kernels.native.kept import Folder
 from softfinger.proxy.meshes import kept, prepared
 from softfinger.proxy.meshes.prepared import Builder, about, tree_of
 
+pytestmark = pytest.mark.plain
 BUILT: list[int] = []
 
 

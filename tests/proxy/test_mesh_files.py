@@ -25,6 +25,7 @@ from softfinger.proxy.meshes.prepared import about, rendered
 from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
 from softfinger.server.cli import main
 
+pytestmark = pytest.mark.plain
 BALL = meshes.geodesic(3)
 FLOAT32 = 1.2e-7
 """Relative rounding of what STL and the binary formats of trimesh hold."""

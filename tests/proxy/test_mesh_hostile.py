@@ -1,14 +1,18 @@
-"""Meshes that nobody should have made, in a hand that does not know: one clear error, or forces that are safe."""
+"""Meshes that nobody should have made, in a hand that does not know: one clear error, or forces that are safe.
+
+It compiles one type of scene, a mesh with friction, torsion and rolling, which takes half a minute; all other files of
+compiled meshes have the same."""
 
 import numpy as np
 import pytest
 from helpers import hostile_meshes, meshes
 from helpers.surface_hand import hand
-from helpers.touching import SMOOTH, R, engine, field, go, saved, thing, wander
+from helpers.touching import SLIPPERY, R, engine, field, go, saved, thing, wander
 from mesh_truth import ask
 from references.brute_force import balls_of, brute_distances
 
 from softfinger.config.errors import ConfigError
+from softfinger.proxy.kernels.contact.first_pose import GRAZE
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.native.pack import flatten
 from softfinger.proxy.record import AT
@@ -25,7 +29,7 @@ LANES = 8
 def smooth_and_rough(tmp_path, made, **keys):
     """An engine without friction, which says how deep the probe is, and one with friction, torsion and rolling."""
     file = saved(tmp_path, *made)
-    smooth = engine(thing("part", "mesh", file=file, material=SMOOTH, **keys), rolling=None)
+    smooth = engine(thing("part", "mesh", file=file, material=SLIPPERY, **keys))
     return smooth, engine(thing("part", "mesh", file=file, **keys))
 
 
@@ -76,10 +80,14 @@ def test_what_is_mended_is_felt_as_the_whole(tmp_path):
     np.testing.assert_allclose(np.median(np.abs(found["force"] - expected["force"])), 0.0, atol=1e-9)
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("room", [1e-6, 0.01, 0.3])
-def test_the_middle_of_a_socket(tmp_path, room):
+def test_the_middle_of_a_socket(tmp_path, cases, room):
     """Of a hollow ball by a share `room` wider than the fingertip, which begins in its centre: outside, whatever the
-    hand does, held whenever the hand is beyond the wall, and pushed back no harder than by the depth."""
+    hand does, held whenever the hand is beyond the wall, and pushed back no harder than by the depth.
+
+    Where it fits exactly, no search tells whether it touches: that is said in every tick, and it is not felt.
+    """
     made = hostile_meshes.socket(R * (1.0 + room))
     smooth, rough = smooth_and_rough(tmp_path, made, inside=True)
     way = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])
@@ -89,8 +97,11 @@ def test_the_middle_of_a_socket(tmp_path, room):
     depth = np.linalg.norm(even["proxy.position"] - ways, axis=1)
     for records in (even, rubbed):
         assert np.isfinite(np.asarray(records)).all()
-        assert is_outside(made, records)
         assert (records["contact.normal_force"] <= STIFFNESS * (depth + 1e-9)).all()
+        if room < GRAZE:
+            assert records["contact.budget"].all() and not records["contact.mode"].any()
+            continue
+        assert is_outside(made, records[:: cases(6, 1)])
         held = records["contact.mode"] > 0
         assert held[np.linalg.norm(ways, axis=1) > 1.001 * room * R].all()
 

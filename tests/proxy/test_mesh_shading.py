@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers import meshes
-from helpers.touching import SMOOTH, Array, R, engine, field, go, saved, thing
+from helpers.touching import SLIPPERY, Array, R, engine, field, go, saved, thing
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
@@ -20,7 +20,7 @@ def balls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Engine]:
     """5120 triangles, by shading, without friction: what turns is the normal alone."""
     file = saved(tmp_path_factory.mktemp("ball"), *meshes.geodesic(16, BALL))
     kinds = ("normals", "none")
-    return {k: engine(thing("ball", "mesh", file=file, shading=k, material=SMOOTH), rolling=None) for k in kinds}
+    return {k: engine(thing("ball", "mesh", file=file, shading=k, material=SLIPPERY)) for k in kinds}
 
 
 def turned(running: Engine, speed: float) -> Array:

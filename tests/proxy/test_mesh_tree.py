@@ -1,18 +1,26 @@
 """The nearest triangle of a mesh: against all of them asked in turn, by a formula of its own."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.surface_hand import hand
+from helpers.touching import R, engine, saved, thing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.triangles import distances
 
-from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE, SPENT, nearest_facet
+from softfinger.proxy.kernels.geometry.mesh import contact, query, triangle
+from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE, SPENT
 from softfinger.proxy.kernels.geometry.mesh.lanes import FIELDS, LANES, ROOM
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, MANY, SLOPE, nearest
-from softfinger.proxy.kernels.geometry.mesh.triangle import closest_on_triangle
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, MANY, SLOPE
 from softfinger.proxy.kernels.model import Mesh, Triangles
 from softfinger.proxy.kernels.native.arrays import ReadOnly
+from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.meshes.tree import Tree, build_tree
 
@@ -20,6 +28,22 @@ WHOLE = ROOM
 """The largest budget: no query here uses it up, but from the middle of a ball."""
 EQUAL = 1e-9
 """Share of a mesh's size by which two ways to a distance in float64 may differ: both lose a few digits on slivers."""
+
+
+@entry
+def nearest(mesh, x, limit, known, budget, enough):
+    """As Python calls it: kept on disk, which a kernel for kernels is not."""
+    return query.nearest(mesh, x, limit, known, budget, enough)
+
+
+@entry
+def nearest_facet(mesh, x, within, known, budget, enough):
+    return contact.nearest_facet(mesh, x, within, known, budget, enough)
+
+
+@entry
+def closest_on_triangle(mesh, number, x):
+    return triangle.closest_on_triangle(mesh, number, x)
 
 
 def mesh_of(tree: Tree, side: float = 1.0, shade: float = 0.0) -> Mesh:
@@ -105,9 +129,9 @@ def test_inside_is_told_by_every_feature():
             reach = t[(u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12) & (t > 0.0)].max()
             x = tuple((reach * rng.choice([0.3, 0.9, 0.999, 1.001, 1.1, 3.0]) * direction).tolist())
             number = float(nearest(outward, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).number)
-            gap = closest_on_triangle(outward, number, x)[0]
+            gap, point, normal = closest_on_triangle(outward, number, x)
             assert (gap > 0.0) == (np.linalg.norm(x) > reach)
-            assert closest_on_triangle(inward, number, x)[0] == -gap
+            assert closest_on_triangle(inward, number, x) == (-gap, point, tuple(-each for each in normal))
 
 
 def test_an_open_mesh_is_a_sheet_with_two_sides():
@@ -190,6 +214,9 @@ def test_the_tree_holds_each_triangle_once():
     """Every triangle is below one lane, and in the box of every lane above it."""
     vertices, triangles = meshes.bumpy_sphere(15, 0.05)
     tree = build_tree(vertices, triangles)
+    least, most = vertices.min(axis=0), vertices.max(axis=0)
+    np.testing.assert_allclose(tree.center, 0.5 * (least + most), rtol=0.0, atol=1e-17)  # rounding of a few cm
+    assert tree.size == pytest.approx(np.linalg.norm(most - least), rel=1e-15)
     seen = np.zeros(len(triangles), int)
     lanes = tree.nodes.reshape(-1, FIELDS, LANES).astype(float)
 
@@ -215,3 +242,34 @@ def test_the_tree_holds_each_triangle_once():
     assert (seen == 1).all()
     original = np.sort(vertices[triangles].sum(axis=1), axis=0)
     assert np.allclose(np.sort(tree.vertices[tree.corners].sum(axis=1), axis=0), original, rtol=0.0, atol=1e-15)
+
+
+def in_a_scene(folder: Path) -> dict[str, np.ndarray]:
+    """Of a bumpy ball its tree, and the records of a hand that presses and drags on it."""
+    bumpy = meshes.bumpy_sphere(8, 0.05, height=0.06)
+    running = engine(thing("part", "mesh", file=saved(folder, *bumpy)))
+    records = running.run(hand(bumpy, 400, R, np.random.default_rng(5)))
+    arrays = {name: each for name, each in build_tree(*bumpy)._asdict().items() if isinstance(each, np.ndarray)}
+    return arrays | {"records": np.asarray(records), "mode": np.asarray(records["contact.mode"])}
+
+
+PLAIN = """
+import sys
+from pathlib import Path
+import numpy as np
+from test_mesh_tree import in_a_scene
+np.savez(sys.argv[1], **in_a_scene(Path(sys.argv[1]).parent))
+"""
+
+
+def test_as_plain_python_it_is_the_same_to_the_bit(tmp_path):
+    """The tree, whose boxes are asked in float32 eight at a time, and every record of a scene with it."""
+    path = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(__file__).parent), *sys.path])
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": path, "SOFTFINGER_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", PLAIN, str(tmp_path / "found.npz")], env=environment, check=True)
+    compiled = in_a_scene(tmp_path)
+    assert (compiled["mode"] > 0).mean() > 0.2 and len(np.unique(compiled["mode"])) == 3
+    with np.load(tmp_path / "found.npz") as plain:
+        assert set(plain) == set(compiled)
+        for name, each in compiled.items():
+            assert plain[name].dtype == each.dtype and plain[name].tobytes() == each.tobytes(), name

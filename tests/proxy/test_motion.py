@@ -22,6 +22,8 @@ from softfinger.proxy.kernels.native.jit import OPTIONS
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 
+pytestmark = pytest.mark.plain
+
 STILL = model.Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 TILTED = model.Pose((0.3, -0.1, 0.2), (0.5, 0.5, -0.5, 0.5))
 SHAKE = model.Sinusoid((0.01, 0.0, 0.02), (0.0, 0.6, 0.8), 0.4, 2.5, 0.7)

@@ -8,12 +8,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from helpers.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from references.laws import column
 from references.rotation import matrix
-from test_invariants import CASES, GRIP, HALF, SLICK, R, numbers, product, visits
+from test_invariants import GRIP, HALF, SLICK, R, numbers, product, visits
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
@@ -24,6 +25,8 @@ from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.offline.closed_loop import run_closed_loop
+
+pytestmark = pytest.mark.plain
 
 Array = NDArray[np.float64]
 DT = 1e-3
@@ -82,8 +85,9 @@ SHAPES: dict[str, tuple[dict[str, Any], float, float]] = {
 """Each with x and height, m, of the surface that meets a finger above it when the object rises."""
 ALONE = ("plane", "sphere", "plate", "hollow ball")
 """Enough for what does not depend on the shape: each scene compiles for some seconds."""
-HEIGHT = -0.01 * np.cos(4.0 * np.pi * DT * np.arange(1, 501))
-"""Of an object that rises by 20 mm in a quarter of a second and goes down again."""
+TICKS = 250
+HEIGHT = -0.01 * np.cos(2.0 * np.pi * np.arange(1, TICKS + 1) / TICKS)
+"""Of an object that rises by 20 mm in an eighth of a second and goes down again."""
 
 
 @pytest.mark.parametrize("retreat", [0.0, 0.004], ids=["still", "retreating"])
@@ -91,7 +95,7 @@ HEIGHT = -0.01 * np.cos(4.0 * np.pi * DT * np.arange(1, 501))
 def test_an_object_that_rises_presses_on_the_finger(name: str, retreat: float) -> None:
     """K depth from the first tick at which the gap is below r; a finger that gives way more slowly feels the same."""
     shape, x, top = SHAPES[name]
-    finger = np.column_stack([np.full(500, x), np.zeros(500), top + R + retreat * DT * np.arange(1, 501)])
+    finger = np.column_stack([np.full(TICKS, x), np.zeros(TICKS), top + R + retreat * DT * np.arange(1, TICKS + 1)])
     driver = Driver(scene(shape))
     steps = [driver.step(at, ((0.0, 0.0, h), UPRIGHT)) for at, h in zip(finger, HEIGHT, strict=True)]
     expected = K * np.maximum(HEIGHT + top + R - finger[:, 2], 0.0)
@@ -99,8 +103,8 @@ def test_an_object_that_rises_presses_on_the_finger(name: str, retreat: float) -
     np.testing.assert_allclose([s.force for s in steps], expected[:, None] * [0.0, 0.0, 1.0], atol=ROUNDING_N)
     assert [s.cause for s in steps if s.cause != "none"] == ["touch", "release"]
     if name in ALONE:  # and moved by itself
-        rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
-        records = Engine(scene(shape | {"motion": rise})).run(np.hstack([finger, np.tile(UPRIGHT, (500, 1))]), DT)
+        rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 4.0, "phase_rad": -np.pi / 2}
+        records = Engine(scene(shape | {"motion": rise})).run(np.hstack([finger, np.tile(UPRIGHT, (TICKS, 1))]), DT)
         np.testing.assert_allclose(column(records, "force", 3)[:, 2], expected, atol=ROUNDING_N)
         assert causes(records) == ["touch", "release"]
 
@@ -221,14 +225,11 @@ def pair(name: str) -> tuple[Engine, Driver]:
     return still, Driver(scene(*given, **ROLLING))
 
 
-FEWER = settings(CASES, max_examples=300)
-"""A tuned scene for every tick: some 10 ms a case."""
-
-
 def conjugate(q: Array) -> Array:
     return q * [1.0, -1.0, -1.0, -1.0]
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("name", ["ball", "block", "hollow"])
 def test_an_object_moved_against_the_finger_is_a_finger_moved_against_the_object(name: str) -> None:
     """The same relative poses with the hand at rest and the object led: the same contact, seen from the object.
@@ -238,7 +239,7 @@ def test_an_object_moved_against_the_finger_is_a_finger_moved_against_the_object
     """
     still, driver = pair(name)
 
-    @FEWER
+    @examples(60, 300)
     @given(numbers(6, 6), st.integers(2, 6))
     def check(found: Array, count: int) -> None:
         poses = visits((0.0, 0.0, 0.055 if name != "hollow" else 0.0), found[:count])

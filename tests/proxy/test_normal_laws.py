@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory, paper_mapping
-from hypothesis import given, settings
+from helpers.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -28,8 +29,9 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.normal import press
 from softfinger.proxy.laws import normal_laws
 
+pytestmark = pytest.mark.plain
+
 R, K, D = 0.01, 1000.0, 0.001
-CASES = settings(max_examples=300, deadline=None, derandomize=True)
 LAWS: dict[str, dict[str, Any]] = {
     "Hertz": {"normal": {"exponent": 1.5}},
     "power": {"normal": {"exponent": 2.3, "depth_m": 0.002}},
@@ -94,13 +96,14 @@ def test_a_slow_press_has_the_closed_form(name: str) -> None:
 @pytest.mark.parametrize("name", list(LAWS))
 @pytest.mark.parametrize("speed", [0.01, 0.1, 0.4, 0.9])
 def test_a_press_at_a_speed_has_the_closed_form(name: str, speed: float) -> None:
-    """On the way in and out at a constant speed, in steps of 10 us, the force is the law's at depth and speed."""
-    dt = 1e-5
-    way = np.arange(-5, int(0.004 / (speed * dt))) * speed * dt
+    """On the way in and out at a constant speed, 9 um a tick, the force is the law's at depth and speed."""
+    step = 9e-6
+    dt = step / speed
+    way = np.arange(-5, int(0.004 / step)) * step
     depths = np.concatenate([way, way[-2::-1]])
     inwards = np.concatenate([[0.0], np.diff(depths) / dt])
     found = pressed(engine(name), depths, dt)
-    # The speed is the difference of two positions of about R: ulp(R) / dt = 2e-13 m/s.
+    # The speed is the difference of two positions of about R: ulp(R) / dt = 2e-13 m/s at most.
     assert found == pytest.approx(force(LAWS[name], depths, inwards), rel=1e-9, abs=1e-11)
 
 
@@ -194,11 +197,12 @@ def test_restitution_is_hunt_and_crossleys(name: str, speed: float) -> None:
 # --- what must hold always -------------------------------------------------------------------------
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("name", list(LAWS))
 def test_it_never_pulls_and_never_jumps(name: str) -> None:
     """However it is moved, the force is within what depth and speed allow, so it is nothing at no depth."""
 
-    @CASES
+    @examples(15, 300)
     @given(handling())
     def check(hand: Handling) -> None:
         running = engine(name)
@@ -216,11 +220,12 @@ def test_it_never_pulls_and_never_jumps(name: str) -> None:
     check()
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("name", list(LAWS))
 def test_it_gives_no_energy(name: str) -> None:
     """The work of the hand is at no tick less than the spring stores; so no closed cycle gives any."""
 
-    @CASES
+    @examples(15, 300)
     @given(handling())
     def check(hand: Handling) -> None:
         running = engine(name)
@@ -235,13 +240,14 @@ def test_it_gives_no_energy(name: str) -> None:
     check()
 
 
+@pytest.mark.scaled
 def test_no_law_in_its_range_gives_energy_in_a_closed_cycle() -> None:
     """The same over the ranges of the parameters: from outside, in and out again, and back to where it began."""
     running = Engine(build(Scene, paper_mapping(**smooth(LAWS["Hunt-Crossley, Hertz"])), "ranges"))
     crossed = st.floats(0.0, 100.0).map(lambda c: {"damping_s_per_m": c})
     plain = st.floats(0.0, 20.0).map(lambda b: {"damping_ns_per_m": b})
 
-    @CASES
+    @examples(150, 300)
     @given(st.lists(st.floats(-5e-4, 4e-3), min_size=1, max_size=12), st.floats(1.1, 3.0), crossed | plain)
     def check(depths: list[float], exponent: float, damping: dict[str, float]) -> None:
         viscous = damping.get("damping_ns_per_m", 0.0)

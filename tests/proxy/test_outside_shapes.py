@@ -81,6 +81,7 @@ def scene(thing: dict[str, Any], **tables: Any) -> schema.Scene:
 # --- a surface is one file and one table ---------------------------------------------------------
 
 
+@pytest.mark.plain
 def test_a_shape_of_another_package_is_one_of_the_scene_format(cone: ModuleType) -> None:
     """Its tag is known, its keys are checked, and a scene of it survives being written out and read again."""
     found = scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})
@@ -94,6 +95,7 @@ def test_a_shape_of_another_package_is_one_of_the_scene_format(cone: ModuleType)
         scene({"shape": "cone", "half_angle_rad": 0.5}, rolling={"method": "rotation_vector"})
 
 
+@pytest.mark.plain
 def test_a_tag_is_taken_once(cone: ModuleType) -> None:
     """Two tables of one tag, or one of a shape that is here already, would leave it to chance which is meant."""
     before = list(schema.ObjectBase.added)
@@ -113,6 +115,7 @@ def test_a_tag_is_taken_once(cone: ModuleType) -> None:
     assert schema.ObjectBase.added == before
 
 
+@pytest.mark.plain
 def test_cone_is_where_its_points_are(cone: ModuleType) -> None:
     """The gap is the distance to the nearest of many points of the flank, and the point is on it, along the normal."""
     rng = np.random.default_rng(1)
@@ -129,6 +132,7 @@ def test_cone_is_where_its_points_are(cone: ModuleType) -> None:
         np.testing.assert_allclose(np.add(point, np.multiply(gap, normal)), x, atol=1e-15)
 
 
+@pytest.mark.plain
 def test_curvature_of_cone_is_how_its_normal_turns(cone: ModuleType) -> None:
     """On the offset surface the normal turns by k1 along d1 and by k2 across, as finite differences have it."""
     shape, step = cone.Cone(np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)), 1e-6
@@ -142,6 +146,7 @@ def test_curvature_of_cone_is_how_its_normal_turns(cone: ModuleType) -> None:
             np.testing.assert_allclose(np.subtract(ahead, behind) / (2.0 * step), k * d, atol=1e-6 * max(k1, 1.0))
 
 
+@pytest.mark.plain
 def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None:
     """Along a straight line of the flank: touch, press, roll, spin, and drag until it slides, as on that plane.
 
@@ -232,6 +237,7 @@ def touched(name: str, folder: Path, keys: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.exhaustive  # the beads below show it of a shape that is called, too
 def test_an_edited_shape_is_compiled_anew(tmp_path: Path) -> None:
     """The step is this program's and is kept, but not for a shape whose file has changed since."""
     file = tmp_path / "softfinger_cone.py"
@@ -275,6 +281,7 @@ def rolling_over(ball: Array) -> Array:
     return poses
 
 
+@pytest.mark.plain
 def test_balls_of_an_array_are_touched_as_spheres_are(beads: ModuleType, balls_file: Path) -> None:
     """Each ball of the array gives what the sphere of this program gives in its place, with friction and rolling."""
     engine = Engine(scene(beads_of(balls_file)))
@@ -288,6 +295,7 @@ def test_balls_of_an_array_are_touched_as_spheres_are(beads: ModuleType, balls_f
         np.testing.assert_allclose(found, expected, atol=1e-9)  # 1e-9 N is a picometre at 1000 N/m
 
 
+@pytest.mark.plain
 def test_results_do_not_depend_on_where_the_array_lies(beads: ModuleType, balls_file: Path) -> None:
     """Two engines whose arrays lie apart give the same bits, through one compiled kernel; nothing else is longer."""
     one, other = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))

@@ -3,13 +3,17 @@
 import functools
 
 import numpy as np
+import pytest
+from helpers.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from references.laws import axis_angles, column, work_of_the_hand
-from test_invariants import CASES, cycle, numbers, product, rotation, visit
+from test_invariants import cycle, numbers, product, rotation, visit
 from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, facing, material, part, tile, wall
 
 from softfinger.proxy.record import AT
+
+pytestmark = pytest.mark.plain
 
 STUFF = material(GRIP, LIMP)
 EVEN = material({"static": 0.5, "kinetic": 0.5}, LIMP)
@@ -86,7 +90,8 @@ MOTIONS = (numbers(4, 6), st.integers(1, 4))
 CASE = (st.sampled_from(KINDS), *MOTIONS)
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(*CASE)
 def test_closed_cycle_gives_no_energy(kind, found, count):
     """At no tick has the hand got more than it put in; in a pinch not in all."""
@@ -102,7 +107,8 @@ def softly(kind):
     return engine(*things(kind, STUFF), **SOFT)
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(st.sampled_from(["groove", "sharp groove", "valley", "seam"]), numbers(4, 6), st.integers(1, 4))
 def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
     """The work of spinning is at no tick less than all patches store, f R phi^2 / 2 each, whatever their loads do."""
@@ -121,7 +127,8 @@ def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
     assert (np.cumsum(work) - stored).min() > -1e-17
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(st.sampled_from(RIGHT_ANGLED), *MOTIONS)
 def test_unequal_walls_give_no_energy(kind, found, count):
     """One of them softer, with less friction and less torsion."""
@@ -131,7 +138,8 @@ def test_unequal_walls_give_no_energy(kind, found, count):
     assert (work[-1] if kind == "pinch" else work.min()) > -1e-14
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(st.sampled_from(list(BALLS)), *MOTIONS)
 def test_curved_bodies_give_no_energy(kind, found, count):
     """Up to what a tick misses of the turn of a normal: see test_closed_cycle_on_a_ball_with_friction_gives_no_energy.
@@ -164,7 +172,8 @@ def swaying(kind):
     return engine(*objects)
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(st.sampled_from(["groove", "corner", "slot"]), *MOTIONS)
 def test_moving_body_gives_no_more_energy_than_its_own_work(kind, found, count):
     """What hand and wall put in is never less than nothing: the force of the wall on the hand goes with the wall."""
@@ -182,7 +191,8 @@ def test_moving_body_gives_no_more_energy_than_its_own_work(kind, found, count):
     assert work.min() > -1e-14
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(st.sampled_from(SYMMETRIC), *MOTIONS)
 def test_what_was_touched_first_changes_nothing(kind, found, count):
     """A way and the same in a mirror, which meets the other body first."""
@@ -193,7 +203,8 @@ def test_what_was_touched_first_changes_nothing(kind, found, count):
     np.testing.assert_allclose(column(b, "torque", 3), column(a, "torque", 3) * [1.0, -1.0, -1.0], rtol=0, atol=1e-13)
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_order_of_bodies_changes_nothing(kind, found, count):
     poses = handling(kind, found, count)
@@ -203,7 +214,8 @@ def test_order_of_bodies_changes_nothing(kind, found, count):
     np.testing.assert_allclose(column(a, "torque", 3), column(b, "torque", 3), rtol=0, atol=1e-13)
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_force_is_continuous(kind, found, count):
     """From tick to tick the force changes by no more than stiffness times motion, through every hand-over.
@@ -228,7 +240,8 @@ def elsewhere(kind):
     return engine(*things(kind, STUFF, q)), q
 
 
-@CASES
+@pytest.mark.scaled
+@examples(60)
 @given(st.sampled_from([*PLANES, *BALLS]), *MOTIONS)
 def test_results_do_not_depend_on_the_world_frame(kind, found, count):
     poses = handling(kind, found, count)

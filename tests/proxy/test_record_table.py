@@ -12,7 +12,7 @@ import pytest
 from softfinger.proxy.engine import STEP_FIELDS, Step
 from softfinger.proxy.kernels.model import NO_PATCH_CONTACT, Contact
 from softfinger.proxy.kernels.record import write_contact
-from softfinger.proxy.record import AT, CAUSE_NAMES, FIELDS, NAMED, RECORD_SIZE, Kind
+from softfinger.proxy.record import AT, CAUSE_NAMES, FIELDS, NAMED, RECORD_SIZE, ContactMode, Kind
 
 ROOT = Path(__file__).parents[2]
 NEW = '    fault_level: Annotated[int, 2, "float", "V", "rotor", "a field that a test has added"]\n'
@@ -56,7 +56,8 @@ def test_step_has_the_types_of_the_table():
     for name, field in STEP_FIELDS.items():
         value, row = getattr(step, name), step.record[field.at : field.at + field.size]
         if name != "cause":
-            assert type(value) is (np.ndarray if field.size > 1 else {"int": int, "float": float}[field.kind]), name
+            kinds = {"int": ContactMode if name == "mode" else int, "float": float}
+            assert type(value) is (np.ndarray if field.size > 1 else kinds[field.kind]), name
             np.testing.assert_array_equal(value, row if field.size > 1 else row[0])
 
 

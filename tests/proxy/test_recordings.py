@@ -17,6 +17,8 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, CAUSE_NAMES, FREE, ROLLING, SLIDING
 from softfinger.tools import recordings
 
+pytestmark = pytest.mark.plain
+
 R = 0.01
 
 

@@ -1,4 +1,4 @@
-"""Ten million steps: no method drifts off the object, and the contact on the fingertip agrees with its pose."""
+"""No method drifts off the object in many steps, and the contact on the fingertip agrees with its pose."""
 
 from __future__ import annotations
 
@@ -7,22 +7,28 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory
+from helpers.examples import Cases
 from references.rolling_cases import METHODS, RADIUS, SHAPES, pairs, roll_long, touching
 from references.rotation import matrix, multiply, quaternion
 
 from softfinger.proxy.engine import Engine
 
+pytestmark = pytest.mark.plain
+
 MILLION = 1_000_000
 LONG = ("sphere", "box")
-"""Shapes for the whole ten million: a smooth one and one with edges. The others get a fifth of a million, to
-keep the test within a minute: an ellipsoid's closest point alone would take it."""
+"""Shapes for the whole ten million steps of `make test-all`: a smooth one and one with edges. The others get a fifth of
+a million, to keep the test within a minute: an ellipsoid's closest point alone would take it."""
+SHORT = 1000
+"""Steps in `make test`: a roll leaves a smooth object by more than 1e-15 m a step, or not at all."""
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize(("method", "name"), pairs())
-def test_the_contact_does_not_drift_off_the_object(method: str, name: str) -> None:
+def test_the_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:
     """The contact point stays on the object within 1e-12 m, and the normal unit, at every step of a wandering roll."""
     center, normal = touching(SHAPES[name], np.random.default_rng(31))
-    ticks = 10 * MILLION if name in LONG else MILLION // 5
+    ticks = cases(SHORT, 10 * MILLION if name in LONG else MILLION // 5)
     off, stretched, _ = roll_long(METHODS[method], SHAPES[name], RADIUS, center, normal, (6e-4, -3e-4, 4e-4), ticks)
     # On a plane the path leads away, and rounding grows with the distance: 1e-16 of at most 10 m.
     assert off < 1e-12

@@ -16,7 +16,6 @@ from references.rolling_cases import (
     SMOOTH,
     has_closed_form,
     pairs,
-    roll_long,
     rolled_by,
     rotation,
     touching,
@@ -29,6 +28,8 @@ from softfinger.proxy.kernels.geometry import rotations
 from softfinger.proxy.kernels.geometry.surfaces import closest
 from softfinger.proxy.scene import build_scene
 from softfinger.tools.accuracy.reference import rolled
+
+pytestmark = pytest.mark.plain
 
 CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
 
@@ -196,18 +197,6 @@ def test_rotations_near_half_a_turn(method: str, name: str) -> None:
         assert gap == pytest.approx(RADIUS, abs=1e-15)
         assert out.theta == pytest.approx(np.linalg.norm(out.motion) / RADIUS, abs=1e-12)
         assert np.dot(out.motion, out.normal) == pytest.approx(0.0, abs=1e-15)
-
-
-@pytest.mark.parametrize(("method", "name"), pairs())
-def test_compiled_equals_plain_python(method: str, name: str) -> None:
-    """Some compiled steps of 0.3 rad and the same source run by Python end with the same numbers."""
-    center, normal = touching(SHAPES[name], np.random.default_rng(19))
-    case = (METHODS[method], SHAPES[name], RADIUS, center, normal, (0.2, -0.15, 0.17), 8)
-    (off, stretched, compiled), (plain_off, plain_stretched, plain) = roll_long(*case), roll_long.py_func(*case)
-    assert (off, stretched) == pytest.approx((plain_off, plain_stretched), abs=1e-15)
-    for a, b in zip(compiled, plain, strict=True):
-        # No contraction, and the same library for sin and cos: not much more than the last bit may differ.
-        assert a == pytest.approx(b, rel=1e-13, abs=1e-15)
 
 
 @pytest.mark.parametrize("method", METHODS)

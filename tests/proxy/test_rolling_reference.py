@@ -23,6 +23,8 @@ from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.geometry import rotations
 from softfinger.proxy.record import AT, ROLLING
 
+pytestmark = pytest.mark.plain
+
 R = 0.01
 HIGH_FRICTION = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
 

@@ -19,6 +19,8 @@ from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, FREE
 from softfinger.proxy.scene import build_scene, start_state
 
+pytestmark = pytest.mark.plain
+
 Array = NDArray[np.float64]
 DT = 1e-3
 TICKS = 400

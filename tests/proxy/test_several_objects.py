@@ -10,6 +10,8 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
 
+pytestmark = pytest.mark.plain
+
 R = 0.01
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -247,14 +249,16 @@ def test_proxy_never_oscillates_at_rest():
         assert moved[-1] < 1e-6, target
 
 
-def test_proxy_is_outside_every_object_on_random_walks():
+@pytest.mark.scaled
+def test_proxy_is_outside_every_object_on_random_walks(cases):
     """Whatever the probe does among several objects, the proxy keeps its radius from all of them."""
     rng = np.random.default_rng(6)
     balls = [np.array([0.03, 0.0, 0.01]), np.array([-0.02, 0.02, 0.0])]
     scene = [wall("floor", (0, 0, 1)), wall("slope", (1, 0.2, 1)), wall("side", (0, 1, 0.1), -0.02)]
     scene += [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.015) for i, p in enumerate(balls)]
     running = engine(*scene)
-    steps = rng.normal(0.0, 0.003, (5000, 3)) * rng.choice([0.1, 1.0, 10.0], (5000, 1))
+    count = cases(1000, 5000)
+    steps = rng.normal(0.0, 0.003, (count, 3)) * rng.choice([0.1, 1.0, 10.0], (count, 1))
     points = np.array(
         list(itertools.accumulate(steps, lambda p, s: np.clip(p + s, -0.06, 0.08), initial=np.full(3, 0.05)))
     )

@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory
+from helpers.examples import Cases
 from references.hand import Hand, drive
 from references.rotation import matrix
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import CAUSE_NAMES, FREE, ROLLING, SLIDING
+
+pytestmark = pytest.mark.plain
 
 R = 0.01
 EXACT = 1e-12
@@ -321,17 +324,18 @@ def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: fl
     assert trace.causes == ["touch", "drag", "stop"]
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("kinetic", [0.5, 0.6])
 @pytest.mark.parametrize("resolution", [0.0, 1e-5])
 @pytest.mark.parametrize("slide", [0.0, 0.01])
 def test_standing_still_does_not_chatter(
-    plane_scene: SceneFactory, kinetic: float, resolution: float, slide: float
+    plane_scene: SceneFactory, cases: Cases, kinetic: float, resolution: float, slide: float
 ) -> None:
     """At rest under encoders that flicker by one step of 10 um, a finger sticks once for all, also with mu_d = mu_s."""
     hand, rng = pressed(), np.random.default_rng(13)
     hand.go(200, move=[slide, 0, 0])
     rest, x = hand.at, hand.x.copy()
-    for _ in range(3000):
+    for _ in range(cases(1000, 3000)):
         hand.go_to(1, x + 1e-5 * rng.integers(-1, 2, 3))
     scene = plane_scene(material={"friction": {"kinetic": kinetic}}, probe={"position_resolution_m": resolution})
     trace = drive(Engine(scene), hand)
@@ -454,7 +458,8 @@ def test_letter_knows_coulomb_only(plane_scene: SceneFactory, material: dict[str
         plane_scene(material=material, **LETTER)
 
 
-def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory) -> None:
+@pytest.mark.scaled
+def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory, cases: Cases) -> None:
     """Whatever the hand does, force stays in the static cone, torsion in its limit, the proxy outside, modes lawful."""
     rng = np.random.default_rng(11)
     lawful = {
@@ -465,7 +470,7 @@ def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory) -> None:
         "reverse": (SLIDING, ROLLING),
     }
     seen: set[str] = set()
-    for _ in range(12):
+    for _ in range(cases(4, 12)):
         hand = pressed(0.001)
         for _ in range(30):
             goal = [*(hand.x[:2] + rng.normal(0, 2e-3, 2)), R - rng.uniform(-0.0004, 0.003)]
@@ -487,4 +492,4 @@ def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory) -> None:
                 assert (before, step.mode) == lawful[step.cause]
             seen.add(step.cause)
     # Otherwise the loop above would prove less than it says.
-    assert seen == set(CAUSE_NAMES)
+    assert seen == set(CAUSE_NAMES) - {"restart"}  # which is for meshes

@@ -8,7 +8,8 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from helpers.examples import examples
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from references.surface_points import Array, contacts, ellipsoid_foot, signed_distance, unit
 from scipy.optimize import minimize
@@ -16,6 +17,8 @@ from scipy.optimize import minimize
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.geometry.surfaces import closest, curvature, transport
 from softfinger.proxy.kernels.native.jit import OPTIONS
+
+pytestmark = pytest.mark.plain
 
 Triple = tuple[float, float, float]
 
@@ -119,7 +122,8 @@ def near_or_far(shape: Any, rng: np.random.Generator) -> Array:
 # --- distance, point and normal ------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=1250, deadline=None)
+@pytest.mark.scaled
+@examples(400, 1250)
 @given(kind=st.sampled_from(EXPLICIT), size=scales, seed=seeds)
 def test_gap_is_the_signed_distance(kind: type, size: float, seed: int) -> None:
     """Against formulas that need no nearest point, for any proportions and size, in and out."""
@@ -133,7 +137,8 @@ def test_gap_is_the_signed_distance(kind: type, size: float, seed: int) -> None:
         assert abs(gap - expected) <= 8 * EPS * max(size_of(shape), float(np.linalg.norm(x)))
 
 
-@settings(derandomize=True, max_examples=1500, deadline=None)
+@pytest.mark.scaled
+@examples(400, 1500)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_the_way_to_the_nearest_point_is_along_the_normal(kind: type, size: float, seed: int) -> None:
     """x = point + gap normal with a unit normal, and the point itself is on the surface."""
@@ -154,7 +159,8 @@ def test_the_way_to_the_nearest_point_is_along_the_normal(kind: type, size: floa
     assert np.linalg.norm(away) <= rounding * sharp
 
 
-@settings(derandomize=True, max_examples=1500, deadline=None)
+@pytest.mark.scaled
+@examples(400, 1500)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_a_fingertip_put_on_the_surface_is_found_there(kind: type, size: float, seed: int) -> None:
     """From a surface point r along its normal, over faces, edges and corners alike, the nearest is that point, at r."""
@@ -172,7 +178,8 @@ def test_a_fingertip_put_on_the_surface_is_found_there(kind: type, size: float, 
         assert np.linalg.norm(n - normal) <= rounding * max(1.0, extent / r)
 
 
-@settings(derandomize=True, max_examples=400, deadline=None)
+@pytest.mark.scaled
+@examples(200, 400)
 @given(size=scales, flat=st.floats(0.0, 8.0), needle=st.floats(0.0, 8.0), seed=seeds)
 def test_ellipsoid_to_machine_precision(size: float, flat: float, needle: float, seed: int) -> None:
     """Against 60 digits, with axes up to 10^8 apart, or equal, in planes of symmetry, at the centre, close and far."""
@@ -283,7 +290,8 @@ def test_where_many_points_are_nearest_one_is_chosen(
     assert compiled_closest(shape, x) == (gap, point, normal)
 
 
-@settings(derandomize=True, max_examples=1500, deadline=None)
+@pytest.mark.scaled
+@examples(400, 1500)
 @given(kind=kinds, size=scales, seed=seeds, x=st.tuples(*[st.floats(-1e100, 1e100)] * 3))
 def test_any_place_gives_finite_numbers(kind: type, size: float, seed: int, x: Triple) -> None:
     """From 1e-308 to 1e100 m, gap and point are finite, the normal is a unit vector, and curvatures are finite."""
@@ -313,7 +321,8 @@ def test_the_smallest_numbers_do_no_harm(shape: Any, x: Triple) -> None:
 # --- curvature -----------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=1000, deadline=None)
+@pytest.mark.scaled
+@examples(300, 1000)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_curvature_of_the_offset_surface(kind: type, size: float, seed: int) -> None:
     """Against the closed forms k / (1 + r k), an edge's 1 / r included, and fundamental forms for the ellipsoid."""
@@ -400,7 +409,8 @@ def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
 # --- transport -----------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=500, deadline=None)
+@pytest.mark.scaled
+@examples(300, 500)
 @given(seed=seeds, nearness=st.floats(-17.0, 0.0), opposite=st.booleans())
 def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite: bool) -> None:
     """The old normal goes to the new one, the axis across both stays, lengths are kept, close to opposite too."""

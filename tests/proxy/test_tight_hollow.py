@@ -21,6 +21,7 @@ from test_several_objects import engine, go, wall
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import CAUSE_NAMES
 
+pytestmark = pytest.mark.plain
 Array = NDArray[np.float64]
 R, K, DEPTH, MU_S, MU_D = 0.01, 1000.0, 0.001, 0.6, 0.5
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory, paper_mapping
-from hypothesis import given, settings
+from helpers.examples import Cases, examples
+from hypothesis import given
 from references.hand import Hand, drive
 from references.laws import Handling, column, handling
 
@@ -20,6 +21,8 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.laws import torsion_laws
+
+pytestmark = pytest.mark.plain
 
 R = 0.01
 EXACT = 1e-14
@@ -46,8 +49,8 @@ def test_moment_saturates_at_the_torsional_limit(
     limit = 0.004 * load ** (1 + (exponent or 0.0))
     for sign in (1, -1):
         engine = Engine(plane_scene(material={"torsion": {"exponent": exponent}}))
-        trace = drive(engine, pressed(depth).go(700, turn=[0, 0, sign * 0.7]))
-        expected = -sign * np.minimum(0.05 * np.linspace(0, 0.7, 701), limit)
+        trace = drive(engine, pressed(depth).go(175, turn=[0, 0, sign * 0.7]))
+        expected = -sign * np.minimum(0.05 * np.linspace(0, 0.7, 176), limit)
         assert trace.torque[1:, 2] == pytest.approx(expected, abs=EXACT)
         assert trace.causes == ["touch"]
 
@@ -137,12 +140,13 @@ def test_the_two_cones_know_nothing_of_each_other(plane_scene: SceneFactory) -> 
     assert trace.torque[-1, 2] == pytest.approx(-0.003, rel=1e-12)
 
 
+@pytest.mark.scaled
 def test_a_proxy_without_a_drop_is_the_independent_model(plane_scene: SceneFactory) -> None:
     """With the kinetic limit left out it is the static one, and every tick is that of the independent model."""
     independent = Engine(plane_scene())
     proxy = Engine(plane_scene(material={"torsion": {"model": "soft_finger_proxy"}}))
 
-    @settings(max_examples=50, deadline=None, derandomize=True)
+    @examples(20, 50)
     @given(handling())
     def check(hand: Handling) -> None:
         independent.reset()
@@ -152,12 +156,13 @@ def test_a_proxy_without_a_drop_is_the_independent_model(plane_scene: SceneFacto
     check()
 
 
+@pytest.mark.scaled
 @pytest.mark.parametrize("kinetic", [0.003, 0.004])
-def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, kinetic: float) -> None:
+def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases: Cases, kinetic: float) -> None:
     """Held at rest after a spin, through encoders that flicker by one step of 1 mrad, it stays stuck."""
     hand, rng = pressed().go(300, turn=[0, 0, 0.3]), np.random.default_rng(3)
     rest = hand.at
-    flicker = 1e-3 * rng.integers(-1, 2, 3000)
+    flicker = 1e-3 * rng.integers(-1, 2, cases(1000, 3000))
     for change in np.diff(flicker, prepend=0.0):
         hand.go(1, turn=[0, 0, change])
     engine = Engine(plane_scene(material={"torsion": {**PROXY, "kinetic_friction_length_m": kinetic}}))

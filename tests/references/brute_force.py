@@ -2,7 +2,7 @@
 
 A triangle is left out only where its bounding ball is farther than a corner of another: that is certain. The formula
 is that of `triangles.py`, plane or edges, and shares nothing with the kernels'; compiled, so that a million points can
-be asked of fifty thousand triangles.
+be asked of fifty thousand triangles, and kept as kernels are. Where nothing is compiled `triangles.py` is asked.
 """
 
 from __future__ import annotations
@@ -10,9 +10,11 @@ from __future__ import annotations
 from math import inf, sqrt
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from references.triangles import distances
+from softfinger.proxy.kernels.native.jit import PLAIN, entry, jit
 
 Array = NDArray[np.float64]
 
@@ -34,7 +36,7 @@ def balls_of(vertices: ArrayLike, triangles: ArrayLike) -> Balls:
     return Balls(corners, middles, np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1) * (1.0 + SLACK))
 
 
-@numba.njit(nogil=True)
+@jit
 def _segment(x: Any, a: Any, b: Any) -> float:
     """Distance squared of `x` (3,) from a segment."""
     ab0, ab1, ab2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -46,7 +48,7 @@ def _segment(x: Any, a: Any, b: Any) -> float:
     return d0 * d0 + d1 * d1 + d2 * d2
 
 
-@numba.njit(nogil=True)
+@jit
 def _side(x: Any, a: Any, b: Any, n: Any) -> float:
     """Above 0 where `x` is on the inner side of the edge from a to b of a triangle with the normal `n`."""
     ab0, ab1, ab2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -56,7 +58,7 @@ def _side(x: Any, a: Any, b: Any, n: Any) -> float:
     )  # fmt: skip
 
 
-@numba.njit(nogil=True)
+@jit
 def _triangle(x: Any, t: Any) -> float:
     """Distance of `x` (3,) from a triangle (3, 3): of its plane over it, of its edges elsewhere."""
     a, b, c = t[0], t[1], t[2]
@@ -71,7 +73,7 @@ def _triangle(x: Any, t: Any) -> float:
     return nearest
 
 
-@numba.njit(nogil=True)
+@entry
 def _distances(balls: Balls, points: Any, found: Any) -> None:
     corners, middles, radii = balls
     for i in range(len(points)):
@@ -93,5 +95,9 @@ def brute_distances(balls: Balls, points: ArrayLike) -> Array:
     """Distances (n,) m of `points` (n, 3) m from the nearest triangle."""
     places = np.ascontiguousarray(points, np.float64)
     found = np.empty(len(places))
+    if PLAIN:
+        vertices = balls.corners.reshape(-1, 3)
+        triangles = np.arange(len(vertices)).reshape(-1, 3)
+        return np.array([distances(vertices, triangles, x).min() for x in places])
     _distances(balls, places, found)
     return found

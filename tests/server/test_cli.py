@@ -1,5 +1,10 @@
-"""The command line: exit codes, what is printed where, and that bad input gives one clear error."""
+"""The command line: exit codes, what is printed where, and that bad input gives one clear error.
 
+`called` is a verb in this process; `run` starts a program, for what only a process of its own shows: its standard
+streams and its log, how it ends, and that a second one does the same.
+"""
+
+import json
 import os
 import subprocess
 import sys
@@ -8,12 +13,15 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 import zmq
+from helpers.called import called
 
 from softfinger.proxy.record import columns
 from softfinger.server.cli import VERBS, make_parser
 from softfinger.server.offline.results import read_results
 
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+FREE = ["--endpoint", "tcp://127.0.0.1:*"]
+"""Of `run`: ports that nobody else has."""
 SIMULATE = ["simulate", "--scene", "paper-plane", "--poses", "tap"]
 
 
@@ -46,27 +54,63 @@ def test_a_start_leaves_the_garbage_collector_on():
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_has_help(verb):
     """Each verb explains itself."""
-    done = run(verb, "--help")
+    done = called(verb, "--help")
     assert done.returncode == 0 and f"softfinger {verb}" in done.stdout and len(done.stdout) > 150
 
 
 def test_unknown_verb_lists_the_verbs():
     """A verb that does not exist is a usage error that names those that do."""
-    done = run("fly")
+    done = called("fly")
     assert done.returncode == 2 and "simulate" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("simulat --poses tap", "(did you mean 'simulate'?)\n"),
+        ("bench stp", "(did you mean 'step'?)\n"),
+        ("run --secne sphere", "unrecognized arguments: --secne (did you mean '--scene'?) sphere"),
+        ("run --rte=500", "unrecognized arguments: --rte=500 (did you mean '--rate'?)"),
+        ("bench step --blcoks 2", "unrecognized arguments: --blcoks (did you mean '--blocks'?) 2"),
+        ("check paper-plane --qxz", "unrecognized arguments: --qxz\n"),
+    ],
+)
+def test_a_near_name_is_offered_for_a_misspelt_one(line, said):
+    """A verb, a kind and an option that are misspelt are named with the one that is meant, if any is near."""
+    done = called(*line.split())
+    assert done.returncode == 2 and said in done.stderr and done.stdout == ""
+
+
+@pytest.mark.parametrize("line", ["{} scenes", "scenes {}", "bench step {}", "bench {} step"])
+@pytest.mark.parametrize("flag", ["-v", "--verbose", "-q", "--quiet"])
+def test_how_much_is_logged_is_said_before_or_behind_a_verb(line, flag):
+    """Both understand the same flags, and what stands before a verb is not undone by it."""
+    args = make_parser().parse_args(line.format(flag).split())
+    verbose = flag in ("-v", "--verbose")
+    assert (args.verbose, args.quiet) == (verbose, not verbose)
+
+
+def test_quiet_leaves_warnings_and_results(tmp_path):
+    """With -q standard error has no line of the log or of progress; results and errors are as ever."""
+    words = ["run", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--realtime", "off", "--duration", "0.1"]
+    done = run(*words, "-q")
+    assert done.returncode == 0 and done.stderr == ""
+    assert "stopped after" in run(*words, "-v").stderr
+    done = run("check", "nothing", "-q")
+    assert done.returncode == 2 and "nothing" in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_completion_knows_every_verb(shell):
     """The completion script names every verb and the options of `run`."""
-    script = run("--print-completion", shell).stdout
+    script = called("--print-completion", shell).stdout
     assert all(verb in script for verb in VERBS) and "--realtime" in script
 
 
 def test_completion_offers_what_is_shipped(tmp_path):
     """bash completes `--scene sph` to the shipped scene, and a file beside."""
     (tmp_path / "spherical.toml").touch()
-    script = run("--print-completion", "bash").stdout
+    script = called("--print-completion", "bash").stdout
     ask = "COMP_WORDS=(softfinger run --scene sph); COMP_CWORD=3; _shtab_softfinger; echo ${COMPREPLY[@]}"
     done = subprocess.run(
         ["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True
@@ -107,7 +151,7 @@ def test_bad_config_reports_all_errors_at_once(tmp_path):
         '[device]\ndriver = "replay"\nrecording = "tap"\n'
         '[servo]\nrate_hz = 20000\nrealtime = "always"\n[guard]\nforce_max = 5.0\n'
     )
-    done = run("run", "--rig", str(rig))
+    done = called("run", "--rig", str(rig))
     assert done.returncode == 2 and done.stdout == ""
     for piece in ("bench.toml", "servo.rate_hz", "20000", "8000", "servo.realtime", "always", "force_max_n"):
         assert piece in done.stderr
@@ -119,8 +163,8 @@ def test_bad_config_reports_all_errors_at_once(tmp_path):
     [
         (["run", "--rate", "7"], 2, ["command line --rate", "7", "100"]),
         (["run", "--scene", "moon"], 2, ["moon", "paper-plane"]),
-        (["run", "--recording", "nothing"], 3, ["nothing", "tap"]),
-        (["run", "--device", "omega"], 4, ["omega", "replay"]),
+        (["run", *FREE, "--recording", "nothing"], 3, ["nothing", "tap"]),
+        (["run", *FREE, "--device", "omega"], 4, ["omega", "replay"]),
         (["run", "--endpoint", "tcp://0.0.0.0:5555"], 2, ["0.0.0.0", "127.0.0.1"]),
         (["run", "--duration", "-1"], 2, ["duration"]),
         ([*SIMULATE, "--out", "x.doc"], 3, ["x.doc", ".csv", ".mcap"]),
@@ -129,7 +173,7 @@ def test_bad_config_reports_all_errors_at_once(tmp_path):
 )  # fmt: skip
 def test_bad_words_give_one_clear_error(words, code, pieces):
     """A wrong value on the command line says what, where and what is allowed, without a traceback."""
-    done = run(*words)
+    done = called(*words)
     assert done.returncode == code, done.stderr
     assert all(piece in done.stderr for piece in pieces), done.stderr
     assert "Traceback" not in done.stderr
@@ -147,7 +191,7 @@ def test_endpoint_in_use_has_its_own_exit_code():
 def test_simulate_writes_every_format(ending, tmp_path):
     """The same run reads back from every results format, column by column the same."""
     out = tmp_path / f"out{ending}"
-    done = run(*SIMULATE, "--out", str(out))
+    done = called(*SIMULATE, "--out", str(out))
     assert done.returncode == 0 and "3 touch" in done.stdout and "3 release" in done.stdout
     records = read_results(out)
     assert records.shape == (2281, len(columns()))  # 228 intervals of 10 ms, and the first sample
@@ -156,11 +200,11 @@ def test_simulate_writes_every_format(ending, tmp_path):
 
 def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
     """Two runs give the same bytes; another rate gives another number of ticks."""
-    for name in ("a.csv", "b.csv"):
-        assert run(*SIMULATE, "--out", str(tmp_path / name)).returncode == 0
+    for program, name in ((run, "a.csv"), (called, "b.csv")):
+        assert program(*SIMULATE, "--out", str(tmp_path / name)).returncode == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     out = tmp_path / "fast.npz"
-    run(*SIMULATE, "--out", str(out), "--rate", "4000")
+    called(*SIMULATE, "--out", str(out), "--rate", "4000")
     assert len(read_results(out)) == 4 * 2280 + 1
 
 
@@ -222,22 +266,34 @@ def test_too_few_files_are_said(words):
     assert done.stderr == "softfinger: this process may open 8 files, and needs 64: raise `ulimit -n`\n"
 
 
-def test_warmup_leaves_nothing_to_compile(tmp_path):
-    """After `warmup SCENE` the kernels for that scene are in the cache directory it names."""
-    environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path)}
-    words = [*COMMAND, "warmup", "frictionless-plane"]
-    first = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
-    kernels = sorted(path for path in tmp_path.rglob("*.kernel"))
-    assert kernels and str(tmp_path) in first.stdout
-    subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
-    assert sorted(path for path in tmp_path.rglob("*.kernel")) == kernels
+@pytest.mark.plain
+def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
+    """The step without each part of the scene, and one feature: every number is there, and a figure of them."""
+    from softfinger.tools.bench import step
+
+    monkeypatch.setattr(step, "ROUNDS", 2)
+    poses = step.touching_poses
+    monkeypatch.setattr(step, "touching_poses", lambda scene: poses(scene, 50))
+    monkeypatch.setattr(step, "reference_ns", lambda: 100.0)  # a chain of operations that only a compiler makes short
+    plot = tmp_path / "plot.png"
+    done = called("bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear")
+    assert done.returncode == 0, done.stderr
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert_step(json.loads(done.stdout))
 
 
-@pytest.mark.parametrize("kind", ["step", "loop", "telemetry"])
+def assert_step(result):
+    """Of a shipped scene, it without each part, and a feature: a cost for each, and all in contact."""
+    assert len(result["variants"]) == 5 and {"ns_per_step", "cpu_ns_per_step"} <= result["variants"][0].keys()
+    assert all(row["in_contact"] == 1.0 for row in result["variants"])
+    (feature,) = result["features"]
+    assert feature["feature"] == "torsion linear" and feature["in_contact"] == 1.0
+    assert feature["reference_ns"] > 0.0 and {"ns_per_step", "marginal_ns"} <= feature.keys()
+
+
+@pytest.mark.parametrize("kind", [pytest.param("step", marks=pytest.mark.exhaustive), "loop", "telemetry"])
 def test_bench_prints_json(kind, tmp_path):
     """Every measurement can be read by a machine and drawn; the numbers are those of real runs."""
-    import json
-
     words = {
         "step": ["--blocks", "3", "--features", "torsion linear"],  # compiled for the variants already
         "loop": ["--seconds", "0.3", "--realtime", "off"],
@@ -249,11 +305,8 @@ def test_bench_prints_json(kind, tmp_path):
     result = json.loads(done.stdout)
     assert plot.read_bytes().startswith(b"\x89PNG")
     if kind == "step":
-        assert len(result["variants"]) == 5 and all(row["ns_per_step"] > 0 for row in result["variants"])
-        assert all(row["in_contact"] == 1.0 for row in result["variants"])
-        (feature,) = result["features"]
-        assert feature["feature"] == "torsion linear" and feature["in_contact"] == 1.0
-        assert feature["reference_ns"] > 0.0 and {"ns_per_step", "marginal_ns"} <= feature.keys()
+        assert_step(result)
+        assert all(row["ns_per_step"] > 0 for row in result["variants"])  # a kernel as plain Python has no clock
     elif kind == "loop":
         assert result["servo"]["ticks"] == 299 and set(result["servo"]["late"]["blocks"]) == {
             "p50",
@@ -271,7 +324,7 @@ def test_bench_prints_json(kind, tmp_path):
 )
 def test_plot_is_refused_before_the_work(plot, why):
     """A figure that could not be saved is refused on the command line, with what is wrong and what to do."""
-    done = run("bench", "loop", "--seconds", "600", "--plot", plot)
+    done = called("bench", "loop", "--seconds", "600", "--plot", plot)
     assert done.returncode == 2 and f"--plot: {plot}: {why}" in done.stderr
 
 
@@ -279,7 +332,7 @@ def test_run_is_drawn(tmp_path):
     """`simulate --plot` draws the run: an SVG with every curve and mode named, and the same twice."""
     drawn = []
     for name in ("one.svg", "two.svg"):
-        done = run(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
+        done = called(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
         assert done.returncode == 0, done.stderr
         drawn.append((tmp_path / name).read_text())
     assert drawn[0] == drawn[1]
@@ -288,6 +341,6 @@ def test_run_is_drawn(tmp_path):
 
 def test_bench_refuses_a_feature_there_is_not():
     """A pattern that no feature matches is answered with the names there are, before anything is compiled."""
-    done = run("bench", "step", "--features", "tosion*")
+    done = called("bench", "step", "--features", "tosion*")
     assert done.returncode == 2
     assert "--features 'tosion*': no feature has such a name" in done.stderr and "torsion linear" in done.stderr

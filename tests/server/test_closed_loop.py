@@ -109,6 +109,7 @@ def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
         assert row["ratio"] == pytest.approx(row["ns_per_tick"] / row["reference_ns"])
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("delay", [0, 1, 2])
 @pytest.mark.parametrize("damping", [0.0, 2.0])
 def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -> None:

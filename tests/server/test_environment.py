@@ -19,6 +19,8 @@ from softfinger.proxy.records import Records
 from softfinger.server.bridges import environment
 from softfinger.server.bridges.environment import Touch
 
+pytestmark = pytest.mark.plain
+
 HOME = (0.0, 0.0, 0.0105)
 """Half a millimetre above the paper's plane."""
 

@@ -30,8 +30,8 @@ from softfinger.proxy.record import AT, FREE, RECORD_SIZE, columns
 from softfinger.server import cli
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import wayout
-from softfinger.server.loop.guard import POSE_REFUSED
-from softfinger.server.loop.health import NO_POSE
+from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
+from softfinger.server.loop.health import JUMPING, NO_POSE
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.results import read_results
@@ -42,9 +42,11 @@ CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo
 """Columns that tell of the machine."""
 
 
-def run(*devices: Any, ticks: int | None = None) -> tuple[s.Ended, np.ndarray]:
-    """A servo over two devices to its end, and its records (n, fingers, RECORD_SIZE)."""
-    servo = s.Servo(devices, make_tuning(two_fingers(), GUARD), 1000.0, ticks)
+def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.Ended, np.ndarray]:
+    """A servo over two devices to its end, with limits of both guards, and its records (n, fingers, RECORD_SIZE)."""
+    tuning = make_tuning(two_fingers(), GUARD)
+    tuning = tuning._replace(guards=tuple(guard._replace(**limits) for guard in tuning.guards))
+    servo = s.Servo(devices, tuning, 1000.0, ticks)
     servo.compile()
     servo.start()
     ended = servo.join(60.0)
@@ -135,9 +137,13 @@ def test_a_signal_stops_every_open_device(monkeypatch: pytest.MonkeyPatch) -> No
     assert [[act for act, *_ in device.acts] for device in devices] == [["stop"]] * 3
 
 
+@pytest.mark.parametrize("act", ["stop", "close"])
 @pytest.mark.parametrize("place", [0, 1])
-def test_a_stop_that_hangs_keeps_no_other_device_from_its_zero(place: int) -> None:
-    """The other one has stopped while the first still hangs."""
+def test_a_device_that_hangs_keeps_no_other_from_its_zero(
+    place: int, act: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is given up after a while, by name; the other one has stopped."""
+    monkeypatch.setattr(opened, "END_S", 0.5)
     go_on = threading.Event()
 
     class Hanging(FaultyDevice):
@@ -145,17 +151,14 @@ def test_a_stop_that_hangs_keeps_no_other_device_from_its_zero(place: int) -> No
             go_on.wait(60.0)
 
     devices = [Hanging(Options()) if k == place else FaultyDevice(Options()) for k in range(2)]
-    thread = threading.Thread(target=lambda: wayout.stop_all(devices))
-    thread.start()
-    other = devices[1 - place]
-    for _ in range(6000):
-        if other.acts:
-            break
-        threading.Event().wait(0.01)
-    assert thread.is_alive() and [act for act, *_ in other.acts] == ["stop"]
+    devices[place].arm()
+    what = {"stop": wayout.stop_all, "close": wayout.close_all}
+    said = {"stop": "be stopped", "close": "be closed"}
+    with pytest.raises(DeviceError, match=rf"^faulty could not {said[act]} \(it has not come back.*switch it off"):
+        what[act](devices)
+    assert [each for each, *_ in devices[1 - place].acts][-1] == "stop"
+    assert len(devices[place].wrenches) == (act == "stop")  # a plain write, for want of a stop
     go_on.set()
-    thread.join(60.0)
-    assert not thread.is_alive()
 
 
 @pytest.fixture(scope="module")
@@ -191,6 +194,28 @@ def test_what_one_device_says_acts_on_its_finger_alone(fault: Any, undisturbed: 
         assert index[-1, force] == undisturbed[-1, 1, force]
 
 
+@pytest.mark.parametrize(("fault", "bit"), [("jump", POSE_JUMPED), ("frozen", POSE_FROZEN)])
+def test_a_pose_that_is_doubted_takes_the_force_off_its_finger_alone(
+    fault: Any, bit: int, undisturbed: np.ndarray
+) -> None:
+    """A jump, or a pose that repeats under force: the other finger has the bits that it has undisturbed."""
+    devices = two(fault=fault, at=300, count=100)
+    ended, records = run(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
+    assert ended.ending == s.FINISHED
+    np.testing.assert_array_equal(told(records[:, 0]), told(undisturbed[:, 0]))
+    doubted = (records[:, 1, AT.servo_guard].astype(int) == bit).nonzero()[0]
+    assert doubted.tolist() == ([300, 400] if fault == "jump" else list(range(351, 400)))
+    assert not devices[1].wrenches[doubted].any()
+
+
+def test_a_pose_that_jumps_without_end_ends_the_run_of_all_and_names_its_finger() -> None:
+    """Both at zero, and the fault is that of the second."""
+    devices = two(fault="jumps", at=100, count=100_000)
+    ended, _ = run(*devices, ticks=3000, speed_max=10.0)
+    assert (ended.ending, ended.finger) == (JUMPING, 1)
+    assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any()
+
+
 def test_a_pose_that_stays_unusable_ends_the_run_of_all_and_names_its_finger() -> None:
     """Half a second of NaN on one device: both at zero, and the fault is that of the second."""
     devices = two(fault="nan", at=100, count=100_000)
@@ -212,6 +237,7 @@ def test_time_is_nominal_where_every_device_keeps_its_own_clock(both: bool) -> N
     assert (dt == 0.001).all() if both else dt.max() >= 0.005  # a stall of 5.5 periods skips five deadlines
 
 
+@pytest.mark.plain
 def test_the_world_goes_on_over_a_refused_pose_and_is_not_felt_as_a_blow() -> None:
     """A table that tilts about x is met again after poses that were none: f_N = K d + B v with the velocity of the
     table where the finger is, not of where it never was."""
@@ -306,6 +332,7 @@ print(*servo_loop.inspect_llvm().values())
 """
 
 
+@pytest.mark.exhaustive  # test_kept_kernels.py looks at the loop of one device, which is compiled afresh anyway
 def test_a_loop_of_two_devices_calls_what_that_of_one_does(tmp_path: Path) -> None:
     """Compiled afresh it names no allocator, no reference count, no interpreter, and calls each device's addresses."""
     environment = os.environ | {

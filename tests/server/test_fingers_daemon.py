@@ -328,7 +328,7 @@ def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
             assert board.faults == []
 
 
-@pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.parametrize("place", [0, pytest.param(1, marks=pytest.mark.exhaustive)])
 def test_a_board_that_falls_silent_zeroes_the_other(place: int, tmp_path: Path) -> None:
     """The run ends with the fault of that finger's device, and the other board is at zero on its own line."""
     with pressing(tmp_path) as (boards, cables, process):

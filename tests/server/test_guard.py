@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from helpers.examples import examples
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from softfinger.proxy.kernels.native.jit import entry
@@ -29,7 +30,8 @@ def norm(v):
 
 @given(st.lists(st.tuples(any_vector, any_vector), min_size=1, max_size=30))
 @example([((0.0, 0.0, 0.0), (0.0, 0.0, 2.2e-313))])  # the inverse of a subnormal number overflows
-@settings(max_examples=300, deadline=None)
+@pytest.mark.scaled
+@examples(300, 3000)
 def test_output_is_always_finite_bounded_and_slow(wrenches):
     """For any sequence of wrenches, NaN and infinities among them, the output keeps every limit."""
     before = g.DISENGAGED
@@ -61,6 +63,13 @@ def test_clamp_keeps_the_direction():
     assert bits == g.FORCE_CLAMPED | g.TORQUE_CLAMPED
     np.testing.assert_allclose(after.force, (7.2, 0.0, 9.6), rtol=1e-14)  # 12 N along (3, 0, 4) / 5
     np.testing.assert_allclose(after.torque, (0.0, 0.0, 0.3), rtol=1e-14)
+
+
+def test_clamp_goes_by_the_norm():
+    """Three components of 8 N, each below the limit of 12 N, are 13.9 N together."""
+    after, bits = compiled(OPEN, ENGAGED, (8.0, -8.0, 8.0), (0.0, 0.0, 0.0), DT)
+    assert bits == g.FORCE_CLAMPED
+    np.testing.assert_allclose(after.force, np.array([1.0, -1.0, 1.0]) * 12.0 / math.sqrt(3.0), rtol=1e-14)
 
 
 def test_clamp_survives_forces_whose_square_overflows():
@@ -133,6 +142,20 @@ def test_the_moment_ramps_with_the_force():
         assert (before.force[0], before.torque[2]) == pytest.approx((n / 500.0, 0.1 * n / 500.0), abs=1e-12)
 
 
+@pytest.mark.parametrize("asked", [6.0, 100.0, 400.0, 2e4, 1e300])
+def test_the_ramp_is_as_long_on_a_stiff_wall(asked):
+    """A hand 20 mm inside of 5 kN/m is asked for 100 N, of 1 MN/m for 20 kN: what it is given rises as slowly as to
+    12 N, and force and torque that are both past their limits rise together."""
+    before, free = g.DISENGAGED, LIMITS._replace(force_slew=1e9, torque_slew=1e9)
+    whole = min(asked / free.force_max, 1.0)
+    for n in range(1, 501):
+        before, bits = compiled(free, before, (0.6 * asked, 0.0, 0.8 * asked), (0.0, asked, 0.0), DT)
+        # Up to 500 additions of 0.002.
+        assert norm(before.force) / free.force_max == pytest.approx(whole * n / 500.0, abs=1e-12)
+        assert norm(before.torque) / free.torque_max == pytest.approx(n / 500.0, abs=1e-12)
+        assert bool(bits & g.FORCE_CLAMPED) == (whole == 1.0)
+
+
 def test_disarmed_commands_zero():
     """Nothing passes while disarmed, and arming begins with the ramp."""
     off = LIMITS._replace(armed=0.0)
@@ -142,7 +165,17 @@ def test_disarmed_commands_zero():
 
 def test_every_bit_has_a_name():
     """The names published for `servo.guard` cover exactly the bits the guard sets."""
-    bits = (g.POSE_REFUSED, g.NOT_FINITE, g.RAMPING, g.FORCE_CLAMPED, g.TORQUE_CLAMPED, g.SLEW_LIMITED, g.DISARMED)
+    bits = (
+        g.POSE_REFUSED,
+        g.NOT_FINITE,
+        g.RAMPING,
+        g.FORCE_CLAMPED,
+        g.TORQUE_CLAMPED,
+        g.SLEW_LIMITED,
+        g.DISARMED,
+        g.POSE_JUMPED,
+        g.POSE_FROZEN,
+    )
     assert bits == tuple(1 << n for n in range(len(g.GUARD_NAMES)))
 
 

@@ -19,6 +19,8 @@ from softfinger.config.schema import Rig
 from softfinger.server.gateway.allowed import Allowed
 from softfinger.server.keys import make_pair, read_pair, read_public
 
+OTHER = 65534
+"""User `nobody`."""
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 
 
@@ -93,6 +95,38 @@ def test_a_file_that_is_no_good_key_is_refused_in_one_sentence(tmp_path: Path) -
             read_pair(secret)
 
 
+def test_what_others_may_put_in_the_place_of_a_key_is_refused(tmp_path: Path) -> None:
+    """A public key, too: who writes it says which server is met. A folder as /tmp is keeps what is in it."""
+    public, secret = make_pair(tmp_path, "rig")
+    for path, read, right in ((public, read_public, 0o644), (secret, read_pair, 0o600)):
+        for bits in (right | 0o020, right | 0o002, 0o666):
+            path.chmod(bits)
+            with pytest.raises(ConfigError, match=rf"{path.name}: others may write to it .*another key.*chmod go-w"):
+                read(path)
+        path.chmod(right)
+        for bits in (0o775, 0o757):
+            tmp_path.chmod(bits)
+            with pytest.raises(ConfigError, match="others may write to it"):
+                read(path)
+        tmp_path.chmod(0o1777)
+        read(path)
+        tmp_path.chmod(0o755)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give files away")
+def test_keys_of_another_user_are_refused(tmp_path: Path) -> None:
+    """Files and folders: the secret of somebody else is no secret, and his folder may hold another key tomorrow."""
+    public, secret = make_pair(tmp_path, "rig")
+    for path, read in ((public, read_public), (secret, read_pair), (tmp_path, lambda _: read_pair(secret))):
+        os.chown(path, OTHER, OTHER)
+        with pytest.raises(ConfigError, match=f"belongs to another user \\({OTHER}\\)"):
+            read(path)
+        if path is tmp_path:
+            with pytest.raises(ConfigError, match="who could let anybody in"):
+                Allowed(tmp_path)
+        os.chown(path, 0, 0)
+
+
 def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
     """Keys come and go; one that is barred stays out; a folder that others may write to lets nobody in."""
     allowed = Allowed(tmp_path)
@@ -106,10 +140,14 @@ def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
     assert not allowed.refresh() and not allowed.callback("", read_public(other))
     make_pair(tmp_path, "bob")
     assert not allowed.refresh() and allowed.callback("", read_public(tmp_path / "bob.key"))
-    tmp_path.chmod(0o777)
-    assert allowed.refresh() and not allowed.callback("", read_public(tmp_path / "bob.key"))
-    with pytest.raises(ConfigError, match="others may write to it"):
-        Allowed(tmp_path)
+    bob = read_public(tmp_path / "bob.key")
+    for bits in (0o775, 0o757):  # its group alone, and all others but its group
+        tmp_path.chmod(bits)
+        assert allowed.refresh() and not allowed.callback("", bob)
+        with pytest.raises(ConfigError, match="others may write to it"):
+            Allowed(tmp_path)
+        tmp_path.chmod(0o755)
+        assert not allowed.refresh() and allowed.callback("", bob)
     with pytest.raises(ConfigError, match="No such file"):
         Allowed(tmp_path / "none")
 

@@ -1,7 +1,9 @@
 """Every tick as memory: the reader in Python and the one in C, slow readers and killed ones, and what a killed daemon
 leaves."""
 
+import os
 import re
+import secrets
 import shutil
 import signal
 import subprocess
@@ -139,7 +141,7 @@ def test_program_on_the_page_runs():
     (program,) = [each for each in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "Local" in each]
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
-        code = program.replace("tcp://127.0.0.1:5556", daemon.commands_endpoint)
+        code = program.replace("Control()", f"Control({daemon.commands_endpoint!r})")
         daemon.start()
         process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
         rows, _, lost = process.stdout.readline().split()
@@ -196,6 +198,20 @@ def test_what_a_killed_daemon_leaves_is_known_to_be_dead_and_cleared_away():
     for each in (living, other):
         remove(each)
         assert not (memory.FOLDER / each.name).exists()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give files away")
+def test_what_another_user_left_is_not_cleared_away():
+    """By a daemon that runs as root and could: it is not its own, though nobody holds the lock of it."""
+    theirs, own = (memory.FOLDER / f"{memory.PREFIX}{secrets.token_hex(8)}" for _ in range(2))
+    try:
+        for path in (theirs, own):
+            path.touch(0o600)
+        os.chown(theirs, 65534, 65534)
+        memory.clear_away()
+        assert theirs.exists() and not own.exists()
+    finally:
+        theirs.unlink()
 
 
 def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):

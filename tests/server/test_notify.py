@@ -67,9 +67,14 @@ class Manager:
         self._socket.close()
 
 
-@pytest.fixture(params=["path", "abstract"])
+REST = pytest.mark.exhaustive
+ABSTRACT = pytest.mark.parametrize("manager", ["abstract", pytest.param("path", marks=REST)], indirect=True)
+"""By an abstract name; elsewhere on a path, as for the system's services. What is told is the same."""
+
+
+@pytest.fixture(params=["path", pytest.param("abstract", marks=REST)])
 def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
-    """On a path, as for the system's services, or by an abstract name."""
+    """A service manager that listens."""
     one = Manager(str(tmp_path / "notify") if request.param == "path" else f"@softfinger-test-{os.getpid()}")
     yield one
     one.close()
@@ -97,6 +102,7 @@ def test_a_daemon_is_ready_with_ticks_and_alive_by_them(manager: Manager, tmp_pa
         process.wait()
 
 
+@ABSTRACT
 def test_a_device_that_hangs_ends_the_sign_of_life(manager: Manager, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process lives and this thread with it, and says nothing: only ticks count."""
     load = registry.load

@@ -1,22 +1,42 @@
 """The passivity observer against work summed up independently, and the controller against what it must burn."""
 
+from itertools import pairwise
+
 import msgspec
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
-from softfinger.proxy.record import FREE, NAMED, ROLLING
-from softfinger.server.loop.passivity import NO_ENERGY, Energy, Passivity, keep_passive
+from softfinger.proxy.kernels.geometry.tool import make_tool, tip_of
+from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.kernels.native.pack import packed
+from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE, ROLLING
+from softfinger.server.loop.guard import Guarded
+from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, Passivity, keep_passive, work_on_hand
+from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import DAMPING_MAX_NS_PER_M, make_tuning
-from softfinger.server.offline.simulate import simulate
+from softfinger.server.offline.simulate import simulate, tick_many
+
+pytestmark = pytest.mark.plain
 
 T = 0.001
 PUSH = (0.0, 0.0, 2.0)
 NONE = (0.0, 0.0, 0.0)
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+def by(*way):
+    """A motion without a turn."""
+    return Motion(Pose(NONE, LEVEL), Pose(way, LEVEL), None)
+
+
+def holding(force=NONE, torque=NONE):
+    return Guarded(force, torque, 1.0)
 
 
 def column(records, name, size=1):
@@ -24,17 +44,29 @@ def column(records, name, size=1):
     return records[:, at : at + size] if size > 1 else records[:, at]
 
 
+def work_a_tick(records, turns=1.0):
+    """Work (n - 1,) J of the hand against the wrench of each tick until the next, rotation vectors by scipy; of
+    `turns` 0 against the force alone."""
+    turned = Rotation.from_quat(column(records, "probe.orientation", 4), scalar_first=True)
+    turn = (turned[1:] * turned[:-1].inv()).as_rotvec()
+    way = np.diff(column(records, "probe.position", 3), axis=0)
+    return -np.einsum("ni,ni->n", column(records, "force", 3)[:-1], way) - np.einsum(
+        "ni,ni->n", column(records, "torque", 3)[:-1], turns * turn
+    )
+
+
 @pytest.mark.parametrize("mode", ["observe", "control"])
-def test_energy_is_the_work_against_the_commanded_force(mode):
-    """Over a recording, energy changes by minus the held force times the motion; debts alone outlive a touch."""
+def test_energy_is_the_work_against_the_commanded_wrench(mode):
+    """Over a recording, energy changes by minus the held force times the motion and minus the held torque times the
+    turn; debts alone outlive a touch."""
     scene = msgspec.structs.replace(load_scene("paper-plane"), passivity=schema.Passivity(mode=mode))
     tuning = make_tuning(scene, load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 1000.0), 1000.0)
     work, expected = 0.0, []
-    force, position = column(records, "force", 3), column(records, "probe.position", 3)
+    each = work_a_tick(records)
     for n, touching in enumerate(column(records, "contact.mode") != FREE):
         if n:
-            work -= force[n - 1] @ (position[n] - position[n - 1])
+            work += each[n - 1]
         if not touching:
             work = min(work, 0.0)
         expected.append(work)
@@ -48,13 +80,13 @@ def test_energy_is_the_work_against_the_commanded_force(mode):
 def test_a_scene_without_the_table_has_no_observer():
     """Without [passivity] energy stays 0, and the force is left alone to the bit."""
     assert make_tuning(load_scene("paper-plane"), load_rig("replay").guard).passivity is None
-    assert keep_passive(None, NO_ENERGY, PUSH, (1.0, 1.0, 1.0), float(ROLLING), PUSH, T) == (NO_ENERGY, PUSH)
+    assert keep_passive(None, NO_ENERGY, holding(PUSH), by(1.0, 1.0, 1.0), float(ROLLING), PUSH, T) == (NO_ENERGY, PUSH)
 
 
 def test_a_debt_is_burnt_in_one_tick_at_the_same_speed():
     """The damper's force over a motion like the last one does exactly the work that was owed."""
     moved, owed = (0.0, 3e-5, 4e-5), 2e-7
-    energy, force = keep_passive(Passivity(1e4), Energy(-owed, 0.0), NONE, moved, float(ROLLING), NONE, T)
+    energy, force = keep_passive(Passivity(1e4), Energy(-owed, 0.0), holding(), by(*moved), float(ROLLING), NONE, T)
     assert energy.work == -owed
     # Three products and their sum.
     assert -np.dot(force, moved) == pytest.approx(owed, rel=1e-14)
@@ -65,16 +97,115 @@ def test_damping_is_bounded_however_slow_the_hand():
     """A hand at rest, or nearly, meets at most the largest damping, and no number overflows."""
     for step in (0.0, 1e-300, 1e-160, 1e-9):
         energy, force = keep_passive(
-            Passivity(20.0), Energy(-1.0, 0.0), NONE, (step, 0.0, 0.0), float(ROLLING), PUSH, T
+            Passivity(20.0), Energy(-1.0, 0.0), holding(), by(step, 0.0, 0.0), float(ROLLING), PUSH, T
         )
         assert energy.damping == 20.0
         assert force == (-20.0 / T * step, 0.0, 2.0)
 
 
+def test_a_torsional_spring_that_is_sampled_makes_what_its_steps_do():
+    """Turned to A and back in n steps each way, a spring of k gives k A^2 / n: the integral of tau d theta for a
+    staircase. Half way it holds k A^2 (1 - 1/n) / 2."""
+    k, largest, n = 0.05, 0.3, 200
+    axis = np.array([0.6, 0.0, 0.8])
+    angles = largest / n * np.concatenate((np.arange(n + 1), np.arange(n)[::-1]))
+    energy, works = NO_ENERGY, []
+    for before, now in pairwise(angles):
+        poses = [Pose(NONE, (np.cos(0.5 * a), *(np.sin(0.5 * a) * axis))) for a in (before, now)]
+        held = holding(torque=tuple(-k * before * axis))
+        energy, _ = keep_passive(Passivity(0.0), energy, held, Motion(*poses, None), float(ROLLING), NONE, T)
+        works.append(energy.work)
+    # Four hundred additions of terms around 1e-5 J, of angles with rounding of 1e-16 / 1e-3.
+    assert works[n - 1] == pytest.approx(0.5 * k * largest**2 * (1.0 - 1.0 / n), rel=1e-11)
+    assert works[-1] == pytest.approx(-k * largest**2 / n, rel=1e-9)
+
+
+def test_a_turn_on_a_tool_is_the_same_work_at_either_end():
+    """A handle that turns on the spot: the force on it does none, whatever the tip does; its torque does all."""
+    tool = make_tool((0.03, 0.0, -0.1), LEVEL)
+    poses = [Pose((0.1, 0.2, 0.3), (np.cos(0.5 * a), 0.0, np.sin(0.5 * a), 0.0)) for a in (0.2, 0.5)]
+    motion = Motion(*(tip_of(tool, pose) for pose in poses), tool)
+    held = holding((3.0, 4.0, 5.0), (0.1, 0.2, 0.3))
+    assert work_on_hand(held, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # roundings of 0.1 m
+    assert work_on_hand(held, Motion(motion.now, motion.now, tool)) == 0.0
+
+
+def cycle(fingertip, height, n, turns=1.0, **tables):
+    """Records, and energy (J) of a way in contact with friction that holds: pushed 1 mm aside, tilted by 0.18 rad
+    about the axis across, pushed back, tilted back, each in n even steps."""
+    material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 5.0, "kinetic": 5.0}}
+    table = {"fingertip": fingertip, "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}} | tables
+    table |= {
+        "object": [{"name": "a", "shape": "plane", "material": material}], "passivity": {"mode": "observe"},
+    }  # fmt: skip
+    u, zero, one = np.arange(1, n + 1) / n, np.zeros(n), np.ones(n)
+    x = 0.001 * np.concatenate((np.zeros(50), u, one, 1.0 - u, zero))
+    tilt = 0.18 * np.concatenate((np.zeros(50), zero, u, one, 1.0 - u))
+    poses = np.column_stack((x, 0.0 * x, 0.0 * x + height, np.cos(0.5 * tilt), 0.0 * x, np.sin(0.5 * tilt), 0.0 * x))
+    guard = schema.Guard(torque_max_nm=1.0, ramp_s=0.01)
+    tuning = make_tuning(build(schema.Scene, table, "here"), guard)
+    tuning = tuning._replace(guards=(tuning.guards[0]._replace(turns=turns),))
+    records = simulate(tuning, poses, 1000.0)
+    energy = column(records, "passivity.energy")
+    assert (column(records, "contact.mode") == ROLLING).all()
+    np.testing.assert_allclose(np.diff(energy), work_a_tick(records, turns), rtol=0, atol=1e-15)
+    return records, energy[-1] - energy[49]
+
+
+def test_without_rolling_a_drag_and_a_tilt_give_what_the_torque_does():
+    """The torque r K x acts, and a turn winds nothing: once round it does K r x theta, 1.8 mJ, which the springs never
+    held; and the sampled spring its K x^2 / n. Of this the force alone says the second part only."""
+    n = 100
+    records, energy = cycle({"radius_m": 0.01}, 0.009, n)
+    assert energy == pytest.approx(-(1000.0 * 0.01 * 0.001 * 0.18 + 1000.0 * 0.001**2 / n), rel=1e-9)
+    force, way = column(records, "force", 3)[49:-1], np.diff(column(records, "probe.position", 3)[49:], axis=0)
+    assert -np.sum(force * way) == pytest.approx(-1000.0 * 0.001**2 / n, rel=1e-9)
+
+
+def test_a_torque_that_the_hand_is_not_given_does_no_work():
+    """The same with a device that displays forces alone: what its wrist senses turns against nothing."""
+    _, energy = cycle({"radius_m": 0.01}, 0.009, 100, turns=0.0)
+    assert energy == pytest.approx(-1000.0 * 0.001**2 / 100, rel=1e-9)
+
+
+@pytest.mark.parametrize("fingertip", [{"radius_m": 0.01}, {"radii_m": [0.008, 0.007, 0.012]}])
+def test_with_rolling_the_same_way_gives_what_sampling_does(fingertip):
+    """A ball and an ellipsoid: what once round gives falls with the step, and is a hundredth of the torque's share."""
+    height = 0.009 if "radius_m" in fingertip else 0.011
+    (_, coarse), (_, fine) = (cycle(fingertip, height, n, rolling={"method": "midpoint"}) for n in (100, 200))
+    assert coarse / fine == pytest.approx(2.0, rel=0.01)  # of the first order in the step
+    assert -1e-4 < coarse < 0.0
+
+
+def test_what_a_stiffness_that_rises_in_contact_puts_in_is_seen():
+    """Pressed at k, released at 2 k: the hand is given k d^2 / 2 more than it put in, and that is owed."""
+    scenes = [
+        msgspec.structs.replace(
+            load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": k}),
+            passivity=schema.Passivity(mode="observe"),
+        )
+        for k in (500.0, 1000.0)
+    ]
+    tunings = [make_tuning(scene, schema.Guard(ramp_s=0.01)) for scene in scenes]
+    n, depth = 500, 0.001
+    poses = np.zeros((100 + n, 1, 7))
+    poses[:, 0, 3], poses[:, 0, 2] = 1.0, 0.01
+    poses[100:, 0, 2] -= depth * np.arange(1, n + 1) / n
+    start, records = begin(tunings[0].scene), np.zeros((2, 100 + n, 1, RECORD_SIZE))
+    memory = packed(start)
+    for tuning, way, rows in zip(tunings, (poses, poses[::-1]), records, strict=True):
+        tick_many(packed(tuning), memory, np.ascontiguousarray(way), np.full(len(way), T), T, 0, rows)
+    energy = records[1, n - 1, 0, NAMED["passivity.energy"].at]  # a step before it lets go
+    # Sampling adds K d^2 / 2n on each way.
+    assert energy == pytest.approx(-0.5 * 500.0 * depth**2 * (1.0 + 3.0 / n), rel=0.01)
+
+
 def test_release_forgets_what_was_taken_and_keeps_what_is_owed():
     """In free space energy above zero is dropped; a debt stays and is still damped."""
     for before, after in ((0.5, 0.0), (-0.5, -0.5)):
-        energy, _ = keep_passive(Passivity(20.0), Energy(before, 0.0), NONE, (1e-5, 0.0, 0.0), float(FREE), PUSH, T)
+        energy, _ = keep_passive(
+            Passivity(20.0), Energy(before, 0.0), holding(), by(1e-5, 0.0, 0.0), float(FREE), PUSH, T
+        )
         assert energy.work == after
         assert (energy.damping > 0.0) == (after < 0.0)
 
@@ -82,7 +213,7 @@ def test_release_forgets_what_was_taken_and_keeps_what_is_owed():
 def test_no_time_no_damping():
     """A tick of no length has no speed to damp."""
     owed = Energy(-1.0, 0.0)
-    assert keep_passive(Passivity(20.0), owed, NONE, (1e-5, 0.0, 0.0), float(ROLLING), PUSH, 0.0) == (owed, PUSH)
+    assert keep_passive(Passivity(20.0), owed, holding(), by(1e-5, 0.0, 0.0), float(ROLLING), PUSH, 0.0) == (owed, PUSH)
 
 
 def test_largest_damping_is_for_control_only():

@@ -1,13 +1,25 @@
-"""Progress on a real pseudo terminal: it keeps clear of the log, and leaves nothing behind."""
+"""Progress on a real pseudo terminal: it keeps clear of the log, and leaves nothing behind; its words say what is
+waited for."""
 
 from __future__ import annotations
 
 import re
 import signal
+import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
+import msgpack
+import numba
 import pytest
+import zmq
 from helpers.terminal import Screen, on_terminal
+from numba.core import event
+
+from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.kept import Folder, KernelCache
+from softfinger.server.progress import described
 
 RUN = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
 
@@ -33,7 +45,7 @@ print("result")
 
 
 @pytest.mark.real_time  # what a reader that is held up gets in one piece with its end was never on the screen
-@pytest.mark.parametrize("columns", [80, 40, 132])
+@pytest.mark.parametrize("columns", [80, *(pytest.param(width, marks=pytest.mark.exhaustive) for width in (40, 132))])
 def test_log_and_progress_never_share_a_line(columns: int) -> None:
     """After every piece of output, each line of the screen is a log's or the progress line; at the end there is none,
     and the log is whole."""
@@ -82,3 +94,66 @@ def test_interrupted_run_leaves_a_clean_line() -> None:
                 process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
     assert re.fullmatch(r"stopped after \d+ ticks; force is zero", screen.lines[-2])
+
+
+class Looking(Folder):
+    """A folder of kept kernels that notes what a user would read while one is loaded."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.seen: list[str] = []
+
+    def read(self, name: str) -> bytes | None:
+        self.seen.append(described("simulating", 3, 10))
+        return super().read(name)
+
+
+def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
+    """While a kernel is compiled the line says so, and shows no share of work that is not begun; while a kept one is
+    loaded it says that; before and after it is the work's."""
+    while_compiled: list[str] = []
+
+    class Look(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            while_compiled.append(described("simulating", 3, 10))
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    def doubled(number: float) -> float:
+        return 2.0 * number
+
+    folder = Looking(tmp_path / "kernels")
+    for _ in range(2):  # the second finds what the first has kept
+        kernel: Any = numba.njit(**OPTIONS)(doubled)
+        kernel._cache = KernelCache(doubled, folder)
+        assert described("simulating", 3, 10) == "simulating 30%" and described("simulating") == "simulating"
+        with event.install_listener("numba:compile", Look()):
+            kernel.compile((numba.float64,))
+    assert len(while_compiled) == 1 and re.fullmatch(r"simulating: compiling kernel \d+", while_compiled[0])
+    assert folder.seen == ["simulating: loading kept kernels"] * 2
+    assert described("simulating", 3, 10) == "simulating 30%"
+
+
+def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
+    """`ctl set_scene` waits for a daemon that compiles, and says so, until the answer comes."""
+    endpoint = f"ipc://{tmp_path}/commands"
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
+        daemon.linger = 0
+        daemon.bind(endpoint)
+        words = ["ctl", "set_scene", "scene=sphere", "--endpoint", endpoint]
+        asking = subprocess.Popen(
+            [sys.executable, "-m", "softfinger.server.cli", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        with asking:
+            assert asking.stderr is not None and asking.stdout is not None
+            sender, *_, request = daemon.recv_multipart()
+            said = asking.stderr.readline()
+            answer = {"command_id": msgpack.unpackb(request)["command_id"], "success": True}
+            answer["result"] = {"active_field": "sphere", "tick": 7}
+            daemon.send_multipart([sender, b"", msgpack.packb(answer)])
+            assert "tick: 7" in asking.stdout.read()
+    assert said.startswith("set_scene: the daemon compiles the scene") and asking.returncode == 0

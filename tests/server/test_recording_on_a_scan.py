@@ -16,6 +16,7 @@ STIFFNESS = 1000.0
 BALL, BUMPS = 0.15, 0.003
 DEEPER, WIDER = 0.002, 2.0
 ROUNDING = 1e-9
+pytestmark = pytest.mark.exhaustive  # half a minute of compiling; tests/proxy has meshes with bumps tick by tick
 SCENE = f"""
 [fingertip]
 radius_m = {R}

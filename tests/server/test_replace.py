@@ -84,7 +84,8 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
             if time_number == 1:  # both are compiled
                 open_before = left_open()
             assert eventually(lambda: running.servo.ticks > begun[-1] + 5)
-        assert left_open() == open_before
+        # Fewer is nothing left, too: a file of kept kernels may have been open when they were counted first.
+        assert all(now <= before for now, before in zip(left_open(), open_before, strict=True))
         assert not running.wait(0.0)  # it goes on
         assert len(running.servo._rings) == 1
         gc.collect()

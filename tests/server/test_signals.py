@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +18,7 @@ import pytest
 from emulators.serialboard import Board, Cable
 from helpers.serial_devices import PLACE, RIG
 
+from softfinger.config.errors import DeviceError
 from softfinger.config.load import find
 from softfinger.config.schema import Rig
 from softfinger.server import signals
@@ -88,16 +91,16 @@ def test_every_signal_that_ends_a_process_is_handled() -> None:
     assert fatal - helpless == signals.ENDING
 
 
+# All have one handler, which test_every_signal_that_ends_a_process_is_handled has the list of.
+OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT)
+
+
 @pytest.mark.parametrize(
     "number",
     [
         signal.SIGHUP,
-        signal.SIGQUIT,
-        signal.SIGUSR1,
-        signal.SIGALRM,
-        signal.SIGXCPU,
-        signal.SIGABRT,
         signal.SIGRTMIN + 3,
+        *(pytest.param(number, marks=pytest.mark.exhaustive) for number in OTHERS),
     ],
 )
 def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> None:
@@ -138,7 +141,7 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
         until(lambda: board.force == ZERO, 1.0, "the zero")
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
 def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
     """`run --watcher`: killed outright, the daemon leaves its force, and the other process takes it off."""
     with pressing(tmp_path, "--watcher") as (board, process):
@@ -178,8 +181,17 @@ def test_watcher_goes_with_a_daemon_that_ends_in_order(tmp_path: Path) -> None:
     assert refused.returncode == 2 and "no other process can take a force off replay" in refused.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("verb", ["run", "warmup", "simulate"])
+@pytest.mark.parametrize(
+    ("verb", "number"),
+    [
+        ("run", signal.SIGINT),
+        ("warmup", signal.SIGTERM),
+        pytest.param("simulate", signal.SIGINT, marks=pytest.mark.exhaustive),
+        pytest.param("run", signal.SIGTERM, marks=pytest.mark.exhaustive),
+        pytest.param("warmup", signal.SIGINT, marks=pytest.mark.exhaustive),
+        pytest.param("simulate", signal.SIGTERM, marks=pytest.mark.exhaustive),
+    ],
+)
 def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) -> None:
     """While kernels are compiled, which takes many seconds without a cache, a signal ends any verb within a few,
     as interrupted, by one line."""
@@ -194,7 +206,7 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
     )
     try:
         for line in process.stderr:
-            if line.startswith(("compiling", "simulating")):  # said when it has taken half a second
+            if "compiling kernel" in line:  # said when it has taken half a second
                 break
         process.send_signal(number)
         begun = time.monotonic()
@@ -317,6 +329,108 @@ def test_a_signal_that_was_swallowed_is_not_lost() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_a_second_signal_raises_nothing() -> None:
+    """The first one is raised; what comes while its way out is gone changes neither that way nor the exit code."""
+    before = signal.getsignal(signal.SIGINT)
+    with signals.handled():
+        signals.imported()
+        with pytest.raises(signals.Interrupted) as interrupted:
+            signal.raise_signal(signal.SIGTERM)
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                signal.raise_signal(number)
+        except signals.Interrupted as second:  # which would end this program of tests, as one at its keyboard does
+            pytest.fail(f"{signals.named(second.number)} was raised besides")
+        assert interrupted.value.number == signal.SIGTERM and signals.code_of_stop() == 0
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+JOB = """
+import os, signal, sys, time
+from softfinger.drivers import opened
+from softfinger.server import signals
+class Device:
+    def stop(self): print("zero", flush=True)
+    def close(self): print("closed", flush=True)
+device = Device()
+with signals.handled():
+    signals.imported()
+    opened.devices.add(device)
+    try:
+        print("ready", flush=True)
+        time.sleep(60)
+    except signals.Interrupted as error:
+        device.close()
+        opened.devices.discard(device)
+        sys.exit(signals.code_of(error.number))
+"""
+
+SHELL = """
+import fcntl, os, signal, subprocess, sys, termios
+os.setsid()
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+way = termios.tcgetattr(0)
+way[3] &= ~termios.ECHO
+termios.tcsetattr(0, termios.TCSANOW, way)
+signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+job = subprocess.Popen([sys.executable, "-c", sys.argv[1]], process_group=0)
+os.tcsetpgrp(0, job.pid)
+_, status = os.waitpid(job.pid, os.WUNTRACED)
+print("stopped" if os.WIFSTOPPED(status) else "ended", flush=True)
+os.kill(job.pid, signal.SIGCONT)
+_, status = os.waitpid(job.pid, 0)
+print("left with", os.waitstatus_to_exitcode(status), flush=True)
+"""
+"""What a shell does with a job in the foreground: told when it stops, it has it go on."""
+
+
+def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
+    """A verb that holds a device and has no pause: zero before the process stops, and with `fg` it ends in order."""
+    ours, theirs = pty.openpty()
+    with subprocess.Popen([sys.executable, "-c", SHELL, JOB], stdin=theirs, stdout=theirs, stderr=theirs) as shell:
+        os.close(theirs)
+        timer = threading.Timer(START_S, shell.kill)
+        timer.start()
+        said = b""
+        try:
+            while b"ready\r\n" not in said:
+                said += os.read(ours, 4096)
+            os.write(ours, b"\x1a")
+            while not said.endswith(b"\n") or b"left with" not in said:
+                said += os.read(ours, 4096)
+        finally:
+            timer.cancel()
+            shell.kill()
+            os.close(ours)
+    lines = said.decode().split("\r\n")
+    assert lines[:4] == ["ready", "zero", "stopped", "closed"], said
+    assert lines[-2:] == [f"left with {128 + signal.SIGTSTP}", ""], said
+
+
 def state(pid: int) -> str:
     """State of a process as the kernel lists it: T is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+HANGING = """
+import sys, time
+from softfinger.drivers.simulated.device import Simulated
+from softfinger.server import cli
+Simulated.stop = Simulated.close = lambda device: time.sleep(3600.0)
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+def test_a_device_that_hangs_does_not_hold_the_exit(tmp_path: Path) -> None:
+    """Its stop and its close never come back: the process says so and ends, and not as if it had gone well."""
+    words = ["run", "--rig", "simulated", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", HANGING, *words, "--duration", "0.2"], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        _, said = process.communicate(timeout=START_S)
+    finally:
+        process.kill()
+    assert process.returncode == DeviceError.exit_code, said
+    assert re.search(r"could not be stopped \(it has not come back for 2 s\): it may still display a force", said)
+    assert "Traceback" not in said

@@ -29,6 +29,8 @@ from softfinger.server.offline.simulate import simulate, with_device
 from softfinger.server.verbs.check import rig_summary
 
 DT = 1e-3
+SLOW_HZ = 250.0
+"""Rate of a whole recording where the ticks between show nothing else."""
 FREE_HAND = Guard(40.0, 2.0, 1e6, 1e6, 0.0, 1.0)
 """Limits of force, torque and their changes that nothing here reaches, and no ramp."""
 EPS = float(np.finfo(float).eps)
@@ -53,6 +55,7 @@ def tuned(scene: str, tool: schema.Tool | None, guard: Guard = FREE_HAND) -> Tun
     return make_tuning(load_scene(scene), schema.Guard(), tools=[tool])._replace(guards=(guard,))
 
 
+@pytest.mark.plain
 def test_press_at_the_end_of_a_stylus_turns_the_handle_by_its_arm() -> None:
     """1 N up at a tip 100 mm along the handle's x: -0.1 N m about y; turned by half a right angle, 0.1 / sqrt 2."""
     tuning = tuned("frictionless-plane", schema.Tool(offset_m=(0.1, 0.0, 0.0)))
@@ -67,6 +70,7 @@ def test_press_at_the_end_of_a_stylus_turns_the_handle_by_its_arm() -> None:
     np.testing.assert_allclose(records[:, AT.torque : AT.torque + 3], 0.0, atol=1e-12)  # about the fingertip
 
 
+@pytest.mark.plain
 @settings(max_examples=300, deadline=None)
 @given(offset=vectors, turn=turns, position=vectors, handle=turns, force=vectors, torque=vectors, v=vectors, w=vectors)
 def test_power_is_the_same_at_tip_and_handle(
@@ -86,6 +90,7 @@ def test_power_is_the_same_at_tip_and_handle(
     np.testing.assert_allclose(about_tip(tool, tip.orientation, force, carried), torque, rtol=0.0, atol=40.0 * EPS)
 
 
+@pytest.mark.plain
 def test_limits_hold_for_what_the_device_is_given() -> None:
     """The carried torque is clamped and slewed, however long the arm; telemetry has what of it is about the tip."""
     largest, change = 0.05, 4.0
@@ -106,16 +111,18 @@ def test_limits_hold_for_what_the_device_is_given() -> None:
     np.testing.assert_allclose(records[:, AT.torque : AT.torque + 3], about, rtol=0.0, atol=100.0 * EPS)
 
 
+@pytest.mark.plain
 def test_tool_of_no_length_changes_no_bit() -> None:
     """As without one; and without one the tick is what it was, since None compiles to nothing."""
-    poses = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), 1000.0)[:, :7])
-    without, having = (simulate(tuned("paper-plane", tool), poses, 1000.0) for tool in (None, schema.Tool()))
+    poses = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), SLOW_HZ)[:, :7])
+    without, having = (simulate(tuned("paper-plane", tool), poses, SLOW_HZ) for tool in (None, schema.Tool()))
     np.testing.assert_array_equal(having, without)
 
 
+@pytest.mark.plain
 def test_contact_is_that_of_the_tip() -> None:
     """A hand that leads the tip along a recording feels what the recording does; the handle has only more torque."""
-    tips = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), 1000.0)[:, :7])
+    tips = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), SLOW_HZ)[:, :7])
     turn = np.array([0.8, 0.0, 0.6, 0.0])
     tool = schema.Tool(offset_m=(0.0, -0.03, 0.15), orientation_wxyz=(0.8, 0.0, 0.6, 0.0))
     rotations = [matrix(q) @ matrix(turn).T for q in tips[:, 3:]]
@@ -131,11 +138,11 @@ def test_contact_is_that_of_the_tip() -> None:
             a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
         ]
     ).T
-    expected = simulate(tuned("paper-plane", None), tips, 1000.0)
-    got = simulate(tuned("paper-plane", tool), handles, 1000.0)
+    expected = simulate(tuned("paper-plane", None), tips, SLOW_HZ)
+    got = simulate(tuned("paper-plane", tool), handles, SLOW_HZ)
     for name, size in (("probe_position", 3), ("force", 3), ("torque", 3), ("contact_mode", 1), ("contact_rolled", 1)):
         at = getattr(AT, name)
-        # 1000 N/m times the rounding of 0.15 m, summed over a thousand ticks of rolling.
+        # 1000 N/m times the rounding of 0.15 m, summed over hundreds of ticks of rolling.
         np.testing.assert_allclose(got[:, at : at + size], expected[:, at : at + size], rtol=0.0, atol=1e-9)
     assert np.ptp(expected[:, AT.force]) > 0.1 and np.ptp(expected[:, AT.torque]) > 1e-3
 
@@ -186,6 +193,7 @@ def test_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(
     ("tool", "said"),
     [

@@ -1,6 +1,7 @@
 """From rig and device to the limits of the guard: nothing a hand depends on is lost on the way."""
 
 import dataclasses
+import math
 
 import pytest
 
@@ -13,21 +14,37 @@ from softfinger.server.loop.tuning import guard_limits, make_tuning
 FAR = (1.0, 1.0, 1.0)
 STRONG = DeviceInfo("strong", 6, 6, 100.0, 10.0, 1e4, 10.0, (-1.0, -1.0, -1.0), FAR)
 RIG = schema.Guard(
-    force_max_n=7.0, torque_max_nm=0.2, force_slew_n_per_s=1234.0, torque_slew_nm_per_s=56.0, ramp_s=0.25
-)
+    force_max_n=7.0, torque_max_nm=0.2, force_slew_n_per_s=1234.0, torque_slew_nm_per_s=56.0, ramp_s=0.25,
+    speed_max_m_per_s=4.0, turn_max_rad_per_s=30.0, frozen_s=2.0,
+)  # fmt: skip
+LIMITS = Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0, 4.0, 30.0, 2.0)
 
 
 def test_every_limit_of_the_rig_reaches_the_guard():
     """Each number of [guard] is one of the guard's, which is armed."""
-    assert guard_limits(RIG) == guard_limits(RIG, STRONG) == Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0)
+    assert guard_limits(RIG, STRONG) == LIMITS
+
+
+def test_poses_are_doubted_where_a_force_is_in_a_hand():
+    """Of what is recorded or computed, of a device that displays none, and of none at all, every pose is believed."""
+    believing = LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0)
+    recorded, puck = dataclasses.replace(STRONG, own_clock=True), dataclasses.replace(STRONG, actuated_dof=0)
+    assert guard_limits(RIG) == guard_limits(RIG, recorded) == guard_limits(RIG, puck)._replace(turns=1.0) == believing
 
 
 @pytest.mark.parametrize(("field", "limit"), [("force_max_n", "force_max"), ("torque_max_nm", "torque_max")])
 def test_no_more_than_the_device_can(field, limit, caplog):
     """What the device allows less of is lowered to it, with a warning; the other limits stay."""
     weak = dataclasses.replace(STRONG, **{field: 0.1})
-    assert guard_limits(RIG, weak) == Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0)._replace(**{limit: 0.1})
+    assert guard_limits(RIG, weak) == LIMITS._replace(**{limit: 0.1})
     assert f"guard.{field}" in caplog.text and "0.1" in caplog.text
+
+
+def test_a_torque_that_a_device_does_not_display_is_known():
+    """Of three driven degrees of freedom the hand is given the force alone, however many are sensed."""
+    for driven, turns in ((3, 0.0), (6, 1.0)):
+        assert guard_limits(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).turns == turns
+    assert guard_limits(RIG).turns == 1.0
 
 
 def test_the_servo_is_given_these_limits():

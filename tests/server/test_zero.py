@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.two_fingers import two_devices
+from helpers.pressed import DEPTH_M, pressed_scene
+from helpers.two_fingers import pressed_by_two, two_devices
 from test_commands import (
-    DEPTH_M,
     ROUNDING,
     events,
     eventually,
-    pressed_by_two,
-    pressed_scene,
     rig,  # noqa: F401 - a fixture
     running,
 )

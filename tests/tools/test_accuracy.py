@@ -284,6 +284,9 @@ def test_fronts_and_orders_look_at_the_ladder_only() -> None:
     ladder = [point("a", 10, 3.0 / rate**3, rate=rate) for rate in (100.0, 200.0, 300.0, 400.0)]
     (order,) = front.orders(ladder + made[1:])
     assert order["order"] == pytest.approx(3.0)
+    # By the three smallest errors: a step too long for the law to hold says nothing.
+    (order,) = front.orders([point("a", 10, 1.0, rate=50.0), *ladder])
+    assert order["order"] == pytest.approx(3.0)
 
 
 def test_recommendations() -> None:

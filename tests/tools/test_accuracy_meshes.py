@@ -15,11 +15,13 @@ from softfinger.tools.accuracy.meshes import (
     orders,
 )
 
+pytestmark = pytest.mark.plain
 FINENESS = (8, 16, 32)
 SHARPEST_M = {"ball": 0.05, "cylinder": 0.03, "torus": 0.02}
 """The smallest radius of curvature of each."""
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
     """Half as long edges: the force and how far the contact point is off the surface are a quarter of what they were,
@@ -42,6 +44,7 @@ def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
         assert row["point_m"] < bulge and row["force_n"] < 1000.0 * bulge
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_rolled_over_edges_does_not_depend_on_the_tick(name: str) -> None:
     """Half as long ticks leave the difference from the surface as it was: it is the mesh's, and nothing is lost in the

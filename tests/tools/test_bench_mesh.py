@@ -8,6 +8,7 @@ import pytest
 from softfinger.server.cli import main
 
 
+@pytest.mark.exhaustive
 def test_small_balls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Smooth and bumpy, as JSON and drawn: the distance is that of all triangles, and few of them are asked."""
     words = ["--levels", "3", "--ticks", "1000", "--paced", "1000", "--json", "--plot", str(tmp_path / "cost.png")]

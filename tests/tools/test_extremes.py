@@ -10,7 +10,15 @@ from softfinger.server.cli import main
 from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED, guard_wrench
 from softfinger.tools.stability import extremes, wrenches
 
+pytestmark = pytest.mark.plain
 CASES = list(extremes.cases())
+
+
+@pytest.fixture(autouse=True)
+def _numbers_of_any_size():
+    """A kernel says nothing of what overflows, and refuses what comes of it; numpy, as plain Python, would warn."""
+    with np.errstate(all="ignore"):
+        yield
 
 
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.name}: {case.given}" for case in CASES])
@@ -21,13 +29,15 @@ def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
     assert finding.ticks == len(case.samples) > 0
 
 
-def test_garbage_never_leaves_the_rules():
+@pytest.mark.scaled
+def test_garbage_never_leaves_the_rules(cases):
     """Random NaN, infinities, subnormal, huge and zero numbers and time jumps: no tick breaks a rule."""
-    for row in extremes.try_hostile(60_000):
+    for row in extremes.try_hostile(cases(1500, 60_000)):
         assert row["broken"] == 0
         # A quarter of the samples holds at least one spoilt number with 1 - (7/8)^7 = 61 %, half of them bad ones.
         assert 0.05 < row["refused"] / row["ticks"] < 0.25
-        assert row["force_max_n"] > 0.9 * extremes.FORCE_MAX_N
+        # It grows from zero after each pose that is refused: how far depends on the longest stretch without one.
+        assert row["force_max_n"] > cases(5, 9) / 10.0 * extremes.FORCE_MAX_N
 
 
 def sound_records():
@@ -79,36 +89,39 @@ def test_the_guard_holds_against_wrenches_of_any_kind(wrenches_of):
     assert wrong == ""
 
 
+plain_guard = getattr(guard_wrench, "py_func", guard_wrench)
+
+
 def unchecked(guard, guarded, force, torque, dt, period):
     """A guard whose check of finite numbers was lost."""
     force = tuple(0.0 if math.isnan(x) else x for x in force)
     torque = tuple(0.0 if math.isnan(x) else x for x in torque)
-    return guard_wrench.py_func(guard, guarded, force, torque, dt, period)
+    return plain_guard(guard, guarded, force, torque, dt, period)
 
 
 def without_slew(guard, guarded, *rest):
-    return guard_wrench.py_func(guard._replace(force_slew=1e9, torque_slew=1e9), guarded, *rest)
+    return plain_guard(guard._replace(force_slew=1e9, torque_slew=1e9), guarded, *rest)
 
 
 def without_ramp(guard, guarded, *rest):
-    return guard_wrench.py_func(guard._replace(ramp=0.0), guarded, *rest)
+    return plain_guard(guard._replace(ramp=0.0), guarded, *rest)
 
 
 def with_late_slew(guard, guarded, force, torque, dt, period):
-    return guard_wrench.py_func(guard, guarded, force, torque, dt, max(dt, period))
+    return plain_guard(guard, guarded, force, torque, dt, max(dt, period))
 
 
 def with_force_ramp_alone(guard, guarded, force, torque, dt, period):
-    whole = guard_wrench.py_func(guard._replace(ramp=0.0), guarded, force, torque, dt, period)[0]
-    after, bits = guard_wrench.py_func(guard, guarded, force, torque, dt, period)
+    whole = plain_guard(guard._replace(ramp=0.0), guarded, force, torque, dt, period)[0]
+    after, bits = plain_guard(guard, guarded, force, torque, dt, period)
     return after._replace(torque=whole.torque), bits
 
 
 @pytest.mark.parametrize("broken", [unchecked, without_slew, without_ramp, with_late_slew, with_force_ramp_alone])
 def test_a_guard_that_lost_a_part_does_not_pass(broken, monkeypatch):
     """Without the check, the slew limit, the ramp or a share of them, `stability --extremes` fails."""
-    monkeypatch.setattr(wrenches, "guard_many", wrenches.guard_many.py_func)
-    monkeypatch.setattr(wrenches, "guard_wrench", guard_wrench.py_func)
+    monkeypatch.setattr(wrenches, "guard_many", getattr(wrenches.guard_many, "py_func", wrenches.guard_many))
+    monkeypatch.setattr(wrenches, "guard_wrench", plain_guard)
     assert all(wrong == "" for *_, wrong in wrenches.try_wrenches())
     monkeypatch.setattr(wrenches, "guard_wrench", broken)
     assert any(wrong for *_, wrong in wrenches.try_wrenches())

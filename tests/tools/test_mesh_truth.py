@@ -9,6 +9,7 @@ from pathlib import Path
 
 import mesh_truth
 import numpy as np
+import pytest
 from helpers import meshes
 from helpers.surface_hand import hand
 from helpers.touching import R, saved, scene_with, thing
@@ -18,6 +19,7 @@ from references.triangles import distances
 SCRIPT = Path(__file__).parents[1] / "mesh_truth.py"
 
 
+@pytest.mark.exhaustive
 def test_a_ball_is_true(tmp_path: Path) -> None:
     """Distances to 1e-9 of its size, a proxy that is never inside, and times of ticks; exit code 0."""
     words = ["ball", "--points", "300", "--ticks", "1000", "--json"]
@@ -30,11 +32,15 @@ def test_a_ball_is_true(tmp_path: Path) -> None:
 
 
 def test_what_is_inside_is_seen(tmp_path: Path) -> None:
-    """A mesh that is larger than what was rendered: the proxy is inside of it, and it is said."""
+    """A mesh that is larger than what was rendered: the proxy is inside of it, and it is said; of the mesh itself
+    nothing is wrong."""
     ball = meshes.geodesic(8, 0.05)
     scene = scene_with(thing("part", "mesh", file=saved(tmp_path, *ball)))
-    larger = balls_of(1.01 * ball.vertices, ball.triangles)
+    true, larger = balls_of(*ball), balls_of(1.01 * ball.vertices, ball.triangles)
     rng = np.random.default_rng(0)
+    held = mesh_truth.check_ticks(scene, true, hand(ball, 500, R, rng), R)
+    away = mesh_truth.check_distances(scene, true, 200, rng)
+    assert held["touching"] > 50 and not mesh_truth.is_wrong({"hand": held, "distances": away})
     found = mesh_truth.check_ticks(scene, larger, hand(ball, 500, R, rng), R)
     assert found["inside"] > 0 and found["deepest"] > 0.01
     assert mesh_truth.is_wrong({"hand": found})

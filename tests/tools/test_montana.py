@@ -14,6 +14,8 @@ from softfinger.proxy.kernels.geometry import rotations
 from softfinger.tools.accuracy import montana
 from softfinger.tools.accuracy.reference import normal_and_curvature, rolled
 
+pytestmark = pytest.mark.plain
+
 SHAPES: dict[str, Any] = {
     "plane": model.Plane((0.6, 0.0, -0.8), 0.01),
     "sphere": model.Sphere(0.05, 1.0),

@@ -14,6 +14,8 @@ from softfinger.drivers.base import SAMPLE_BUTTONS
 from softfinger.tools.doctor import motions
 from softfinger.tools.exchange import FORCE, ROW_SIZE, SAMPLE
 
+pytestmark = pytest.mark.plain
+
 RATE_HZ: Final = 1000.0
 
 

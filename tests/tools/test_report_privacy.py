@@ -14,6 +14,8 @@ from softfinger.drivers import registry
 from softfinger.tools.doctor import privacy, report
 from softfinger.tools.doctor.questions import ANSWERS, answered, questions
 
+pytestmark = pytest.mark.plain
+
 ROOT = Path(__file__).resolve().parents[2]
 USER: Final = "zaphodb"
 

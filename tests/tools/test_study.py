@@ -8,6 +8,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.tools import study
 from softfinger.tools.accuracy.report import table
 
+pytestmark = pytest.mark.plain
+
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = "before\n<!-- study: drift -->\n| old |\n<!-- end -->\nafter <!-- study: orders -->\n<!-- end -->\n"
 

@@ -19,6 +19,8 @@ from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.tools import sweep
 from softfinger.tools.sweep import case_key, run_cases
 
+pytestmark = pytest.mark.plain
+
 # 0.1 and pi have no short decimal form, the others are what encodings lose.
 CASES = [{"x": x, "n": n} for n, x in enumerate([0.1, math.pi, 5e-324, -0.0, 1e308, math.inf, 2.0**-1022] * 3)]
 

@@ -70,6 +70,8 @@ torque_slew_nm_per_s = 50.0
 ramp_s = 0.05
 [telemetry]
 endpoint = "ENDPOINT"
+[commands]
+ramp_s = 0.0
 """
 HELD: Final = "t,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{0.01 - DEPTH_M!r},1,0,0,0\n" for t in (0, 1))
 

@@ -127,7 +127,7 @@ def quiet(values: Any) -> float:
 def features(chosen: Sequence[Feature], blocks: int) -> list[dict[str, Any]]:
     """Cost of each feature: of a scene with it, and the difference from the scene without it, in ns."""
     rows = []
-    with progress("compiling and measuring features", len(chosen)) as done:
+    with progress("measuring features", len(chosen)) as done:
         for number, feature in enumerate(chosen):
             rows.append(cost_of(feature, blocks))
             done(number + 1)

@@ -9,6 +9,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.system import discovery
+from softfinger.drivers.system import libusb as system_libusb
 from softfinger.drivers.system.claims import Claim, claim_on, claims, may_be
 from softfinger.drivers.system.diagnosis import diagnose
 from softfinger.drivers.system.discovery import Attached
@@ -28,15 +29,13 @@ def _missing(needed: bool) -> State:
 
 
 def libusb(rig: Rig) -> Check:
-    import usb.backend.libusb1
-
-    there = usb.backend.libusb1.get_backend() is not None
+    origin = system_libusb.origin()
     return Check(
         "libusb",
-        "good" if there else _missing(single_device(rig).driver in OVER_USB),
-        "found" if there else "not found",
+        "good" if origin else _missing(single_device(rig).driver in OVER_USB),
+        f"found, {origin}" if origin else "not found",
         "there, for a Falcon",
-        "apt install libusb-1.0-0",
+        system_libusb.REMEDY,
     )
 
 

@@ -179,7 +179,9 @@ def wall_and_weight(
     finger = Finger(RADIUS_M, Coupling(1.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)
     scene = Scene(fingers=(finger,), objects=(wall,), rolling=None, effects=(weight,))
     # The observer is always there: with a largest damping of 0 it leaves the force alone.
-    return Tuning(scene, (Guard(inf, inf, inf, inf, 0.0, 1.0),), Passivity(passivity_damping), (None,))
+    return Tuning(
+        scene, (Guard(inf, inf, inf, inf, 0.0, 1.0, inf, inf, 0.0, 1.0),), Passivity(passivity_damping), (None,)
+    )
 
 
 pressed_wall: Final = jit(wall_and_weight)
@@ -322,7 +324,7 @@ def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
 
 def compile_search() -> None:
     """Compile the search, or load it, unless that is done: the processes of a cluster here then find it compiled."""
-    with progress("compiling"):
+    with progress("kernels"):
         plant = Case().plant()
         run_rows(np.array([loop_of(Case(), 1.0, 1)]), flatten(plant).reshape(1, -1), plant)
 

@@ -10,6 +10,7 @@ from softfinger.proxy.kernels.contact.carry import (
     turn_against,
     velocity_against,
 )
+from softfinger.proxy.kernels.contact.first_pose import raised, touched_at_first
 from softfinger.proxy.kernels.contact.rest.constraints import INSIDE, NONE, Constraints, one_constraint, pressed
 from softfinger.proxy.kernels.contact.rest.half_spaces import Push
 from softfinger.proxy.kernels.contact.rest.lodged import lifted_on
@@ -26,7 +27,9 @@ from softfinger.proxy.kernels.geometry.bodies import (
     swings_on,
     transport_on,
 )
-from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged, rugged_on
+from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged
+from softfinger.proxy.kernels.geometry.mesh.contact import SPENT
+from softfinger.proxy.kernels.geometry.mesh.lanes import ROOM
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import (
@@ -43,10 +46,13 @@ from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.tuples import same_for
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ROLLING
 
+STUCK_TICKS = 8
+"""Ticks in a row without rest in which a proxy beside a mesh stands still before it starts anew where the probe is."""
+
 
 class Meeting(NamedTuple):
     """A first touch: where the way of the proxy begins, where what is met holds it, and what that is, if anything. And
-    what is left of the tick's budget."""
+    what is left of the tick's budget, below 0 where it is not known whether a first pose touches anything."""
 
     start: Vec3
     center: Vec3
@@ -115,6 +121,15 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
 
 
 @jit
+def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
+    """Whether a fingertip there touches no mesh and nothing else, on the outer side of what is closed."""
+    if not any_faceted(objects):
+        return False
+    gap, _, left = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
+    return left >= 0 and gap >= radius
+
+
+@jit
 def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Meeting:
     """First contact on the way of the last proxy, in free space the last probe, to the probe, as each object sees it.
 
@@ -125,25 +140,16 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
     start, budget = position, BUDGET // 2
     if any_rugged(objects):  # on the way over a height map a fingertip asks more often
         budget = 3 * BUDGET // 4
-    left = budget
+    left, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0))
     if state.started == 0.0:
-        # A height map tells its side from near by; of a mesh all has to be asked for that.
-        within = radius if any_rugged(objects) else EVERYWHERE
-        gap, index, left = deepest(objects, position, within, NOBODY, left)
-        if any_rugged(objects) and any_faceted(objects) and gap >= radius:
-            gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
-            if rugged_on(objects, index):  # its bound: it has just been found to be farther
-                index = NONE
-        # Of a mesh that was not searched to the end: what was found so far.
-        if left < 0 and index >= 0.0 and not rugged_on(objects, index):
-            gap, _, _, left = closest_to_within(objects, index, position, left)
+        index, known, left = touched_at_first(objects, radius, position, left)
+        if not known:
+            return Meeting(start, position, nothing, SPENT)
         met = position
-        if gap >= radius:
-            index = NONE
     else:
         start = state.center
         index, met, left = first_hit(objects, start, position, radius, False, NOBODY, left)
-    active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position
+    active, center = nothing, position
     if index >= 0.0:
         gap, point, normal, left = closest_to_within(objects, index, met, left)
         center = vec3.add_scaled(point, radius, normal)
@@ -152,13 +158,20 @@ def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Me
             center = met  # others are as near, or the way was not searched to the end: on this one it might be inside
         elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE)) and not is_outside(
             objects, radius, center, center, left
-        ):  # the gap is a bound, of a map that was not searched to the end
-            center = lifted_on(objects, index, center, radius) if state.started == 0.0 else met
+        ):  # the gap is a bound, of a map that was not searched to the end; or another triangle is as near
+            if state.started != 0.0:
+                center = met
+            elif any_faceted(objects) and not any_rugged(objects):
+                center, known = raised(objects, radius, center, normal)
+                if not known:
+                    return Meeting(start, position, nothing, SPENT)
+            else:
+                center = lifted_on(objects, index, center, radius)
         push = Push(max(vec3.dot(vec3.sub(center, position), normal), 0.0), 0.0, 0.0)
         active = Constraints(first=index, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
         ended = state.mode != FREE and push.first <= INSIDE * radius
         if ended and is_outside(objects, radius, state.center, position, left):
-            active, center = one_constraint(NONE, (0.0, 0.0, 1.0)), position  # what has just ended, rounded
+            active, center = nothing, position  # what has just ended, rounded
         else:
             center = rest_of(state.patches, objects, radius, position, center, active)
     if not any_moves(objects):
@@ -303,5 +316,6 @@ def parted(state: FingerState) -> FingerState:
         center=state.center,
         patches=same_for(state.patches, NO_PATCH),
         rolled=0.0,
+        stuck=0.0,
         effects=state.effects,
     )

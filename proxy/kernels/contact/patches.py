@@ -22,11 +22,13 @@ from softfinger.proxy.kernels.contact.fingertip import velocity_at
 from softfinger.proxy.kernels.contact.normal import press
 from softfinger.proxy.kernels.contact.rest.constraints import Constraints, loads_of, one_constraint
 from softfinger.proxy.kernels.contact.rest.several import relax
+from softfinger.proxy.kernels.contact.rest.supporting import held_at_anchor
 from softfinger.proxy.kernels.contact.texture import emboss_on
 from softfinger.proxy.kernels.friction.machine import split
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.bodies import material_of, roll_flat_on, transport_on
+from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged
 from softfinger.proxy.kernels.model import NO_PATCH, FingerState, Patch, PatchState, Probe, Quaternion, Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.record import ROLLING
@@ -77,6 +79,8 @@ def again(objects: Any, radius: float, state: FingerState, probe: Vec3) -> tuple
     """The proxy (3,) m of the last tick as its first object carried it, and what held it, pushing as it does now."""
     one, two, three = state.patches
     center = carried_point(carry(objects, one.body), state.center)
+    if any_faceted(objects) and not any_rugged(objects):
+        return center, held_at_anchor(objects, radius, probe, center, (one.body, two.body, three.body))
     up = one_constraint(one.body, one.normal)
     active = Constraints(
         first=one.body, second=two.body, third=three.body, n1=up.n1, n2=up.n2, n3=up.n3, push=up.push

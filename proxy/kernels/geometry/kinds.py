@@ -81,12 +81,24 @@ def any_wide(objects: Any) -> bool:
 
 
 @jit
-def rugged_on(objects: Any, index: float) -> bool:
-    """Whether the object with that place is a height map."""
-    found = 0.0
+def kind_on(objects: Any, index: float) -> float:
+    """Of the object with that place: 1 a triangle of a mesh, 2 a height map, 0 anything else, or nothing."""
+    kind = 0.0
     at = 0.0
     for entry in literal_unroll(objects):
         if has(entry, at, index):
-            found = is_rugged(shape_in(entry))
+            kind = is_faceted(shape_in(entry)) + 2.0 * is_rugged(shape_in(entry))
         at += places(entry)
-    return found > 0.0
+    return kind
+
+
+@jit
+def faceted_on(objects: Any, index: float) -> bool:
+    """Whether the object with that place is a triangle of a mesh."""
+    return kind_on(objects, index) == 1.0
+
+
+@jit
+def rugged_on(objects: Any, index: float) -> bool:
+    """Whether the object with that place is a height map."""
+    return kind_on(objects, index) == 2.0

@@ -27,6 +27,20 @@ def add_scaled(a: Vec3, s: float, b: Vec3) -> Vec3:
     return (a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2])
 
 
+LEAST = 1e-300
+"""Below this what fades away is nothing. A tick with a denormal number, below 2e-308, takes 1.3 to 2 times as long."""
+
+
+@jit
+def faded(a: Vec3) -> Vec3:
+    """`a` with 0 below LEAST. What falls by a share in each tick would end as a denormal number, for good."""
+    return (
+        0.0 if abs(a[0]) < LEAST else a[0],
+        0.0 if abs(a[1]) < LEAST else a[1],
+        0.0 if abs(a[2]) < LEAST else a[2],
+    )
+
+
 @jit
 def dot(a: Vec3, b: Vec3) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -88,6 +88,7 @@ class FingerState(NamedTuple):
     center           the proxy; among several objects the one that friction has not displaced
     patches          tuple of PatchState: one in a scene of one object, else three, the most loaded first
     rolled           roll angle since touch, rad
+    stuck            ticks in a row in which the proxy found no rest and stood still
     effects          states of the effects of the workspace and of every object: what they remember is about this
                      visitor, a vibration's phase too, which waits at its beginning while the finger is out of reach
     """
@@ -98,6 +99,7 @@ class FingerState(NamedTuple):
     center: Vec3
     patches: Any
     rolled: float
+    stuck: float
     effects: Any
 
 
@@ -187,7 +189,8 @@ class Contact(NamedTuple):
     patch_normal     of the object, in the fingertip frame
     patch_stretch    m, of the skin against the fingertip along the surface, in the fingertip frame
     patches          tuple of PatchContact, as many as FingerState has patches, in their order
-    budget           1 if the proxy stays where it was, as a mesh or height map could not be searched to the end
+    budget           1 if a mesh or height map could not be searched to the end: the proxy stays where it was, or it is
+                     not known whether a first pose touches
     """
 
     mode: float

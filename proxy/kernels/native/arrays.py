@@ -46,7 +46,7 @@ class ReadOnly:
         self.address = int(array.ctypes.data)
 
     def __getitem__(self, index: int) -> Any:
-        return self.array[index]
+        return self.array.item(index)  # a number of Python: kernels that are plain Python count with those
 
     def __len__(self) -> int:
         return len(self.array)

@@ -21,14 +21,19 @@ from typing import Any, Final, TypeVar, cast
 
 import llvmlite.binding as llvm
 import numba
-from numba.core import sigutils
+from numba.core import event, sigutils
 from numba.core.ccallback import CFunc
 from numba.core.registry import CPUDispatcher
 
+from softfinger.proxy.kernels.native.compiler.doing import DOING
 from softfinger.proxy.kernels.native.compiler.pipeline import KernelCompiler, PartCompiler
 from softfinger.proxy.kernels.native.kept import Folder, KernelCache
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+PLAIN: Final = bool(numba.config.DISABLE_JIT)
+"""numba's own switch, the environment's NUMBA_DISABLE_JIT=1: kernels are plain Python functions, for a debugger, a
+profiler or a measurement of coverage. `Engine` works so, bit for bit the same; what needs machine code does not."""
 
 _PACKAGE: Final = Path(__file__).resolve().parents[3]
 _SOURCE_FOLDERS: Final = ("config", "drivers", "proxy", "server", "tools")
@@ -89,6 +94,19 @@ INLINED: Final = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True, "pi
 """Options of a kernel that only kernels call: it has no wrapper for Python, and no machine code of its own."""
 
 
+class _Told(event.Listener):  # type: ignore[misc]
+    """numba says when it begins to compile a function, and when it has ended."""
+
+    def on_start(self, event: Any) -> None:
+        DOING.begin()
+
+    def on_end(self, event: Any) -> None:
+        DOING.end()
+
+
+event.register("numba:compile", _Told())
+
+
 class _OnCall(CPUDispatcher):  # type: ignore[misc]
     """A kernel for other kernels. Called from Python it is compiled once more, with the wrapper that needs."""
 
@@ -106,11 +124,13 @@ def on_call(compiled: Any) -> Any:
 
 def jit(function: Kernel) -> Kernel:
     """Compile a kernel into its callers; `outlined` is for what is too large for that."""
-    return cast(Kernel, on_call(numba.njit(**INLINED)(function)))
+    return function if PLAIN else cast(Kernel, on_call(numba.njit(**INLINED)(function)))
 
 
 def entry(function: Kernel) -> Kernel:
     """Compile a kernel that Python calls, and keep the result on disk."""
+    if PLAIN:
+        return function
     compiled: Any = numba.njit(**OPTIONS)(function)
     compiled._cache = KernelCache(function, KEPT)
     return cast(Kernel, compiled)
@@ -125,6 +145,14 @@ class _CFunction(CFunc):
             self.compile()
         return super().address
 
+    def _compile_uncached(self) -> Any:
+        """numba says nothing of these."""
+        DOING.begin()
+        try:
+            return super()._compile_uncached()  # type: ignore[misc]
+        finally:
+            DOING.end()
+
 
 def c_function(signature: Any, on_demand: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """Compile a kernel with a C address (`.address`), and keep the result on disk.
@@ -138,7 +166,7 @@ def c_function(signature: Any, on_demand: bool = False) -> Callable[[Callable[..
         options = {"error_model": "numpy"}
         compiled: Any = _CFunction(function, wanted, locals={}, options=options, pipeline_class=KernelCompiler)
         compiled._cache = KernelCache(function, KEPT)
-        if not on_demand:
+        if not on_demand and not PLAIN:
             compiled.compile()
         return compiled
 

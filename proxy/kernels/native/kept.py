@@ -28,6 +28,8 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
+from softfinger.proxy.kernels.native.compiler.doing import DOING
+
 MAGIC: Final = b"softfinger kernel 1\n"
 LINKS_MAX: Final = 40
 OWN_FOLDER: Final = "set SOFTFINGER_CACHE_DIR to a folder of your own"
@@ -190,6 +192,10 @@ class KernelCache(NullCache):  # type: ignore[misc]
         numba's own cache first makes numba ready to compile, which imports half of it, and SciPy where that is
         installed. Machine code needs none of that but the addresses it calls; `compile` makes itself ready.
         """
+        with DOING.loading():
+            return self._loaded(signature, target_context)
+
+    def _loaded(self, signature: Any, target_context: Any) -> Any:
         key = self._key(signature, target_context.codegen())
         body = None if key is None else self._folder.read(self._name(key))
         if key is None or body is None:

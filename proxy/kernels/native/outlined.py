@@ -20,7 +20,7 @@ from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.lowering import Lower
 
 from softfinger.proxy.kernels.native.compiler.pipeline import PartCompiler, PartLowering
-from softfinger.proxy.kernels.native.jit import INLINED, on_call
+from softfinger.proxy.kernels.native.jit import INLINED, PLAIN, on_call
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -56,5 +56,7 @@ class _Compiler(PartCompiler):
 
 def outlined(function: Kernel) -> Kernel:
     """Compile a kernel once for each type of arguments, and call it from wherever it is asked."""
+    if PLAIN:
+        return function
     options = INLINED | {"forceinline": False, "pipeline_class": _Compiler}
     return on_call(numba.njit(**options)(function))

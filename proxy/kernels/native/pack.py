@@ -15,6 +15,7 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
 from softfinger.proxy.kernels.native.arrays import ReadOnly, ReadOnlyType
+from softfinger.proxy.kernels.native.jit import PLAIN
 
 
 def flatten(tree: Any) -> np.ndarray:
@@ -32,6 +33,20 @@ def flatten(tree: Any) -> np.ndarray:
 
     walk(tree)
     return np.array(leaves, dtype=np.float64)
+
+
+def unflatten(like: Any, values: Any) -> Any:
+    """The tree whose leaves `flatten` has made `values` (n,): parts that are absent and arrays are those of `like`."""
+    leaves = iter(np.asarray(values).tolist())
+
+    def build(node: Any) -> Any:
+        if isinstance(node, tuple):
+            children = [build(child) for child in node]
+            return type(node)(*children) if hasattr(node, "_fields") else tuple(children)
+        leaf = next(leaves)
+        return node if node is None or isinstance(node, ReadOnly) else leaf
+
+    return build(like)
 
 
 class Packed(NamedTuple):
@@ -99,3 +114,10 @@ def pack(typing_context, values, tree):  # type: ignore[no-untyped-def]
         return context.get_dummy_value()
 
     return types.void(values, tree), generate
+
+
+if PLAIN:
+    unpack = unflatten
+
+    def pack(values: Any, tree: Any) -> None:
+        values[:] = flatten(tree)

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import is_public
+from softfinger.config.schema import commands_beside, is_public
 from softfinger.server import keys, signals
 from softfinger.server.gateway.allowed import Allowed
 from softfinger.server.gateway.forward import Forward, Source, Way
@@ -20,7 +20,6 @@ from softfinger.server.gateway.front import Lock
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.progress import counter
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
-from softfinger.server.wire.control import DEFAULT_COMMANDS
 from softfinger.server.wire.endpoint import Bound, listen
 
 log: Final = logging.getLogger(__name__)
@@ -42,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="as a stream of Lab Streaming Layer, which everybody on the network can read (extra lsl)",
     )
     parser.add_argument(
-        "--commands-from", metavar="URL", default=DEFAULT_COMMANDS, help="where the daemon takes commands (%(default)s)"
+        "--commands-from", metavar="URL", help="where the daemon takes commands (default: beside its telemetry)"
     )
     parser.add_argument("--commands-to", metavar="URL", help="where commands are taken for it")
     parser.add_argument("--keys", metavar="FILE", help="secret key of this end; needed for a URL open to the network")
@@ -69,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         if args.commands_to:
             lock = lock_of(args.commands_to, "--commands-to", args.keys, args.commanders)
             opened = bound(args.commands_to, "--commands-to", args.commands_to_fd, stack)
-            commands = Way(Source(args.commands_from, upstream), opened, lock)
+            commands = Way(Source(args.commands_from or commands_beside(args.source), upstream), opened, lock)
         stream = Source(args.source, upstream) if to or args.lsl else None
         forward = Forward(stream, to, commands, Outlets(args.source) if args.lsl else None)
         stack.callback(forward.close)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, RecordingError
 from softfinger.config.files import open_recording
-from softfinger.config.schema import Rig, Telemetry
+from softfinger.config.schema import commands_beside
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
 from softfinger.server.recording.recorder import Recorded, Recorder
@@ -29,7 +29,7 @@ DESCRIBE_S: Final = 2.0
 SHOW_EVERY_S: Final = 0.5
 DISK_S: Final = 10.0
 """How long the end waits for the disk."""
-_NOT_KEPT: Final = ("wire", "commands")
+_NOT_KEPT: Final = ("wire", "commands", "endpoints")
 """Of the daemon's description: they say how messages look that are not in the file."""
 
 
@@ -65,7 +65,7 @@ def record_live(live: Live, path: Path) -> str:
             raise RecordingError(f"{path}: is there already: a recording takes the place of no file") from error
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
-        recorder = Recorder(file, fingers, about, log.warning)
+        recorder = Recorder(file, fingers, about, lambda said, _: log.warning(said))
         taking = Taking(recorder, fingers)
         try:
             ended = go_on(wire, live, early, taking)
@@ -224,11 +224,8 @@ def _early(wire: Subscription, live: Live) -> list[Sample]:
 
 def _description(live: Live) -> dict[str, Any]:
     """What the daemon says of itself; empty where it takes no commands."""
-    commands = live.commands or Rig(telemetry=Telemetry(endpoint=live.endpoint)).commands_endpoint
-    if commands is None:
-        return {}
     try:
-        with Control(commands, DESCRIBE_S, keys=live.keys) as control:
+        with Control(live.commands or commands_beside(live.endpoint), DESCRIBE_S, keys=live.keys) as control:
             return {key: value for key, value in control.describe().items() if key not in _NOT_KEPT}
     except HapticError as error:
         log.warning("it is not known which rig and scene this is: %s", error)

@@ -14,12 +14,15 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.nodes.board import add_board
-from softfinger.server.viewer.nodes.glyphs import Quaternion
-from softfinger.server.viewer.nodes.looks import CM, OBJECTS
+from softfinger.server.viewer.nodes.glyphs import Quaternion, rotated
+from softfinger.server.viewer.nodes.looks import CM, MAP, OBJECTS, Colour
 from softfinger.server.viewer.nodes.meshes import PLANE_M, Mesh, mesh_of
 
 SQUARES: Final = 13
 """Of a side of a plane's board, a centimetre each."""
+
+LEVEL: Final = 0.5
+"""Cosine of the slope up to which a plane is a ground."""
 
 Place = tuple[tuple[float, float, float], Quaternion]
 
@@ -62,14 +65,14 @@ class Bodies:
             self._put(number)
             if thing.motion is not None:
                 self._moving[number] = (kernel_motion(thing.motion), Pose(*place))
-            _draw(api, f"/objects/{number}", thing, _colour(number))
+            _draw(api, f"/objects/{number}", thing, _colour(number, thing))
 
     def draw(self, number: int, mesh: Mesh) -> None:
         """The triangles of an object that is made of a file have come."""
         thing = self._scene.object[number]
         if len(mesh.faces):  # of crumbs alone nothing may be left
             flat = isinstance(thing, schema.Mesh)  # a map is smooth
-            _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=flat), _colour(number))
+            _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=flat), _colour(number, thing))
 
     def show(self, row: NDArray[np.float64]) -> None:
         """Put those that move by themselves where they are in a tick (RECORD_SIZE,)."""
@@ -92,13 +95,24 @@ class Bodies:
         self._frames[number].position = (CM * x, CM * y, CM * z)
         self._frames[number].wxyz = turn
 
+    def ground(self, point: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """The place (3,) m on a plane straight below a point, the highest one; None where there is none."""
+        heights = []
+        for thing, (position, turn) in zip(self._scene.object, self.places, strict=True):
+            if thing.shape == "plane":
+                up = rotated(turn, np.array([[0.0, 0.0, 1.0]]))[0]
+                if up[2] > LEVEL:
+                    heights.append(point[2] - float(up @ (point - np.array(position))) / up[2])
+        below = [height for height in heights if height <= point[2]]
+        return np.array([point[0], point[1], max(below)]) if below else None
+
     def remove(self) -> None:
         """With all that hangs on them."""
         self._root.remove()
 
 
-def _colour(number: int) -> tuple[int, int, int]:
-    return OBJECTS[number % len(OBJECTS)]
+def _colour(number: int, thing: Any) -> Colour:
+    return MAP if isinstance(thing, schema.Heightmap) else OBJECTS[number % len(OBJECTS)]
 
 
 def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None:

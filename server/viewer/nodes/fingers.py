@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import pi, radians
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
-from softfinger.proxy.record import AT, FREE, NAMED, PATCHES
+from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.viewer.nodes.bodies import Bodies
 from softfinger.server.viewer.nodes.glyphs import Way, arc, circles, inverse, rotated, towards
-from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, MARKS, NORMAL, OF_MODE, SKIN, TORSION, Looks
+from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, MARKS, NORMAL, SKIN, TORSION, Colour, Looks
 from softfinger.server.viewer.nodes.meshes import cone, ellipsoid
+from softfinger.server.viewer.nodes.states import COLOURS, State, state_of
 
 Array = NDArray[np.float64]
 
@@ -27,8 +28,14 @@ TRACED_EVERY: Final = 5
 """Ticks between two points of a trace."""
 NOTHING_N: Final = 1e-4
 """Force that has no arrow."""
-NOTHING_NM: Final = 2e-5
-"""Moment that has no arc."""
+RECENT: Final = 100
+"""Ticks over which a contact is seen to roll or to spin."""
+FADES: Final = 0.995
+"""Of the largest force from picture to picture: the scale of its arrow stays for some seconds after a push."""
+DROP_N: Final = 24
+"""Pieces of the circle on the ground below a fingertip."""
+LEAST_ARC: Final = radians(8.0)
+"""A shorter arc, rad, would be a head without a line, and is not drawn."""
 
 
 def _three(at: int) -> slice:
@@ -85,6 +92,13 @@ class FingerNodes:
         self._tip_trace = self._lines("tip/trace", self._on_tip.segments, SKIN, 3.5)
         self._on_objects: dict[int, tuple[Way, Any]] = {}
         self._touched = -1
+        self._largest_n = 0.0
+        self._last: Array | None = None
+        self.state = State.FREE
+        """What the contact does."""
+        self.cm_per_newton = 0.0
+        """Of the force's arrow, as it is drawn."""
+        self._drop = self._lines("drop", np.zeros((DROP_N + 1, 2, 3)), MARKS, 1.5)
 
     def _lines(self, node: str, segments: Array, colour: Any, thickness: float) -> Any:
         return self._api.add_line_segments(
@@ -102,7 +116,12 @@ class FingerNodes:
         self._ghost.position, self._ghost.wxyz = CM * probe, turn
         self._ghost.visible = self._apart.visible = apart and looks.ghost
         self._apart.points = CM * np.array([[probe, proxy]])
+        last = rows[max(len(rows) - RECENT, 0)] if len(rows) > 1 else self._last if self._last is not None else row
+        self.state, self._last = state_of(last, row, max(self._radii)), row
+        self._largest_n = max(float(np.linalg.norm(row[_three(AT.force)])), FADES * self._largest_n)
+        self.cm_per_newton = looks.arrow(self._largest_n)
         self._show_wrench(row, mode, looks)
+        self._show_drop(probe)
         self._show_patches(row, mode != FREE and looks.patches)
         self._show_cone(row, mode != FREE and looks.cone, looks)
         self._trace(rows[::-1][::TRACED_EVERY][::-1], looks.traces)
@@ -112,12 +131,12 @@ class FingerNodes:
         force = row[_three(AT.force)]
         begins = CM * (point if mode != FREE else row[_three(AT.probe_position)])
         self._force.visible = bool(np.linalg.norm(force) > NOTHING_N)
-        self._force.points = np.array([[begins, begins + looks.cm_per_newton * force]])
-        self._force.colors = np.array(OF_MODE[mode], np.uint8)
-        moment = float(row[AT.contact_torsion])
-        self._arc.visible = mode != FREE and abs(moment) > NOTHING_NM
+        self._force.points = np.array([[begins, begins + self.cm_per_newton * force]])
+        self._force.colors = np.array(COLOURS[self.state], np.uint8)
+        angle = radians(1e3 * float(row[AT.contact_torsion]) * looks.degrees_per_mnm)
+        self._arc.visible = mode != FREE and abs(angle) > LEAST_ARC
         if self._arc.visible:
-            self._arc.points = arc(radians(1e3 * moment * looks.degrees_per_mnm), 1.35 * CM * max(self._radii))
+            self._arc.points = arc(angle, 1.35 * CM * max(self._radii))
             self._arc.position = CM * (point + 0.15 * self._radii[0] * normal)
             self._arc.wxyz = towards(normal)
 
@@ -128,7 +147,7 @@ class FingerNodes:
             self._dots[k].visible = here
             if here:
                 point, normal = row[_three(at.point)], row[_three(at.normal)]
-                self._dots[k].position, self._dots[k].color = CM * point, OF_MODE[int(row[at.mode])]
+                self._dots[k].position, self._dots[k].color = CM * point, self._colour_of_patch(int(row[at.mode]))
                 lines[k] = CM * point, CM * point + 2.5 * CM * max(self._radii) * normal
         self._normals.visible, self._normals.points = shown, lines
 
@@ -143,12 +162,31 @@ class FingerNodes:
             self._cone.vertices = cone(1.0, self._slope).vertices
         self._cone.position = CM * row[_three(AT.contact_point)]
         self._cone.wxyz = towards(row[_three(AT.contact_normal)])
-        self._cone.scale = looks.cm_per_newton * load
+        self._cone.scale = self.cm_per_newton * load
+
+    def _colour_of_patch(self, mode: int) -> Colour:
+        """A patch that does not slide does what the contact does, unless that slides elsewhere."""
+        if mode == SLIDING:
+            return COLOURS[State.SLIDING]
+        return COLOURS[State.STICKING if self.state == State.SLIDING else self.state]
+
+    def _show_drop(self, probe: Array) -> None:
+        """A line from the fingertip down to the plane below it, and a circle there: how high it is."""
+        ground = self._bodies.ground(probe)
+        self._drop.visible = ground is not None
+        if ground is None:
+            return
+        turn = np.linspace(0.0, 2.0 * pi, DROP_N + 1)
+        round_it = ground + 0.5 * min(self._radii) * np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
+        around = np.stack([round_it[:-1], round_it[1:]], axis=1)
+        self._drop.points = CM * np.concatenate([np.array([[probe, ground]]), around])
 
     def _trace(self, rows: Array, shown: bool) -> None:
         drawn = False
-        for row in rows:
+        for before, row in zip((rows[0], *rows[:-1]), rows, strict=True):
             mode, number = int(row[AT.contact_mode]), int(row[AT.contact_object])
+            if not 0 <= number < len(self._bodies.places):  # of a scene before or after
+                mode = FREE
             if mode == FREE or number != self._touched:
                 self._lift(number if mode != FREE else -1)
             if mode == FREE:
@@ -158,8 +196,9 @@ class FingerNodes:
             position, turn = self._bodies.places[number]
             above = row[_three(AT.contact_point)] + ABOVE_M * up - position
             on_tip = on_tip * (1.0 + 2.0 * ABOVE_M / max(float(np.linalg.norm(on_tip)), ABOVE_M))
-            drawn |= way.add(rotated(inverse(turn), above), OF_MODE[mode])
-            drawn |= self._on_tip.add(on_tip, OF_MODE[mode])
+            colour = COLOURS[state_of(before, row, max(self._radii)) if len(rows) > 1 else self.state]
+            drawn |= way.add(rotated(inverse(turn), above), colour)
+            drawn |= self._on_tip.add(on_tip, colour)
         self._tip_trace.visible = shown
         for way, node in self._on_objects.values():
             node.visible = shown

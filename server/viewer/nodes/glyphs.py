@@ -143,9 +143,10 @@ class Way:
         return True
 
     def _straight(self, newest: int, point: Array) -> bool:
-        """Whether the newest segment may go on to a point: it is short, and its end would lie beside it unseen."""
+        """Whether the newest segment may go on to a point: forward, not far, and its end would lie beside it unseen."""
         start, end = self._segments[newest]
         long = point - start
         length = float(np.linalg.norm(long))
         beside = float(np.linalg.norm(np.cross(end - start, long))) / max(length, self._least)
-        return length < LONGEST * self._least and beside < UNSEEN * self._least
+        forward = float(np.dot(end - start, point - end)) >= 0.0
+        return forward and length < LONGEST * self._least and beside < UNSEEN * self._least

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import floor, log10
 from typing import Final
-
-from softfinger.proxy.record import FREE, ROLLING, SLIDING
 
 CM: Final = 100.0
 """Units of the page in a metre: a fingertip is then about 1, what the page's cameras and lights are made for."""
 
 Colour = tuple[int, int, int]
 
-OF_MODE: Final[dict[int, Colour]] = {FREE: (130, 140, 150), ROLLING: (20, 90, 235), SLIDING: (225, 35, 25)}
 TORSION: Final[Colour] = (235, 130, 0)
 SKIN: Final[Colour] = (250, 250, 250)
 MARKS: Final[Colour] = (60, 65, 75)
 GHOST: Final[Colour] = (70, 165, 105)
 NORMAL: Final[Colour] = (30, 120, 60)
 CONE: Final[Colour] = (250, 205, 60)
+MAP: Final[Colour] = (214, 178, 120)
+"""Of a height map, which is mostly seen against a grey plane or none."""
+ARROW_MAX_CM: Final = 5.0
+"""The longest arrow of a force that stays on the screen."""
 OBJECTS: Final[tuple[Colour, ...]] = ((196, 204, 218), (214, 203, 188), (190, 212, 200), (208, 196, 214))
 
 
@@ -37,3 +39,12 @@ class Looks:
     traces: bool = True
     ghost: bool = True
     patches: bool = True
+
+    def arrow(self, largest_n: float) -> float:
+        """Length of an arrow, cm a newton: as it is set or, where the largest force (N) would leave the screen, the
+        next round figure that keeps it there."""
+        most = ARROW_MAX_CM / max(largest_n, 1e-9)
+        if self.cm_per_newton <= most:
+            return self.cm_per_newton
+        decade = 10.0 ** floor(log10(most))
+        return next(digit * decade for digit in (5.0, 2.0, 1.0) if digit * decade <= most)

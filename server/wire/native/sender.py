@@ -24,7 +24,7 @@ from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows, write_row
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
-from softfinger.server.progress import compiling
+from softfinger.server.progress import making
 from softfinger.server.wire.native.backlog import (
     BELL,
     FD,
@@ -302,7 +302,7 @@ class Sender:
             (broadcast, (self.backlog, 0, nothing)),
             (ring_readers, (self._post.readers,)),
         ]
-        with compiling("what sends telemetry (once for each version)"):
+        with making("kernels that send telemetry"):
             for kernel, given in kernels:
                 kernel.compile(_types(*given))
 

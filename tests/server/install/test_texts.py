@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -189,7 +190,8 @@ def test_shells_take_the_completion(shell: str, tmp_path: Path) -> None:
         assert function is not None
         for words, wanted in ((["inst"], "install"), (["run", "--rig", "omega"], "omega-6")):
             asked = (
-                f"source {script}; COMP_WORDS=(softfinger {' '.join(words)}); COMP_CWORD={len(words)}; "
+                f"source {shlex.quote(str(script))}; "
+                f"COMP_WORDS=(softfinger {' '.join(words)}); COMP_CWORD={len(words)}; "
                 f"COMP_LINE='softfinger {' '.join(words)}'; {function[1]} softfinger; echo ${{COMPREPLY[@]}}"
             )
             assert wanted in run("bash", "-c", asked).stdout.split()

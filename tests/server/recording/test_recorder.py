@@ -201,7 +201,8 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
             with pytest.raises(CommandRefused, match=r"refused: .*a\.mcap is being recorded"):
                 control.record_start("b.mcap")
             marked = control.mark("trial 7", {"hand": "left"}).tick
-            assert eventually(lambda: daemon.servo.ticks > started.tick + 2500)  # a tap is among them
+            # A tap is among them. Records reach the file a moment after the servo made them, and the state after that.
+            assert eventually(lambda: control.get_state().sequence >= started.tick + 2500)
             stopped = control.record_stop()
             second = control.record_start("b.mcap")
         daemon.stop()
@@ -322,7 +323,7 @@ def test_a_disk_that_stalls_costs_events_that_are_counted(tmp_path: Path) -> Non
     longest write is the one that stalled. Notes always have room."""
     told: list[str] = []
     file = Slow(tmp_path / "slow.mcap")
-    recorder = Recorder(file, [""], about(), told.append)
+    recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
     recorder.take(run()[:1])
     assert eventually(lambda: recorder.recorded.ticks == 1)
     file.free.clear()
@@ -351,7 +352,7 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
     told, and missing; behind them the recording goes on, and its file is whole."""
     told: list[str] = []
     file = Slow(tmp_path / "slow.mcap")
-    recorder = Recorder(file, [""], about(), told.append)
+    recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
     batch = np.tile(run()[:1], (1024, 1))
     numbers = iter(range(0, 10**9, 1024))
 
@@ -394,7 +395,7 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
     """The recording ends with the last chunk that is whole, subscribers are told once, and ticks go on; another
-    recording may begin."""
+    recording may begin. The daemon's end raises it."""
     with (
         Daemon(quiet_rig(tmp_path), load_scene("paper-plane")) as daemon,
         subscribe(daemon.publisher.endpoint, ("event",)) as wire,
@@ -416,11 +417,34 @@ def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
         faults = []
         while (sample := wire.receive(10.0)) is not None and sample["kind"] != "test":
             faults += [sample.data] if sample["kind"] == "fault" else []
+        with pytest.raises(RecordingError, match=r"a\.mcap: the recording ends after \d+ ticks: No space left"):
+            daemon.close()
     (fault,) = faults
     assert fault["name"] == "recording" and "No space left" in fault["message"] and "a.mcap" in fault["message"]
     records, _, _, end = read(tmp_path / "a.mcap")
     assert end.cut and len(records) > 100
     assert summary(tmp_path / "b.mcap")["whole"]
+
+
+def test_a_run_whose_recording_failed_says_so_in_its_exit_code(tmp_path: Path) -> None:
+    """On standard error when it happens; the run goes on until it is stopped, and then it has not gone well."""
+    path = tmp_path / "cut.mcap"
+    command = [*COMMAND, "run", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--record", str(path)]
+    limited = ["bash", "-c", 'ulimit -f 300; exec "$@"', "limited", *command]
+    with subprocess.Popen(limited, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        said = []
+        for line in process.stderr:
+            said.append(line)
+            if "the recording ends" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+        assert process.wait(WAIT_S) == RecordingError.exit_code, "".join(said) + rest
+    assert str(path) in said[-1] and "File too large" in said[-1]
+    assert "force is zero" in rest
+    (error,) = [line for line in rest.splitlines() if str(path) in line]
+    assert "File too large" in error and "Traceback" not in rest
 
 
 def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
@@ -431,7 +455,7 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
     told: list[str] = []
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, limits[1]))
-        recorder = Recorder(path.open("wb", buffering=0), [""], about(), told.append)
+        recorder = Recorder(path.open("wb", buffering=0), [""], about(), lambda said, _: told.append(said))
         for first in range(0, 2000, 40):
             recorder.take(run()[first : first + 40])
             time.sleep(PERIOD_S / 20)

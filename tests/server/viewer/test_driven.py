@@ -45,6 +45,7 @@ def test_events_tell_where_driven_objects_are() -> None:
 
 
 @pytest.mark.real_time
+@pytest.mark.exhaustive
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_a_recording_has_a_driven_object_where_it_was(tmp_path: Path) -> None:
     """Scrubbed to and fro over two commands, and played over the second: it stands where the last one put it."""

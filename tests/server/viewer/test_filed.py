@@ -18,7 +18,7 @@ from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.page import FIRST_CAMERA
 
-pytestmark = [pytest.mark.real_time, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 RADIUS_M = 0.03
@@ -68,7 +68,7 @@ def touched(screen: Screen, client: Client) -> bool:
         if client.get_state().force[2] > 0.7:
             break
     assert client.get_state().field_state["object"] == 0
-    return bool(eventually(lambda: screen.shows("rolling") and coloured(screen.picture())["blue"] > 60))
+    return bool(eventually(lambda: screen.shows("sticking") and coloured(screen.picture())["blue"] > 60))
 
 
 def test_a_mesh_is_drawn_and_touched(screen: Screen, client: Client) -> None:

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import paper_mapping
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.record import AT
+from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.viewer.hand import Target, from_angles, hit, moved, nudged, to_angles
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.board import squares
@@ -33,7 +33,11 @@ from softfinger.server.viewer.nodes.glyphs import (
     rotated,
     towards,
 )
+from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, Looks
 from softfinger.server.viewer.nodes.meshes import Mesh, cone, mesh_of
+from softfinger.server.viewer.nodes.states import COLOURS, State, state_of
+
+pytestmark = pytest.mark.plain
 
 SOLIDS = [
     ({"shape": "sphere", "radius_m": 0.02}, 4 / 3 * pi * 0.02**3),
@@ -139,6 +143,7 @@ def test_a_way_keeps_its_newest_part() -> None:
     assert sorted(way.segments[:, 1, 0].round(6).tolist()) == [0.2, 0.35, 0.5]
 
 
+@example([(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])  # out and back along one line
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=2, max_size=60))
 def test_a_way_goes_on_in_one_segment_only_where_it_is_straight(steps: list[tuple[float, ...]]) -> None:
     """Every point is within a step of what is drawn, segments follow each other, and a straight line is one."""
@@ -201,6 +206,69 @@ def test_a_body_that_moves_is_drawn_where_it_was_touched(own_clock: bool) -> Non
         if tick % 37 == 0:
             bodies.show(row)
             assert bodies.places[0][0][2] == pytest.approx(row[AT.contact_point + 2], abs=1e-12)  # a sum's rounding
+
+
+@given(units, st.floats(-0.05, 0.05))
+def test_the_ground_is_straight_below_on_the_highest_plane(normal: np.ndarray, height: float) -> None:
+    """On planes up to 60 degrees steep; none of those is above the point, and there may be none."""
+    turn = towards(normal / np.linalg.norm(normal))
+    material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
+    floor = [0.0, 0.0, -0.1]
+    planes = [
+        {"position_m": [0.0, 0.0, height], "orientation_wxyz": list(turn)} | {"name": "slope"},
+        {"position_m": floor, "name": "floor"},
+    ]
+    planes = [{"shape": "plane", "material": material} | plane for plane in planes]
+    scene = build(schema.Scene, paper_mapping() | {"object": planes}, "test scene")
+    bodies, point = Bodies(Frames(), scene, Began(0, 0, 1e-3, True)), np.array([0.01, -0.02, 0.03])
+    up = rotated(turn, UP)
+    slope = point[2] - up @ (point - (0.0, 0.0, height)) / up[2] if up[2] > 0.5 else -1.0
+    expected = slope if -0.1 < slope <= point[2] else -0.1
+    found = bodies.ground(point)
+    assert found is not None
+    np.testing.assert_allclose(found, [0.01, -0.02, expected], atol=1e-15)
+    assert bodies.ground(np.array([0.0, 0.0, -0.3 - abs(slope)])) is None
+
+
+def tick(**values: float) -> np.ndarray:
+    """A record with these columns."""
+    row = np.zeros(RECORD_SIZE)
+    for name, value in values.items():
+        row[getattr(AT, name)] = value
+    return row
+
+
+@pytest.mark.parametrize(
+    ("after", "state"),
+    [
+        ({"contact_mode": 0}, State.FREE),
+        ({"contact_mode": 1}, State.STICKING),
+        ({"contact_mode": 1, "contact_rolled": 0.1}, State.ROLLING),
+        ({"contact_mode": 1, "contact_spin": -0.1}, State.SPINNING),
+        ({"contact_mode": 1, "contact_rolled": 1e-3, "contact_spin": 1e-3}, State.STICKING),
+        ({"contact_mode": 2, "contact_rolled": 0.1, "contact_spin": 0.1}, State.SLIDING),
+    ],
+)
+def test_a_contact_is_called_by_what_it_does(after: dict[str, float], state: State) -> None:
+    """From two ticks a tenth of a second apart; one that has just begun, or of which one tick is seen, sticks."""
+    before, now = tick(contact_mode=1), tick(timestamp=0.1, **after)
+    assert state_of(before, now, 0.01) == state
+    if state in (State.ROLLING, State.SPINNING):
+        late = tick(timestamp=9.0, **after)
+        assert {state_of(*two, 0.01) for two in ((tick(), now), (now, now), (before, late))} == {State.STICKING}
+    assert set(COLOURS) == set(State) and len(set(COLOURS.values())) == len(COLOURS)
+
+
+@given(st.floats(0.0, 1e3), st.floats(0.2, 5.0))
+def test_an_arrow_stays_on_the_screen(force: float, asked: float) -> None:
+    """As long as it is asked for where that fits, else by a round figure, and no shorter than that needs."""
+    scale = Looks(cm_per_newton=asked).arrow(force)
+    assert scale * force <= ARROW_MAX_CM * (1.0 + 1e-12) and scale <= asked
+    if asked * force > ARROW_MAX_CM:
+        assert scale * force > ARROW_MAX_CM / 2.5 * (1.0 - 1e-12)
+        assert float(f"{scale:.0e}") == pytest.approx(scale, rel=1e-12)
+    else:
+        assert scale == asked
 
 
 EYE = np.array([0.3, -0.4, 0.5])

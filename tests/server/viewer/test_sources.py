@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -12,23 +14,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import paper_mapping
+from helpers.pressed import pressed_scene
 
 from softfinger.config.errors import RecordingError
-from softfinger.config.load import build, load_rig
-from softfinger.config.schema import Scene
+from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon as Servant
 from softfinger.server.cli import main
 from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.viewer.driven import Handles
 from softfinger.server.viewer.live import Daemon, LivePage
+from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import BEFORE, Player, load
 
 pytestmark = pytest.mark.real_time
 
 WAIT_S = 60.0
+BEGAN = Began(0, 0, 0.001, own_clock=False)
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +72,34 @@ def test_without_viser_one_line_says_what_to_install(words: list[str]) -> None:
     assert "Traceback" not in done.stderr
 
 
+def test_run_says_where_its_page_is_and_when_it_has_ended() -> None:
+    """The address first, before all else; once the page is killed one line, with what brings it back; ticks go on."""
+    ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*"]
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off", *ends]
+    with subprocess.Popen([*command, "--view"], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            first = next(line for line in process.stderr if not line.startswith("compiling"))
+            assert "the page is http://localhost:" in first
+            (child,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+            os.kill(int(child), signal.SIGKILL)
+            ended = next(line for line in process.stderr if "the page has ended" in line)
+            assert "exit code -9" in ended and "softfinger view --endpoint tcp://127.0.0.1:" in ended
+            process.send_signal(signal.SIGINT)
+            rest = process.stderr.read()
+            assert "force is zero" in rest and "the page has ended" not in rest
+        finally:
+            process.kill()
+
+
+def test_run_without_a_page_names_the_option() -> None:
+    """Among its first lines."""
+    ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--realtime", "off"]
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", *ends, "--duration", "0.01"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    assert "run it with --view" in done.stderr
+
+
 @pytest.fixture
 def page() -> Iterator[Page]:
     """A page that no browser has opened."""
@@ -91,6 +123,8 @@ def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.
     player._place = len(results) - 1.0
     ticks, jumped = player.take()
     assert len(ticks[""]) == BEFORE + 1 and jumped
+    end = f"{(len(results) - 1) / 1000.0:.3f} s"
+    assert player._time.content == f"{end} of {end}"
     player.advance(0.1)
     assert player.take()[0][""][:, 1].tolist() == [0]
 
@@ -125,7 +159,43 @@ def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> No
         live.close()
 
 
-LID = {"name": "lid", "shape": "plane", "motion": {"kind": "driven"}, "position_m": [0.0, 0.0, 0.01]}
+def test_ticks_and_scenes_come_in_any_order(page: Page) -> None:
+    """A tick that touches a body which the page does not have draws no trace there, and the next ticks are drawn."""
+    rows = np.array(run_recording("press-roll-spin-drag"))[1000:1100]
+    assert (rows[:, AT.contact_mode] > 0).all()
+    page.add_views()
+    page.change(load_scene("paper-plane"), BEGAN)
+    for number in (7, -1, 0):
+        rows[:, AT.contact_object] = number
+        page.show({"": rows})
+    assert set(page.fingers[""]._on_objects) == {0}
+
+
+def test_a_moment_too_small_for_an_arc_has_no_tip_either(page: Page) -> None:
+    """A hundredth of a mN m is half a degree as it is drawn, half of one 30 degrees."""
+    rows = np.array(run_recording("press-roll-spin-drag"))[1000:1001]
+    page.add_views()
+    page.change(load_scene("paper-plane"), BEGAN)
+    for moment, drawn in ((1e-5, False), (-1e-5, False), (5e-4, True), (-5e-4, True)):
+        rows[:, AT.contact_torsion] = moment
+        page.show({"": rows})
+        assert page.fingers[""]._arc.visible is drawn
+
+
+def test_ticks_of_a_scene_before_are_not_drawn_in_this_one(page: Page, endpoints: tuple[str, str]) -> None:
+    """They are told from those of this one by its first tick."""
+    live = LivePage(page, Daemon(*endpoints))
+    try:
+        assert fed(live, lambda: page._newest)
+        live._first = 10**9
+        page._newest.clear()
+        for _ in range(5):
+            live.step(0.05)
+        assert not page._newest
+    finally:
+        live.close()
+
+
 HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 
@@ -159,7 +229,7 @@ def test_many_pulls_are_one_request(page: Page) -> None:
 def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
     """The daemon says why; handles and object stand where it has the object, and one that it can do is done."""
     ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
-    scene = build(Scene, paper_mapping(table=LID, rolling=None, material={"friction": None, "torsion": None}), "lid")
+    scene = pressed_scene(name="lid", position_m=(0.0, 0.0, 0.01))
     with Servant(load_rig("replay", ends | {"servo.realtime": "off"}), scene, scene_name="lid") as running:
         running.start()
         live = LivePage(page, Daemon(running.publisher.endpoint, str(running.commands_endpoint)))

@@ -20,9 +20,10 @@ from softfinger.proxy.kernels.contact.rest.constraints import (
 )
 from softfinger.proxy.kernels.contact.rest.half_spaces import Push, displacement, hold
 from softfinger.proxy.kernels.contact.rest.single import ROUNDS, SETTLED, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rest.supporting import AT_REST, EDGES, NEARLY, SOON, settle_by_planes
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.bodies import beside_on, closest_to_within, deepest, held_by_at, material_of
-from softfinger.proxy.kernels.geometry.kinds import any_rugged, any_wide, rugged_on
+from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged, any_wide, rugged_on
 from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.sweep import first_hit
@@ -31,12 +32,6 @@ from softfinger.proxy.kernels.native.jit import jit
 
 ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
 """Times that something found in the way is added to what holds the proxy, before it stays where it was for a tick."""
-SOON, NEARLY = 3, 1e-4
-"""Attempts after which, or after a quarter of the budget, and depth, as a share of the fingertip's radius, below which
-a proxy among more than three facets that are about as near is lifted off those that hold it: of the others each would
-be in the way in turn."""
-EDGES = 3
-"""Edges that a fingertip goes over in a tick before all of the mesh is asked."""
 
 
 class Rest(NamedTuple):
@@ -66,6 +61,8 @@ def settle_among_several(
     """
     if not any_wide(objects):
         return settle_for(objects, radius, probe, start, center, active, left)
+    if any_faceted(objects) and not any_rugged(objects):
+        return settle_on_facets(objects, radius, probe, center, active, left)
     rest, whole, held = Rest(center, active, True, 0), probe, active
     for budget in (3 * left // 4, left // 4):
         goal = vec3.add(whole, displacement(held.push, held.n1, held.n2, held.n3))
@@ -82,6 +79,34 @@ def settle_among_several(
         return rest
     _, held, _ = relaxed(objects, radius, probe, rest.center, rest.active, 1, rest.left)
     return Rest(rest.center, held, True, rest.left)
+
+
+@jit
+def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: Constraints, left: int) -> Rest:
+    """`settle_among_several` where there is a mesh: what held the proxy holds it still, or the facet beside that; where
+    that is not so, or would take it away from the probe, it goes from the anchor the careful way.
+
+    What crosses the way in a tick needs no sweep: beside a mesh no step is longer than `is_a_step` allows.
+    """
+    there = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
+    center, held, rests, left = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, left)
+    for _ in range(EDGES):
+        beyond = held.first if held.second >= 0.0 else beside_on(objects, held.first, center)
+        if beyond == held.first:
+            break
+        held = one_constraint(beyond, held.n1)
+        center, held, rests, left = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, left)
+    behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
+    nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
+    if rests and nearer and is_a_step(anchor, center, radius):
+        gap, _, left = deepest(objects, center, radius, held_by(held), left)
+        if gap >= radius * (1.0 - INSIDE):
+            return Rest(center, strongest_first(objects, held), False, left)
+    stand = settle_by_planes(objects, radius, probe, anchor, active, left)
+    held = stand.active
+    if held.first < 0.0:
+        held = one_constraint(active.first, active.n1)
+    return Rest(stand.center, strongest_first(objects, held), stand.late, stand.left)
 
 
 @jit
@@ -184,6 +209,16 @@ def relaxed(
 
     In a pinch the point between them; see `hold`.
     """
+    center, active, _, left = relaxed_to_rest(objects, radius, base, center, active, rounds, left)
+    return center, active, left
+
+
+@jit
+def relaxed_to_rest(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: Constraints, rounds: int, left: int
+) -> tuple[Vec3, Constraints, bool, int]:
+    """`relaxed`, and whether the last round moved the proxy no more."""
+    rests = False
     near = (SETTLED * radius) ** 2
     n1, n2, n3 = active.n1, active.n2, active.n3
     push = active.push
@@ -206,11 +241,12 @@ def relaxed(
         moved = vec3.add(base, displacement(held.place, n1, n2, n3))
         step = vec3.sub(moved, center)
         center = moved
+        rests = vec3.dot(step, step) <= (AT_REST * radius) ** 2
         if vec3.dot(step, step) <= near:
             break
     return center, Constraints(
         first=active.first, second=active.second, third=active.third, n1=n1, n2=n2, n3=n3, push=push
-    ), left  # fmt: skip
+    ), rests, left  # fmt: skip
 
 
 @jit

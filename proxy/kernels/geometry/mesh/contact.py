@@ -7,7 +7,8 @@ now: so the short way of a tick asks nothing, and what is touched at its end is 
 from math import sqrt
 
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
+from softfinger.proxy.kernels.geometry.mesh.lanes import ROOM
+from softfinger.proxy.kernels.geometry.mesh.query import nearest
 from softfinger.proxy.kernels.geometry.mesh.triangle import closest_on_triangle
 from softfinger.proxy.kernels.geometry.surfaces.contract import (
     NO_HIT,
@@ -120,7 +121,7 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
 @closest.of(Mesh)
 def closest_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Of the whole mesh, for what is not a contact: an effect that draws to the surface."""
-    found = nearest(shape, x, ANYWHERE, NO_TRIANGLE, BUDGET, 0.0)
+    found = nearest(shape, x, ANYWHERE, NO_TRIANGLE, ROOM, 0.0)
     return closest_on_triangle(shape, float(max(found.number, 0)), x)
 
 

@@ -2,10 +2,13 @@
 
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from softfinger.proxy.kernels.native.jit import PLAIN
 
 LANES = 8
 FIELDS = 12
@@ -117,3 +120,37 @@ def from_there(typing_context, lanes, at):  # type: ignore[no-untyped-def]
         return builder.gep(args[0], [args[1]])
 
     return lanes(lanes, types.int64), generate
+
+
+if PLAIN:
+    _SHRUNK = np.float32(1.0 - ROUNDED)
+    _PLACES = np.arange(LANES, dtype=np.int32)
+
+    def room_for_bounds() -> Any:
+        return np.empty(LANES * (ROOM + 1), np.float32)
+
+    def room_for_lanes() -> Any:
+        return np.empty(ROOM + LANES, np.int32)
+
+    def room_for_nodes() -> Any:
+        return np.empty(ROOM + 1, np.int32)
+
+    def _beyond(axis: Any, half: Any, d: Any) -> Any:
+        out = np.fmax(np.abs(axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2]) - half, np.float32(0.0))
+        return out * out
+
+    def sift(nodes: Any, node: int, point: Any, top: Any, bounds: Any, waiting: Any, begin: int) -> int:
+        """The same sums in the same order, so that every number is the compiled one's."""
+        lanes = nodes.array[node * NODE : (node + 1) * NODE].reshape(FIELDS, LANES)
+        d = np.array(point, np.float32)[:, None] - lanes[:3]
+        up, one = lanes[3:6], lanes[6:9]
+        two = [up[(i + 1) % 3] * one[(i + 2) % 3] - up[(i + 2) % 3] * one[(i + 1) % 3] for i in range(3)]
+        squares = (_beyond(one, lanes[9], d) + _beyond(two, lanes[10], d)) + _beyond(up, lanes[11], d)
+        squares *= _SHRUNK
+        bounds[begin : begin + LANES] = squares
+        nearer = _PLACES[squares < top]
+        waiting[: len(nearer)] = nearer + np.int32(begin)
+        return len(nearer)
+
+    def from_there(lanes: Any, at: int) -> Any:
+        return lanes[at:]

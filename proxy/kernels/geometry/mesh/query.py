@@ -36,7 +36,7 @@ many times what it needs on a scan. Half as many may be asked on the way to a fi
 FAR = 1e4
 """Sizes of the mesh from its middle beyond which a point is moved there to be asked for: float32 has no more digits."""
 MANY = 64
-"""Nodes and triangles after which what was known is taken for far, and a way down is gone at the end of a level."""
+"""Nodes and triangles after which what was known is taken for far, and a way down is gone at the end of each level."""
 CLIMB = 24
 """Edges that the way to a first known triangle goes over, towards what is nearer."""
 SLOPE = 128
@@ -192,12 +192,11 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
     top = upward(best)
     firsts[0] = mesh.first[0]
     end = sift(mesh.nodes, 0, point, top, bounds, waiting, 0)
-    nodes, at, level, looked = 1, 0, 0, False
+    nodes, at, level = 1, 0, 0
     while at < end:
         if at == level:
             level = end
-            if not looked and spent + end >= MANY and spent + end < most:
-                looked = True
+            if spent + end >= MANY and spent + end < most:
                 place = lowest_of(bounds, waiting, at, end)
                 first, lane = int(firsts[place // LANES]), place % LANES
                 down = Guess(~first + lane, square, 0)

@@ -1,0 +1,77 @@
+"""The first pose of a fingertip, which may begin inside: what it touches, and where outside is.
+
+It has no way that could be swept, so all of a mesh is asked, once, with a larger budget than other ticks have. What is
+not known then is said, and the next tick's pose is the first again.
+"""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.rest.constraints import INSIDE, NONE
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.geometry.bodies import EVERYWHERE, NOBODY, closest_to_within, deepest
+from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged, rugged_on
+from softfinger.proxy.kernels.geometry.mesh.lanes import ROOM
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import jit
+
+GRAZE = 1e-4
+"""Share of the radius by which a fingertip may touch a mesh and count as clear, where its nearest triangle cannot be
+found: more than a bound is off by rounding."""
+RISES = 16
+"""Heights over a mesh at which a fingertip that begins inside is tried."""
+RISE, RISES_BY = 1e-5, 4.0
+"""Share of the radius from the first of them to the second, at least; and what that grows by from each to the next."""
+
+
+class Touched(NamedTuple):
+    """Place of the object that is touched, -1 for none; whether that is known; what is left of the budget, below 0
+    where it was used up."""
+
+    place: float
+    known: bool
+    left: int
+
+
+@jit
+def touched_at_first(objects: Any, radius: float, position: Vec3, left: int) -> Touched:
+    """What a fingertip touches that begins at `position` (3,) m; `left` of the budget for height maps, and for meshes
+    beside them."""
+    if any_rugged(objects):  # a height map tells its side from near by
+        gap, index, left = deepest(objects, position, radius, NOBODY, left)
+        if any_faceted(objects) and gap >= radius:
+            gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
+            if rugged_on(objects, index):  # its bound: it has just been found to be farther
+                index = NONE
+    else:  # of a mesh all has to be asked for that
+        gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
+    if left < 0 and index >= 0.0 and not rugged_on(objects, index):
+        # A mesh was not searched to the end: the gap was a bound. This is that of the nearest triangle found so far.
+        gap, _, _, left = closest_to_within(objects, index, position, left)
+        if gap >= radius and not any_rugged(objects):
+            gap, nearer, left = deepest(objects, position, radius * (1.0 - GRAZE), NOBODY, ROOM)
+            if left < 0:
+                return Touched(NONE, False, left)
+            index = nearer if gap < radius else index
+    return Touched(index if gap < radius else NONE, True, left)
+
+
+@jit
+def raised(objects: Any, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
+    """The first place (3,) m found along the normal from `center`, which is inside, where a fingertip is outside of
+    everything; and whether there is one."""
+    height, step, left = 0.0, RISE * radius, ROOM
+    for _ in range(RISES):
+        place = vec3.add_scaled(center, height, normal)
+        gap, _, after = deepest(objects, place, radius, NOBODY, min(left, BUDGET))
+        left -= min(left, BUDGET) - max(after, 0)
+        if after >= 0 and gap >= radius * (1.0 - INSIDE):  # of no triangle; which side that is, only all of them tell
+            gap, _, after = deepest(objects, place, EVERYWHERE, NOBODY, min(left, BUDGET))
+            left -= min(left, BUDGET) - max(after, 0)
+            if after >= 0 and gap >= radius * (1.0 - INSIDE):
+                return place, True
+        if left <= 0:
+            break
+        height += max(radius - gap if after >= 0 else 0.0, step)
+        step *= RISES_BY
+    return center, False

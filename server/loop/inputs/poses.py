@@ -1,0 +1,89 @@
+"""What the poses of a device tell of the device itself: that it jumps, as no hand does, or stands still, as none does.
+
+Both mean that where the hand is is not known, and then there is no force. A driver that gives numbers cannot see this
+in them; the loop can, from one tick to the next. Poses that are no numbers are `tick.usable`'s.
+"""
+
+from math import cos, pi
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.drivers.base import OK
+from softfinger.proxy.kernels.geometry import vec3
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
+from softfinger.server.loop.tick import usable
+
+POSE_SIZE: Final = 7
+_SINCE: Final = POSE_SIZE
+_REPEATED: Final = POSE_SIZE + 1
+
+LOADED_N: Final = 0.01
+"""Force below which a pose that repeats is no matter: no hand feels it."""
+
+
+def nothing_seen() -> NDArray[np.float64]:
+    """Memory of `doubt` before the first pose: the last one (7,), s since it was fresh, s for which it has repeated."""
+    seen = np.zeros(POSE_SIZE + 2)
+    seen[:POSE_SIZE] = np.nan
+    return seen
+
+
+@jit
+def doubt(guard: Guard, seen: NDArray[np.float64], raw: Any, status: int, force: Vec3, dt: float) -> int:
+    """The guard's bit of what speaks against a pose: POSE_JUMPED, POSE_FROZEN, or 0.
+
+    seen    memory of this device, of `nothing_seen`
+    raw     sample as the driver gave it: position (m) and quaternion first
+    status  of the read; with any but OK the pose may be the one of before, and its age counts on
+    force   (3,) N  on the hand since the last tick
+    dt      s       since then
+    """
+    seen[_SINCE] += dt
+    if not usable(raw):
+        seen[_REPEATED] = 0.0
+        return 0
+    same = True
+    for i in range(POSE_SIZE):
+        same &= raw[i] == seen[i]
+    if same:
+        if status == OK:
+            seen[_SINCE] = 0.0
+        return _repeated(guard, seen, force, dt)
+    jumps = _jumps(guard, seen, raw)
+    for i in range(POSE_SIZE):
+        seen[i] = raw[i]
+    seen[_SINCE] = seen[_REPEATED] = 0.0
+    return POSE_JUMPED if jumps else 0
+
+
+@jit
+def _repeated(guard: Guard, seen: NDArray[np.float64], force: Vec3, dt: float) -> int:
+    if guard.frozen == 0.0:
+        return 0
+    # Once it counts as frozen there is no force, and it stays so until the pose is another.
+    if seen[_REPEATED] > guard.frozen or vec3.norm(force) >= LOADED_N:
+        seen[_REPEATED] += dt
+    else:
+        seen[_REPEATED] = 0.0
+    return POSE_FROZEN if seen[_REPEATED] > guard.frozen else 0
+
+
+@jit
+def _jumps(guard: Guard, seen: NDArray[np.float64], raw: Any) -> bool:
+    """Whether a pose is farther from the last than the limits allow in the time since; never of the first."""
+    way = (raw[0] - seen[0], raw[1] - seen[1], raw[2] - seen[2])
+    if vec3.norm(way) > guard.speed_max * seen[_SINCE]:
+        return True
+    half = 0.5 * guard.turn_max * seen[_SINCE]
+    if half >= 0.5 * pi:
+        return False
+    dot, before, now = 0.0, 0.0, 0.0
+    for i in range(3, POSE_SIZE):
+        dot += raw[i] * seen[i]
+        before += seen[i] * seen[i]
+        now += raw[i] * raw[i]
+    return dot * dot < cos(half) ** 2 * before * now

@@ -1,0 +1,148 @@
+"""Who may open the page and command by it: whoever has its secret address, from the page itself, and nobody else.
+
+A browser lets any web site connect to any address of this machine, by a websocket or under a name of the site's own
+(DNS rebinding). So each request has to have the page's token in its path, name the page's host, and, where a browser
+says which site it comes from, come from the page.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hmac
+import secrets
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from http import HTTPStatus
+from ipaddress import ip_address
+from typing import Any, Final
+
+from websockets.asyncio import server as websockets_server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from softfinger.config.errors import ConfigError
+
+TOKEN_BYTES: Final = 16
+ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
+HEADERS: Final = {
+    "X-Frame-Options": "DENY",
+    "Content-Security-Policy": "frame-ancestors 'none'",  # no other page may lay it under a click
+    "Referrer-Policy": "no-referrer",  # the address is the secret
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+NAMED: Final = b"<title>Viser</title>"
+
+Answer = Callable[[ServerConnection, Request], Response | None]
+
+
+class Access:
+    """What a request to a page on `host` has to say; `allowed` are more hosts, NAME or NAME:PORT, behind a tunnel."""
+
+    def __init__(self, host: str, allowed: tuple[str, ...] = (), title: str = "softfinger") -> None:
+        self.token: Final = secrets.token_urlsafe(TOKEN_BYTES)
+        self._host, self._allowed, self._title = host, allowed, title
+
+    def address(self, port: int) -> str:
+        """Where a browser on this machine, or with a wildcard for `host` on another, finds the page."""
+        if _any(self._host):
+            name = self._allowed[0] if self._allowed else socket.gethostname()
+        else:
+            name = "localhost" if self._host == "127.0.0.1" else self._host
+        return f"http://{_with_port(name, port)}/{self.token}/"
+
+    def why_not(self, path: str, headers: Headers, local: tuple[Any, ...]) -> str:
+        """Why a request is refused, empty where it is not; `local` is the address (host, port, ...) it came to."""
+        hosts = [each.lower() for each in headers.get_all("Host")]
+        if len(hosts) != 1 or hosts[0] not in self._hosts(local):
+            return f"the request is for the host {hosts}, which this page is not: --allow-host names others"
+        origins = [each.lower() for each in headers.get_all("Origin")]
+        upgrade = "Upgrade" in headers
+        if (origins or upgrade) and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
+            return f"the request comes from {origins or 'nowhere'}, not from this page"
+        token = path.partition("?")[0].split("/")[1:2]
+        if not token or not hmac.compare_digest(token[0].encode(), self.token.encode()):
+            return "the address does not have this page's token"
+        return ""
+
+    def _hosts(self, local: tuple[Any, ...]) -> set[str]:
+        """What the header Host may say. An address in figures is no name that a web site could have given itself."""
+        port = int(local[1])
+        names = {self._host, str(local[0]), *self._allowed}
+        if _any(self._host) or _loopback(str(local[0])):
+            names |= {"localhost"}
+        if _any(self._host):
+            names |= {socket.gethostname()}
+        return {_with_port(name, port).lower() for name in names}
+
+    def guarded(self, serve: Answer) -> Answer:
+        """`serve` for those who may, with the token taken out of the path; a refusal for all others."""
+
+        def answer(connection: ServerConnection, request: Request) -> Response | None:
+            why = self.why_not(request.path, request.headers, connection.local_address)
+            if why:
+                body = f"Refused: {why}; {ADVICE}".encode()
+                headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
+                response: Response | None = Response(HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+            else:
+                response = serve(connection, replace(request, path=request.path.removeprefix(f"/{self.token}") or "/"))
+            return None if response is None else self._finished(response)
+
+        return answer
+
+    def _finished(self, response: Response) -> Response:
+        body = response.body or b""
+        if response.headers.get("Content-Type", "").startswith("text/html"):
+            body = _titled(bytes(body), response.headers.get("Content-Encoding") == "gzip", self._title)
+            del response.headers["Content-Length"]
+            response.headers["Content-Length"] = str(len(body))
+        response.headers.update(HEADERS)
+        return replace(response, body=body)
+
+    @contextmanager
+    def guarding(self) -> Iterator[None]:
+        """A server that viser starts meanwhile answers as `guarded` says; ConfigError where it started none so.
+
+        viser has no hook for this. It calls `websockets.asyncio.server.serve` with a `process_request`, both public;
+        the call is taken over for as long as the server starts.
+        """
+        plain, name, taken = websockets_server.serve, "serve", list[bool]()
+
+        def serve(*words: Any, process_request: Answer, **options: Any) -> Any:
+            taken.append(True)
+            return plain(*words, process_request=self.guarded(process_request), **options)
+
+        setattr(websockets_server, name, serve)
+        try:
+            yield
+        finally:
+            setattr(websockets_server, name, plain)
+        if not taken:
+            raise ConfigError("the page cannot be guarded with this viser: pip install 'softfinger[viewer]' has one")
+
+
+@lru_cache(maxsize=4)
+def _titled(body: bytes, packed: bool, title: str) -> bytes:
+    """A page of HTML with the program's name on its tab."""
+    plain = gzip.decompress(body) if packed else body
+    plain = plain.replace(NAMED, f"<title>{title}</title>".encode(), 1)
+    return gzip.compress(plain) if packed else plain
+
+
+def _with_port(name: str, port: int) -> str:
+    """`name` as an address has it, with the port unless it has one."""
+    if name.count(":") > 1 and not name.startswith("["):  # IPv6, in figures
+        name = f"[{name}]"
+    return name if ":" in name.rpartition("]")[2] else f"{name}:{port}"
+
+
+def _any(host: str) -> bool:
+    return host in ("", "0.0.0.0", "::")
+
+
+def _loopback(address: str) -> bool:
+    return ip_address(address.partition("%")[0]).is_loopback

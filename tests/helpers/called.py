@@ -1,0 +1,28 @@
+"""A verb of the command line in this process, for what no process of its own has to show."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from typing import NamedTuple
+
+from softfinger.server import cli
+
+
+class Done(NamedTuple):
+    """How a verb ended, and what it wrote but for its log."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def called(*words: str) -> Done:
+    """Call `main` as the program does."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code = cli.main(list(words))
+        except SystemExit as left:  # argparse
+            code = int(str(left.code))
+    return Done(code, out.getvalue(), err.getvalue())

@@ -1,0 +1,102 @@
+"""Meshes that a proxy has got stuck on: thin walls, threads, bars, needles. Vertices in metres."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from helpers.meshes import Mesh, bumpy_sphere, joined, moved
+
+
+def turned_about_z(profile: ArrayLike, around: int) -> Mesh:
+    """A closed profile (n, 2) of r and z, m, turned about the z axis in so many steps."""
+    outline = np.asarray(profile, float)
+    angle = 2.0 * np.pi * np.arange(around) / around
+    rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(around, z)]) for r, z in outline]
+    n, triangles = len(outline), []
+    for i in range(n):
+        j = (i + 1) % n
+        for k in range(around):
+            m = (k + 1) % around
+            a, b, c, d = i * around + k, i * around + m, j * around + k, j * around + m
+            triangles += [(a, b, d), (a, d, c)]
+    return Mesh(np.vstack(rings), np.array(triangles, np.int32))
+
+
+def tube(outer: float = 0.03, wall: float = 0.0005, length: float = 0.05, around: int = 32) -> Mesh:
+    """Open at both ends."""
+    half = 0.5 * length
+    inner = outer - wall
+    return turned_about_z([(outer, -half), (outer, half), (inner, half), (inner, -half)], around)
+
+
+def cup(outer: float = 0.03, wall: float = 0.0005, depth: float = 0.05, around: int = 48) -> Mesh:
+    """Open above; its floor has a hole of a hundredth of a millimetre, through which no fingertip goes."""
+    hole, half = 1e-5, 0.5 * depth
+    inner = outer - wall
+    profile = [(hole, -half), (outer, -half), (outer, half), (inner, half), (inner, wall - half), (hole, wall - half)]
+    return turned_about_z(profile, around)
+
+
+def thread(core: float = 0.01, height: float = 0.003, length: float = 0.04, turns: int = 5, around: int = 48) -> Mesh:
+    """A screw without a head: a ridge that winds about a core."""
+    rows = 12 * turns + 1
+    z = np.linspace(-0.5 * length, 0.5 * length, rows)
+    angle = 2.0 * np.pi * np.arange(around) / around
+    phase = (z[:, None] * turns / length - angle / (2.0 * np.pi)) % 1.0
+    r = core + height * np.abs(2.0 * phase - 1.0)
+    side = np.stack([r * np.cos(angle), r * np.sin(angle), np.broadcast_to(z[:, None], r.shape)], axis=2)
+    triangles = []
+    for i in range(rows - 1):
+        for k in range(around):
+            a, b = i * around + k, i * around + (k + 1) % around
+            triangles += [(a, b, b + around), (a, b + around, a + around)]
+    low, high = rows * around, rows * around + 1
+    for k in range(around):
+        m = (k + 1) % around
+        triangles += [(low, m, k), (high, (rows - 1) * around + k, (rows - 1) * around + m)]
+    ends = [(0.0, 0.0, -0.5 * length), (0.0, 0.0, 0.5 * length)]
+    return Mesh(np.vstack([side.reshape(-1, 3), ends]), np.array(triangles, np.int32))
+
+
+def bar(size: tuple[float, float, float]) -> Mesh:
+    """A box about the origin."""
+    x, y, z = (0.5 * each for each in size)
+    corners = np.array([(i, j, k) for i in (-x, x) for j in (-y, y) for k in (-z, z)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    return Mesh(corners, np.array(faces, np.int32))
+
+
+def lattice(pitch: float = 0.015, bars: int = 3, width: float = 0.001) -> Mesh:
+    """Bars along each axis that cross one another, 1 mm wide."""
+    places = pitch * (np.arange(bars) - 0.5 * (bars - 1))
+    length = pitch * bars
+    found = []
+    for a in places:
+        for b in places:
+            found.append(moved(bar((length, width, width)), (0.0, float(a), float(b))))
+            found.append(moved(bar((width, length, width)), (float(a), 0.0, float(b))))
+            found.append(moved(bar((width, width, length)), (float(a), float(b), 0.0)))
+    return joined(*found)
+
+
+def needles(count: int = 9, length: float = 0.03, radius: float = 0.0008, spread: float = 0.02) -> Mesh:
+    """Upright cones of eight sides."""
+    rng = np.random.default_rng(3)
+    angle = 2.0 * np.pi * np.arange(8) / 8
+    ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(8, -0.5 * length)])
+    corners = np.vstack([ring, [(0.0, 0.0, 0.5 * length), (0.0, 0.0, -0.5 * length)]])
+    faces = [each for k in range(8) for each in ((k, (k + 1) % 8, 8), ((k + 1) % 8, k, 9))]
+    one = Mesh(corners, np.array(faces, np.int32))
+    return joined(*(moved(one, (float(x), float(y), 0.0)) for x, y in rng.uniform(-spread, spread, (count, 2))))
+
+
+KINDS = {
+    "tube": tube(),
+    "cup": cup(),
+    "thread": thread(),
+    "lattice": lattice(),
+    "needles": needles(),
+    "bumpy": bumpy_sphere(24, 0.03, 0.05, 20.0),
+}

@@ -1,0 +1,187 @@
+"""Nothing holds a proxy but what it touches: strokes through thin walls, threads, bars and needles, by brute force.
+
+Compiled: a stroke is two thousand ticks. The type of scene is that of the other meshes.
+
+A fingertip without friction that stands still is held by the triangles that it touches, and the force on it is a sum of
+their normals, none of them pulling. That is asked of every kind of mesh, wherever a stroke has led, against distances
+from all triangles. A proxy that is held by anything else would be locked: in open space, and for ever.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import hostile_meshes, meshes
+from helpers.examples import Cases
+from helpers.thin_meshes import KINDS
+from helpers.touching import SLIPPERY, engine, posed, saved, thing
+from numpy.typing import NDArray
+from references.brute_force import balls_of, brute_distances
+from scipy.optimize import nnls
+
+from softfinger.proxy.kernels.contact.first_pose import GRAZE
+from softfinger.proxy.kernels.contact.rest.supporting import AT_REST
+from softfinger.proxy.record import AT, CAUSE_RESTART, FREE
+
+pytestmark = pytest.mark.scaled
+Array = NDArray[np.float64]
+STEP = 1e-4
+"""m a tick: 0.1 m/s."""
+STILL = 1e-7
+"""m a tick, below which a proxy stands still; a free one goes with the probe."""
+UNEXPLAINED = 0.02
+"""Share of a direction: what is touched to 1e-4 r may differ by as much round a corner; a lock leaves some tenths."""
+
+
+def feet(corners: Array, x: Array) -> Array:
+    """The points (m, 3) of triangles (m, 3, 3) nearest to `x` (3,): of the plane where that is inside."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    normal = np.cross(b - a, c - a)
+    square = np.einsum("ij,ij->i", normal, normal)
+    safe = np.where(square > 0.0, square, 1.0)
+    plane = x - (np.einsum("ij,ij->i", x - a, normal) / safe)[:, None] * normal
+    inside = square > 0.0
+    best, least = a.copy(), np.full(len(corners), np.inf)
+    for p, q in ((a, b), (b, c), (c, a)):
+        inside &= np.einsum("ij,ij->i", np.cross(q - p, plane - p), normal) >= 0.0
+        way = q - p
+        length = np.einsum("ij,ij->i", way, way)
+        share = np.clip(np.einsum("ij,ij->i", x - p, way) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
+        foot = p + share[:, None] * way
+        apart = np.linalg.norm(x - foot, axis=1)
+        best = np.where((apart < least)[:, None], foot, best)
+        least = np.minimum(least, apart)
+    return np.where(inside[:, None], plane, best)
+
+
+def unexplained(corners: Array, radius: float, proxy: Array, probe: Array) -> float:
+    """Share of the direction from probe to proxy that is no sum of normals of what the proxy touches, 0 to 1."""
+    apart = proxy - feet(corners, proxy)
+    far = np.linalg.norm(apart, axis=1)
+    touched = apart[far < radius * (1.0 + 1e-4)] / far[far < radius * (1.0 + 1e-4)][:, None]
+    behind = (proxy - probe) / np.linalg.norm(proxy - probe)
+    return float(nnls(touched.T, behind)[1]) if len(touched) else 1.0
+
+
+def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: int) -> list[Array]:
+    """Straight ways from outside through a mesh, and out on the other side."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + 3.0 * radius
+    found = []
+    for _ in range(count):
+        start = rng.normal(size=3)
+        start = middle + reach * start / np.linalg.norm(start)
+        way = rng.uniform(low, high) - start
+        way /= np.linalg.norm(way)
+        found.append(start + STEP * np.arange(int(2.2 * reach / STEP))[:, None] * way)
+    return found
+
+
+@pytest.mark.parametrize("radius", [0.004, 0.001])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_holds_a_proxy_is_what_it_touches(kind: str, radius: float, tmp_path: Path, cases: Cases) -> None:
+    """Wherever it stands still with the probe elsewhere; and a proxy that touches nothing goes with the probe."""
+    mesh = KINDS[kind]
+    file = meshes.write_ply(tmp_path / "part.ply", mesh)
+    part: dict[str, Any] = thing("part", "mesh", file=str(file), material=SLIPPERY)
+    running = engine(part, fingertip={"radius_m": radius})
+    corners = np.ascontiguousarray(mesh.vertices[mesh.triangles])
+    for way in strokes(mesh, radius, np.random.default_rng(5), cases(12, 100)):
+        running.reset()
+        records = np.asarray(running.run(posed(way)))
+        proxy = records[:, AT.proxy_position : AT.proxy_position + 3]
+        moved = np.linalg.norm(np.diff(proxy, axis=0), axis=1)
+        for tick in (*range(199, len(way), 200), len(way) - 1):
+            touching = records[tick, AT.contact_mode] != 0
+            if not touching:
+                assert not records[tick, AT.force : AT.force + 3].any()
+            elif moved[tick - 1] < STILL and np.linalg.norm(proxy[tick] - way[tick]) > 1e-6:
+                assert unexplained(corners, radius, proxy[tick], way[tick]) < UNEXPLAINED, (kind, radius, tick)
+
+
+@pytest.fixture(scope="module")
+def crumpled() -> meshes.Mesh:
+    """A hundred thousand large triangles every way through each other: a search seldom comes to its end."""
+    return hostile_meshes.MANY["crumpled 100k"]()
+
+
+def test_a_stuck_proxy_starts_anew_where_the_probe_is(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
+    """Among triangles that no search of a tick comes to an end of, a proxy stands still; it does not when the probe is
+    in the open. Held on the far side is only what is held by what it touches."""
+    file, radius = saved(tmp_path, *crumpled), 0.002
+    running = engine(thing("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
+    corners = np.ascontiguousarray(crumpled.vertices[crumpled.triangles])
+    restarted = 0
+    for way in strokes(crumpled, radius, np.random.default_rng(1), cases(12, 100)):
+        running.reset()
+        records = np.asarray(running.run(posed(way[::4])))
+        restarted += int((records[:, AT.contact_cause] == CAUSE_RESTART).sum())
+        assert records[records[:, AT.contact_cause] == CAUSE_RESTART, AT.contact_mode].max(initial=FREE) == FREE
+        if records[-1, AT.force : AT.force + 3].any():
+            proxy = records[-1, AT.proxy_position : AT.proxy_position + 3]
+            assert unexplained(corners, radius, proxy, way[::4][-1]) < UNEXPLAINED
+    assert restarted > 0
+
+
+def test_a_first_touch_is_felt_or_said_to_be_unknown(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
+    """Where a fingertip begins in what it touches it is outside after a tick, or `contact.budget` is 1 and it is free:
+    the next tick's pose is then the first again. Where it touches nothing, to GRAZE, there is no force."""
+    file, radius = saved(tmp_path, *crumpled), 0.002
+    running = engine(thing("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
+    rng, balls = np.random.default_rng(2), balls_of(*crumpled)
+    low, high = crumpled.vertices.min(axis=0), crumpled.vertices.max(axis=0)
+    points = rng.uniform(low, high, (cases(300, 3000), 3))
+    ticks = []
+    for point in points:
+        running.reset()
+        ticks.append(np.asarray(running.run(posed(np.tile(point, (2, 1))))))
+    both = np.array(ticks)
+    touching = brute_distances(balls, points) < radius * (1.0 - GRAZE)
+    assert 0.1 < touching.mean() < 0.9
+    for records in (both[:, 0], both[:, 1]):
+        free, unknown = records[:, AT.contact_mode] == FREE, records[:, AT.contact_budget] != 0.0
+        assert (free <= (unknown | ~touching)).all()
+        assert not records[free, AT.force : AT.force + 3].any()
+        clearance = brute_distances(balls, records[:, AT.proxy_position : AT.proxy_position + 3]) / radius - 1.0
+        assert (clearance[~(free & unknown)] >= -np.where(free, GRAZE, 1e-9)[~(free & unknown)]).all()
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("speed", [0.3, 3.0])
+def test_a_thin_wall_that_sweeps_over_is_met(speed: float, tmp_path: Path) -> None:
+    """A box thinner than its way in a tick, over a still hand that presses into a mesh: it takes the proxy along, as it
+    does on the plane that the mesh is."""
+    file = meshes.write_ply(tmp_path / "plate.ply", meshes.moved(meshes.sheet(0.2, 0.2, 8, 8), (-0.1, -0.1, 0.0)))
+    wall = thing(
+        "wall", "box", size_m=[2e-4, 0.1, 0.1], position_m=[0.01, 0.0, 0.0], material=SLIPPERY,
+        motion={"kind": "sinusoid", "translation_m": [-0.03, 0.0, 0.0], "frequency_hz": speed / (0.03 * 2.0 * np.pi)},
+    )  # fmt: skip
+    still = np.tile([0.0, 0.0, 0.003], (int(0.03 / speed * 1000), 1))
+    floors = thing("plate", "mesh", file=str(file), material=SLIPPERY), thing("plate", "plane", material=SLIPPERY)
+    on_mesh, on_plane = (
+        np.asarray(engine(floor, wall, fingertip={"radius_m": 0.004}).run(posed(still)))[:, AT.proxy_position :][:, :3]
+        for floor in floors
+    )
+    assert on_plane[-1, 0] < -0.005  # it was met
+    np.testing.assert_allclose(on_mesh, on_plane, rtol=0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize("radius", [0.01, 0.003])
+def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: Cases) -> None:
+    """Dragged over 12 000 triangles in a plane, up to four radii deep: the force of the plane itself."""
+    file = meshes.write_ply(tmp_path / "plate.ply", meshes.sheet(0.2, 0.2, 78, 78))
+    running = engine(thing("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
+    rng, t = np.random.default_rng(1), 1e-3 * np.arange(600)
+    for _ in range(cases(10, 200)):
+        depth, begin, speed = rng.uniform(0.3, 4.0) * radius, rng.uniform(0.07, 0.13, 2), rng.uniform(-0.08, 0.08, 2)
+        height = radius - depth * np.minimum(1.0, 10.0 * t) + 1e-3 * np.sin(9.0 * t)
+        way = np.column_stack([begin + t[:, None] * speed, height])
+        running.reset()
+        records = np.asarray(running.run(posed(way)))
+        expected = 1000.0 * np.maximum(radius - height, 0.0)[:, None] * [0.0, 0.0, 1.0]
+        # K times AT_REST r: a proxy that goes no farther has come to rest.
+        tolerance = 1000.0 * AT_REST * radius
+        np.testing.assert_allclose(records[:, AT.force : AT.force + 3], expected, rtol=0.0, atol=tolerance)

@@ -1,0 +1,114 @@
+"""Kernels as plain Python and compiled give the same bits: what `make test` proves of one holds for the other.
+
+Of the scenes that come with the program, whose kernels other tests need as well, and of a roll by each method. It
+compiles for half a minute, since that is what it compares.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from references.rolling_cases import METHODS, RADIUS, SHAPES, pairs, roll_long, touching
+
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.native.jit import PLAIN
+from softfinger.proxy.record import AT
+
+CENTERS = {
+    "paper-plane": (0.0, 0.0, 0.01),
+    "corner": (0.01, 0.01, 0.01),
+    "sphere": (0.0, 0.0, 0.03),
+    "heightmap": (0.0, 0.0, 0.01),
+    "ribbed-plane": (0.0, 0.0, 0.01),
+    "pinch": (0.0, 0.0, 0.05),
+}
+"""Of a scene and of its way: where the fingertip just touches, m; in pinch the index finger, the thumb beside it."""
+TICKS = 1200
+
+
+def way(center: Any) -> Any:
+    """Poses (n, 7) that press, drag, roll, spin and lift, again and again, ever further."""
+    t = np.linspace(0.0, 12.0, TICKS)
+    aside = 0.0005 * t
+    away = [aside * np.sin(1.3 * t), aside * np.sin(1.7 * t), 0.004 * (0.3 - np.sin(0.9 * t))]
+    points = np.array(center) + np.stack(away, axis=1)
+    turned = 0.02 * t[:, None] * np.sin(t[:, None] * [1.1, 1.9, 2.3])
+    return np.hstack([points, np.sqrt(1.0 - np.sum(turned**2, axis=1, keepdims=True)), turned])
+
+
+def records_of(name: str) -> Any:
+    """Records (n, fingers, RECORD_SIZE) of the scene."""
+    engine = Engine(name)
+    if len(engine.fingers) == 1:
+        return engine.run(way(CENTERS[name]))[:, None].copy()
+    poses = {"index": way(CENTERS[name]), "thumb": way((-0.03, 0.0, 0.0))}
+    found = engine.run(poses)
+    return np.stack([found[finger] for finger in engine.fingers], axis=1)
+
+
+def write_all(folder: Path) -> None:
+    """A file of records for each scene: what the process without a compiler is started for."""
+    assert PLAIN
+    for name in CENTERS:
+        np.save(folder / name, records_of(name))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what another process has written, whose kernels are plain Python."""
+    folder = tmp_path_factory.mktemp("plain")
+    done = subprocess.run(
+        [sys.executable, __file__, str(folder)],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+LESS = ("paper-plane", "pinch", "ribbed-plane")
+"""In `make test`: one object, two fingers with a method of fourth order, and an array."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in LESS else [pytest.mark.exhaustive]) for name in CENTERS]
+)
+def test_records_of_a_scene_are_the_same_bits(plain: Path, name: str) -> None:
+    """All columns of all ticks, of all fingers: touched, stuck, slid, lifted and touched again."""
+    compiled = records_of(name)
+    assert np.load(plain / f"{name}.npy").tobytes() == compiled.tobytes()
+    met = set(compiled[..., AT.contact_mode].ravel().tolist())
+    assert met == {0.0, 1.0, 2.0}
+
+
+SOME = {("rotation_vector", "hollow sphere"), ("euler_zyx", "plane"), ("montana_rk45", "ellipsoid")}
+"""In `make test`: of the methods that no scene above has."""
+
+
+@pytest.mark.parametrize(
+    ("method", "name"),
+    [pytest.param(*pair, marks=[] if pair in SOME else [pytest.mark.exhaustive]) for pair in pairs()],
+)
+@pytest.mark.skipif(PLAIN, reason="there is nothing compiled to compare with")
+def test_rolls_are_the_same_numbers(method: str, name: str) -> None:
+    """Some compiled steps of 0.3 rad and the same source run by Python end with the same numbers."""
+    center, normal = touching(SHAPES[name], np.random.default_rng(19))
+    case = (METHODS[method], SHAPES[name], RADIUS, center, normal, (0.2, -0.15, 0.17), 8)
+    (off, stretched, compiled), (plain_off, plain_stretched, plain) = roll_long(*case), roll_long.py_func(*case)
+    assert (off, stretched) == pytest.approx((plain_off, plain_stretched), abs=1e-15)
+    for a, b in zip(compiled, plain, strict=True):
+        # No contraction, and the same library for sin and cos: not much more than the last bit may differ.
+        assert a == pytest.approx(b, rel=1e-13, abs=1e-15)
+
+
+if __name__ == "__main__":
+    write_all(Path(sys.argv[1]))

@@ -1,0 +1,158 @@
+"""The suite in parts that run beside each other. Words go to pytest, but for the first, where it is one of these.
+
+    --rest      what `make test` leaves to `make test-all`
+    --coverage  `make test` with the lines and branches of the program counted
+
+Parts:
+
+    logic       marked `plain`: kernels as plain Python, which takes a scene in a millisecond where a compiler takes
+                seconds; `make test-all` runs the same tests compiled, and they have to agree
+    compiled    all others
+    real time   marked `real_time`: they wait for the clock more than they compute, so they share the processors with
+                the other parts, which give way to them
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+HERE: Final = Path(__file__).parent
+NICE: Final = 19
+"""Of the parts that compute: what keeps time runs first when it wakes, and so do the threads of the kernel that hand a
+pseudo terminal's bytes on. Linux weighs sessions against each other before it looks at niceness within one (`autogroup`
+in sched(7)), so each of these parts is a session."""
+WELL: Final = (0, 5)
+"""pytest's exit codes where no test failed; 5: none was asked for."""
+
+ENVIRONMENT: Final = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+"""Some machines for builds keep no bytecode; the tests start hundreds of programs, and would compile them anew each."""
+
+Lines = queue.SimpleQueue[tuple[Any, str | None]]
+"""Of what is running: each with the part that wrote it, None at its end."""
+
+
+class Part(NamedTuple):
+    """One run of pytest: its name, the marks of the tests that it takes, further words, environment, niceness."""
+
+    name: str
+    marks: str
+    words: tuple[str, ...] = ()
+    environment: tuple[tuple[str, str], ...] = ()
+    nice: int = NICE
+
+
+BY_FILE: Final = ("--dist", "loadfile", "-n")
+"""Files shared out among so many processes."""
+QUICK: Final = (
+    Part("logic", "plain and not exhaustive", environment=(("NUMBA_DISABLE_JIT", "1"),)),
+    Part("compiled", "not plain and not real_time and not exhaustive"),
+    Part("real time", "real_time and not exhaustive", (*BY_FILE, "2"), nice=0),
+)
+"""Beside each other. What keeps time waits two thirds of its time, so two processes do it in half of that."""
+
+MORE: Final = ("--exhaustive", "--hypothesis-profile=full")
+REST: Final = (
+    Part("compiled", "(plain or exhaustive or scaled or system) and not real_time", (*MORE, *BY_FILE, "logical")),
+    Part("real time", "(exhaustive or scaled or system) and real_time", MORE, nice=0),
+)
+"""One after the other: the first keeps all processors busy."""
+
+
+class Running:
+    """A part's process, whose lines are put into a queue as they come, None at its end."""
+
+    def __init__(self, part: Part, words: Sequence[str], lines: Lines, covered: bool = False) -> None:
+        self.part = part
+        self.report: list[str] = []
+        """Everything from the first line of a section on."""
+        self.beside: list[str] = []
+        """What is neither that nor progress: a heading, or what a process that crashed has said."""
+        pytest = [*(["coverage", "run", "-m"] if covered else []), "pytest"]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", *pytest, "-m", part.marks, *part.words, *words],
+            cwd=HERE.parent,
+            env=ENVIRONMENT | dict(part.environment),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        if part.nice:
+            os.setpriority(os.PRIO_PROCESS, self.process.pid, part.nice)
+            with contextlib.suppress(OSError):  # a kernel without it weighs threads alone
+                Path(f"/proc/{self.process.pid}/autogroup").write_text(str(part.nice))
+        threading.Thread(target=self._read, args=(lines,), daemon=True).start()
+
+    def interrupt(self) -> None:
+        """As Ctrl-C would, which reaches one session alone."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGINT)
+
+    def _read(self, lines: Lines) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            lines.put((self, line.rstrip("\n")))
+        lines.put((self, None))
+
+
+def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> list[Running]:
+    """Run parts beside each other; print their progress as it comes, and the report of each when it ends."""
+    lines = Lines()
+    running = [Running(part, words, lines, covered) for part in parts]
+    going = len(running)
+    while going:
+        try:
+            part, line = lines.get()
+        except KeyboardInterrupt:
+            for part in running:
+                part.interrupt()
+            continue
+        if line is None:
+            if part.process.wait() not in WELL:
+                print(f"\n--- {part.part.name}, before ---", *part.beside, sep="\n", flush=True)
+            going -= 1
+            print(f"\n--- {part.part.name} ---", *part.report, sep="\n", flush=True)
+        elif part.report or (line.startswith("=") and "test session starts" not in line):
+            part.report.append(line)
+        elif line.endswith("%]"):
+            print(f"{part.part.name:>9} | {line}", flush=True)
+        else:
+            part.beside.append(line)
+    return running
+
+
+def outcome(ended: Sequence[Running]) -> tuple[dict[str, int], bool]:
+    """How many tests passed, failed and were skipped, from pytest's closing lines, and whether all is well."""
+    counts = {"passed": 0, "failed": 0, "skipped": 0}
+    for part in ended:
+        for number, word in re.findall(r"(\d+) (\w+)", part.report[-1] if part.report else ""):
+            name = "failed" if word.startswith("error") else word
+            counts[name] = counts.get(name, 0) + int(number)
+    return counts, all(part.process.returncode in WELL for part in ended)
+
+
+def main(words: list[str]) -> int:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    began = time.monotonic()
+    wanted = words.pop(0) if words and words[0] in ("--rest", "--coverage") else ""
+    groups = [(part,) for part in REST] if wanted == "--rest" else [QUICK]
+    ended = [part for group in groups for part in run(group, words, covered=wanted == "--coverage")]
+    counts, well = outcome(ended)
+    print(f"\nin {time.monotonic() - began:.0f} s:")
+    print(f"{counts['passed']} passed, {counts['failed']} failed, {counts['skipped']} skipped")
+    return 0 if well else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

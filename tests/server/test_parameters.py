@@ -1,0 +1,146 @@
+"""Parameters set while a scene is rendered, without a loop: what each is, and what would be another model."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.pressed import DEPTH_M, pressed_scene
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, describe, load_rig
+from softfinger.config.schema import Scene
+from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
+from softfinger.proxy.record import AT
+from softfinger.server.loop.tick import Tuning
+from softfinger.server.offline.simulate import simulate
+from softfinger.server.services.rendering import CHANGE_WAIT_S, Rendering, Replacing
+
+pytestmark = pytest.mark.plain
+
+RAMP_TICKS = 510
+"""After so many the guard of the rig `replay` gives the whole force."""
+ROUNDING = 1e-12
+"""Relative: a force is the result of some ten operations on numbers of one size."""
+STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
+NORMAL = "object.0.material.normal"
+
+
+def soft_scene() -> Scene:
+    """f = K d (delta / d)^p, and a fingertip whose patch grows with it: a = c (f / 1 N)^gamma."""
+    described = describe(pressed_scene(normal={"exponent": 1.5, "depth_m": 4.0 * DEPTH_M}))
+    described["fingertip"]["patch"] = {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.25}
+    return build(Scene, described, "soft")
+
+
+@pytest.fixture
+def tuned(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
+    """What the servo, which does not run, was given."""
+    given: list[Tuning] = []
+    monkeypatch.setattr("softfinger.server.loop.servo_thread.Servo.tune", lambda servo, tuning: given.append(tuning))
+    return given
+
+
+class Absent(Device):
+    """Nothing is read of it, nor written to it, for no loop runs."""
+
+    info = DeviceInfo("absent", 6, 6, 1e3, 1e2, 1e6, 1e3, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+
+    def io(self) -> DeviceIO:
+        return DeviceIO(0, 0, 0)
+
+    def arm(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@pytest.fixture
+def rendering_of(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], Rendering]]:
+    """Renderings without a device."""
+    made: list[Rendering] = []
+    monkeypatch.setattr("softfinger.server.services.rendering.open_devices", lambda scene, rig: (Absent(),))
+
+    def make(scene: Scene) -> Rendering:
+        made.append(Rendering(load_rig("replay"), scene, None, lambda: lambda: None))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.servo.close()
+
+
+def pressed_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
+    """The record of a fingertip pressed so deep, once the guard has faded the force in."""
+    pose = [0.0, 0.0, 0.01 - depth_m, 1.0, 0.0, 0.0, 0.0]
+    return simulate(tuning, np.array([[pose]] * RAMP_TICKS), 1000.0)[-1, 0]
+
+
+def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
+    tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering]
+) -> None:
+    """f = K d (delta / d)^p and a = c (f / 1 N)^gamma with the numbers of the moment."""
+    rendering = rendering_of(soft_scene())
+    for changes, force, radius in (
+        ({"effect.0.force_n": [0.0, 0.0, 0.5]}, 4.0 * 0.25**1.5, 0.004),
+        ({f"{NORMAL}.exponent": 2.0, f"{NORMAL}.depth_m": 2.0 * DEPTH_M}, 2.0 * 0.5**2.0, 0.004),
+        ({"fingertip.patch.radius_m": 0.003, STIFFNESS: 500.0}, 0.5 * 2.0 * 0.5**2.0, 0.003),
+    ):
+        rendering.set_parameters(changes, "set_params")
+        last = pressed_to_rest(tuned[-1])
+        assert last[AT.contact_normal_force] == pytest.approx(force, rel=ROUNDING)
+        assert last[AT.contact_patch_radius] == pytest.approx(radius * force**0.25, rel=ROUNDING)
+        assert last[AT.force + 2] == pytest.approx(force + 0.5, rel=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({f"{NORMAL}.exponent": 0.5}, "from 1 to 3"),
+        ({"fingertip.patch.exponent": 0.5}, "from 0 to 0.333333"),
+        ({STIFFNESS: 500.0, f"{NORMAL}.exponent": 1.0}, "another model, to be compiled: set the whole scene"),
+        ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: set the whole scene"),
+    ],
+)
+def test_another_model_is_refused_whole(
+    changes: dict[str, Any], words: str, tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering]
+) -> None:
+    """What is out of its range, or would need another loop, changes nothing, nor does what was asked for beside it."""
+    rendering = rendering_of(soft_scene())
+    before = rendering.scene
+    with pytest.raises(ConfigError) as refused:
+        rendering.set_parameters(changes, "set_params")
+    assert words in str(refused.value), refused.value
+    assert rendering.scene is before and not tuned
+
+
+def test_a_change_waits_for_a_replacement_and_no_longer(
+    tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the loop is handed over nothing is changed, and that is said; behind it the change is made."""
+    monkeypatch.setattr("softfinger.server.services.rendering.CHANGE_WAIT_S", 0.01)
+    assert CHANGE_WAIT_S > 0.1  # a replacement in contact takes longer than the guard's way to zero
+    rendering = rendering_of(pressed_scene())
+    held, go_on = threading.Event(), threading.Event()
+
+    def hand_over() -> None:
+        with rendering._handing_over:
+            held.set()
+            go_on.wait(60.0)
+
+    thread = threading.Thread(target=hand_over)
+    thread.start()
+    assert held.wait(60.0)
+    try:
+        with pytest.raises(Replacing, match="try again"):
+            rendering.set_parameters({STIFFNESS: 500.0}, "set_params")
+        assert not tuned
+    finally:
+        go_on.set()
+        thread.join()
+    rendering.set_parameters({STIFFNESS: 500.0}, "set_params")
+    assert pressed_to_rest(tuned[-1])[AT.contact_normal_force] == pytest.approx(500.0 * DEPTH_M, rel=ROUNDING)

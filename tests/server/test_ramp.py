@@ -1,0 +1,169 @@
+"""Parameters on their way: what is ramped, that it arrives to the bit, and what the hand feels of it."""
+
+import numpy as np
+import pytest
+from helpers.faulty_device import FaultyDevice, Options
+
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.config.schema import Scene
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.native.arrays import ReadOnly
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.native.pack import flatten, unflatten, unpack
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.proxy.scene import build_scene
+from softfinger.server.driver_contract import run_for
+from softfinger.server.loop.inputs import ramp
+from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.tuning import make_tuning
+
+TICKS = 100
+DEPTH_M = 0.01 - 0.009
+"""Of the faulty device, to the bit."""
+MATERIAL = "object.table.material"
+ROUNDING = 1e-9  # of forces around 1 N that differ by 5 mN a tick
+
+
+def scene(**changes):
+    return load_scene("paper-plane", {f"{MATERIAL}.{key}": value for key, value in changes.items()})
+
+
+def way_from(tree, ticks=TICKS):
+    return ramp.make_way(tree, ticks)
+
+
+def gone(way, tree, ticks):
+    """The tree after so many ticks on the way."""
+    for _ in range(ticks):
+        if way.left[0] > 0:
+            ramp.advance(way)
+    return unflatten(tree, way.now)
+
+
+@pytest.mark.plain
+def test_all_that_acts_on_the_force_is_on_its_way_together():
+    """Half way each is half way; at the end it is the other scene to the bit, and nothing goes on."""
+    old = build_scene(scene())
+    new = build_scene(scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
+    way = way_from(old)
+    ramp.head_for(way, flatten(new))
+    half = gone(way, old, TICKS // 2)
+    np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
+    assert half.objects[0].material.friction.kinetic < half.objects[0].material.friction.static
+    assert flatten(gone(way, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
+    assert way.left[0] == -1
+
+
+@pytest.mark.plain
+def test_what_says_where_and_what_is_allowed_is_there_at_once():
+    """An object's place and a guard's limits do not wait, nor does such a change begin a ramp anew."""
+    guard = load_rig("replay").guard
+    old = make_tuning(scene(), guard)
+    softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
+    way = way_from(old)
+    ramp.head_for(way, flatten(softer))
+    assert gone(way, old, 60).scene.objects[0].material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
+    (table,) = softer.scene.objects
+    lifted = softer.scene._replace(objects=(table._replace(shape=table.shape._replace(offset=0.001)),))
+    weak = softer._replace(guards=(old.guards[0]._replace(force_max=0.0),), scene=lifted)
+    ramp.head_for(way, flatten(weak))
+    now = gone(way, old, 1)
+    assert now.guards[0].force_max == 0.0 and now.scene.objects[0].shape.offset == 0.001
+    assert now.scene.objects[0].material.normal.stiffness == pytest.approx(695.0, rel=1e-12)
+    assert gone(way, old, 39) == weak
+
+
+@pytest.mark.plain
+def test_an_array_is_another_at_once():
+    """What a law of another package owns is reached by its address, of which there is no half way."""
+    old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0, ()) for k in (1.0, 2.0))
+    way = way_from(old)
+    ramp.head_for(way, flatten(new))
+    ramp.advance(way)
+    assert way.now.tobytes() == flatten(new).tobytes()
+
+
+@pytest.mark.plain
+def test_a_power_law_changes_its_force_evenly_at_every_depth():
+    """Both numbers of K d (delta / d)^p on their way, the force at no depth leaves what it is at both ends."""
+    ends = [
+        model.Material(model.PowerNormal(k * DEPTH_M / d**p, p, 0.0), None, None)
+        for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
+    ]
+    old, new = (model.Object(None, None, None, material, 0.0, ()) for material in ends)
+    way = way_from(old)
+    ramp.head_for(way, flatten(new))
+    for _ in range(TICKS):
+        law = gone(way, old, 1).material.normal
+        assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # a power a tick
+
+
+@entry
+def stiffness_of(like, values, index):
+    """Of an object in rows."""
+    return unpack(like, values).objects[1][index].material.normal.stiffness
+
+
+def test_objects_that_share_their_code_are_ramped_as_well():
+    """Nine alike, of which eight stand in rows: one goes to half, the others stay, and so does what was given."""
+
+    def tiles(softer):
+        tables = [
+            {"name": f"n{k}", "shape": "plane", "position_m": [0.0, 0.0, -k], "material": {"stiffness_n_per_m": 1000.0}}
+            for k in range(9)
+        ]
+        tables[3]["material"] = {"stiffness_n_per_m": softer}
+        return build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": tables}, "here"))
+
+    old, new = tiles(1000.0), tiles(500.0)
+    way = way_from(old)
+    ramp.stay(way, ramp.leaves(old))
+    ramp.head_for(way, ramp.leaves(new))
+    for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
+        for _ in range(ticks):
+            ramp.advance(way)
+        felt = [stiffness_of(old, way.now, k) for k in range(8)]
+        assert felt == pytest.approx([1000.0, 1000.0, expected, *[1000.0] * 5], rel=1e-12)  # fifty additions
+    assert old.objects[1][2].material.normal.stiffness == 1000.0 and way.left[0] == -1
+
+
+@pytest.mark.plain
+def test_no_ticks_are_at_once():
+    """With a ramp of 0 s the next tick has what was set."""
+    old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
+    way = way_from(old, 0)
+    ramp.head_for(way, flatten(new))
+    assert gone(way, old, 1) == new
+
+
+@pytest.mark.real_time
+def test_a_stiffness_that_changes_in_contact_is_no_step_of_the_force():
+    """Halved, then four times that: no tick has more than its share of the whole change, the force arrives exactly, and
+    a change on the way goes on from where it is."""
+    guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
+    tunings = {k: make_tuning(scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
+    servo = Servo([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)
+    servo.compile()
+    servo.start()
+    run_for(servo, 200)
+    changed = [servo.ticks]
+    for stiffness, later in ((500.0, 300), (2000.0, TICKS // 2), (1000.0, 300)):
+        servo.tune(tunings[stiffness])
+        run_for(servo, changed[-1] + later)
+        changed.append(servo.ticks)
+    servo.stop()
+    assert servo.join(30.0) is not None
+    out = np.empty((16384, RECORD_SIZE))
+    records = out[: servo.take(out)]
+    servo.close()
+    normal, felt = records[:, AT.contact_normal_force], records[:, AT.force + 2]
+    assert (normal[50:] == felt[50:]).all()
+    assert normal[199] == 1000.0 * DEPTH_M and normal[changed[1] - 1] == 500.0 * DEPTH_M
+    assert normal[-1] == pytest.approx(1000.0 * DEPTH_M, rel=1e-15)  # once more the product of two numbers
+    halved, raised = slice(199, changed[1]), slice(changed[1] - 1, changed[2])
+    assert np.abs(np.diff(normal[halved])).max() <= 0.5 / TICKS * (1.0 + ROUNDING)
+    assert np.abs(np.diff(normal[raised])).max() <= 1.5 / TICKS * (1.0 + ROUNDING)
+    turned = int(normal.argmax())
+    assert turned >= changed[2] - 1 and 0.5 < normal[turned] < 2.0  # it was on its way
+    assert np.abs(np.diff(normal[turned:])).max() <= abs(normal[turned] - 1.0) / TICKS * (1.0 + ROUNDING)
+    assert np.count_nonzero(np.diff(normal[halved])) == TICKS

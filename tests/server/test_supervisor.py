@@ -1,0 +1,103 @@
+"""The supervisor by itself: what it does when it fails, and whom it asks for what when ticks stop."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from softfinger.config.errors import HapticError, SafetyStop
+from softfinger.server.loop.health import STALL_POLL_S, STALL_POLLS, Watchdog
+from softfinger.server.services.supervisor import Supervisor
+
+pytestmark = pytest.mark.plain
+
+WAIT_S = 20.0
+
+
+class Broken:
+    """A servo that cannot be looked at."""
+
+    looping = True
+
+    @property
+    def ticks(self) -> int:
+        raise OSError("gone")
+
+
+def test_a_supervisor_that_fails_ends_the_run() -> None:
+    """Nobody would see the servo stall: the run ends with that as its error."""
+    errors: list[HapticError] = []
+    told = threading.Event()
+
+    def fail(error: HapticError) -> None:
+        errors.append(error)
+        told.set()
+
+    supervisor = Supervisor(cast(Any, Broken()), fail, lambda *words, **fields: None)
+    supervisor.start()
+    assert told.wait(WAIT_S)
+    supervisor.stop()
+    (error,) = errors
+    assert isinstance(error, SafetyStop) and "gone" in str(error) and "nobody would see the servo stall" in str(error)
+
+
+def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
+    """The run is ended, each device stopped though the one before fails, and the event published, in this order."""
+    done: list[str] = []
+    ended = threading.Event()
+
+    class Device:
+        info = SimpleNamespace(holds_a_force=True)
+
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def stop(self) -> None:
+            done.append(f"stop {self.name}")
+            raise OSError("the port has gone")
+
+    def event(kind: str, name: str, **fields: Any) -> None:
+        done.append(f"{kind} {name}")
+        ended.set()
+
+    servo = SimpleNamespace(looping=True, ticks=7, armed=True, devices=(Device("a"), Device("b")))
+    supervisor = Supervisor(cast(Any, servo), lambda error: done.append(str(error).partition(" for ")[0]), event)
+    supervisor.start()
+    assert ended.wait(WAIT_S)
+    supervisor.stop()
+    assert done[0] == "no tick" and sorted(done[1:3]) == ["stop a", "stop b"] and done[3:] == ["fault stalled"]
+
+
+class Unarmed:
+    """A servo that waits for its devices, for so many looks at it."""
+
+    ticks, armed = 0, False
+    devices = (SimpleNamespace(info=SimpleNamespace(holds_a_force=True)),)
+
+    def __init__(self, looks: int) -> None:
+        self._looks = looks
+
+    @property
+    def looping(self) -> bool:
+        self._looks -= 1
+        return self._looks > 0
+
+
+def test_a_servo_that_waits_for_its_devices_is_not_stalled() -> None:
+    """The supervisor looks on until the servo's end, and ends nothing."""
+    done: list[Any] = []
+    supervisor = Supervisor(cast(Any, Unarmed(8 * STALL_POLLS)), done.append, lambda *words, **_: done.append(words))
+    supervisor.work()
+    assert done == []
+
+
+def test_no_tick_is_due_before_devices_are_armed() -> None:
+    """However long a button is waited for; from arming on, a quarter of a second without a tick is a stall."""
+    watchdog = Watchdog()
+    assert [watchdog.stalled_s(0, due=False) for _ in range(100)] == [0.0] * 100
+    looks = [watchdog.stalled_s(0, due=True) for _ in range(STALL_POLLS)]
+    assert looks == [0.0] * (STALL_POLLS - 1) + [STALL_POLLS * STALL_POLL_S]
+    assert watchdog.stalled_s(1, due=True) == 0.0

@@ -1,0 +1,117 @@
+"""What the loop takes for a pose: every number of a sample is looked at, and what it was a tick before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from softfinger.drivers.base import OK, SAMPLE_SIZE, STALE
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
+from softfinger.server.loop.inputs.poses import doubt, nothing_seen
+from softfinger.server.loop.tick import POSITION_MAX_M, usable
+
+pytestmark = pytest.mark.plain
+
+TILTED = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, 0.5)
+"""A position, m, and a unit quaternion without a zero."""
+
+
+def sample(*numbers: float) -> np.ndarray:
+    row = np.zeros(SAMPLE_SIZE)
+    row[: len(numbers)] = numbers
+    return row
+
+
+def with_one(place: int, value: float) -> np.ndarray:
+    row = sample(*TILTED)
+    row[place] = value
+    return row
+
+
+@pytest.mark.parametrize("place", range(7))
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_no_number_may_be_missing(place: int, value: float) -> None:
+    """Each of the seven alone makes a sample one that holds no pose."""
+    assert usable(sample(*TILTED))
+    assert not usable(with_one(place, value))
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_reach_ends_on_each_axis_on_both_sides(axis: int, side: float) -> None:
+    """At the reach a position is taken, behind it none."""
+    assert usable(with_one(axis, side * POSITION_MAX_M))
+    assert not usable(with_one(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
+
+
+@pytest.mark.parametrize("axis", range(4))
+def test_a_quaternion_is_about_unit(axis: int) -> None:
+    """From half to twice the length, whichever its components are."""
+    for length, taken in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
+        quaternion = [0.0] * 4
+        quaternion[axis] = -length
+        assert bool(usable(sample(0.0, 0.0, 0.0, *quaternion))) == taken
+
+
+LIMITED = Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0, speed_max=10.0, turn_max=100.0, frozen=0.0105)
+T = 0.001
+PUSH = (0.0, 0.0, 1.0)
+NONE = (0.0, 0.0, 0.0)
+
+
+def doubts(poses: Sequence[Sequence[float]], statuses: Sequence[int] = (), force: Vec3 = NONE) -> list[int]:
+    """What is said of each pose, a tick apart."""
+    seen = nothing_seen()
+    told = statuses or [OK] * len(poses)
+    return [
+        int(doubt(LIMITED, seen, sample(*pose), status, force, T)) for pose, status in zip(poses, told, strict=True)
+    ]
+
+
+def at(x: float) -> tuple[float, ...]:
+    return (x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+def turned(angle: float) -> tuple[float, ...]:
+    return (0.0, 0.0, 0.0, math.cos(0.5 * angle), 0.0, math.sin(0.5 * angle), 0.0)
+
+
+def test_a_pose_is_a_jump_past_what_the_speed_allows_in_a_tick() -> None:
+    """Below the limit none, past it one, whatever it is measured from; the first pose is never one."""
+    assert doubts([at(5.0), at(5.0099), at(5.0)]) == [0, 0, 0]
+    assert doubts([at(0.0), at(0.0101), at(0.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
+
+
+def test_a_turn_is_a_jump_past_what_its_speed_allows_in_a_tick() -> None:
+    """Of a quaternion the sign and the length say nothing."""
+    doubled = tuple(-2.0 * c if k > 2 else c for k, c in enumerate(turned(0.099)))
+    assert doubts([turned(0.0), turned(0.099), turned(0.0), doubled]) == [0, 0, 0, 0]
+    assert doubts([turned(0.0), turned(0.101), turned(-3.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
+
+
+def test_a_pose_that_was_held_is_older_when_the_next_one_comes() -> None:
+    """Five ticks without a new sample, or without a usable one: the next may be six ticks' way off, and no farther."""
+    broken = (math.nan,) * 7
+    for waiting, status in ((at(0.0), STALE), (broken, OK)):
+        for x, said in ((0.059, 0), (0.061, POSE_JUMPED)):
+            assert doubts([at(0.0), *[waiting] * 5, at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [said]
+    assert doubts([at(0.0)] * 6 + [at(0.059)])[-1] == POSE_JUMPED  # the driver said that they were new
+
+
+def test_a_pose_that_repeats_is_frozen_under_a_force_alone() -> None:
+    """After frozen_s, until it changes by one bit; a hand that is given none may keep still for ever."""
+    same, other = [at(0.009)] * 20, at(math.nextafter(0.009, 1.0))
+    assert doubts([*same, other], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
+    assert doubts(same, force=(0.0, 0.0, 0.009)) == [0] * 20
+
+
+def test_a_frozen_pose_stays_so_without_the_force() -> None:
+    """The force is gone by then, and must not come back."""
+    seen = nothing_seen()
+    for _ in range(30):
+        doubt(LIMITED, seen, sample(*at(0.0)), OK, PUSH, T)
+    assert doubt(LIMITED, seen, sample(*at(0.0)), OK, NONE, T) == POSE_FROZEN

@@ -1,0 +1,161 @@
+"""Who may command a daemon whose rig does not say where: its own user, by a socket that nobody else reaches."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from softfinger.config.errors import AddressInUse, ConfigError
+from softfinger.config.load import load_rig, load_scene
+from softfinger.config.schema import commands_beside
+from softfinger.server.app import Daemon
+from softfinger.server.cli import main
+from softfinger.server.remote import Client
+from softfinger.server.wire.control import Control
+from softfinger.server.wire.endpoint import listen
+
+WAIT_S = 60.0
+NOBODY = 65534
+KEY = "[commands] endpoint"
+TELEMETRY = "tcp://127.0.0.1:5555"
+
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where sockets go: not there yet."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path / "softfinger"
+
+
+@pytest.fixture
+def daemons() -> Iterator[list[Daemon]]:
+    """Two that run, on ports that the system chose."""
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane")) as one, Daemon(rig, load_scene("paper-plane")) as other:
+        one.start()
+        other.start()
+        yield [one, other]
+
+
+@pytest.mark.real_time
+def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemons: list[Daemon]) -> None:
+    """By the port that the system chose; a folder and a socket for this user alone, and each client meets its own."""
+    for daemon in daemons:
+        port = daemon.publisher.endpoint.rpartition(":")[2]
+        socket = folder / f"{port}.commands"
+        assert daemon.commands_endpoint == f"ipc://{socket}" == commands_beside(daemon.publisher.endpoint)
+        assert stat.S_IMODE(socket.stat().st_mode) == 0o600
+        with Client(daemon.publisher.endpoint, timeout_s=WAIT_S) as client:
+            assert client.describe()["endpoints"]["telemetry"] == daemon.publisher.endpoint
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+@pytest.mark.real_time
+def test_ctl_takes_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
+    """That of the telemetry leads to the commands beside it, as that of the commands does."""
+    for endpoint in (daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint)):
+        assert main(["ctl", "describe", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
+        assert daemons[0].publisher.endpoint in capsys.readouterr().out
+
+
+@pytest.mark.real_time
+def test_monitor_takes_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
+    """That of the commands leads to the telemetry that they are beside."""
+    for endpoint in (daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint)):
+        assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
+        assert '"tick"' in capsys.readouterr().out
+
+
+CONNECT = """
+import os, socket, sys
+os.setgroups([]); os.setegid(65534); os.seteuid(65534)
+try:
+    socket.socket(socket.AF_UNIX).connect(sys.argv[1])
+except PermissionError:
+    sys.exit(13)
+"""
+
+
+@needs_root
+def test_another_user_does_not_reach_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even in a folder that all may enter: the mode of the socket keeps them out."""
+    folder = Path(os.environ["XDG_RUNTIME_DIR"])
+    folder.chmod(0o755)
+    (folder / "softfinger").mkdir(exist_ok=True)
+    (folder / "softfinger").chmod(0o755)
+    codes = []
+    for own in (True, False):
+        bound = listen(f"ipc://{folder}/softfinger/who.commands", KEY, own=own)
+        with bound.files:
+            path = bound.endpoint.removeprefix("ipc://")
+            if not own:  # the other way round: what the attempt would look like where it is let in
+                Path(path).chmod(0o666)
+            codes.append(subprocess.run([sys.executable, "-c", CONNECT, path], check=False).returncode)
+    assert codes == [13, 0]
+
+
+def test_a_killed_daemon_leaves_no_address_in_use_and_a_living_one_keeps_its_own(folder: Path) -> None:
+    """The socket file of the first is replaced, that of the second is not touched."""
+    endpoint = commands_beside(TELEMETRY)
+    killed = (
+        "import os, sys; from softfinger.server.wire.endpoint import listen; "
+        "bound = listen(sys.argv[1], 'commands', own=True); os._exit(0)"
+    )
+    subprocess.run([sys.executable, "-c", killed, endpoint], check=True)
+    path = Path(endpoint.removeprefix("ipc://"))
+    left = path.stat().st_ino, path.stat().st_ctime_ns
+    with listen(endpoint, KEY, own=True).files:
+        living = path.stat().st_ino, path.stat().st_ctime_ns
+        assert living != left
+        with pytest.raises(AddressInUse, match="is in use: stop the softfinger"):
+            listen(endpoint, KEY, own=True)
+        assert (path.stat().st_ino, path.stat().st_ctime_ns) == living
+    assert not path.exists()
+
+
+def _writable(folder: Path) -> None:
+    folder.mkdir()
+    folder.chmod(0o777)
+
+
+def _link(folder: Path) -> None:
+    (folder.parent / "elsewhere").mkdir()
+    folder.symlink_to("elsewhere")
+
+
+def _of_another(folder: Path) -> None:
+    folder.mkdir()
+    os.chown(folder, NOBODY, NOBODY)
+
+
+@pytest.mark.parametrize(
+    ("plant", "said"),
+    [
+        (_writable, "others may write to it"),
+        (_link, "is no folder"),
+        (Path.touch, "is no folder"),
+        pytest.param(_of_another, "belongs to another user", marks=needs_root),
+    ],
+)
+def test_a_folder_that_another_user_may_have_planted_is_refused(folder: Path, plant, said: str) -> None:
+    """By the daemon, whose socket could be replaced, and by clients, who would command another's."""
+    plant(folder)
+    with pytest.raises(ConfigError, match=said):
+        listen(commands_beside(TELEMETRY), KEY, own=True)
+    with pytest.raises(ConfigError, match=said):
+        Control(commands_beside(TELEMETRY))
+
+
+def test_a_runtime_folder_that_is_not_there_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what to do."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "gone"))
+    with pytest.raises(ConfigError, match="cannot be made for the socket of commands: No such file"):
+        listen(commands_beside(TELEMETRY), KEY, own=True)

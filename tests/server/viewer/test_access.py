@@ -1,0 +1,230 @@
+"""Who may open the page and command by it, tried by clients that say what no browser would."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.client import HTTPConnection
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from typing import Any
+from urllib.parse import urlsplit
+
+import msgspec
+import pytest
+import viser
+from helpers.browser import browser, shown, why_none
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+from softfinger.config.errors import ConfigError
+from softfinger.server.viewer.access import Access
+from softfinger.server.viewer.live import Daemon, LivePage
+from softfinger.server.viewer.page import Page
+
+pytestmark = pytest.mark.real_time
+
+ATTACK = """async (address) => {
+    const socket = new WebSocket(address.replace("http:", "ws:"), ["viser-vVERSION"]);
+    return await new Promise((done) => {
+        socket.onopen = () => done("open");
+        socket.onerror = () => done("refused");
+    });
+}"""
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0],
+    "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
+}  # fmt: skip
+"""What a browser says first; before it, viser hears nothing else."""
+EVIL = "https://evil.example"
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    page = Page("127.0.0.1", 8370, ("rig.lab", "tunnel.lab:9000"))
+    yield page
+    page.close()
+
+
+class Elsewhere(BaseHTTPRequestHandler):
+    """A site of another port: an empty page."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+def own(page: Page) -> str:
+    """The page's host and port."""
+    return urlsplit(page.address).netloc
+
+
+def path(page: Page) -> str:
+    """The page's path, which is its token."""
+    return urlsplit(page.address).path
+
+
+def got(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and body of a request."""
+    connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
+    try:
+        connection.request("GET", where, headers={"Host": own(page)} | headers)
+        answer = connection.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+    finally:
+        connection.close()
+
+
+@contextmanager
+def opened(page: Page, where: str, origin: str | None, host: str | None = None) -> Iterator[ClientConnection]:
+    """A websocket to the page, as its own script opens one; InvalidStatus where it is refused."""
+    stream = socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=60.0)
+    protocol, said = Subprotocol(f"viser-v{viser.__version__}"), None if origin is None else Origin(origin)
+    try:
+        with connect(
+            f"ws://{host or own(page)}{where}",
+            sock=stream,
+            origin=said,
+            subprotocols=[protocol],
+            compression=None,
+            max_queue=None,
+        ) as client:
+            client.recv(timeout=60.0)
+            yield client
+    finally:
+        stream.close()
+
+
+def upgraded(page: Page, where: str, origin: str | None, host: str | None = None) -> int:
+    """The status that a websocket is answered with: 101 opens it."""
+    try:
+        with opened(page, where, origin, host):
+            return 101
+    except InvalidStatus as error:
+        return error.response.status_code
+
+
+def test_the_page_is_served_at_its_address_alone(page: Page) -> None:
+    """With the token and the host: the page, its name on the tab, and no other page may frame it."""
+    status, headers, body = got(page, path(page))
+    assert status == 200 and b"<title>softfinger</title>" in body
+    assert headers["X-Frame-Options"] == "DENY" and "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    assert headers["Referrer-Policy"] == "no-referrer"
+    assert got(page, path(page), **{"Accept-Encoding": "gzip"})[0] == 200
+
+
+@pytest.mark.parametrize("where", ["/", "/index.html", "/wrong-token/", "http://evil.example/", "/%2e%2e/", "*"])
+def test_without_the_token_nothing_is_served(page: Page, where: str) -> None:
+    """The refusal says what to do, and may not be framed either."""
+    status, headers, body = got(page, where)
+    assert status == 403 and b"token" in body and b"softfinger view" in body and headers["X-Frame-Options"] == "DENY"
+    if where.startswith("/"):
+        assert upgraded(page, where, f"http://{own(page)}") == 403
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8370", "localhost", "localhost:1", "rig.lab:1", ""])
+def test_another_host_is_refused(page: Page, host: str) -> None:
+    """As under a name that a web site gave to this machine's address."""
+    assert got(page, path(page), Host=host)[0] == 403
+    if host:
+        assert upgraded(page, path(page), f"http://{host}", host) == 403
+
+
+@pytest.mark.parametrize("origin", [EVIL, "null", None, "", "http://localhost", "http://localhost:1"])
+def test_a_websocket_from_elsewhere_is_refused(page: Page, origin: str | None) -> None:
+    """With the token, too: another site, a page without one, and a program that does not say."""
+    assert upgraded(page, path(page), origin) == 403
+
+
+def test_a_request_from_elsewhere_is_refused(page: Page) -> None:
+    """A browser names the site where it is another one."""
+    assert got(page, path(page), Origin=EVIL)[0] == got(page, path(page), Origin="null")[0] == 403
+
+
+def test_the_page_itself_and_names_that_are_allowed_may(page: Page) -> None:
+    """By name, by number, and by what --allow-host named."""
+    port = page.server.get_port()
+    for host in (own(page), f"127.0.0.1:{port}", f"rig.lab:{port}", "tunnel.lab:9000"):
+        assert upgraded(page, path(page).rstrip("/"), f"http://{host}", host) == 101
+        assert got(page, path(page), Host=host)[0] == 200
+
+
+@pytest.mark.exhaustive
+@pytest.mark.skipif(bool(why_none()), reason=why_none())
+def test_in_a_browser_the_page_opens_and_another_site_reaches_nothing(page: Page) -> None:
+    """Its own script is let in; that of another port, which has even learned the token, is not, nor may it frame."""
+    attack = ATTACK.replace("VERSION", viser.__version__)
+    with HTTPServer(("127.0.0.1", 0), Elsewhere) as other, browser() as tab:
+        thread = threading.Thread(target=other.serve_forever)
+        thread.start()
+        try:
+            shown(tab, page.address)
+            assert tab.title() == "softfinger" and tab.evaluate(attack, page.address) == "open"
+            tab.goto(f"http://localhost:{other.server_port}/")
+            assert tab.evaluate(attack, page.address) == "refused"
+            tab.set_content(f'<iframe src="{page.address}"></iframe>')
+            tab.wait_for_load_state("load")
+            assert [frame.url for frame in tab.frames[1:]] == ["chrome-error://chromewebdata/"]
+        finally:
+            other.shutdown()
+            thread.join()
+
+
+def test_each_page_has_a_token_of_its_own() -> None:
+    """128 bits, and an address that a browser can open, whatever the host."""
+    assert Access("::1").address(80).startswith("http://[::1]:80/")
+    assert Access("0.0.0.0", ("rig.lab",)).address(80).startswith("http://rig.lab:80/")
+    tokens = {Access("127.0.0.1").token for _ in range(100)}
+    assert len(tokens) == 100 and min(map(len, tokens)) >= 21
+
+
+def test_a_server_that_cannot_be_guarded_is_none() -> None:
+    """Where viser would start it in another way."""
+    with pytest.raises(ConfigError, match="cannot be guarded"), Access("127.0.0.1").guarding():
+        pass
+
+
+def say(stream: ClientConnection, control: Any, value: Any) -> None:
+    """What a browser says when a control is moved, for a value of any kind."""
+    told = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
+    stream.send(msgspec.msgpack.encode(told))
+
+
+def test_a_control_is_held_to_the_limits_that_it_shows(page: Page, endpoints: tuple[str, str]) -> None:
+    """A stiffness far beyond its slider, none at all and a scene that is not on the list go back, and are not sent."""
+    live = LivePage(page, Daemon(*endpoints))
+    try:
+        slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._choice
+        fed(live, lambda: page.fingers and slider.value == 1000.0)
+        asked: list[Any] = []
+        live._tuning._params = lambda name, values: asked.append(values)
+        live._tuning._set_scene = lambda name, values: asked.append(values)
+        with opened(page, path(page), f"http://{own(page)}") as stream:
+            stream.send(msgspec.msgpack.encode(CAMERA))
+            fed(live, page.server.get_clients)
+            for control, wrong in ((slider, 1e6), (slider, -1.0), (slider, float("nan")), (choice, "/etc/scene.toml")):
+                right, before = control.value, control.update_timestamp
+                say(stream, control, wrong)
+                fed(live, lambda c=control, r=right, b=before: c.update_timestamp > b and c.value == r)  # type: ignore[misc]
+            assert not asked
+            say(stream, slider, 740.0)
+            fed(live, lambda: asked)
+        assert asked == [{"object.0.material.stiffness_n_per_m": 740.0}]
+    finally:
+        live.close()
+
+
+def fed(live: LivePage, until: Callable[[], Any]) -> None:
+    """Step until something is true."""
+    end = time.monotonic() + 60.0
+    while not until():
+        assert time.monotonic() < end
+        live.step(0.05)
+        time.sleep(0.01)
