@@ -58,10 +58,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("softfinger")
     group.addoption("--compiled", action="store_true", help="list every file whose tests compile kernels")
     group.addoption("--exhaustive", action="store_true", help="all cases of tests marked `scaled`")
+    group.addoption("--put-off", metavar="FILE", help="name tests here that failed while the machine stood still")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.pluginmanager.register(Patience())
+    config.pluginmanager.register(Patience(config.getoption("--put-off")))
     config.pluginmanager.register(CompilationReport())
 
 

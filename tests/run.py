@@ -10,6 +10,7 @@ Parts:
     compiled    all others
     real time   marked `real_time`: they wait for the clock more than they compute, so they share the processors with
                 the other parts, which give way to them
+    put off     of those, the ones that failed while the machine stood still; last, with nothing beside them
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Sequence
@@ -57,9 +59,11 @@ BY_FILE: Final = ("--dist", "loadfile", "-n")
 QUICK: Final = (
     Part("logic", "plain and not exhaustive", environment=(("NUMBA_DISABLE_JIT", "1"),)),
     Part("compiled", "not plain and not real_time and not exhaustive"),
-    Part("real time", "real_time and not exhaustive", (*BY_FILE, "2"), nice=0),
 )
-"""Beside each other. What keeps time waits two thirds of its time, so two processes do it in half of that."""
+REAL_TIME: Final = Part("real time", "real_time and not exhaustive", (*BY_FILE, "2"), nice=0)
+"""Beside those and each other. What keeps time waits two thirds of its time, so two processes do it in half of that."""
+PUT_OFF: Final = Part("put off", "real_time", nice=0)
+"""Behind those: each test that the one before has named."""
 
 MORE: Final = ("--exhaustive", "--hypothesis-profile=full")
 REST: Final = (
@@ -132,6 +136,16 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
     return running
 
 
+def quick(words: Sequence[str], covered: bool) -> list[Running]:
+    """All of `make test`; last, with nothing beside them, the tests that failed while the machine stood still."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "put-off"
+        ended = run([*QUICK, REAL_TIME._replace(words=(*REAL_TIME.words, f"--put-off={file}"))], words, covered)
+        if file.exists() and file.stat().st_size:
+            ended += run([PUT_OFF._replace(words=(f"@{file}",))], (), covered)
+    return ended
+
+
 def outcome(ended: Sequence[Running]) -> tuple[dict[str, int], bool]:
     """How many tests passed, failed and were skipped, from pytest's closing lines, and whether all is well."""
     counts = {"passed": 0, "failed": 0, "skipped": 0}
@@ -146,8 +160,10 @@ def main(words: list[str]) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     began = time.monotonic()
     wanted = words.pop(0) if words and words[0] in ("--rest", "--coverage") else ""
-    groups = [(part,) for part in REST] if wanted == "--rest" else [QUICK]
-    ended = [part for group in groups for part in run(group, words, covered=wanted == "--coverage")]
+    if wanted == "--rest":
+        ended = [part for one in REST for part in run([one], words)]
+    else:
+        ended = quick(words, covered=wanted == "--coverage")
     counts, well = outcome(ended)
     print(f"\nin {time.monotonic() - began:.0f} s:")
     print(f"{counts['passed']} passed, {counts['failed']} failed, {counts['skipped']} skipped")

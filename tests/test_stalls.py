@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers.stalls import Sleepers
+from helpers.stalls import Sleepers, taken_s
 
 pytest_plugins = ["pytester"]
 
@@ -33,16 +33,24 @@ def test_luck():
 """
 
 
-def run(pytester: pytest.Pytester, overslept_s: float, test: str = SECOND_TIME_LUCKY) -> pytest.RunResult:
-    """A test on a machine that oversleeps so long each time."""
+def run(
+    pytester: pytest.Pytester,
+    overslept_s: float,
+    test: str = SECOND_TIME_LUCKY,
+    taken_s: float = 0.0,
+    put_off: str = "",
+) -> pytest.RunResult:
+    """A test on a machine that oversleeps so long each time, while its host takes so much."""
     pytester.makeconftest(f"""
         import sys
         sys.path.insert(0, {str(Path(__file__).parent)!r})
         from helpers import stalls
         stalls.REST_WAIT_S = 0.0
         stalls.Sleepers.longest_s = lambda self: {overslept_s}
+        taken = iter(range(100))
+        stalls.taken_s = lambda: next(taken) * {taken_s}
         def pytest_configure(config):
-            config.pluginmanager.register(stalls.Patience())
+            config.pluginmanager.register(stalls.Patience({put_off!r}))
     """)
     pytester.makepyfile(test)
     return pytester.runpytest_subprocess("-p", "no:cacheprovider")
@@ -61,6 +69,28 @@ def test_failed_where_it_stood_still_each_time(pytester: pytest.Pytester) -> Non
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*repeated, *", *["*::test_luck: overslept 50 ms; *"] * 3])
     run(pytester, 0.001, NO_LUCK).assert_outcomes(failed=1)
+
+
+def test_no_result_where_the_host_took_the_processors(pytester: pytest.Pytester) -> None:
+    """For longer than a driver waits, in each turn; less than that, or a stall of the guest's own, is no excuse."""
+    run(pytester, 0.2, NO_LUCK, taken_s=0.2).assert_outcomes(skipped=1)
+    for overslept_s, of_it_taken_s in ((0.2, 0.05), (0.05, 0.2), (0.001, 0.2)):
+        run(pytester, overslept_s, NO_LUCK, of_it_taken_s).assert_outcomes(failed=1)
+
+
+def test_put_off_where_others_run_beside(pytester: pytest.Pytester) -> None:
+    """By name, in a file that pytest takes; a test that failed on a machine that kept time is not."""
+    later = pytester.path / "later"
+    run(pytester, 0.05, NO_LUCK, put_off=str(later)).assert_outcomes(skipped=1)
+    assert later.read_text() == "test_put_off_where_others_run_beside.py::test_luck\n"
+    run(pytester, 0.001, NO_LUCK, put_off=str(later)).assert_outcomes(failed=1)
+    assert later.read_text() == ""
+
+
+def test_what_the_host_takes_is_counted() -> None:
+    """As the kernel counts it, which never goes back."""
+    first = taken_s()
+    assert 0.0 <= first <= taken_s()
 
 
 def test_failed_where_it_kept_time(pytester: pytest.Pytester) -> None:

@@ -5,6 +5,11 @@ millisecond, and the longest that it overslept is the machine's doing. A test th
 failed, and so has one that failed three times while the machine stood still. The end of the run names every test that
 was run again, and what it said.
 
+Two more ways out, both of them told as skipped. `--put-off FILE` is for a run beside which others compute: a test that
+would fail after three such times is named in FILE, for a run beside which nothing does. And where the host of a virtual
+machine took the processors for longer than a driver waits for its device (the kernel counts that time), each time, no
+test of real time has a result.
+
 What this process does to itself no sleeper sees: looking for garbage among all that numba has made takes a tenth of a
 second, in which no thread of a test can answer. That is put off until the test has ended.
 """
@@ -30,7 +35,11 @@ REST_S = 0.5
 REST_WAIT_S = 15.0
 """How long that is waited for."""
 
+TAKEN_S = 0.1
+"""Of the host's doing, in each turn: no test has a result. Drivers give a device up after 0.1 s of silence."""
+
 REPEATED = "repeated_after_stall"
+PUT_OFF = "put_off"
 
 _SLEEPER = """
 import os, select, sys, time
@@ -87,11 +96,24 @@ class Sleepers:
             program.stdout.close()
 
 
+def taken_s() -> float:
+    """The time that the host of a virtual machine has taken from its processors since it started, s (proc_stat(5))."""
+    with open("/proc/stat", encoding="ascii") as file:
+        return float(file.readline().split()[8]) / os.sysconf("SC_CLK_TCK")
+
+
+def skip(report: pytest.TestReport, why: str) -> None:
+    """Tell a failed test as skipped."""
+    path, line, _ = report.location
+    report.outcome, report.longrepr = "skipped", (path, (line or 0) + 1, why)
+
+
 class Patience:
     """The plugin."""
 
-    def __init__(self) -> None:
+    def __init__(self, put_off: str | None = None) -> None:
         self._sleepers: Sleepers | None = None
+        self._put_off = put_off
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
@@ -101,13 +123,16 @@ class Patience:
             self._sleepers = Sleepers()
         item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
         gc.disable()
+        always_taken = True
         for turn in range(1, TURNS + 1):
             self._sleepers.longest_s()
+            before_s = taken_s()
             reports = runtestprotocol(item, nextitem=nextitem, log=False)
             stall_s = self._sleepers.longest_s()
             failed = [report for report in reports if report.failed]
             if not failed or stall_s < STALL_S:
                 break
+            always_taken &= min(stall_s, taken_s() - before_s) >= TAKEN_S
             why = failed[0].longreprtext.strip().splitlines()[-1]
             told = (REPEATED, f"{item.nodeid}: overslept {stall_s * 1e3:.0f} ms; {why}")
             if turn < TURNS:
@@ -115,6 +140,15 @@ class Patience:
                 self._sleepers.rest()
             else:
                 failed[0].user_properties.append(told)
+                if self._put_off:
+                    failed[0].user_properties.append((PUT_OFF, item.nodeid))
+                    why = "put off until no other tests run: the machine stood still"
+                elif always_taken:
+                    why = "no result: the host took the processors in each of three turns"
+                else:
+                    break
+                for report in failed:
+                    skip(report, why)
         gc.enable()
         for report in reports:
             item.ihook.pytest_runtest_logreport(report=report)
@@ -123,11 +157,14 @@ class Patience:
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         reports = [report for kind in ("passed", "failed", "skipped") for report in terminalreporter.getreports(kind)]
-        told = [text for report in reports for name, text in report.user_properties if name == REPEATED]
-        if told:
+        told = [said for report in reports for said in report.user_properties]
+        if repeated := [text for name, text in told if name == REPEATED]:
             terminalreporter.section("repeated, since the machine stood still")
-            for line in told:
-                terminalreporter.line(line)
+            for line in repeated:
+                terminalreporter.line(str(line))
+        if self._put_off:
+            with open(self._put_off, "w", encoding="utf-8") as file:
+                file.writelines(f"{test}\n" for name, test in told if name == PUT_OFF)
 
     def pytest_unconfigure(self) -> None:
         if self._sleepers is not None:
