@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside
+from softfinger.config.schema import commands_beside, telemetry_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT, Subscription, Window, subscribe
 from softfinger.server.wire.commands import Empty
 from softfinger.server.wire.control import Control, R
@@ -18,6 +18,7 @@ class Client(Control):
 
     telemetry, commands  endpoints as the daemon's first lines say them; where commands are left out, they are sought
                          where a rig has them that does not say, and the daemon there has to be that with this telemetry
+    telemetry            may also be a socket of commands beside the telemetry, which leads to both
     timeout_s            how long to wait for an answer (None: what the command needs)
 
     Nothing is sent before it is asked for. A command raises CommandRefused where the daemon does not do it, NoAnswer
@@ -36,8 +37,8 @@ class Client(Control):
     def __init__(
         self, telemetry: str = DEFAULT_ENDPOINT, commands: str | None = None, *, timeout_s: float | None = None
     ) -> None:
-        super().__init__(commands_beside(telemetry) if commands is None else commands, timeout_s)
-        self.telemetry: Final = telemetry
+        self.telemetry: Final = telemetry_of(telemetry)
+        super().__init__(commands_beside(self.telemetry) if commands is None else commands, timeout_s)
         self._met = commands is not None
         self._opened: Final = list[Subscription | Window]()
 

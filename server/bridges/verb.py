@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import Scene
+from softfinger.config.schema import Scene, telemetry_of
 from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.recording.verbs.live import Live, Taker, Taking, begin, go_on, subscribed
@@ -28,7 +28,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("viewer", choices=["foxglove", "rerun"], help="which")
     parser.add_argument("recording", nargs="?", metavar="FILE", help="a recording for Rerun, in place of a daemon")
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
+    parser.add_argument(
+        "--endpoint",
+        type=telemetry_of,
+        default=DEFAULT_ENDPOINT,
+        help="of the daemon: its telemetry or its commands (%(default)s)",
+    )
     parser.add_argument("--commands", metavar="URL", help="where the daemon describes itself (default: beside that)")
     keys.add_options(parser)
     parser.add_argument(

@@ -45,6 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Show what a running server renders: contact mode, forces, lateness, events."
     parser.add_argument(
         "--endpoint",
+        type=telemetry_of,
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
@@ -59,7 +60,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the verb. Raises NoTelemetry if nothing arrives, ProtocolError for a stream that is not ours."""
-    args.endpoint = telemetry_of(args.endpoint)
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not (0.0 < value < math.inf):

@@ -21,6 +21,7 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import open_output
+from softfinger.config.schema import telemetry_of
 from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, POSE_COLUMNS, rate_of
 from softfinger.server import keys, signals
 from softfinger.server.arguments import by_finger
@@ -60,7 +61,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help=".csv: poses alone; .mcap: every value of every tick; NAME=FILE for each of several fingers",
     )
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
+    parser.add_argument(
+        "--endpoint",
+        type=telemetry_of,
+        default=DEFAULT_ENDPOINT,
+        help="of the daemon: its telemetry or its commands (%(default)s)",
+    )
     parser.add_argument("--commands", metavar="URL", help="where the server describes itself (default: beside that)")
     keys.add_options(parser)
     parser.add_argument(

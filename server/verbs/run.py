@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     page = None
     try:
         if args.view:
-            page = Shown(daemon)
+            page = Shown(daemon, ["-q"] if args.quiet else ["-v"] if args.verbose else [])
         if args.record is not None:
             daemon.recordings.record(args.record, args.scene)
         if args.watcher:
@@ -147,14 +147,15 @@ def check_viewer() -> None:
 class Shown:
     """`softfinger view` of a daemon, a process of its own: nothing that goes wrong there stops the servo.
 
-    Says where the page is, and waits for that; ConfigError where the daemon takes no commands.
+    Says where the page is, and waits for that; ConfigError where the daemon takes no commands. `loudness` is the option
+    for what it logs.
     """
 
-    def __init__(self, daemon: Daemon) -> None:
+    def __init__(self, daemon: Daemon, loudness: list[str]) -> None:
         if daemon.commands_endpoint is None:
             raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
         self._words = ["view", "--endpoint", daemon.publisher.endpoint, "--commands", daemon.commands_endpoint]
-        command = [sys.executable, "-m", "softfinger.server.cli", *self._words, "--print-address"]
+        command = [sys.executable, "-m", "softfinger.server.cli", *self._words, *loudness, "--print-address"]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self._over = False
         assert self._process.stdout is not None

@@ -9,7 +9,7 @@ import webbrowser
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside
+from softfinger.config.schema import commands_beside, telemetry_of
 from softfinger.server import keys, signals
 from softfinger.server.arguments import duration
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
@@ -29,7 +29,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--scene", help="of a recording that does not say its own, or in place of that")
     parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
-    parser.add_argument("--endpoint", default=DEFAULT_ENDPOINT, help="telemetry endpoint (default: %(default)s)")
+    parser.add_argument(
+        "--endpoint",
+        type=telemetry_of,
+        default=DEFAULT_ENDPOINT,
+        help="of the daemon: its telemetry or its commands (%(default)s)",
+    )
     parser.add_argument("--commands", help="commands endpoint (default: beside that)")
     keys.add_options(parser)
     parser.add_argument("--host", default=HOST, help="address that the page is served on (%(default)s)")

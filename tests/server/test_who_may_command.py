@@ -15,7 +15,7 @@ from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import commands_beside
 from softfinger.server.app import Daemon
-from softfinger.server.cli import main
+from softfinger.server.cli import main, make_parser
 from softfinger.server.remote import Client
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.endpoint import listen
@@ -67,11 +67,36 @@ def test_ctl_takes_either_address(folder: Path, daemons: list[Daemon], capsys: p
 
 
 @pytest.mark.real_time
-def test_monitor_takes_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
-    """That of the commands leads to the telemetry that they are beside."""
-    for endpoint in (daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint)):
+def test_readers_take_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
+    """That of the commands leads to the telemetry that they are beside: for monitor, record and Python."""
+    told = list[str]()
+    for number, endpoint in enumerate((daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint))):
         assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
         assert '"tick"' in capsys.readouterr().out
+        kept = folder / f"{number}.mcap"
+        assert main(["record", str(kept), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
+        assert kept.stat().st_size > 0
+        with Client(endpoint, timeout_s=WAIT_S) as client:
+            told.append(client.describe()["endpoints"]["telemetry"])
+            assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
+    assert told == [daemons[0].publisher.endpoint] * 2
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["monitor", "--endpoint"],
+        ["record", "some.csv", "--endpoint"],
+        ["view", "--endpoint"],
+        ["bridge", "foxglove", "--endpoint"],
+        ["forward", "--from"],
+    ],
+)
+def test_every_reader_finds_the_telemetry(words: list[str], folder: Path) -> None:
+    """Whichever of a daemon's two addresses it is given."""
+    asked = make_parser([words[0]]).parse_args([*words, f"ipc://{folder}/5601.commands"])
+    assert "tcp://127.0.0.1:5601" in vars(asked).values()
+    assert "tcp://10.0.0.1:5555" in vars(make_parser([words[0]]).parse_args([*words, "tcp://10.0.0.1:5555"])).values()
 
 
 CONNECT = """

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside, is_public
+from softfinger.config.schema import commands_beside, is_public, telemetry_of
 from softfinger.server import keys, signals
 from softfinger.server.gateway.allowed import Allowed
 from softfinger.server.gateway.forward import Forward, Source, Way
@@ -32,7 +32,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "back; ends with Ctrl-C, and says then what was handed on."
     )
     parser.add_argument(
-        "--from", dest="source", metavar="URL", default=DEFAULT_ENDPOINT, help="telemetry (%(default)s)"
+        "--from",
+        dest="source",
+        metavar="URL",
+        type=telemetry_of,
+        default=DEFAULT_ENDPOINT,
+        help="of the daemon: its telemetry or its commands (%(default)s)",
     )
     parser.add_argument("--to", metavar="URL", help="where it is published again, such as tcp://0.0.0.0:5565")
     parser.add_argument(
