@@ -16,7 +16,8 @@ ITERATIONS = 32
 CONVERGED = 4e-16
 """How far outside the surface, in semi-axes, is on it."""
 LAST_STEP = 1e-9
-"""How far outside the surface one step of Newton's method ends on it."""
+"""How far outside the surface a step of Newton's method is the last. It never oversteps, so what is left is less; it is
+rounding, but where components that hardly change beside others are just inside the surface by themselves."""
 FARTHEST = 1e8
 """Points farther out, in semi-axes, are brought here first: squares stay finite, and only the direction counts."""
 
@@ -59,7 +60,7 @@ def multiplier(y: Vec3, weight: Vec3) -> float:
         size = sqrt(square)
         if size <= 1.0 + CONVERGED:
             break
-        # The error is squared: from here one more step is exact, and need not be looked at.
+        # The error is squared: what one more step leaves, `shrink` takes off, and it need not be looked at.
         last = size < 1.0 + LAST_STEP
         slope = weight[0] * d0 * p0 + weight[1] * d1 * p1 + weight[2] * d2 * p2
         m += (size - 1.0) * square / slope
