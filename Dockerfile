@@ -14,7 +14,8 @@ RUN pip download --quiet --require-hashes --only-binary :all: --dest /build/whee
 RUN python -m venv /build/venv \
     && /build/venv/bin/pip install --quiet --no-index --find-links /build/wheels build hatchling
 
-COPY LICENSE README.md pyproject.toml ./
+COPY LICENSE pyproject.toml ./
+COPY .ci/package_page.md .ci/
 COPY config config
 COPY drivers drivers
 COPY proxy proxy

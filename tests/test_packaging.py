@@ -16,6 +16,7 @@ import tomllib
 import venv
 import zipfile
 from collections.abc import Iterator
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,7 @@ KERNEL_OWN_IMPORTS = ("softfinger.proxy.kernels", "softfinger.proxy.record")
 # At import, or inside numba's typing; never in a tick.
 KERNEL_STANDARD_LIBRARY = {
     "jit.py": {"hashlib", "os", "pathlib", "sys"},
-    "kept.py": {"functools", "hashlib", "logging", "os", "pathlib", "pickle", "secrets", "stat", "sys"},
+    "kept.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "pickle", "secrets", "stat", "sys"},
     "dispatch.py": {"functools", "inspect"},
     "doing.py": {"contextlib"},
     "arrays.py": {"operator"},
@@ -127,7 +128,16 @@ def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
     (path,) = dist.glob("*.tar.gz")
     with tarfile.open(path) as archive:
         names = {member.name.partition("/")[2] for member in archive.getmembers()}
-    needed = {"Makefile", "constraints.txt", "pyproject.toml", "LICENSE", "README.md", ".ci/run", "Dockerfile"}
+    needed = {
+        "Makefile",
+        "constraints.txt",
+        "pyproject.toml",
+        "LICENSE",
+        "README.md",
+        ".ci/run",
+        ".ci/package_page.md",
+        "Dockerfile",
+    }
     needed |= {"CONTRIBUTING.md", "mkdocs.yml", "constraints-docs.txt"}
     needed |= {"CONTRIBUTING.md", "SECURITY.md", "CITATION.cff", "compose.yaml", ".github/workflows/ci.yml"}
     needed |= {str(file) for package in (*PACKAGES, "examples", "tests") for file in sources(package)}
@@ -169,16 +179,15 @@ def test_the_package_page_says_what_and_whose_it_is(wheel: Path) -> None:
     assert pythons == {"3.11", "3.12", "3.13"} and metadata["Requires-Python"] == "<3.14,>=3.11"
 
 
-def test_links_of_the_readme_work_on_a_package_page() -> None:
-    """Each link and picture is an address below the project's, of a file that is in the tree."""
+def test_the_package_page_needs_no_file_beside_it(wheel: Path) -> None:
+    """It has no links, for a relative one would lead nowhere there. The README has relative ones alone."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [each for each in archive.namelist() if each.endswith(".dist-info/METADATA")]
+        page = email.message_from_bytes(archive.read(name)).get_payload()
+    assert isinstance(page, str) and page.startswith("# softfinger") and "](" not in page
     home = PROJECT["project"]["urls"]["Homepage"]
     assert all(address.startswith(home) for address in PROJECT["project"]["urls"].values())
-    links = re.findall(r"(!?)\[[^\]]*\]\(([^)]+)\)", (ROOT / "README.md").read_text())
-    assert len(links) > 10
-    for picture, address in links:
-        below = f"{home}/{'raw' if picture else 'blob'}/HEAD/"
-        assert address.startswith(below), f"{address} is not below {below}"
-        assert (ROOT / address.removeprefix(below).partition("#")[0]).is_file(), address
+    assert "://" not in "".join(re.findall(r"\]\(([^)]+)\)", (ROOT / "README.md").read_text()))
 
 
 def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
@@ -249,6 +258,40 @@ def test_every_dependency_is_pinned() -> None:
     wanted = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["dev"]
     names = {re.match(r"[A-Za-z0-9_.-]+", line)[0].lower().replace("_", "-") for line in wanted}  # type: ignore[index]
     assert not names - pinned, "run `make constraints`"
+
+
+UNDECLARED = {
+    "hatchling": "imported by the build alone, which declares it",
+    "llvmlite": "numba's, which names the one version that it works with",
+    "pandas": "the caller's, who asks for its tables",
+    "playwright": "of the tests, for a measurement in a browser",
+    "pytest": "the caller's, whose tests take the plugin and the contract",
+}
+"""Imported, and no requirement of the package or of an extra for users."""
+IMPORTED_AS = {"foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "pylsl": "pylsl"}
+"""Of extras that need not be installed here."""
+
+
+def test_every_import_is_declared() -> None:
+    """What the program imports is a requirement of its own or of an extra, not only of a library that it uses."""
+
+    def plain(requirement: str) -> str:
+        return re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
+
+    extras = PROJECT["project"]["optional-dependencies"]
+    declared = {plain(each) for each in PROJECT["project"]["dependencies"]}
+    declared |= {plain(each) for extra in extras.keys() - {"dev", "docs"} for each in extras[extra]}
+    installed = packages_distributions()
+    undeclared = set()
+    for file in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                names = [node.module]
+            for top in {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"softfinger"}:
+                if not {plain(each) for each in installed.get(top, [IMPORTED_AS.get(top, top)])} & declared:
+                    undeclared.add(top)
+    assert undeclared == set(UNDECLARED)
 
 
 def test_the_packages_are_named_the_same_everywhere() -> None:

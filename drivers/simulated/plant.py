@@ -36,6 +36,8 @@ DELAY_MAX: Final = 16
 """Longest transport delay, ticks."""
 LINE_SIZE: Final = 3 * DELAY_MAX
 """Numbers (float64) in a transport line, which the caller of `advance` keeps: forces under way; all 0 at the start."""
+SETTLED: Final = 1e-30
+"""m, m/s, N: below it a position, a velocity and a force are 0. Its square is still a normal number."""
 SUBSTEP: Final = 0.5
 """Longest piece that is summed as a Taylor series, in time constants of the fastest mode."""
 
@@ -269,6 +271,17 @@ def limited(plant: Plant, command: Vec3) -> Vec3:
 
 
 @jit
+def settled(v: Vec3) -> Vec3:
+    """A vector whose components below `SETTLED` are 0: what decays for ever ends before it is denormal and slow."""
+    x, y, z = v
+    return (
+        x if abs(x) >= SETTLED else 0.0,
+        y if abs(y) >= SETTLED else 0.0,
+        z if abs(z) >= SETTLED else 0.0,
+    )
+
+
+@jit
 def advance(
     plant: Plant, state: PlantState, command: Vec3, goal: Vec3, orientation: Quaternion, line: Any
 ) -> PlantState:
@@ -289,13 +302,13 @@ def advance(
     x, v, a, p = state.position, state.velocity, state.force, state.goal
     w = vec3.scale(plant.rate, vec3.sub(goal, p))
     ax, ay, az = plant.axes
-    after = vec3.add_scaled(u, plant.lag_rest, vec3.sub(a, u))
+    after = settled(vec3.add_scaled(u, plant.lag_rest, vec3.sub(a, u)))
     x0, v0 = move(ax, x[0], v[0], a[0], after[0], Inputs(u[0], p[0], w[0], 0.0))
     x1, v1 = move(ay, x[1], v[1], a[1], after[1], Inputs(u[1], p[1], w[1], 0.0))
     x2, v2 = move(az, x[2], v[2], a[2], after[2], Inputs(u[2], p[2], w[2], 0.0))
     return PlantState(
-        (x0, x1, x2),
-        (v0, v1, v2),
+        settled((x0, x1, x2)),
+        settled((v0, v1, v2)),
         after,
         goal,
         follow(plant, state.orientation, orientation),

@@ -13,6 +13,7 @@ from softfinger.drivers.simulated.plant import (
     DELAY_MAX,
     LINE_SIZE,
     NO_HAND,
+    SETTLED,
     Handle,
     Impedance,
     Plant,
@@ -83,7 +84,7 @@ def test_damped_mass_runs_down():
     for b in (0.5, 5.0, 8000.0):
         trip = Journey(make_plant(T, Handle((0.2,) * 3, (b,) * 3)), np.zeros((200, 3)), start=moving(0.3))
         t = T * np.arange(1, 201)
-        np.testing.assert_allclose(trip.v[:, 2], 0.3 * np.exp(-b * t / 0.2), rtol=1e-11, atol=1e-300)
+        np.testing.assert_allclose(trip.v[:, 2], 0.3 * np.exp(-b * t / 0.2), rtol=1e-11, atol=SETTLED)
         np.testing.assert_allclose(trip.x[:, 2], -0.3 * 0.2 / b * np.expm1(-b * t / 0.2), rtol=1e-12)
 
 
@@ -249,3 +250,16 @@ def test_matrix_exponential_agrees_with_scipy():
             # Squaring ten times loses three digits at most.
             np.testing.assert_allclose(expm(scale * matrix), want, rtol=0.0, atol=1e-12 * np.abs(want).max())
     assert np.array_equal(expm(np.zeros((3, 3))), np.eye(3))
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.02])
+def test_what_decays_comes_to_rest(lag):
+    """Pushed for 20 ms and let go, it ends at 0 and not among denormal numbers; before that it decays as it should."""
+    commands = np.zeros((20000, 3))
+    commands[:20] = 0.3, -0.2, 0.1
+    moved = Journey(make_plant(T, GOOD._replace(damping=(3.0, 8.0, 20.0), lag=lag)), commands)
+    for told in (moved.v, moved.force):
+        assert np.all((told == 0.0) | (np.abs(told) >= SETTLED))
+    assert np.all(moved.v[-1] == 0.0) and np.all(moved.force[-1] == 0.0)
+    # Half a second after the push nothing but the handle's own damping is left: v falls by exp(-B T / M) a tick.
+    assert moved.v[3000, 0] / moved.v[2999, 0] == pytest.approx(np.exp(-3.0 / 0.2 * T), rel=1e-12)

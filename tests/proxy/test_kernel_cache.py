@@ -340,6 +340,21 @@ def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:
             make_private(link)
 
 
+def test_a_folder_that_another_process_makes_meanwhile_is_taken(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Two programs start on a fresh machine: both keep their kernels, whichever made the folder."""
+    make = os.mkdir
+
+    def second(path: Path, mode: int) -> None:
+        make(path, mode)  # the other one's
+        make(path, mode)
+
+    monkeypatch.setattr(os, "mkdir", second)
+    folder = Folder(tmp_path / "new" / "kernels")
+    assert folder.problem() is None and folder.path is not None and folder.path.is_dir()
+
+
 def test_links_of_the_user_are_followed(tmp_path: Path) -> None:
     """A cache moved to another disk by a link is as good as any; a circle is not."""
     (tmp_path / "disk").mkdir(mode=0o700)

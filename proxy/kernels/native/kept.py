@@ -10,6 +10,7 @@ written to, trusts what it finds there, and ends the program when a file is dama
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
 import os
@@ -139,7 +140,8 @@ def make_private(folder: Path) -> None:
         try:
             found = os.lstat(at)
         except FileNotFoundError:
-            os.mkdir(at, 0o700)
+            with contextlib.suppress(FileExistsError):  # another process has made it since
+                os.mkdir(at, 0o700)
             found = os.lstat(at)
         _check(found, at)
         if stat.S_ISLNK(found.st_mode):
