@@ -95,7 +95,8 @@ class Image:
             if source.is_dir():
                 shutil.copytree(source, to, ignore=shutil.ignore_patterns("__pycache__"))
             else:
-                shutil.copy2(source, to / name)
+                to.mkdir(parents=True, exist_ok=True)  # a target ends with /
+                shutil.copy2(source, to / source.name)
 
     def step(self, name: str, rest: str) -> None:
         """Carry out one instruction."""

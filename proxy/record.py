@@ -112,7 +112,7 @@ class Offsets(NamedTuple):
         "int",
         "1",
         "",
-        "1 if a mesh or height map was not searched to the end: the proxy stayed, or a first touch is unknown",
+        "1 if a mesh or height map was not searched to the end: the proxy stayed, or a first touch or a gap is unknown",
     ]
 
 

@@ -181,7 +181,7 @@ def on_the_only_object(
     rolled, pressing = state.rolled + comes.theta, vec3.scale(load, felt.n1)
     torque = torque_of(form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
-    extra, states = all_effects(scene, finger.radius, objects, state, rests, probe, comes.against, dt)
+    extra, states, unknown = all_effects(scene, finger.radius, objects, state, rests, probe, comes.against, dt)
     behind = vec3.sub(center, position)
     point = point_under(form, finger.radius, probe.orientation, center, normal)
     force = vec3.add(pressing, tangential)
@@ -236,7 +236,7 @@ def on_the_only_object(
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(deflection, normal)),
         patches=(touched,),
-        budget=max(bounded, comes.bounded),
+        budget=max(bounded, comes.bounded, unknown),
     )
     return after, contact
 
@@ -311,7 +311,7 @@ def among_several_objects(
     lag = vec3.add_scaled(lag, three.after.share, three.after.deflection)
     shown = beside(objects, radius, center, tangent_to_all(active, lag), held_by(active), left)
     against = velocity_against(carry(objects, active.first), probe.velocity, state.probe.position, dt)
-    extra, states = all_effects(scene, radius, objects, state, active, probe, against, dt)
+    extra, states, unknown = all_effects(scene, radius, objects, state, active, probe, against, dt)
     if late and any_wide(objects):
         extra = vec3.add(extra, drawn_after(objects, active, vec3.sub(center, position)))
     cause = one.cause
@@ -327,7 +327,7 @@ def among_several_objects(
         stuck=stuck + 1.0 if late and center == before else 0.0,
         effects=states,
     )
-    unsearched = 1.0 if late and left < 0 else 0.0
+    unsearched = 1.0 if late and left < 0 else unknown
     to_fingertip = rotations.conjugate(probe.orientation)
     inward = rotations.rotate(to_fingertip, normal)
     contact = Contact(
@@ -377,7 +377,7 @@ def out_of_contact(
     """State and outcome in free space; or, with less than 0 `left` of the budget, at a first pose of which that is not
     known yet: the next tick's is the first again."""
     up, free = (0.0, 0.0, 1.0), float(FREE)
-    force, states = all_effects(
+    force, states, unknown = all_effects(
         scene, finger.radius, objects, state, one_constraint(NONE, up), probe, probe.velocity, dt
     )  # fmt: skip
     after = FingerState(
@@ -390,7 +390,7 @@ def out_of_contact(
         stuck=0.0,
         effects=states,
     )
-    return after, no_contact(state, probe, force, 1.0 if left < 0 else 0.0)
+    return after, no_contact(state, probe, force, 1.0 if left < 0 else unknown)
 
 
 @jit
@@ -434,8 +434,9 @@ def all_effects(
     probe: Probe,
     against: Vec3,
     dt: float,
-) -> tuple[Vec3, Any]:
-    """Force of the workspace's and the objects' effects, and their states."""
+) -> tuple[Vec3, Any, float]:
+    """Force of the workspace's and the objects' effects, their states, and 1 where the gap to an object is not known,
+    because the search for its nearest point did not end; else 0."""
     up, in_contact = (0.0, 0.0, 1.0), 0.0 if active.first < 0.0 else 1.0
     around = Situation(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None
@@ -448,5 +449,5 @@ def all_effects(
         number_of(objects, active.first), number_of(objects, active.second), number_of(objects, active.third),
         active.n1, active.n2, active.n3,
     )  # fmt: skip
-    more, states_of_objects = apply_objects_effects(objects, state.effects[1], radius, touched, contact)
-    return vec3.add(force, more), (states, states_of_objects)
+    more, states_of_objects, unknown = apply_objects_effects(objects, state.effects[1], radius, touched, contact)
+    return vec3.add(force, more), (states, states_of_objects), unknown

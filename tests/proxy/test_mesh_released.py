@@ -150,6 +150,28 @@ def test_a_first_touch_is_felt_or_said_to_be_unknown(crumpled: meshes.Mesh, tmp_
 
 
 @pytest.mark.plain
+def test_a_magnet_that_does_not_know_its_gap_says_so(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
+    """In free space the force is that of the distance from all triangles, or `contact.budget` is 1."""
+    file, radius, force, reach = saved(tmp_path, *crumpled), 1e-5, 2.0, 0.05
+    magnet = {"kind": "magnet", "force_n": force, "range_m": reach, "exponent": 1.0}
+    part = thing("part", "mesh", file=file, material=SLIPPERY, effect=[magnet])
+    running = engine(part, fingertip={"radius_m": radius})
+    low, high = crumpled.vertices.min(axis=0), crumpled.vertices.max(axis=0)
+    points = np.random.default_rng(3).uniform(low, high, (cases(20, 1000), 3))
+    ticks = []
+    for point in points:
+        running.reset()
+        ticks.append(np.asarray(running.run(posed([point])))[0])
+    records = np.array(ticks)
+    gap = brute_distances(balls_of(*crumpled), points) - radius
+    known = force * np.clip(1.0 - gap / reach, 0.0, 1.0)
+    off = np.abs(np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1) - known)
+    free, unknown = records[:, AT.contact_mode] == FREE, records[:, AT.contact_budget] != 0.0
+    assert (off[free & ~unknown] < 1e-9 * force).all()
+    assert (off[free] > 1e-3 * force).any()  # else there was nothing to say
+
+
+@pytest.mark.plain
 @pytest.mark.parametrize("speed", [0.3, 3.0])
 def test_a_thin_wall_that_sweeps_over_is_met(speed: float, tmp_path: Path) -> None:
     """A box thinner than its way in a tick, over a still hand that presses into a mesh: it takes the proxy along, as it

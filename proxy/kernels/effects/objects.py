@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_on
+from softfinger.proxy.kernels.geometry.bodies import closest_or_bound_on
 from softfinger.proxy.kernels.geometry.entries import member
 from softfinger.proxy.kernels.geometry.motion import moving_pose
 from softfinger.proxy.kernels.model import Vec3
@@ -24,34 +24,38 @@ class Touched(NamedTuple):
 
 @by_count
 def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    """Sum of the forces (3,) N of all objects' effects, and their states."""
+    """Sum of the forces (3,) N of all objects' effects, their states, and 1 where one of them was told a gap that may
+    be too large, because the search for it did not end; else 0."""
 
 
 @apply_objects_effects.of(1)
 def effects_of_one(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    force, state = effects_of(member(objects[0], 0.0).effects, objects[0], states[0], radius, touched, contact)
-    return force, (state,)
+    body = objects[0]
+    force, state, unsearched = effects_of(member(body, 0.0).effects, body, states[0], radius, touched, contact)
+    return force, (state,), unsearched
 
 
 @apply_objects_effects.of(2)
 def effects_of_several(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    force, state = effects_of(member(objects[0], 0.0).effects, objects[0], states[0], radius, touched, contact)
-    others, rest = apply_objects_effects(objects[1:], states[1:], radius, touched, contact)
-    return vec3.add(force, others), (state,) + rest  # noqa: RUF005  # see world.poses_of_several_at
+    body = objects[0]
+    force, state, unsearched = effects_of(member(body, 0.0).effects, body, states[0], radius, touched, contact)
+    others, rest, more = apply_objects_effects(objects[1:], states[1:], radius, touched, contact)
+    states = (state,) + rest  # noqa: RUF005  # see world.poses_of_several_at
+    return vec3.add(force, others), states, max(unsearched, more)
 
 
 @by_count
 def effects_of(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    """Force and states of one object's effects."""
+    """Force, states and, as above, whether a search did not end, of one object's effects."""
 
 
 @effects_of.of(0)
 def effects_of_none(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    return (-0.0, -0.0, -0.0), ()  # see effects.apply_none
+    return (-0.0, -0.0, -0.0), (), 0.0  # see effects.apply_none
 
 
 def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    gap, _, normal = closest_on(body, contact.position)
+    gap, _, normal, unsearched = closest_or_bound_on(body, contact.position)
     is_touched = 1.0
     # The contact's normal, not that of the nearest surface point: the probe may be through a thin body.
     if body.number == touched.first:
@@ -67,7 +71,8 @@ def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched
         position=contact.position, velocity=contact.velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
         normal=normal, carrier=carrier,
     )  # fmt: skip
-    return apply_effects(effects, states, situation)
+    force, after = apply_effects(effects, states, situation)
+    return force, after, unsearched
 
 
 effects_of.of(1)(effects_of_some)

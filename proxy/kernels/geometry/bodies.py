@@ -18,6 +18,7 @@ from softfinger.proxy.kernels.geometry.mesh.triangle import beyond_edge
 from softfinger.proxy.kernels.geometry.surfaces import (
     bend,
     closest,
+    closest_or_bound,
     closest_within,
     follows,
     held_at,
@@ -46,6 +47,13 @@ def closest_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """`closest` of one object in the world."""
     gap, point, normal = closest(body.shape, into(body.pose, x))
     return gap, out_of(body.pose, point), turn_out_of(body.pose, normal)
+
+
+@jit
+def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
+    """`closest_or_bound` of one object in the world."""
+    gap, point, normal, unsearched = closest_or_bound(body.shape, into(body.pose, x))
+    return gap, out_of(body.pose, point), turn_out_of(body.pose, normal), unsearched
 
 
 @jit

@@ -15,6 +15,7 @@ from softfinger.proxy.kernels.geometry.surfaces.contract import (
     X_AXIS,
     any_tangent,
     closest,
+    closest_or_bound,
     curvature,
 )
 from softfinger.proxy.kernels.model import Facet, Mesh, Vec3
@@ -120,9 +121,16 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
 
 @closest.of(Mesh)
 def closest_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Of the whole mesh, for what is not a contact: an effect that draws to the surface."""
+    gap, point, normal, _ = closest_known_on_mesh(shape, x)
+    return gap, point, normal
+
+
+@closest_or_bound.of(Mesh)
+def closest_known_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
+    """Of the whole mesh: for an effect that draws to the surface."""
     found = nearest(shape, x, ANYWHERE, NO_TRIANGLE, ROOM, 0.0)
-    return closest_on_triangle(shape, float(max(found.number, 0)), x)
+    gap, point, normal = closest_on_triangle(shape, float(max(found.number, 0)), x)
+    return gap, point, normal, 1.0 if found.bound < found.square else 0.0
 
 
 @curvature.of(Mesh)

@@ -7,6 +7,7 @@ These two are all that a new shape has to give. What follows has a default, whic
 `curvature` describe; a shape says otherwise where it knows better, as the plane does.
 
     closest_from(shape, x, start, left)      -> as `closest`, left  for a fingertip that rolls there from a point
+    closest_or_bound(shape, x)               -> as `closest`, 1 where a search did not end
     closest_within(shape, x, left)           -> as `closest`, left  with what is left of the tick's budget
     held_at(shape, center, radius, normal, left) -> point, normal, left    where it holds a fingertip as it did before
     transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v carried to the new normal
@@ -77,6 +78,18 @@ def closest_within(shape: Any, x: Vec3, left: int) -> Any:
 def closest_without_budget(shape: Any, x: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
     gap, point, normal = closest(shape, x)
     return gap, point, normal, left
+
+
+@by_type
+def closest_or_bound(shape: Any, x: Vec3) -> Any:
+    """`closest` for what is no contact, and 1 where a search as large as a shape allows did not end, else 0: then the
+    point is the nearest known, and others may be nearer."""
+
+
+@closest_or_bound.otherwise
+def closest_without_search(shape: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
+    gap, point, normal = closest(shape, x)
+    return gap, point, normal, 0.0
 
 
 @by_type

@@ -16,6 +16,7 @@ from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.surfaces.contract import (
     closest,
     closest_from,
+    closest_or_bound,
     closest_within,
     direction,
     held_at,
@@ -240,6 +241,12 @@ def as_asked(x: Vec3, near: Touched) -> tuple[float, Vec3, Vec3]:
 def closest_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Where several points are nearest, any one of them."""
     return as_asked(x, nearest_from(shape, x, x, BUDGET))
+
+
+@closest_or_bound.of(Heightmap)
+def closest_known_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
+    gap, point, normal, left = closest_within(shape, x, BUDGET)
+    return gap, point, normal, 1.0 if left < 0 else 0.0
 
 
 @closest_within.of(Heightmap)
