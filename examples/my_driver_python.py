@@ -1,6 +1,6 @@
 """A driver in plain Python: ctypes makes C functions of two methods, and the servo loop calls them in every tick.
 
-    python examples/my_driver_python.py             # runs the daemon on it, and says how even the ticks were
+    python examples/my_driver_python.py [TICKS]     # runs the daemon on it, and says how even the ticks were
 
 For a device that has a library for Python, and for trying things out. In every tick the loop waits for Python's
 interpreter lock, which any other thread of the process may keep for 5 ms (`sys.getswitchinterval`). So the ticks are
@@ -124,4 +124,4 @@ def main(count: int = 2000) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(*map(int, sys.argv[1:]))

@@ -96,9 +96,9 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 @pytest.mark.real_time
 def test_my_driver_python(tmp_path: Path) -> None:
     """1 mm into 1000 N/m, held with 3000 N/m: both give way, and 0.75 N are left; every tick of both runs was done."""
-    out = said("my_driver_python.py", cwd=tmp_path)
+    out = said("my_driver_python.py", "1300", cwd=tmp_path)
     alone, beside = out.splitlines()
-    assert alone.startswith("2000 ticks alone") and beside.startswith("2000 ticks beside a busy thread")
+    assert alone.startswith("1300 ticks alone") and beside.startswith("1300 ticks beside a busy thread")
     # The ramp is over after half a second, so the second press has it all. One tick more or less is far below a digit.
     assert number(r"largest force ([\d.]+) N", alone) == pytest.approx(0.75, abs=0.01)
 

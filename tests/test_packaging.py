@@ -227,7 +227,7 @@ print(CACHE_DIR.name, len(take.stats.cache_misses))
 """
 
 
-@pytest.mark.parametrize("first", ["wheel", "checkout"])
+@pytest.mark.parametrize("first", ["wheel", pytest.param("checkout", marks=pytest.mark.exhaustive)])
 def test_a_wheel_and_a_checkout_do_not_compile_the_same_twice(first: str, installed: Path, tmp_path: Path) -> None:
     """What either has compiled, the other finds, in a folder of the same name: the sources are the same."""
     pythons = [installed / "python", Path(sys.executable)]

@@ -109,7 +109,7 @@ def terminals(folder: Path, interpreter: Path) -> Iterator[Terminals]:
 @pytest.mark.parametrize(
     ("page", "where"),
     [
-        ("tutorial.md", "clone"),
+        pytest.param("tutorial.md", "clone", marks=pytest.mark.exhaustive),
         pytest.param("tutorial.md", "wheel", marks=pytest.mark.exhaustive),
         pytest.param("experiment.md", "clone", marks=pytest.mark.exhaustive),
     ],

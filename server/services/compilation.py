@@ -12,15 +12,17 @@ import logging
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import IO, Final, NamedTuple
 
 from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
+from softfinger.proxy.kernels.native.compiler.doing import DOING
 from softfinger.proxy.kernels.native.jit import KEPT
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
@@ -101,27 +103,36 @@ class SceneChanges(Worker):
         """Have the loop of a scene, called `name`, in the cache; Superseded where a later one is wanted by then."""
         if Servo.compiled_for(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
             return  # in the second case a process of its own would be of no use
+        with tempfile.TemporaryFile("w+") as said:
+            code = self._run_compiler(scene, name, said)
+            if code:
+                said.seek(0)
+                log.error("the compiler of a scene ended with %d: %s", code, said.read().strip())
+                raise NotCompiled("the scene could not be compiled: the daemon's log says why")
+
+    def _run_compiler(self, scene: schema.Scene, name: str, said: IO[str]) -> int:
+        """Exit code of a process that fills the cache, with its errors in `said`."""
         with self._changed:
             if self._next is not None or self.closing.is_set():
                 raise _superseded()
             compiler = self._compiler = subprocess.Popen(
                 [sys.executable, "-P", "-m", __name__],
                 stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=said,
                 text=True,
                 start_new_session=True,  # Ctrl-C is the daemon's affair
             )
-        log.info("scene %s: compiling what is not kept of it, in a process of its own", name)
         try:
-            assert compiler.stdin is not None and compiler.stderr is not None
-            with compiler.stderr as told:
-                with contextlib.suppress(BrokenPipeError):
-                    # Left open: its end tells the compiler that the daemon has gone.
-                    compiler.stdin.write(json.dumps(describe(scene)) + "\n")
-                    compiler.stdin.flush()
-                said = told.read()
-            compiler.wait()
+            assert compiler.stdin is not None and compiler.stdout is not None
+            with contextlib.suppress(BrokenPipeError):
+                # Left open: its end tells the compiler that the daemon has gone.
+                compiler.stdin.write(json.dumps(describe(scene)) + "\n")
+                compiler.stdin.flush()
+            with compiler.stdout as told:
+                for line in told:
+                    log.info("scene %s: %s", name, line.rstrip())
+            code = compiler.wait()
         finally:
             with self._changed:
                 self._compiler = None
@@ -130,9 +141,7 @@ class SceneChanges(Worker):
                 compiler.stdin.close()  # type: ignore[union-attr]
         if ended:
             raise _superseded()
-        if compiler.returncode:
-            log.error("the compiler of a scene ended with %d: %s", compiler.returncode, said.strip())
-            raise NotCompiled("the scene could not be compiled: the daemon's log says why")
+        return code
 
     def _end_compiler(self) -> None:
         if self._compiler is not None:
@@ -155,8 +164,10 @@ def compile_loop(scene: schema.Scene) -> Tuning:
 
 
 def main() -> None:
-    """Compile the loop of the scene on standard input, a line of JSON; end as soon as that input does."""
+    """Compile the loop of the scene on standard input, a line of JSON; end as soon as that input does. Standard output
+    has a line as soon as anything is compiled: what is kept is only loaded."""
     os.nice(NICE)
+    DOING.at_first = lambda: print("compiling what is not kept of it, in a process of its own", flush=True)
     scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
     threading.Thread(target=_leave_with_the_daemon, daemon=True).start()
     compile_loop(scene)

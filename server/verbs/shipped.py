@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import tomllib
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
@@ -40,8 +41,9 @@ def shipped_in(verb: str) -> list[dict[str, Any]]:
     """Name, file and description of each, in the order of names."""
     folder = FOLDER_OF[verb]
     if verb == "recordings":
-        told = _table(folder / "README.md")
         files = sorted(folder.glob("*.csv"))
+        motions = tomllib.loads((folder / "motions.toml").read_text("utf-8"))
+        told = {file.name: f"{_seconds(file):.1f} s: {motions[file.stem]['motion']}" for file in files}
     else:
         files = sorted(folder.glob("*.toml"))
         told = {file.name: first_sentence(file.read_text("utf-8")) for file in files}
@@ -56,10 +58,9 @@ def first_sentence(text: str) -> str:
     return (found[1] if found else comment).rstrip(".")
 
 
-def _table(page: Path) -> dict[str, str]:
-    """Of the recordings, which are tables of numbers without comments: length and motion as their page has them."""
-    rows = re.findall(r"^\| `([^`]+)` \| ([\d.]+) \| (.+) \|$", page.read_text("utf-8"), re.MULTILINE)
-    return {file: f"{seconds} s: {first_sentence(f'# {motion}.')}" for file, seconds, motion in rows}
+def _seconds(recording: Path) -> float:
+    """The time of its last row, which begins with it."""
+    return float(recording.read_text("utf-8").rstrip().rpartition("\n")[2].partition(",")[0])
 
 
 def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:

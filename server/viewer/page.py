@@ -36,7 +36,7 @@ PANEL: Final = 380
 
 
 class Camera(NamedTuple):
-    """Where a page is looked at from at first, in its units, and the angle from top to bottom, rad."""
+    """Where a scene is looked at from at first, in the page's units, and the angle from top to bottom, rad."""
 
     position: tuple[float, float, float]
     look_at: tuple[float, float, float]
@@ -44,6 +44,13 @@ class Camera(NamedTuple):
 
 
 FIRST_CAMERA: Final = Camera((4.5, -8.5, 5.5), (0.0, 0.0, 0.6), 0.75)
+FRONT_CAMERA: Final = Camera((0.0, -10.5, 5.0), (0.0, 0.0, 0.6), 0.75)
+"""Across the x axis: of fingers on both sides of an object neither is hidden by it."""
+
+
+def camera_of(scene: schema.Scene) -> Camera:
+    """Where a scene is looked at from at first."""
+    return FIRST_CAMERA if len(scene.fingers) == 1 else FRONT_CAMERA
 
 
 class Page:
@@ -60,8 +67,8 @@ class Page:
         self.server.scene.configure_environment_map(None)
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=2.2)
-        for name, value in FIRST_CAMERA._asdict().items():
-            setattr(self.server.initial_camera, name, value)
+        self._camera = FIRST_CAMERA
+        self._look_from(FIRST_CAMERA)
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
         self._bodies: Bodies | None = None
@@ -107,6 +114,16 @@ class Page:
             self._newest.clear()
             for finger in scene.fingers:
                 self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self._bodies)
+        if camera_of(scene) != self._camera:
+            self._look_from(camera_of(scene))
+
+    def _look_from(self, camera: Camera) -> None:
+        """The view of whoever opens the page, and of those who have it open."""
+        self._camera = camera
+        views = [client.camera for client in self.server.get_clients().values()]
+        for view in (self.server.initial_camera, *views):
+            for name, value in camera._asdict().items():
+                setattr(view, name, value)
 
     def drive(self, number: int, position: Any, orientation: Any) -> None:
         """A driven object of the scene has been moved."""

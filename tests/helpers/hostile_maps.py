@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from helpers.touching import R, thing, wander
 
@@ -78,13 +79,8 @@ def surface(shape: Any, beyond: float) -> Array:
 
 def outside_by(shape: Any, centers: Array) -> float:
     """How far (m) the fingertip's centres (n, 3) are from the nearest of all places asked, less the radius."""
-    places = surface(shape, 3e-3)
-    least = np.inf
-    for x in np.unique(centers, axis=0):
-        under = places[(np.abs(places[:, :2] - x[:2]) <= R).all(axis=1)]
-        if len(under):
-            least = min(least, float(np.square(under - x).sum(axis=1).min()) ** 0.5)
-    return least - R
+    away, _ = KDTree(surface(shape, 3e-3)).query(np.unique(centers, axis=0))
+    return float(away.min()) - R
 
 
 def hands(heights: Array, pitch: float) -> dict[str, Array]:

@@ -1,6 +1,7 @@
 """What a scene leaves out is not in its compiled code, and what others could have is not either.
 
-It compiles in every run: what it reads is what the compiler says, of which nothing is kept."""
+It compiles in every run: what it reads is what the compiler says, of which nothing is kept. So `make test` takes the
+bare plane alone, and `make test-all` every scene."""
 
 from __future__ import annotations
 
@@ -140,15 +141,8 @@ def test_bare_plane_has_no_costly_instruction() -> None:
     assert bare.operations["fdiv"] <= 3
 
 
-LONG = {"rolling", "whole", "bent", "crossed", "patch", "form", "effect", "motion", "texture", "second object"}
-"""Scenes that `make test-all` compiles: never kept, since what the compiler says of them is what is looked at, they
-would take as long in every run. Without them this file compiles for some seconds."""
-
-
-@pytest.mark.parametrize(
-    ("without", "having"),
-    [pytest.param(*pair, marks=[pytest.mark.exhaustive] if pair[1] in LONG else []) for pair in ADDED],
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("without", "having"), ADDED)
 def test_each_feature_adds_its_own_code_and_no_other_has_it(without: str, having: str) -> None:
     """A part brings kernels of its modules and more arithmetic; the scene without it has neither."""
     less, more = compiled(without), compiled(having)
@@ -174,7 +168,7 @@ CALLED: dict[str, tuple[set[str], set[str] | None]] = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.exhaustive] if name in LONG else []) for name in CALLED]
+    "name", ["bare", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in CALLED if name != "bare")]
 )
 def test_costly_functions_are_called_by_the_parts_that_need_them(name: str) -> None:
     """atan2 comes with rolling and winding, sin with an oscillation or a turntable, pow with a bent law of the normal

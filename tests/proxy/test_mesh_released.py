@@ -32,6 +32,7 @@ STEP = 1e-4
 """m a tick: 0.1 m/s."""
 STILL = 1e-7
 """m a tick, below which a proxy stands still; a free one goes with the probe."""
+STIFF = {"stiffness_n_per_m": 1000.0}
 UNEXPLAINED = 0.02
 """Share of a direction: what is touched to 1e-4 r may differ by as much round a corner; a lock leaves some tenths."""
 
@@ -100,6 +101,42 @@ def test_what_holds_a_proxy_is_what_it_touches(kind: str, radius: float, tmp_pat
                 assert not records[tick, AT.force : AT.force + 3].any()
             elif moved[tick - 1] < STILL and np.linalg.norm(proxy[tick] - way[tick]) > 1e-6:
                 assert unexplained(corners, radius, proxy[tick], way[tick]) < UNEXPLAINED, (kind, radius, tick)
+
+
+FINGERS = [{"name": name, "radius_m": r, "coupling": STIFF} for name, r in (("thumb", 0.004), ("index", 0.002))]
+SWAY = {"kind": "sinusoid", "translation_m": [0.004, -0.003, 0.002], "frequency_hz": 2.0}
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    "kind", [k if k == "lattice" else pytest.param(k, marks=pytest.mark.exhaustive) for k in KINDS]
+)
+def test_what_holds_two_proxies_on_a_mesh_that_moves(kind: str, tmp_path: Path, cases: Cases) -> None:
+    """Each of two fingers on its own stroke through a mesh that sways: in the mesh's frame, as above."""
+    mesh, count = KINDS[kind], cases(4, 100)
+    file, coarse = meshes.write_ply(tmp_path / "part.ply", mesh), cases(2, 1)
+    part = thing("part", "mesh", file=str(file), material=SLIPPERY, motion=SWAY)
+    running = engine(part, fingertip=None, coupling=None, finger=FINGERS)
+    corners, held = np.ascontiguousarray(mesh.vertices[mesh.triangles]), 0
+    ways = [strokes(mesh, f["radius_m"], np.random.default_rng(seed), count) for seed, f in enumerate(FINGERS)]
+    for thumb, index in zip(*ways, strict=True):
+        ticks = min(len(thumb), len(index)) // coarse
+        seconds = 1e-3 * np.arange(1, ticks + 1)[:, None]  # an object is where it is at the end of the tick
+        sway = np.sin(2.0 * np.pi * SWAY["frequency_hz"] * seconds) * SWAY["translation_m"]
+        relative = {"thumb": thumb[::coarse][:ticks], "index": index[::coarse][:ticks]}
+        running.reset()
+        told = running.run({name: posed(way + sway) for name, way in relative.items()})
+        for name, finger in zip(relative, FINGERS, strict=True):
+            records, probe, radius = np.asarray(told[name]), relative[name], finger["radius_m"]
+            proxy = records[:, AT.proxy_position : AT.proxy_position + 3] - sway
+            moved = np.linalg.norm(np.diff(proxy, axis=0), axis=1)
+            for tick in (*range(9, ticks, 10), ticks - 1):
+                if records[tick, AT.contact_mode] == FREE:
+                    assert not records[tick, AT.force : AT.force + 3].any()
+                elif moved[tick - 1] < STILL and np.linalg.norm(proxy[tick] - probe[tick]) > 1e-6:
+                    held += 1
+                    assert unexplained(corners, radius, proxy[tick], probe[tick]) < UNEXPLAINED, (kind, name, tick)
+    assert held
 
 
 @pytest.fixture(scope="module")

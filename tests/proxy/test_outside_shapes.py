@@ -217,6 +217,22 @@ from softfinger.proxy.engine import Engine, step_many
 step = Engine(load_scene(sys.argv[2])).step((0.0, 0.0, 0.0099), (1.0, 0.0, 0.0, 0.0))
 print(round(step.force[2], 9), sum(step_many.stats.cache_hits.values()))
 """
+ASK = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import softfinger_{name}
+from softfinger.config.load import load_scene
+from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.scene import build_scene
+
+@entry
+def force_at(shape, x):
+    return 1000.0 * (0.01 - closest(shape, x)[0])
+
+force = force_at(build_scene(load_scene(sys.argv[2])).objects[0].shape, (0.0, 0.0, 0.0099))
+print(round(force, 9), sum(force_at.stats.cache_hits.values()))
+"""
 SCENE = """
 fingertip.radius_m = 0.01
 [[object]]
@@ -227,11 +243,13 @@ material.stiffness_n_per_m = 1000.0
 """
 
 
-def touched(name: str, folder: Path, keys: str) -> str:
+def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     """Force, and kernels loaded, of a process of its own that touches a shape; the cache is in the folder, too."""
     (folder / "scene.toml").write_text(SCENE.format(name=name, keys=keys))
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(folder / "cache")}
-    command = [sys.executable, "-B", "-c", TOUCH.format(name=name), str(folder), str(folder / "scene.toml")]
+    script = folder / "touch.py"  # what only stands in a command line is not kept
+    script.write_text(program.format(name=name))
+    command = [sys.executable, "-B", str(script), str(folder), str(folder / "scene.toml")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
@@ -397,7 +415,8 @@ def step_of(config: schema.Scene) -> dict[str, str]:
 
 def test_an_outlined_kernel_is_compiled_once_and_called(beads: ModuleType, balls_file: Path) -> None:
     """Asked at many places of the step it stands in the module once; the step alone is beside it."""
-    bodies = step_of(scene(beads_of(balls_file)))
+    bare = {"name": "thing", "material": {"stiffness_n_per_m": STIFFNESS}} | beads_of(balls_file)
+    bodies = step_of(build(schema.Scene, {"fingertip": {"radius_m": RADIUS}, "object": [bare]}, "f.toml"))
     (query,) = [name for name in bodies if "nearest_bead" in name]
     assert _PROCESS in query  # two kept callers of two processes may each bring a query of one name along
     (step,) = [name for name in bodies if "nearest_bead" not in name]
@@ -405,16 +424,17 @@ def test_an_outlined_kernel_is_compiled_once_and_called(beads: ModuleType, balls
     assert "noinline" not in bodies[step].splitlines()[0]
 
 
-def test_an_outlined_kernel_is_linked_to_a_kept_caller(tmp_path: Path) -> None:
-    """A process that loads the step from disk calls the query that it was compiled with; an edit of it is obeyed."""
+@pytest.mark.parametrize("program", [ASK, pytest.param(TOUCH, marks=pytest.mark.exhaustive)], ids=["query", "step"])
+def test_an_outlined_kernel_is_linked_to_a_kept_caller(tmp_path: Path, program: str) -> None:
+    """A process that loads its caller from disk calls the query that it was compiled with; an edit of it is obeyed."""
     file = tmp_path / "softfinger_beads.py"
     shutil.copy(OUTSIDE / file.name, file)
     np.savetxt(tmp_path / "balls.txt", BALLS, fmt="%.17g")
     keys = f'balls_file = "{tmp_path / "balls.txt"}"'
-    assert touched("beads", tmp_path, keys) == "0.1 0"
-    assert touched("beads", tmp_path, keys) == "0.1 1"
+    assert touched("beads", tmp_path, keys, program) == "0.1 0"
+    assert touched("beads", tmp_path, keys, program) == "0.1 1"
     text = file.read_text()
     assert "return least, center, radius" in text
     file.write_text(text.replace("return least, center, radius", "return least + 5e-5, center, radius - 5e-5"))
-    assert touched("beads", tmp_path, keys) == "0.05 0"
-    assert touched("beads", tmp_path, keys) == "0.05 1"
+    assert touched("beads", tmp_path, keys, program) == "0.05 0"
+    assert touched("beads", tmp_path, keys, program) == "0.05 1"

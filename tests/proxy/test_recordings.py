@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -172,3 +173,10 @@ def test_letter_never_detects_rolling_again(letter: Engine, aside: float) -> Non
     # The last 0.2 s of the recording before the release are at rest.
     assert np.ptp(roll.rolled[-150:]) < 1e-9
     assert len(roll.mode) - slides > 1500
+
+
+def test_every_recording_says_what_it_shows() -> None:
+    """And nothing is said of one that is not there."""
+    told = tomllib.loads((SHIPPED / "motions.toml").read_text("utf-8"))
+    assert sorted(told) == shipped_names()
+    assert all(set(each) == {"motion", "course"} for each in told.values())

@@ -228,6 +228,7 @@ def test_an_undamped_loop_has_no_stable_wall() -> None:
     assert row["predicted_n_per_m"] == 0.0 and row["limit_n_per_m"] < 1e-6 * 0.2e6
 
 
+@pytest.mark.exhaustive  # that the schedulers give the same bits is shown of any function in test_sweep.py
 def test_limits_are_the_same_on_every_scheduler(tmp_path: Path) -> None:
     """Threads and processes find the same bits, in any block size, also from a file."""
     expected = find_limits(CASES[:6])

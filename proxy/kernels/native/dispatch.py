@@ -41,32 +41,45 @@ def by_type(declaration: Callable[..., Any]) -> Any:
 
     A kind is known by its class, wherever that is defined: a package of its own adds kinds by `.of(Kind)` alone.
     """
-    return _declare(declaration, lambda node: None if node is None else type(node), _kind_of)
+    return _declare(declaration, type, lambda kind: None if kind is type(None) else kind, _kind_of)
 
 
 def by_count(declaration: Callable[..., Any]) -> Any:
     """Declare a kernel chosen by the length of a tuple: `.of(1)` for exactly one, `.of(2)` for two and more."""
-    return _declare(declaration, lambda nodes: min(len(nodes), 2), lambda nodes: min(len(nodes), 2))
+    return _declare(declaration, len, lambda count: min(count, 2), lambda nodes: min(len(nodes), 2))
 
 
 def _declare(
-    declaration: Callable[..., Any], key: Callable[[Any], Any], compiled_key: Callable[[types.Type], Any]
+    declaration: Callable[..., Any],
+    look: Callable[[Any], Any],
+    kind_of: Callable[[Any], Any],
+    compiled_kind: Callable[[types.Type], Any],
 ) -> Any:
+    """`look` tells values apart quickly, in plain Python; `kind_of` has the kind for what it says."""
     kernels: dict[Any, Callable[..., Any]] = {}
+    seen: dict[Any, Callable[..., Any]] = {}
+    """The kernel for each answer of `look`: a scene in plain Python makes hundreds of choices a tick."""
 
     def kernel_for(kind: Any) -> Callable[..., Any] | None:
         return kernels.get(kind) if kind is None or kind in kernels else kernels.get(_OTHERS)
 
     @functools.wraps(declaration)
     def call(node: Any, *rest: Any) -> Any:
-        kernel = kernel_for(key(node))
+        kernel = seen.get(look(node))
+        return (found(node) if kernel is None else kernel)(node, *rest)
+
+    def found(node: Any) -> Callable[..., Any]:
+        kind = kind_of(look(node))
+        kernel = kernel_for(kind)
         if kernel is None:
-            raise TypeError(f"{declaration.__qualname__} is not defined for {key(node)}")
-        return kernel(node, *rest)
+            raise TypeError(f"{declaration.__qualname__} is not defined for {kind}")
+        seen[look(node)] = kernel
+        return kernel
 
     def of(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
             kernels[kind] = kernel
+            seen.clear()
             written_in(kind, kernel.__code__.co_filename)
             kernel.__signature__ = _bare_signature(kernel)  # type: ignore[attr-defined]
             compiled: Callable[..., Any] = jit(kernel)
@@ -75,7 +88,7 @@ def _declare(
         return register
 
     def choose(node: types.Type, *rest: types.Type) -> Callable[..., Any] | None:
-        return kernel_for(compiled_key(node))
+        return kernel_for(compiled_kind(node))
 
     choose.__signature__ = _bare_signature(declaration)  # type: ignore[attr-defined]
     overload(call, jit_options=INLINED)(choose)

@@ -1,9 +1,10 @@
 """How kernels are compiled: one set of options, one cache that cannot serve stale code.
 
 A kernel inlines code from other files and reads their constants, so it has to be compiled anew after an edit
-of any of them. So the cache lives in a folder named by a hash over every source file of this package, numba's
-version and settings and the processor: any change means another folder. Where that one cannot be used there is no
-other: kernels are compiled in memory (`kept.py`).
+of any of them. So the cache lives in a folder named by a hash over every source file of the folders that kernels are
+written in, numba's version and settings and the processor: any change means another folder. Kernels elsewhere, those of
+`tools`, take of their own folder and of those (`kept.py`). Where the cache cannot be used there is no other: kernels
+are compiled in memory.
 
 No `fastmath`: it makes `isnan` lie, and contraction would let the servo and the offline run round
 differently. `error_model="numpy"`: a division by zero gives inf or nan, which the guard refuses,
@@ -15,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
@@ -27,7 +28,7 @@ from numba.core.registry import CPUDispatcher
 
 from softfinger.proxy.kernels.native.compiler.doing import DOING
 from softfinger.proxy.kernels.native.compiler.pipeline import KernelCompiler, PartCompiler
-from softfinger.proxy.kernels.native.kept import Folder, KernelCache
+from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS, Folder, KernelCache
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -52,16 +53,16 @@ def _cache_root() -> Path | None:
         return None
 
 
-def _source_hash() -> str:
+def _source_hash(folders: Iterable[str]) -> str:
     digest = hashlib.sha256()
-    for folder in _SOURCE_FOLDERS:
+    for folder in folders:
         for path in sorted((_PACKAGE / folder).rglob("*.py")):
             if path != _PACKAGE / _OWN_FILE:
                 digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
-SOURCE_HASH: Final = _source_hash()
+SOURCE_HASH: Final = _source_hash(_SOURCE_FOLDERS)
 """What tells this version of the program from others: a hash over every source file as it was at import."""
 
 
@@ -69,7 +70,8 @@ def _fingerprint() -> str:
     made = numba.config
     cpu = made.CPU_NAME or llvm.get_host_cpu_name()
     settings = made.OPT, made.BOUNDSCHECK, made.LOOP_VECTORIZE, made.SLP_VECTORIZE
-    return hashlib.sha256(f"{numba.__version__} {sys.version} {cpu} {settings} {SOURCE_HASH}".encode()).hexdigest()[:16]
+    kernels = _source_hash(KERNEL_FOLDERS)
+    return hashlib.sha256(f"{numba.__version__} {sys.version} {cpu} {settings} {kernels}".encode()).hexdigest()[:16]
 
 
 _ROOT: Final = _cache_root()

@@ -37,6 +37,10 @@ OWN_FOLDER: Final = "set SOFTFINGER_CACHE_DIR to a folder of your own"
 
 _PROGRAM: Final = f"{Path(__file__).parents[3]}{os.sep}"
 
+KERNEL_FOLDERS: Final = ("drivers", "proxy", "server/loop", "server/offline", "server/wire/native")
+"""Where kernels are written, with the constants that they read, but for those of `tools`: their sources name the
+cache's folder."""
+
 log: Final = logging.getLogger(__name__)
 
 
@@ -290,18 +294,20 @@ def _kinds(signature: Any) -> list[Any]:
 
 
 def _sources(path: Path) -> str | None:
-    """A hash over the file of a kernel and the package that it is in, whose code it may inline; None without a file.
+    """A hash over the file of a kernel and what else it may inline: the package that it is in, or, of this program, its
+    own folder. None without a file.
 
-    The file is read again for each kernel: a module imported late may have been edited since the others were. Of this
-    program the rest is in the name of the folder, wherever it is installed.
+    The file is read again for each kernel: a module imported late may have been edited since the others were. What is
+    in one of KERNEL_FOLDERS is in the name of the cache's folder, wherever the program is installed.
     """
     top = path.parent
-    while (top.parent / "__init__.py").is_file():
-        top = top.parent
+    if not str(path).startswith(_PROGRAM):
+        while (top.parent / "__init__.py").is_file():
+            top = top.parent
+    named = str(path).startswith(tuple(f"{_PROGRAM}{folder}{os.sep}" for folder in KERNEL_FOLDERS))
     try:
         own = hashlib.sha256(path.read_bytes()).hexdigest()
-        outside = not str(path).startswith(_PROGRAM)
-        return own + (_package(top) if outside and (top / "__init__.py").is_file() else "")
+        return own + (_package(top) if not named and (top / "__init__.py").is_file() else "")
     except OSError:
         return None
 

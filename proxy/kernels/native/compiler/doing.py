@@ -6,7 +6,7 @@ holds numba's lock, so there is one writer; a reader in another thread sees now 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
@@ -16,6 +16,8 @@ class Doing:
     def __init__(self) -> None:
         self._compiled = self._depth = 0
         self._loading = False
+        self.at_first: Callable[[], None] | None = None
+        """Called when the first kernel of this process begins to be compiled, not for those that are loaded."""
 
     def __str__(self) -> str:
         """`compiling kernel 2`, the second of this process; `loading kept kernels`; or nothing."""
@@ -25,6 +27,8 @@ class Doing:
 
     def begin(self) -> None:
         """A kernel begins to be compiled; one that it calls, while it is, counts as part of it."""
+        if not self._compiled and self.at_first is not None:
+            self.at_first()
         self._compiled += not self._depth
         self._depth += 1
 

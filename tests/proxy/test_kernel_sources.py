@@ -1,0 +1,111 @@
+"""What kernels are made of: all of it is hashed into where they are kept, and nothing else is."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("config", "drivers", "proxy", "server", "tools")
+OURS = "softfinger."
+KERNEL = re.compile(r"(jit|entry|outlined|by_type|c_function\(.*|\w+\.of\(.*|\w+\.otherwise)$", re.DOTALL)
+"""Decorators of kernels, and of what kernels are chosen by."""
+
+
+def hashed_with(file: str, module: str) -> bool:
+    """Whether an edit of a module is seen by the kernels of a file: the cache's folder is named by it, or it stands in
+    the file's own folder."""
+    path = module.removeprefix(OURS).replace(".", "/")
+    return f"{path}/".startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS)) or (
+        not file.startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS))
+        and Path(f"{path}.py").is_relative_to(Path(file).parent)
+    )
+
+
+def unseen(file: str, text: str) -> list[str]:
+    """Names of this program that a file's kernels take from where an edit would not be seen."""
+    tree, found = ast.parse(text), []
+    names = {
+        alias.asname or alias.name: node.module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(OURS)
+        for alias in node.names
+    }
+    for function in ast.walk(tree):
+        if isinstance(function, ast.FunctionDef) and any(map(KERNEL.match, map(ast.unparse, function.decorator_list))):
+            used = {node.id for part in function.body for node in ast.walk(part) if isinstance(node, ast.Name)}
+            lost = {name for name in used & names.keys() if not hashed_with(file, str(names[name]))}
+            found += [f"{file}: {function.name}: {name}" for name in sorted(lost)]
+    return found
+
+
+@pytest.mark.plain
+def test_what_a_kernel_names_is_hashed_with_it() -> None:
+    """In every file of the program."""
+    files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    found = [each for path in files for each in unseen(str(path.relative_to(ROOT)), path.read_text("utf-8"))]
+    assert found == []
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("file", "module", "seen"),
+    [
+        ("proxy/kernels/step.py", "config.limits", False),
+        ("proxy/kernels/step.py", "proxy.record", True),
+        ("proxy/kernels/step.py", "tools.exchange", False),
+        ("tools/accuracy/measure.py", "tools.accuracy.cases", True),
+        ("tools/accuracy/measure.py", "tools.exchange", False),
+        ("tools/accuracy/measure.py", "drivers.block", True),
+    ],
+)
+def test_what_is_not_hashed_is_found(file: str, module: str, seen: bool) -> None:
+    """A kernel that takes a constant from another folder."""
+    text = f"from softfinger.{module} import X\n@jit\ndef kernel(a):\n    return a * X\n"
+    assert unseen(file, text) == ([] if seen else [f"{file}: kernel: X"])
+
+
+SHOW = """
+import sys
+from pathlib import Path
+from softfinger.proxy.kernels.native.jit import CACHE_DIR
+from softfinger.proxy.kernels.native.kept import _sources
+print(CACHE_DIR, *(_sources(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]))
+"""
+
+
+def test_an_edit_moves_what_is_kept_of_those_kernels_that_it_concerns(tmp_path: Path) -> None:
+    """In a folder of kernels the whole cache, in one of `tools` the kernels of that folder; elsewhere nothing."""
+    package = tmp_path / "softfinger"
+    for folder in PACKAGES:
+        shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    site = os.pathsep.join([str(tmp_path), *[path for path in sys.path if path.endswith("site-packages")]])
+    names = ["proxy/kernels/step.py", "tools/accuracy/measure.py", "tools/exchange.py"]
+
+    def kept() -> list[str]:
+        environment = os.environ | {"PYTHONPATH": site}
+        # Without site: the installed package must not come first.
+        command = [sys.executable, "-S", "-c", SHOW, str(package), *names]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    def moved_by(file: str) -> list[bool]:
+        before = kept()
+        with (package / file).open("a") as text:
+            text.write("\nTWICE = 2.0\n")
+        return [one != other for one, other in zip(before, kept(), strict=True)]
+
+    assert kept() == kept()
+    assert moved_by("proxy/kernels/friction/torsion.py") == [True, False, False, False]
+    assert moved_by("server/loop/guard.py") == [True, False, False, False]
+    assert moved_by("drivers/block.py") == [True, False, False, False]
+    assert moved_by("tools/accuracy/montana.py") == [False, False, True, True]
+    assert moved_by("server/verbs/shipped.py") == [False, False, False, False]
