@@ -365,7 +365,8 @@ def test_what_is_shipped_is_listed_a_line_each(verb: str, capsys: pytest.Capture
     lines = capsys.readouterr().out.splitlines()
     assert main([verb, "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
-    files = {path for path in FOLDER_OF[verb].iterdir() if path.suffix in (".toml", ".csv")} - {RIBS}
+    ending = ".csv" if verb == "recordings" else ".toml"
+    files = {path for path in FOLDER_OF[verb].iterdir() if path.suffix == ending}
     assert {Path(each["file"]) for each in listed} == files and len(lines) == len(listed)
     for line, each in zip(lines, listed, strict=True):
         name, _, text = line.partition(" ")

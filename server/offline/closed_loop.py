@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Iterator
 from math import sqrt
 from typing import Any, Final, NamedTuple
 
@@ -23,6 +24,7 @@ from softfinger.proxy.kernels.native.pack import Packed, pack, packed, unpack
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
+from softfinger.server.offline.simulate import collected
 from softfinger.server.progress import CHUNK, progress
 
 Array = NDArray[np.float64]
@@ -155,16 +157,20 @@ def run_closed_loop(tuning: Tuning, device: Simulation, rate_hz: float, ticks: i
 
     The timestamp is the tick times dt, and the fields of servo timing and device are 0.
     """
+    return collected(through_simulation(tuning, device, rate_hz, ticks), (ticks, 1))[:, 0]
+
+
+def through_simulation(tuning: Tuning, device: Simulation, rate_hz: float, ticks: int) -> Iterator[Array]:
+    """The same in blocks (m, 1, RECORD_SIZE)."""
     dt = period_ns(rate_hz) / NS_PER_S
-    records = np.zeros((ticks, RECORD_SIZE))
     scene_and_guard, memory, state = packed(tuning), packed(begin(tuning.scene)), packed(device.state)
     drive = Drive(device.intention, device.poses, np.zeros(LINE_SIZE))
     with progress("simulating", ticks) as done:
         for first in range(0, ticks, CHUNK):
-            chunk = records[first : first + CHUNK]
-            record_ticks(scene_and_guard, memory, device.plant, state, drive, dt, first, chunk)
-            done(min(first + CHUNK, ticks))
-    return records
+            records = np.zeros((min(CHUNK, ticks - first), RECORD_SIZE))
+            record_ticks(scene_and_guard, memory, device.plant, state, drive, dt, first, records)
+            yield records[:, None]
+            done(first + len(records))
 
 
 @entry

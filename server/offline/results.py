@@ -14,11 +14,12 @@ import logging
 import math
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import groupby, repeat
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import IO, Any, Final
-from zipfile import ZipFile
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import msgspec
 import numpy as np
@@ -28,7 +29,7 @@ from softfinger.config.arrays.npz import Npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import new_file, open_input, open_output
 from softfinger.drivers.poses import LINE_MAX
-from softfinger.proxy.record import FIELDS, RECORD_SIZE, columns
+from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
 from softfinger.server.closing import Closing
 from softfinger.server.progress import progress
 from softfinger.server.recording.reader import End, Ticks, contents
@@ -49,8 +50,6 @@ PROGRESS_MIN_ROWS: Final = 50_000  # about a second of writing; below, a bar wou
 
 _JSON: Final = msgspec.json.Encoder()
 _MINUS_ZERO: Final = msgspec.Raw(b"-0")
-_FIELDS: Final = np.dtype([(field.name, f"V{8 * field.size}") for field in FIELDS])
-"""A record as its fields, each copied as one piece."""
 
 log: Final = logging.getLogger(__name__)
 
@@ -61,18 +60,26 @@ def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> Non
     Of several fingers: records of each by its name, as many of each.
     The file appears whole or not at all. Long writes show their progress when stderr is a terminal.
     """
+    given = records if isinstance(records, Mapping) else {"": records}
+    fingers = {name: np.asarray(each, dtype=np.float64) for name, each in given.items()}
+    for each in fingers.values():
+        if each.ndim != 2 or each.shape[1] != RECORD_SIZE:
+            raise RecordingError(f"{path}: records of shape {each.shape}, must be (n, {RECORD_SIZE})")
+    write_blocks(path, list(fingers), _blocks(list(fingers.values()), Path(path).suffix[1:]))
+
+
+def write_blocks(path: str | Path, fingers: Sequence[str], blocks: Iterable[Array]) -> None:
+    """Write records that come in blocks (m, fingers, RECORD_SIZE), of which only one is in memory at a time.
+
+    In all else as `write_results`; what the blocks raise is raised, and then there is no file.
+    """
     target = Path(path)
     writer = {".csv": _write_csv, ".npz": _write_npz, ".mcap": _write_mcap}.get(target.suffix.lower())
     if writer is None:
         raise RecordingError(_unknown_ending(target))
-    given = records if isinstance(records, Mapping) else {"": records}
-    fingers = {name: np.ascontiguousarray(each, dtype=np.float64) for name, each in given.items()}
-    for each in fingers.values():
-        if each.ndim != 2 or each.shape[1] != RECORD_SIZE:
-            raise RecordingError(f"{target}: records of shape {each.shape}, must be (n, {RECORD_SIZE})")
     try:
         with new_file(target) as file:
-            writer(target, file, fingers)
+            writer(target, file, fingers, blocks)
     except OSError as error:
         raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from error
 
@@ -107,10 +114,10 @@ def _of(finger: str) -> str:
     return f"{finger}." if finger else ""
 
 
-def _write_csv(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
+def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
     file.write((",".join(_of(name) + column for name in fingers for column in columns()) + "\n").encode())
-    for some in _blocks(fingers, "csv"):
-        file.write(csv_lines(np.concatenate([records[some] for records in fingers.values()], axis=1)))
+    for block in blocks:
+        file.write(csv_lines(block.reshape(len(block), -1)))
 
 
 def csv_lines(rows: Array) -> bytes:
@@ -171,22 +178,57 @@ def _whose(finger: str) -> str:
     return f" of a finger '{finger}'" if finger else ""
 
 
-def _write_npz(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
-    """As `numpy.savez` does it, which copies whole arrays on the way."""
-    with ZipFile(file, "w") as archive:
-        for finger, records in fingers.items():
-            _add_array(archive, _of(finger) + "records", records, records.shape)
-            fields = records.view(_FIELDS)[:, 0]
+def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
+    """An array per field, and all of them once more as `records`. The arrays of an archive stand one behind the other,
+    so the blocks wait in a file that has no name."""
+    with TemporaryFile(dir=path.parent) as file_of_fields, ZipFile(file, "w", ZIP_DEFLATED, compresslevel=1) as archive:
+        waiting = _Fields(file_of_fields, len(fingers))
+        for block in blocks:
+            waiting.put(block)
+        for place, finger in enumerate(fingers):
+            _add_array(archive, _of(finger) + "records", (waiting.count, RECORD_SIZE), waiting.rows(place))
             for f in FIELDS:
-                shape = (len(records), f.size) if f.size > 1 else (len(records),)
-                _add_array(archive, _of(finger) + f.name, fields[f.name], shape)
+                shape = (waiting.count, f.size)[: 2 if f.size > 1 else 1]
+                _add_array(archive, _of(finger) + f.name, shape, waiting.field(place, f))
 
 
-def _add_array(archive: ZipFile, name: str, rows: NDArray[Any], shape: tuple[int, ...]) -> None:
+class _Fields:
+    """Blocks of records in a file, each as columns: one field of one finger behind the other."""
+
+    def __init__(self, file: IO[bytes], fingers: int) -> None:
+        self._file, self._fingers = file, fingers
+        self._lengths: list[int] = []
+
+    @property
+    def count(self) -> int:
+        return sum(self._lengths)
+
+    def put(self, block: Array) -> None:
+        """Add a block (m, fingers, RECORD_SIZE)."""
+        self._lengths.append(len(block))
+        for place in range(self._fingers):
+            for f in FIELDS:
+                self._file.write(np.ascontiguousarray(block[:, place, f.at : f.at + f.size]).data)
+
+    def field(self, place: int, f: Field) -> Iterator[Array]:
+        """Of each block the columns (m, size) of a field of a finger."""
+        at, row = 0, 8 * RECORD_SIZE
+        for length in self._lengths:
+            self._file.seek(at + length * (place * row + 8 * f.at))
+            yield np.frombuffer(self._file.read(8 * length * f.size)).reshape(length, f.size)
+            at += length * self._fingers * row
+
+    def rows(self, place: int) -> Iterator[Array]:
+        """Of each block the records (m, RECORD_SIZE) of a finger."""
+        for parts in zip(*(self.field(place, f) for f in FIELDS), strict=True):
+            yield np.concatenate(parts, axis=1)
+
+
+def _add_array(archive: ZipFile, name: str, shape: tuple[int, ...], blocks: Iterable[Array]) -> None:
     with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
         np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": shape})
-        for start in range(0, len(rows), BLOCK_ROWS):
-            member.write(np.ascontiguousarray(rows[start : start + BLOCK_ROWS]).view(np.uint8).data)
+        for block in blocks:
+            member.write(block.data.cast("B"))
 
 
 def _read_npz(path: Path, finger: str) -> Array:
@@ -203,11 +245,11 @@ def _read_npz(path: Path, finger: str) -> Array:
     return records
 
 
-def _write_mcap(path: Path, file: IO[bytes], fingers: Mapping[str, Array]) -> None:
-    with McapResults(path, file, list(fingers)) as recording:
-        for some in _blocks(fingers, "mcap"):
-            for finger, records in fingers.items():
-                recording.append(records[some], finger)
+def _write_mcap(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
+    with McapResults(path, file, fingers) as recording:
+        for block in blocks:
+            for place, finger in enumerate(fingers):
+                recording.append(block[:, place], finger)
 
 
 def _read_mcap(path: Path, finger: str) -> Array:
@@ -262,14 +304,11 @@ class McapResults(Closing):
             raise RecordingError(str(error)) from error
 
 
-def _blocks(fingers: Mapping[str, Array], kind: str) -> Iterator[slice]:
-    """Rows of the fingers' records, so many at a time; while they are worked on, a bar on a terminal."""
-    count = min(map(len, fingers.values()))
-    blocks = [slice(start, start + BLOCK_ROWS) for start in range(0, count, BLOCK_ROWS)]
-    if count < PROGRESS_MIN_ROWS:
-        yield from blocks
-        return
-    with progress(f"writing {kind}", count) as done:
-        for some in blocks:
-            yield some
-            done(min(some.stop, count))
+def _blocks(fingers: Sequence[Array], kind: str) -> Iterator[Array]:
+    """Records (n, RECORD_SIZE) of the fingers together, so many rows at a time; a bar on a terminal meanwhile."""
+    count = min(map(len, fingers))
+    with progress(f"writing {kind}", count) if count >= PROGRESS_MIN_ROWS else nullcontext(lambda number: None) as done:
+        for start in range(0, count, BLOCK_ROWS):
+            some = [records[start : min(start + BLOCK_ROWS, count)] for records in fingers]
+            yield some[0][:, None] if len(some) == 1 else np.stack(some, axis=1)
+            done(min(start + BLOCK_ROWS, count))

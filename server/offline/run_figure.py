@@ -18,35 +18,44 @@ POINTS_MAX: Final = 2000
 SHADES: Final = {"rolling": "#cfe3f5", "sliding": "#fbe0c3"}
 
 
-def draw_run(records: Array, path: Path) -> None:
-    """Draw records (n, RECORD_SIZE) of one run and save them as `path`."""
+DRAWN: Final = (
+    AT.tick,
+    AT.dt,
+    AT.contact_penetration,
+    *range(AT.force, AT.force + 3),
+    AT.contact_rolled,
+    AT.contact_spin,
+    AT.contact_mode,
+)
+"""The columns of a record that are drawn."""
+
+
+def draw_run(curves: Array, path: Path) -> None:
+    """Draw the columns DRAWN (n, 9) of one run's records and save them as `path`."""
+    tick, dt, penetration, x, y, z, rolled, spin, mode = curves.T
     drawing = figure(8.0, 5.5)
     depth, forces, turns = drawing.subplots(3, 1, sharex=True)
-    seconds = (records[:, AT.tick] - records[0, AT.tick]) * _period(records)
-    few = np.unique(np.linspace(0, len(records) - 1, min(len(records), POINTS_MAX)).astype(int))
+    seconds = (tick - tick[0]) * dt[0]
+    few = np.unique(np.linspace(0, len(tick) - 1, min(len(tick), POINTS_MAX)).astype(int))
 
     def draw(axes: Any, values: Array, label: str) -> None:
         axes.plot(seconds[few], values[few], linewidth=1.2, label=label)
 
-    draw(depth, 1e3 * records[:, AT.contact_penetration], "penetration")
+    draw(depth, 1e3 * penetration, "penetration")
     depth.set_ylabel("depth [mm]")
-    for i, axis in enumerate("xyz"):
-        draw(forces, records[:, AT.force + i], f"${axis}$")
-    draw(forces, np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1), "norm")
+    for values, axis in ((x, "x"), (y, "y"), (z, "z")):
+        draw(forces, values, f"${axis}$")
+    draw(forces, np.linalg.norm(curves[:, 3:6], axis=1), "norm")
     forces.set_ylabel("force on the hand [N]")
-    draw(turns, np.rad2deg(records[:, AT.contact_rolled]), "rolled")
-    draw(turns, np.rad2deg(records[:, AT.contact_spin]), "torsion")
+    draw(turns, np.rad2deg(rolled), "rolled")
+    draw(turns, np.rad2deg(spin), "torsion")
     turns.set_ylabel("angle [deg]")
     turns.set_xlabel("time [s]")
     for axes in (depth, forces, turns):
-        _shade(axes, seconds, records[:, AT.contact_mode], named=axes is depth)
+        _shade(axes, seconds, mode, named=axes is depth)
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
         axes.margins(x=0.0)
     save(drawing, path)
-
-
-def _period(records: Array) -> float:
-    return float(records[0, AT.dt])
 
 
 def _shade(axes: Any, seconds: Array, modes: Array, named: bool) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -62,18 +62,35 @@ def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
     Of several fingers: records (n, fingers, RECORD_SIZE) of poses (n, fingers, 7). The timestamp is the tick
     times dt, and the fields of servo timing and device are 0.
     """
-    dt = period_ns(rate_hz) / NS_PER_S
-    each = [poses] if poses.ndim < 3 else [poses[:, place] for place in range(poses.shape[1])]
-    checked = np.stack([check_poses(one) for one in each], axis=1)
-    records, dts = np.zeros((*checked.shape[:2], RECORD_SIZE)), np.full(min(len(checked), CHUNK), dt)
-    records[:, :, AT.timestamp] = np.arange(len(checked))[:, None] * dt
-    scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
-    with progress("simulating", len(checked)) as done:
-        for first in range(0, len(checked), CHUNK):
-            chunk = slice(first, first + CHUNK)
-            tick_many(scene_and_guard, memory, checked[chunk], dts, dt, first, records[chunk])
-            done(min(first + CHUNK, len(checked)))
+    given = poses[:, None] if poses.ndim < 3 else poses
+    records = collected(over_poses(tuning, given, rate_hz), given.shape[:2])
     return records[:, 0] if poses.ndim < 3 else records
+
+
+def collected(blocks: Iterable[Array], shape: tuple[int, ...]) -> Array:
+    """Records (ticks, fingers, RECORD_SIZE) from blocks of them; `shape` is (ticks, fingers)."""
+    records, at = np.empty((*shape, RECORD_SIZE)), 0
+    for block in blocks:
+        records[at : at + len(block)] = block
+        at += len(block)
+    return records
+
+
+def over_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Array]:
+    """The same in blocks (m, fingers, RECORD_SIZE) of poses (n, fingers, 7), for whoever does not keep them."""
+    for place in range(poses.shape[1]):
+        check_poses(poses[:, place])
+    dt = period_ns(rate_hz) / NS_PER_S
+    dts = np.full(min(len(poses), CHUNK), dt)
+    scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
+    with progress("simulating", len(poses)) as done:
+        for first in range(0, len(poses), CHUNK):
+            some = np.ascontiguousarray(poses[first : first + CHUNK])
+            records = np.zeros((*some.shape[:2], RECORD_SIZE))
+            records[:, :, AT.timestamp] = np.arange(first, first + len(some))[:, None] * dt
+            tick_many(scene_and_guard, memory, some, dts, dt, first, records)
+            yield records
+            done(first + len(some))
 
 
 @overload
@@ -157,8 +174,13 @@ def poses_of(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_
 
 def with_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Array:
     """Records of a scene felt through the rig's simulated device; ConfigError for a device that is not computed."""
+    return np.concatenate(list(through_device(scene, rig, seconds)))[:, 0]
+
+
+def through_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
+    """The same in blocks (m, 1, RECORD_SIZE)."""
     # Compiled when imported, which a run over poses need not wait for.
-    from softfinger.server.offline.closed_loop import run_closed_loop
+    from softfinger.server.offline.closed_loop import through_simulation
 
     rate, config = rig.servo.rate_hz, single_device(rig)
     driver = registry.load(config.driver)
@@ -176,4 +198,4 @@ def with_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Array:
         if not intention.loop:
             ticks = min(ticks, int(intention.length))
         tuning = make_tuning(scene, rig.guard, [device.info], [single_device(rig).tool])
-        return run_closed_loop(tuning, device.simulation, rate, ticks)
+        yield from through_simulation(tuning, device.simulation, rate, ticks)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
-from softfinger.proxy.record import CAUSE_NAMES, MODE_NAMES
-from softfinger.proxy.records import Records
+from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
 from softfinger.server.arguments import by_finger, duration
+from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import plot_file
-from softfinger.server.offline.results import write_results
-from softfinger.server.offline.run_figure import draw_run
-from softfinger.server.offline.simulate import over_recordings, with_device
+from softfinger.server.offline.results import write_blocks
+from softfinger.server.offline.run_figure import DRAWN, draw_run
+from softfinger.server.offline.simulate import over_poses, poses_of, through_device
+
+Array = NDArray[np.float64]
 
 DURATION_S = 10.0
 """How long a device is run that nobody gave a time."""
@@ -56,30 +60,58 @@ def run(args: argparse.Namespace) -> int:
         rig_name, rig_changes, {"servo.rate_hz": "command line --rate", "device.driver": "command line --device"}
     )
     fingers = [finger.name for finger in scene.fingers]
+    rate = rig.servo.rate_hz
     if args.device is None:
-        records = over_recordings(scene, rig, by_finger(args.poses, "--poses"))
+        poses = poses_of(fingers, by_finger(args.poses, "--poses"), rate)
+        blocks = over_poses(make_tuning(scene, rig.guard), poses, rate)
     elif len(fingers) > 1:
         raise ConfigError("--device: several fingers are simulated on recordings: give --poses NAME=P for each")
     else:
-        records = {fingers[0]: Records(with_device(scene, rig, DURATION_S if args.duration is None else args.duration))}
-    single = len(fingers) == 1
-    write_results(args.out, records[fingers[0]] if single else records)
-    for name, each in records.items():
+        blocks = through_device(scene, rig, DURATION_S if args.duration is None else args.duration)
+    seen = [Seen(args.plot is not None) for _ in fingers]
+    write_blocks(args.out, fingers, shown_to(seen, blocks))
+    for name, each in zip(fingers, seen, strict=True):
+        single = len(fingers) == 1
         if args.plot is not None:
-            draw_run(each, args.plot if single else args.plot.with_stem(f"{args.plot.stem}-{name}"))
+            picture = args.plot if single else args.plot.with_stem(f"{args.plot.stem}-{name}")
+            draw_run(np.concatenate(each.curves), picture)
         told = f"{args.out}" if single else f"{args.out}, {name}"
-        print(f"{told}: {len(each)} ticks at {rig.servo.rate_hz:g} Hz; {summary(each)}")
+        print(f"{told}: {each.ticks} ticks at {rate:g} Hz; {each}")
     return 0
 
 
-def summary(records: Records) -> str:
-    """Modes, mode changes and largest force of a run, in a line."""
-    mode, cause = records["contact.mode"], records["contact.cause"]
-    modes = ", ".join(f"{name} {np.mean(mode == number):.1%}" for number, name in enumerate(MODE_NAMES))
-    changes = ", ".join(
-        f"{count} {name}"
-        for number, name in enumerate(CAUSE_NAMES)
-        if number and (count := np.count_nonzero(cause == number))
-    )
-    peak = np.linalg.norm(records["force"], axis=1).max(initial=0.0)
-    return f"{modes}; {changes or 'no contact'}; largest force {peak:.3f} N"
+def shown_to(seen: Sequence[Seen], blocks: Iterable[Array]) -> Iterator[Array]:
+    """The blocks (m, fingers, RECORD_SIZE), of which each finger's were shown to one of `seen`."""
+    for block in blocks:
+        for place, each in enumerate(seen):
+            each.add(block[:, place])
+        yield block
+
+
+class Seen:
+    """What is told of a finger's run, whose records are not kept; and what is drawn of it, if anything is."""
+
+    def __init__(self, drawn: bool) -> None:
+        self.curves: list[Array] = []
+        self.ticks, self._drawn, self._peak = 0, drawn, 0.0
+        self._modes = np.zeros(len(MODE_NAMES), int)
+        self._causes = np.zeros(len(CAUSE_NAMES), int)
+
+    def add(self, records: Array) -> None:
+        """Records (m, RECORD_SIZE), after those before."""
+        self.ticks += len(records)
+        self._modes += np.bincount(records[:, AT.contact_mode].astype(int), minlength=len(MODE_NAMES))
+        self._causes += np.bincount(records[:, AT.contact_cause].astype(int), minlength=len(CAUSE_NAMES))
+        strongest = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1).max(initial=0.0)
+        self._peak = max(self._peak, float(strongest))
+        if self._drawn:
+            self.curves.append(records[:, DRAWN])
+
+    def __str__(self) -> str:
+        """Modes, mode changes and largest force of the run, in a line."""
+        modes = ", ".join(
+            f"{name} {count / self.ticks:.1%}" for name, count in zip(MODE_NAMES, self._modes, strict=True)
+        )
+        told = list(zip(CAUSE_NAMES, self._causes, strict=True))[1:]
+        changes = ", ".join(f"{count} {name}" for name, count in told if count)
+        return f"{modes}; {changes or 'no contact'}; largest force {self._peak:.3f} N"

@@ -198,6 +198,34 @@ def test_simulate_writes_every_format(ending, tmp_path):
     np.testing.assert_array_equal(records[:, 1], np.arange(2281))
 
 
+PEAK = """
+import sys
+from softfinger.server.cli import main
+code = main(sys.argv[1:])
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(code, int(peak.split()[1]) // 1024)
+"""
+
+
+@pytest.mark.exhaustive  # ten minutes of ticks, written three times
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
+def test_a_long_run_is_not_kept_in_memory(ending, tmp_path):
+    """600 000 ticks, 450 MB of records, in a process of at most 250 MB."""
+    t = np.arange(60_001) * 0.01
+    poses = np.column_stack(
+        [t, 0.01 * np.sin(t), 0.0 * t, 0.0095 + 0.001 * np.sin(7.0 * t), 1.0 + 0.0 * t, *[0.0 * t] * 3]
+    )
+    header = "t,x,y,z,qw,qx,qy,qz"
+    np.savetxt(tmp_path / "poses.csv", poses, fmt="%.9g", delimiter=",", header=header, comments="")
+    words = ["simulate", "--scene", "paper-plane", "--poses", "poses.csv", "--out", f"out{ending}"]
+    done = subprocess.run(
+        [sys.executable, "-c", PEAK, *words], cwd=tmp_path, capture_output=True, text=True, check=True, timeout=300
+    )
+    code, peak = map(int, done.stdout.splitlines()[-1].split())
+    assert code == 0 and "600001 ticks" in done.stdout
+    assert peak <= 250
+
+
 def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
     """Two runs give the same bytes; another rate gives another number of ticks."""
     for program, name in ((run, "a.csv"), (called, "b.csv")):
