@@ -18,7 +18,7 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.falcon import delta, exchange, packets, reply
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.device import Options
-from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.memory import uint8_at
 
 
@@ -55,7 +55,7 @@ def blank() -> np.ndarray:
     return word
 
 
-@numba.njit(**OPTIONS)
+@entry
 def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
     """Feed bytes; the counts of every reply that came, and how many."""
     came = 0
@@ -118,7 +118,7 @@ def test_the_byte_that_carries_nothing_may_be_any(filler: int) -> None:
     assert (word[AT.fillers], word[AT.garbled]) == (1, 0)
 
 
-@numba.njit(**OPTIONS)
+@entry
 def _pose(handle: int) -> int:
     return int(reply.pose(handle))
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from math import floor
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 
 from softfinger.drivers.serial import frames
 from softfinger.drivers.serial.frames import FRAME_BYTES, LOOKBACK, NUMBERS
+from softfinger.proxy.kernels.native.jit import entry
 
 # A frame that the maker's program shows as one of its device (haptikfabrikenapi, src/uhaptikfabriken.h).
 PUBLISHED = b" -59.276   13.383 -148.002   0.0919 -1.8483  1.0370 -1.9512 0"
@@ -26,27 +26,30 @@ def framed(text: bytes) -> bytes:
     return text.ljust(FRAME_BYTES - 1) + b"\n"
 
 
-@numba.njit
+@entry
 def decode_all(given: Any, values: Any, usable: Any) -> None:
     for n in range(len(given)):
         usable[n] = frames.decode(given[n].ctypes.data, values[n])
 
 
-@numba.njit
-def feed(stream: Any, sizes: Any, buffer: Any, found: Any) -> int:
-    """Hand a stream over in pieces of these sizes; the numbers of each piece's last frame go to `found`."""
+@entry
+def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, found: Any) -> int:
+    """Hand a stream over in pieces of these sizes; the numbers of each piece's last frame go to `found`. `scratch` is
+    for two frames' numbers."""
     at = came = 0
-    scratch, newest = np.zeros(NUMBERS), np.zeros(NUMBERS)
+    newest = scratch[1]
     for size in sizes:
-        buffer[LOOKBACK : LOOKBACK + size] = stream[at : at + size]
+        for k in range(size):
+            buffer[LOOKBACK + k] = stream[at + k]
         at += size
-        if frames.take(buffer.ctypes.data, size, scratch, newest) > 0:
-            found[came] = newest
+        if frames.take(buffer.ctypes.data, size, scratch[0], newest) > 0:
+            for k in range(NUMBERS):
+                found[came, k] = newest[k]
             came += 1
     return came
 
 
-@numba.njit
+@entry
 def encode_once(x: float, y: float, z: float, frame: Any) -> None:
     frames.encode((x, y, z), frame.ctypes.data)
 
@@ -176,7 +179,7 @@ def test_a_stream_finds_its_place_again() -> None:
     sizes = sizes[np.cumsum(sizes) <= len(stream)]
     found = np.zeros((len(sizes), NUMBERS))
     buffer = np.full(LOOKBACK + FRAME_BYTES, frames.NEWLINE, np.uint8)
-    found = found[: feed(np.frombuffer(bytes(stream), np.uint8), sizes, buffer, found)]
+    found = found[: feed(np.frombuffer(bytes(stream), np.uint8), sizes, buffer, np.zeros((2, NUMBERS)), found)]
     tells = found[:, 7]
     for column, scale in enumerate((1e3, -1e3, 500.0, 1e4, -1e4, 1e4)):
         np.testing.assert_allclose(found[:, column] * scale, tells, atol=1e-6)  # rounding of numbers below 2e4

@@ -2,7 +2,6 @@
 
 import functools
 
-import numba
 import numpy as np
 import pytest
 from helpers.examples import examples
@@ -16,7 +15,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.geometry import rotations
 from softfinger.proxy.kernels.geometry.motion import pose_at
-from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.jit import entry
 
 pytestmark = pytest.mark.plain
 
@@ -319,7 +318,7 @@ def test_no_finite_input_gives_anything_but_finite_output(ticks):
         assert np.isfinite(running.run([[*position, *orientation]], dt)).all()
 
 
-@numba.njit(**OPTIONS)
+@entry
 def as_matrices(quaternions, out):
     """Rotation matrices (n, 3, 3) of what the kernels make of quaternions (n, 4) of any length: unit ones first."""
     for i in range(quaternions.shape[0]):
@@ -329,7 +328,7 @@ def as_matrices(quaternions, out):
             out[i, 0, k], out[i, 1, k], out[i, 2, k] = rotations.rotate(q, axis)
 
 
-@numba.njit(**OPTIONS)
+@entry
 def walk_by(turns, steps, out):
     """Orientations (n, 4) of a walk by rotation vectors (n, 3), and `relative` of each to the one before."""
     q = (1.0, 0.0, 0.0, 0.0)
@@ -348,7 +347,7 @@ def walk(turns, ticks):
     return orientations, steps
 
 
-@numba.njit(**OPTIONS)
+@entry
 def moved_pose(motion, pose, time, out):
     """Orientation (4,) of an object that rests at `pose`, at `time` s."""
     out[0], out[1], out[2], out[3] = pose_at(motion, pose, time).orientation

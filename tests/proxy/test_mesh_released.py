@@ -113,7 +113,7 @@ SWAY = {"kind": "sinusoid", "translation_m": [0.004, -0.003, 0.002], "frequency_
 )
 def test_what_holds_two_proxies_on_a_mesh_that_moves(kind: str, tmp_path: Path, cases: Cases) -> None:
     """Each of two fingers on its own stroke through a mesh that sways: in the mesh's frame, as above."""
-    mesh, count = KINDS[kind], cases(4, 100)
+    mesh, count = KINDS[kind], cases(4, 25)
     file, coarse = meshes.write_ply(tmp_path / "part.ply", mesh), cases(2, 1)
     part = thing("part", "mesh", file=str(file), material=SLIPPERY, motion=SWAY)
     running = engine(part, fingertip=None, coupling=None, finger=FINGERS)

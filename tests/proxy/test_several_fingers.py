@@ -13,7 +13,7 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.jit import OPTIONS, entry
 from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, FREE
@@ -71,12 +71,12 @@ def step_along(scene, values, start, state_values, poses, dt, contacts, times):
     pack(state_values, state)
 
 
-@numba.njit(**OPTIONS)
+@entry
 def pose_in(row):
     return model.Pose((row[0], row[1], row[2]), (row[3], row[4], row[5], row[6]))
 
 
-@numba.njit(**OPTIONS)
+@entry
 def write(row, contact):
     pack(row, contact)
 
@@ -128,7 +128,7 @@ def run(given: model.Scene, poses: Array) -> tuple[Array, Array, model.State]:
     return contacts[..., :leaves], times, rebuilt(start, state)
 
 
-compiled = numba.njit(**OPTIONS)(step_along)
+compiled = entry(step_along)
 
 
 def stroke(radius: float, x: float, phase: float) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from helpers.examples import examples
@@ -16,7 +15,7 @@ from scipy.optimize import minimize
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.geometry.surfaces import closest, curvature, transport
-from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.jit import entry
 
 pytestmark = pytest.mark.plain
 
@@ -49,17 +48,17 @@ scales = st.floats(-5.0, 3.0).map(lambda power: 10.0**power)
 seeds = st.integers(0, 2**32 - 1)
 
 
-@numba.njit(**OPTIONS)
+@entry
 def compiled_closest(shape, x):  # type: ignore[no-untyped-def]
     return closest(shape, x)
 
 
-@numba.njit(**OPTIONS)
+@entry
 def compiled_curvature(shape, radius, point, normal):  # type: ignore[no-untyped-def]
     return curvature(shape, radius, point, normal)
 
 
-@numba.njit(**OPTIONS)
+@entry
 def compiled_transport(shape, v, normal_from, normal_to):  # type: ignore[no-untyped-def]
     return transport(shape, v, normal_from, normal_to)
 

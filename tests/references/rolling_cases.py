@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +11,7 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import Roll, roll
 from softfinger.proxy.kernels.geometry import rotations
 from softfinger.proxy.kernels.geometry.surfaces import closest
-from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.native.jit import entry
 
 Array = NDArray[np.float64]
 
@@ -84,7 +83,7 @@ def rolled_by(method: Any, shape: Any, center: model.Vec3, normal: model.Vec3, w
     return out._replace(spin=spin)  # type: ignore[no-any-return]
 
 
-@numba.njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@entry
 def roll_long(method: Any, shape: Any, radius: float, center: Any, normal: Any, w: Any, ticks: int) -> Any:
     """Roll for many ticks by |w| rad about a wandering axis.
 

@@ -110,11 +110,11 @@ event.register("numba:compile", _Told())
 
 
 class _OnCall(CPUDispatcher):  # type: ignore[misc]
-    """A kernel for other kernels. Called from Python it is compiled once more, with the wrapper that needs."""
+    """A kernel for other kernels. Called from Python it is compiled once more, with a wrapper for that, and kept."""
 
     def __call__(self, *args: Any) -> Any:
         if "_from_python" not in self.__dict__:
-            self._from_python = numba.njit(**OPTIONS)(self.py_func)
+            self._from_python = entry(self.py_func)
         return self._from_python(*args)
 
 
