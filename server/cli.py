@@ -96,6 +96,9 @@ def main(argv: list[str] | None = None) -> int:
                 raise
             discard(sys.stdout)  # what could not be written is not tried again while closing
             return failed(reason(error), Exhausted.exit_code)
+        finally:
+            flush_or_discard(sys.stdout)
+            flush_or_discard(sys.stderr)
 
 
 def run_verb(words: list[str]) -> int:
@@ -168,6 +171,14 @@ def open_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # the lowest that is free, which is this one
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w" if fd else "r"))  # noqa: SIM115 - for as long as the process
+
+
+def flush_or_discard(stream: Any) -> None:
+    """Leave nothing to be written while Python ends: where nobody reads it, the exit code would be 120."""
+    try:
+        stream.flush()
+    except OSError:
+        discard(stream)
 
 
 def discard(stream: Any) -> None:

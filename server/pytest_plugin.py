@@ -32,8 +32,9 @@ READY_S = 600.0
 STOP_S = 20.0
 _POLL_S = 0.02
 _ASK_S = 2.0
-_TELEMETRY = re.compile(r"; telemetry on (\S+)")
-_COMMANDS = re.compile(r"commands on (\S+)")
+_TELEMETRY = re.compile(r"; telemetry on (.+)")
+_COMMANDS = re.compile(r"commands on (.+)")
+_OFF = "no endpoint: off"
 _LOGS = pytest.StashKey[list["SoftfingerDaemon"]]()
 
 
@@ -114,8 +115,14 @@ class SoftfingerDaemon:
                 return False
             self.endpoint, self.commands = telemetry[1], commands[1]
         from softfinger.config.errors import HapticError
+        from softfinger.server.wire.client import subscribe
         from softfinger.server.wire.control import Control
 
+        if self.commands == _OFF:
+            with contextlib.suppress(HapticError), subscribe(self.endpoint, ("contact",), _ASK_S) as client:
+                next(iter(client))
+                return True
+            return False
         with contextlib.suppress(HapticError), Control(self.commands, _ASK_S) as control:
             return control.get_state().sequence >= 0
         return False

@@ -24,6 +24,9 @@ collect_ignore = ["outside_driver"]
 os.environ.pop("NUMBA_DISABLE_JIT", None)
 """It has been read: this process has its kernels as plain Python, and the programs that it starts have machine code."""
 
+os.environ.pop("PYTHONUNBUFFERED", None)
+"""Machines for builds set it: programs would have nothing left to write when they end, as they have for their users."""
+
 # The same cases in every run, however long each takes on a busy machine.
 settings.register_profile(
     "suite", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]

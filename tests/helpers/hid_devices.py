@@ -207,7 +207,8 @@ class RefusedNode:
 
     def make(self, case: str) -> None:
         """From now on: busy or permission."""
-        self.path.write_bytes(b"")
+        self.path.unlink(missing_ok=True)  # it may be one that was forbidden
+        self.path.touch()
         if case == "busy":
             fcntl.flock(self._undo.enter_context(self.path.open("rb")), fcntl.LOCK_EX)
         elif case == "permission":

@@ -74,12 +74,12 @@ def test_what_is_not_hashed_is_found(file: str, module: str, seen: bool) -> None
     assert unseen(file, text) == ([] if seen else [f"{file}: kernel: X"])
 
 
-SHOW = """
+SHOW = r"""
 import sys
 from pathlib import Path
 from softfinger.proxy.kernels.native.jit import CACHE_DIR
 from softfinger.proxy.kernels.native.kept import _sources
-print(CACHE_DIR, *(_sources(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]))
+print(CACHE_DIR, *(_sources(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]), sep="\n")
 """
 
 
@@ -95,7 +95,7 @@ def test_an_edit_moves_what_is_kept_of_those_kernels_that_it_concerns(tmp_path: 
         environment = os.environ | {"PYTHONPATH": site}
         # Without site: the installed package must not come first.
         command = [sys.executable, "-S", "-c", SHOW, str(package), *names]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
 
     def moved_by(file: str) -> list[bool]:
         before = kept()

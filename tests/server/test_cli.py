@@ -6,6 +6,7 @@ streams and its log, how it ends, and that a second one does the same.
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from importlib.metadata import version
@@ -265,7 +266,7 @@ LONG = "x" * 300
 )
 def test_streams_and_names_that_cannot_be_used(line, code, said):
     """A closed or full output, a reader that has left and a name too long: one line says so, or nothing needs to."""
-    words = ["bash", "-c", f"set -o pipefail; {' '.join(COMMAND)} {line}"]
+    words = ["bash", "-c", f"set -o pipefail; {shlex.join(COMMAND)} {line}"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr and said in done.stdout + done.stderr
@@ -288,7 +289,7 @@ def test_closed_streams_do_not_become_a_device(tmp_path):
 @pytest.mark.parametrize("words", [["check", "paper-plane"], ["run"]])
 def test_too_few_files_are_said(words):
     """Where a process may open eight files, one line says how many it needs; ZeroMQ would abort."""
-    command = f"ulimit -n 8; exec {' '.join([*COMMAND, *words])}"
+    command = f"ulimit -n 8; exec {shlex.join([*COMMAND, *words])}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 11, done.stderr
     assert done.stderr == "softfinger: this process may open 8 files, and needs 64: raise `ulimit -n`\n"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -32,12 +34,20 @@ def test_is_killed(softfinger_daemon):
 def test_asserts(softfinger_daemon):
     daemon = softfinger_daemon(scene="frictionless-plane", recording="tap")
     assert daemon.control.get_state().sequence < 0
+
+def test_is_not_commanded(softfinger_daemon):
+    daemon = softfinger_daemon(scene="frictionless-plane", recording="tap", words=["--commands", "off"])
+    assert next(iter(daemon.subscribe())).tick >= 0
 """
 
 
 def pytest_in(folder: Path) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rA", str(folder)]
-    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+    with TemporaryDirectory(prefix="with spaces ") as runtime:  # commands go to a socket in it
+        environment = os.environ | {"XDG_RUNTIME_DIR": runtime}
+        return subprocess.run(
+            words, cwd=folder, env=environment, capture_output=True, text=True, timeout=600, check=False
+        )
 
 
 def test_it_costs_others_nothing() -> None:
@@ -63,4 +73,5 @@ def test_a_daemon_that_fails_fails_the_test_and_says_why(tmp_path: Path) -> None
     assert "ended with exit code 3" in done.stdout and "'no-such-recording' is neither a file" in done.stdout
     assert "ERROR test_bad.py::test_is_killed - Failed: the daemon ended with exit code -9" in done.stdout
     assert "FAILED test_bad.py::test_asserts" in done.stdout
+    assert "PASSED test_bad.py::test_is_not_commanded" in done.stdout
     assert "softfinger's log" in done.stdout and "INFO scene frictionless-plane" in done.stdout

@@ -135,7 +135,7 @@ def compile_reference(folder: Path) -> list[str] | None:
     if compiler is None:
         return None
     maps = Path("/proc/self/maps").read_text("utf-8").splitlines()
-    libraries = {line.split()[-1] for line in maps if "libzmq" in line}  # pyzmq has loaded one
+    libraries = {line.split(maxsplit=5)[5] for line in maps if "libzmq" in line}  # pyzmq has loaded one
     if not libraries:
         raise ConfigError("the libzmq that pyzmq uses is part of it: install pyzmq from its wheel")
     program = folder / "reference_sender"

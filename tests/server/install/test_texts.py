@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -111,7 +112,8 @@ def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> Non
         file = tmp_path / "softfinger.service"
         file.write_text(unit(words, system))
         manager = [] if system else ["--user"]
-        done = run(analyze, *manager, "verify", file, XDG_RUNTIME_DIR=str(tmp_path))
+        with TemporaryDirectory() as runtime:  # short: other units of this machine have sockets in it
+            done = run(analyze, *manager, "verify", file, XDG_RUNTIME_DIR=runtime)
         if "Failed to initialize manager" in done.stderr:
             pytest.skip(done.stderr.strip())
         assert (done.returncode, done.stderr) == (0, "")
