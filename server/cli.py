@@ -83,6 +83,7 @@ def main(argv: list[str] | None = None) -> int:
         except signals.Interrupted as error:
             code = failed(f"ended by {signals.named(error.number)}", signals.code_of(error.number))
             if argv is None:  # everything is closed; to take a half-done compilation apart takes seconds
+                flush_or_discard(sys.stdout)
                 os._exit(code)
             return code
         except KeyboardInterrupt:

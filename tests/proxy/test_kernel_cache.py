@@ -253,7 +253,7 @@ def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None
     assert start(scripts / "outer.py", cache) == ("4.0 1", "")
 
 
-def test_no_home_is_no_reason_not_to_run(monkeypatch: pytest.MonkeyPatch, scripts: Path) -> None:
+def test_no_home_is_no_reason_not_to_run(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     """Without HOME and without an entry in passwd there is no folder, which is said; a process still starts."""
     for name in ("HOME", "XDG_CACHE_HOME", "SOFTFINGER_CACHE_DIR"):
         monkeypatch.delenv(name, raising=False)
@@ -262,6 +262,11 @@ def test_no_home_is_no_reason_not_to_run(monkeypatch: pytest.MonkeyPatch, script
         assert jit._cache_root() is None
     problem = Folder(None).problem()
     assert problem is not None and "SOFTFINGER_CACHE_DIR" in problem
+    unasked = Folder(None)
+    for _ in range(2):
+        unasked.write("a.kernel", b"")
+    (said,) = caplog.messages
+    assert "not kept" in said and problem in said
 
 
 @as_root

@@ -191,7 +191,7 @@ def pushing(rig: Rig, device: Device, force_n: float) -> Guard:
 def loaded_libraries() -> list[str]:
     """File names of the maker's library in this process."""
     mapped = machine.text(Path("/proc/self/maps")).splitlines()
-    return sorted({Path(line.split()[-1]).name for line in mapped if LIBRARY in line})
+    return sorted({Path(line.split(maxsplit=5)[5]).name for line in mapped if LIBRARY in line})
 
 
 def write(file: Path, report: dict[str, Any]) -> None:

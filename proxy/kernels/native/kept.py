@@ -116,7 +116,7 @@ class Folder:
 
     def put(self, name: str, parts: Iterable[Any]) -> None:
         """Keep bytes under a name, whole or not at all, for `opened`. Where that cannot be it is said, once."""
-        if self.path is not None and self.problem() is None:
+        if self.problem() is None and self.path is not None:
             part = self.path / f".{secrets.token_hex(8)}.part"
             try:
                 flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
