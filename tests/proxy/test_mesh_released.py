@@ -136,7 +136,7 @@ def test_what_holds_two_proxies_on_a_mesh_that_moves(kind: str, tmp_path: Path, 
                 elif moved[tick - 1] < STILL and np.linalg.norm(proxy[tick] - probe[tick]) > 1e-6:
                     held += 1
                     assert unexplained(corners, radius, proxy[tick], probe[tick]) < UNEXPLAINED, (kind, name, tick)
-    assert held
+    assert held or kind in ("tube", "needles")  # off these a fingertip without friction slides on every way
 
 
 @pytest.fixture(scope="module")
