@@ -24,7 +24,6 @@ from softfinger.proxy.kernels.native.pack import Packed, pack, packed, unpack
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
-from softfinger.server.offline.simulate import collected
 from softfinger.server.progress import CHUNK, progress
 
 Array = NDArray[np.float64]
@@ -152,16 +151,12 @@ def record_ticks(
     pack(state_packed.values, state)
 
 
-def run_closed_loop(tuning: Tuning, device: Simulation, rate_hz: float, ticks: int) -> Array:
-    """Records (ticks, RECORD_SIZE) of a scene felt through a simulated device, as the daemon computes them.
+def run_closed_loop(tuning: Tuning, device: Simulation, rate_hz: float, ticks: int) -> Iterator[Array]:
+    """Simulate a scene felt through a device, as the daemon computes it, and yield the records.
 
-    The timestamp is the tick times dt, and the fields of servo timing and device are 0.
+    Blocks (m, 1, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt, and the fields of servo
+    timing and device are 0.
     """
-    return collected(through_simulation(tuning, device, rate_hz, ticks), (ticks, 1))[:, 0]
-
-
-def through_simulation(tuning: Tuning, device: Simulation, rate_hz: float, ticks: int) -> Iterator[Array]:
-    """The same in blocks (m, 1, RECORD_SIZE)."""
     dt = period_ns(rate_hz) / NS_PER_S
     scene_and_guard, memory, state = packed(tuning), packed(begin(tuning.scene)), packed(device.state)
     drive = Drive(device.intention, device.poses, np.zeros(LINE_SIZE))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.arrays.npz import Npz
 from softfinger.config.errors import RecordingError
-from softfinger.config.files import new_file, open_input, open_output
+from softfinger.config.files import followed, new_file, open_input, open_output
 from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
 from softfinger.server.closing import Closing
@@ -181,7 +181,10 @@ def _whose(finger: str) -> str:
 def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
     """An array per field, and all of them once more as `records`. The arrays of an archive stand one behind the other,
     so the blocks wait in a file that has no name."""
-    with TemporaryFile(dir=path.parent) as file_of_fields, ZipFile(file, "w", ZIP_DEFLATED, compresslevel=1) as archive:
+    with (
+        TemporaryFile(dir=followed(path).parent) as file_of_fields,
+        ZipFile(file, "w", ZIP_DEFLATED, compresslevel=1) as archive,
+    ):
         waiting = _Fields(file_of_fields, len(fingers))
         for block in blocks:
             waiting.put(block)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -63,21 +63,18 @@ def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
     times dt, and the fields of servo timing and device are 0.
     """
     given = poses[:, None] if poses.ndim < 3 else poses
-    records = collected(over_poses(tuning, given, rate_hz), given.shape[:2])
+    records, at = np.empty((*given.shape[:2], RECORD_SIZE)), 0
+    for block in over_poses(tuning, given, rate_hz):
+        records[at : at + len(block)] = block
+        at += len(block)
     return records[:, 0] if poses.ndim < 3 else records
 
 
-def collected(blocks: Iterable[Array], shape: tuple[int, ...]) -> Array:
-    """Records (ticks, fingers, RECORD_SIZE) from blocks of them; `shape` is (ticks, fingers)."""
-    records, at = np.empty((*shape, RECORD_SIZE)), 0
-    for block in blocks:
-        records[at : at + len(block)] = block
-        at += len(block)
-    return records
-
-
 def over_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Array]:
-    """The same in blocks (m, fingers, RECORD_SIZE) of poses (n, fingers, 7), for whoever does not keep them."""
+    """Simulate poses (n, fingers, 7), and yield the records in blocks (m, fingers, RECORD_SIZE).
+
+    A block has at most CHUNK ticks. A caller who does not keep them needs the memory of one, however long the run.
+    """
     for place in range(poses.shape[1]):
         check_poses(poses[:, place])
     dt = period_ns(rate_hz) / NS_PER_S
@@ -172,15 +169,13 @@ def poses_of(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_
     return np.stack([poses[:count] for poses in each], axis=1)
 
 
-def with_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Array:
-    """Records of a scene felt through the rig's simulated device; ConfigError for a device that is not computed."""
-    return np.concatenate(list(through_device(scene, rig, seconds)))[:, 0]
+def with_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
+    """Simulate a scene felt through the rig's simulated device, and yield the records in blocks (m, 1, RECORD_SIZE).
 
-
-def through_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
-    """The same in blocks (m, 1, RECORD_SIZE)."""
+    Raises ConfigError for a device that is not computed.
+    """
     # Compiled when imported, which a run over poses need not wait for.
-    from softfinger.server.offline.closed_loop import through_simulation
+    from softfinger.server.offline.closed_loop import run_closed_loop
 
     rate, config = rig.servo.rate_hz, single_device(rig)
     driver = registry.load(config.driver)
@@ -198,4 +193,4 @@ def through_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iter
         if not intention.loop:
             ticks = min(ticks, int(intention.length))
         tuning = make_tuning(scene, rig.guard, [device.info], [single_device(rig).tool])
-        yield from through_simulation(tuning, device.simulation, rate, ticks)
+        yield from run_closed_loop(tuning, device.simulation, rate, ticks)

@@ -17,7 +17,7 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.results import write_blocks
 from softfinger.server.offline.run_figure import DRAWN, draw_run
-from softfinger.server.offline.simulate import over_poses, poses_of, through_device
+from softfinger.server.offline.simulate import over_poses, poses_of, with_device
 
 Array = NDArray[np.float64]
 
@@ -67,10 +67,10 @@ def run(args: argparse.Namespace) -> int:
     elif len(fingers) > 1:
         raise ConfigError("--device: several fingers are simulated on recordings: give --poses NAME=P for each")
     else:
-        blocks = through_device(scene, rig, DURATION_S if args.duration is None else args.duration)
-    seen = [Seen(args.plot is not None) for _ in fingers]
-    write_blocks(args.out, fingers, shown_to(seen, blocks))
-    for name, each in zip(fingers, seen, strict=True):
+        blocks = with_device(scene, rig, DURATION_S if args.duration is None else args.duration)
+    summaries = [Summary(args.plot is not None) for _ in fingers]
+    write_blocks(args.out, fingers, summarised(blocks, summaries))
+    for name, each in zip(fingers, summaries, strict=True):
         single = len(fingers) == 1
         if args.plot is not None:
             picture = args.plot if single else args.plot.with_stem(f"{args.plot.stem}-{name}")
@@ -80,16 +80,16 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def shown_to(seen: Sequence[Seen], blocks: Iterable[Array]) -> Iterator[Array]:
-    """The blocks (m, fingers, RECORD_SIZE), of which each finger's were shown to one of `seen`."""
+def summarised(blocks: Iterable[Array], summaries: Sequence[Summary]) -> Iterator[Array]:
+    """Pass blocks (m, fingers, RECORD_SIZE) on, and add each finger's records to its summary."""
     for block in blocks:
-        for place, each in enumerate(seen):
+        for place, each in enumerate(summaries):
             each.add(block[:, place])
         yield block
 
 
-class Seen:
-    """What is told of a finger's run, whose records are not kept; and what is drawn of it, if anything is."""
+class Summary:
+    """What is printed about a finger's run, and the curves of its plot where one is wanted."""
 
     def __init__(self, drawn: bool) -> None:
         self.curves: list[Array] = []

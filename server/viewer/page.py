@@ -118,7 +118,7 @@ class Page:
             self._look_from(camera_of(scene))
 
     def _look_from(self, camera: Camera) -> None:
-        """The view of whoever opens the page, and of those who have it open."""
+        """Set the camera for pages that will be opened, and in every page that is open."""
         self._camera = camera
         views = [client.camera for client in self.server.get_clients().values()]
         for view in (self.server.initial_camera, *views):

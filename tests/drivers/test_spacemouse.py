@@ -14,6 +14,7 @@ import numba
 import numpy as np
 import pytest
 from emulators import puck as emulated
+from helpers.blocks import whole
 from helpers.compiled_code import called_in, functions
 from helpers.hid_devices import RefusedNode, ends
 from scipy.spatial.transform import Rotation
@@ -432,7 +433,7 @@ def test_a_puck_is_the_only_intention() -> None:
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
     rig = load_rig("simulated-spacemouse")
     with pytest.raises(ConfigError, match="cannot be run without a clock"):
-        with_device(load_scene("paper-plane"), rig, 0.1)
+        whole(with_device(load_scene("paper-plane"), rig, 0.1))
 
 
 def test_pucks_are_found_and_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

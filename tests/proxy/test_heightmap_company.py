@@ -103,7 +103,6 @@ def touched_safely(folder: Path, kind: str, names: list[str], count: int, **keys
         assert set(np.unique(records["contact.budget"])) <= {0.0, 1.0}
 
 
-MANY: Final = pytest.mark.exhaustive
 BESIDE: Final = {"plane": (2, 6), "ball": (3, 7), "mesh": (0, 5), "map": (4, 1)}
 """Which maps are beside which company where not all are beside all."""
 
@@ -134,7 +133,10 @@ def test_in_many_steps_it_is_rolled_over_safely(tmp_path: Path, cases: Cases) ->
         assert outside_by(kernel_heightmap(heights, pitch), centers) >= -INSIDE * R, name
 
 
-@pytest.mark.parametrize("situation", ["alone", "map", *(pytest.param(k, marks=MANY) for k in ("plane", "ball"))])
+@pytest.mark.parametrize(
+    "situation",
+    ["alone", "map", *(pytest.param(kind, marks=pytest.mark.exhaustive) for kind in ("plane", "ball"))],
+)
 def test_no_tick_asks_more_than_its_budget(tmp_path: Path, cases: Cases, situation: str) -> None:
     """Tiles and heights are counted where they are asked, in kernels that run as plain Python, on hostile maps: alone
     under montana_rk45, and in company. And the same ticks come out where nothing is counted, in `make test-all`

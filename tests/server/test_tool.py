@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.blocks import whole
 from helpers.faulty_device import FaultyDevice, Options
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -183,7 +184,7 @@ def test_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     assert other.device.tool is None  # it is on the other device's handle
     scene = load_scene("paper-plane")
     bare = load_rig(file, {"device.tool": {}})
-    having, without = (with_device(scene, each, 0.002) for each in (rig, bare))
+    having, without = (whole(with_device(scene, each, 0.002)) for each in (rig, bare))
     position, orientation = (slice(at, at + size) for at, size in ((AT.probe_position, 3), (AT.probe_orientation, 4)))
     handle = matrix(without[0, orientation])
     expected = without[0, position] + handle @ [0.0, 0.0, -0.1]

@@ -51,35 +51,36 @@ def by_count(declaration: Callable[..., Any]) -> Any:
 
 def _declare(
     declaration: Callable[..., Any],
-    look: Callable[[Any], Any],
+    sort: Callable[[Any], Any],
     kind_of: Callable[[Any], Any],
     compiled_kind: Callable[[types.Type], Any],
 ) -> Any:
-    """`look` tells values apart quickly, in plain Python; `kind_of` has the kind for what it says."""
+    """A kernel chosen by its first argument.
+
+    sort           what plain Python chooses by: the argument's type, or its length
+    kind_of        the kind for a sort
+    compiled_kind  the kind for numba's type of the argument
+    """
     kernels: dict[Any, Callable[..., Any]] = {}
-    seen: dict[Any, Callable[..., Any]] = {}
-    """The kernel for each answer of `look`: a scene in plain Python makes hundreds of choices a tick."""
 
     def kernel_for(kind: Any) -> Callable[..., Any] | None:
         return kernels.get(kind) if kind is None or kind in kernels else kernels.get(_OTHERS)
 
     @functools.wraps(declaration)
     def call(node: Any, *rest: Any) -> Any:
-        kernel = seen.get(look(node))
-        return (found(node) if kernel is None else kernel)(node, *rest)
+        return kernel_for_sort(sort(node))(node, *rest)
 
-    def found(node: Any) -> Callable[..., Any]:
-        kind = kind_of(look(node))
-        kernel = kernel_for(kind)
+    @functools.cache  # a scene in plain Python makes hundreds of choices a tick
+    def kernel_for_sort(of: Any) -> Callable[..., Any]:
+        kernel = kernel_for(kind_of(of))
         if kernel is None:
-            raise TypeError(f"{declaration.__qualname__} is not defined for {kind}")
-        seen[look(node)] = kernel
+            raise TypeError(f"{declaration.__qualname__} is not defined for {kind_of(of)}")
         return kernel
 
     def of(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
             kernels[kind] = kernel
-            seen.clear()
+            kernel_for_sort.cache_clear()
             written_in(kind, kernel.__code__.co_filename)
             kernel.__signature__ = _bare_signature(kernel)  # type: ignore[attr-defined]
             compiled: Callable[..., Any] = jit(kernel)
