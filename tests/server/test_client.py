@@ -132,7 +132,7 @@ def test_stalled_client_is_told_exactly_what_it_lost(tmp_path):
         publisher.publish(synthetic(1, first_tick=count))
         while got[-1].tick < count:
             got.append(next(samples))
-        assert publisher.fanout.lost == sum(s.lost for s in got)
+        assert publisher.figures.lost == sum(s.lost for s in got)
     assert got[0].tick == 0
     assert got[-1].tick == count
     assert sum(s.lost for s in got) > 0

@@ -115,7 +115,7 @@ def test_subscribers_stay_and_are_told():
         socket.subscribe("contact")
         socket.subscribe("event")
         socket.connect(running.publisher.endpoint)
-        assert eventually(lambda: running.publisher.fanout.subscribers == 1)
+        assert eventually(lambda: running.publisher.subscribers == 1)
         running.start()
         assert eventually(lambda: running.servo.ticks > 50)
         running.replace(second)
