@@ -81,7 +81,8 @@ class Channel:
                 return
 
     def hear(self) -> Iterator[Said]:
-        """What has come."""
+        """What has come, and what a caller before has left."""
+        yield from self._messages()
         while not self.ended:
             try:
                 data = self._end.recv(_READ_BYTES)

@@ -26,11 +26,10 @@ FILES_MAX: Final = 256
 has none for."""
 MEMORY_MAX: Final = 1 << 30
 """Bytes that the process may write to: a peer can have libzmq keep more and more. Then this process ends."""
+EVENTS_AT_ONCE: Final = 1024
+"""Comings and goings that are taken note of at a time: who does nothing else must not keep ticks from being sent."""
 _REFUSED: Final = (
-    zmq.EVENT_HANDSHAKE_FAILED_AUTH
-    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-    | zmq.EVENT_ACCEPT_FAILED
+    zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 )
 _WATCHED: Final = zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | _REFUSED
 
@@ -74,12 +73,13 @@ class Front:
             assert gate.authenticator is not None
             gate.authenticator.configure_curve_callback(self._domain, lock.allowed)
         self.most = self.refused = 0
-        """Connections at a time, and those that were refused, for want of a key or otherwise, so far."""
+        """Connections at a time, and those whose handshake failed, for want of a key or otherwise, so far."""
         self.renewed = 0
         """How often all were cut off: then `socket` and `monitor` are others."""
         self._context, self._kind, self._bound, self._options = gate.context, kind, bound, options
         self._connected: set[int] = set()
-        self._let_in: set[int] = set()
+        self._let_in = 0
+        """Handshakes that were finished, less connections that went after that."""
         self._open()
 
     def _open(self) -> None:
@@ -105,12 +105,12 @@ class Front:
     @property
     def peers(self) -> int:
         """Connections that have finished their handshake."""
-        return len(self._let_in)
+        return min(self._let_in, len(self._connected))
 
     def renew(self) -> None:
         """Cut everybody off; who may still come in connects again by himself."""
         self._connected.clear()
-        self._let_in.clear()
+        self._let_in = 0
         self.socket.linger = 0
         self.close()
         self._open()
@@ -118,17 +118,20 @@ class Front:
 
     def look(self) -> None:
         """Take note of connections that came and went."""
-        while self.monitor.poll(0):
+        for _ in range(EVENTS_AT_ONCE):
+            if not self.monitor.poll(0):
+                break
             seen = recv_monitor_message(self.monitor)
             if seen["event"] & _REFUSED:
                 self.refused += 1
+                self._let_in += 1  # its end is told, too
             elif seen["event"] == zmq.EVENT_ACCEPTED:
                 self._connected.add(seen["value"])
             elif seen["event"] == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-                self._let_in.add(seen["value"])
+                self._let_in += 1
             elif seen["event"] == zmq.EVENT_DISCONNECTED:
                 self._connected.discard(seen["value"])
-                self._let_in.discard(seen["value"])
+                self._let_in -= 1
         self.most = max(self.most, len(self._connected))
 
     def look_at_keys(self) -> None:

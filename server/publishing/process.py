@@ -79,6 +79,7 @@ class Publishing:
         """Publish until the daemon says that it ends, or is gone."""
         poll, bell = self._poll(), self._rows.bell
         renewed, look_s, keys_s = self._renewed(), 0.0, time.monotonic() + LOOK_S
+        self._hear()  # what came with the setup
         while not self._ended:
             timeout_s = RETRY_S if self._channel.waits else PERIOD_S
             happened = [number for number, _ in poll.poll(timeout_s * 1000.0)]
@@ -215,7 +216,7 @@ def run_promptly() -> None:
 
     attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, 0, 0, 0, 0, SLICE_NS, 0, 0)
     number = {"x86_64": 314, "aarch64": 274}.get(os.uname().machine)
-    if number is not None and not os.environ.get("NOSLICE"):
+    if number is not None:
         ctypes.CDLL(None).syscall(number, 0, attributes, 0)
 
 

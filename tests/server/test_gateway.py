@@ -246,7 +246,7 @@ def test_what_is_forwarded_is_what_was_published() -> None:
                 while not socket.poll(10):
                     publisher.event("mark", "mark", label="are you there")
             publisher.publish(records)
-            assert publisher.subscribers == 1
+            assert eventually(lambda: publisher.subscribers == 1)
             for socket in subscribers:
                 frames = [socket.recv_multipart()]
                 while len(contacts := [body for topic, body in frames if topic == b"contact"]) < len(records):

@@ -172,6 +172,12 @@ def test_a_late_subscriber_gets_schema_and_last_state_at_once(sockets):
         assert sorted(again) == [b"health", b"health", b"schema", b"state", b"state"]
 
 
+def test_the_schema_comes_where_nothing_else_has(sockets):
+    """To the first subscriber of a publisher that has sent nothing."""
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        assert sockets(publisher.endpoint, b"schema").recv_multipart()[0] == b"schema"
+
+
 def test_while_ticks_come_nobody_is_sent_one_twice(sockets):
     """However many subscribe meanwhile: each of 2000 ticks once, in order, to who was there before."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
