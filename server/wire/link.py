@@ -190,7 +190,8 @@ class Link:
                 answer = None
                 if answering is not None:
                     answer = answering.answer(said.key, body, said.kind == Kind.TOO_MUCH)
-                self._channel.say(Kind.LATER if answer is None else Kind.ANSWER, said.key, answer or b"")
+                if answer is None or not self._channel.say(Kind.ANSWER, said.key, answer):
+                    self._channel.say(Kind.LATER, said.key)
                 return True
         return False
 

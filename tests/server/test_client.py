@@ -120,8 +120,8 @@ def test_server_that_starts_again_is_no_loss(publisher):
 
 
 def test_stalled_client_is_told_exactly_what_it_lost(tmp_path):
-    """What a client that stops reading gets, plus what `lost` tells, is what was published; the publisher counts that it
-    was too slow."""
+    """What a client that stops reading gets, plus what `lost` tells, is what was published; the publisher counts that
+    it was too slow."""
     count = 60_000  # more than the publisher, the kernel and the client together keep
     with (
         Publisher(f"ipc://{tmp_path}/telemetry", backlog=1000) as publisher,
