@@ -125,7 +125,7 @@ reference: $(STAMP) ## Write docs/reference/ anew, from the schema, the record t
 	@exec $(BIN)/python -m softfinger.tools.pages.reference docs/reference
 
 figures: $(STAMP) ## Draw the figures of the model pages anew (docs/figures/model-*.svg)
-	@exec $(BIN)/python -m softfinger.tools.pages.figures docs/figures
+	@NUMBA_DISABLE_JIT=1 exec $(BIN)/python -m softfinger.tools.pages.figures docs/figures
 
 page-picture: $(STAMP) ## Draw docs/figures/page.jpg anew, the page in the browser (needs `make browser`)
 	@exec $(BIN)/python tests/page_picture.py

@@ -1,12 +1,13 @@
 """The reference pages of docs/, made from the schema, the record table and the table of commands: `make reference`.
 
-    python -m softfinger.tools.pages.reference docs/reference
+python -m softfinger.tools.pages.reference docs/reference
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -17,11 +18,13 @@ from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
 from softfinger.server.wire.protocol import Key
 
+WIDTH: Final = 120
 MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
 
 _KEYS: Final = """\
-Units are SI and stand at the end of each key. Ranges are fixed: neither a file nor a flag widens them. *optional* marks a key
-without a default value; its meaning says what applies without it. `[[name]]` is a table that may stand several times."""
+Units are SI and stand at the end of each key. Ranges are fixed: neither a file nor a flag widens them.
+*optional* marks a key without a default value; its meaning says what applies without it. `[[name]]` is a table
+that may stand several times."""
 
 
 def scenes() -> str:
@@ -29,8 +32,9 @@ def scenes() -> str:
     head = f"""\
 # Scenes: every key
 
-A scene file (TOML) describes the fingertips, the objects and the effects. [Write a scene](../operate/scenes.md) shows how to
-make one; the command `softfinger schema scene` prints the same tables as JSON Schema for an editor. {_KEYS}"""
+A scene file (TOML) describes the fingertips, the objects and the effects. [Write a scene](../operate/scenes.md)
+shows how to make one; the command `softfinger schema scene` prints the same tables as JSON Schema for an
+editor. {_KEYS}"""
     return _page(head, "## Shipped scenes", _listed("scenes"), "## Keys", schema.markdown("scene"))
 
 
@@ -40,8 +44,8 @@ def rigs() -> str:
 # Rigs: every key
 
 A rig file (TOML) names the device and sets the servo loop, the safety limits and the interfaces. [Write a
-rig](../operate/scenes.md#write-a-rig) shows how to make one; the command `softfinger schema rig` prints the same tables as
-JSON Schema. {_KEYS}"""
+rig](../operate/scenes.md#write-a-rig) shows how to make one; the command `softfinger schema rig` prints the
+same tables as JSON Schema. {_KEYS}"""
     return _page(head, "## Shipped rigs", _listed("rigs"), "## Keys", schema.markdown("rig"))
 
 
@@ -50,10 +54,10 @@ def record() -> str:
     head = """\
 # The record of a tick
 
-Every tick of the servo loop writes one record. Results files, recordings and `Engine.run` have its fields as columns, in this
-order; a field of several components has the columns `name[0]`, `name[1]`, ... [Telemetry](telemetry.md) publishes the same fields.
-`contacts0` to `contacts2` are the contacts of the fingertip, the one with the largest load first; the object of an unused one
-is -1."""
+Every tick of the servo loop writes one record. Results files, recordings and `Engine.run` have its fields as
+columns, in this order; a field of several components has the columns `name[0]`, `name[1]`, ...
+[Telemetry](telemetry.md) publishes the same fields. `contacts0` to `contacts2` are the contacts of the
+fingertip, the one with the largest load first; the object of an unused one is -1."""
     numbered = [
         ("`contact.mode`", enumerate(MODE_NAMES)),
         ("`contact.cause`", enumerate(CAUSE_NAMES)),
@@ -68,9 +72,10 @@ def telemetry() -> str:
     head = f"""\
 # Telemetry: every key
 
-Each message has two frames, a topic and a msgpack map. `schema` is {protocol.SCHEMA}. A dot in a key stands for a map within a map,
-`[]` for a list of maps. [The protocol](../protocol.md) explains sockets, topics, losses and when each event is sent. A scene with
-several fingers has the topic `finger/NAME` for each, with the keys of `contact`."""
+Each message has two frames, a topic and a msgpack map. `schema` is {protocol.SCHEMA}. A dot in a key stands for
+a map within a map, `[]` for a list of maps. [The protocol](../protocol.md) explains sockets, topics, losses and
+when each event is sent. A scene with several fingers has the topic `finger/NAME` for each, with the keys of
+`contact`."""
     tables = {
         "## `contact`": protocol.CONTACT_KEYS,
         "## `state`": protocol.STATE_KEYS,
@@ -88,8 +93,9 @@ def commands_page() -> str:
     head = """\
 # Commands: every method
 
-Requests to a running daemon. [Commands to a running daemon](../operate/commands.md) shows their use from the shell and from
-Python, [the protocol](../protocol.md#commands) the messages. A parameter in brackets may be left out; units are SI."""
+Requests to a running daemon. [Commands to a running daemon](../operate/commands.md) shows their use from the
+shell and from Python, [the protocol](../protocol.md#commands) the messages. A parameter in brackets may be left
+out; units are SI."""
     parts = []
     for name, (params, result, meaning) in commands.table().items():
         method = commands.METHODS[name]
@@ -134,6 +140,7 @@ def _listed(verb: str) -> str:
 
 def _page(head: str, *parts: str) -> str:
     title, _, text = head.partition("\n\n")
+    text = textwrap.fill(" ".join(text.split()), WIDTH, break_long_words=False, break_on_hyphens=False)
     return "\n\n".join([title, MADE, text, *parts]) + "\n"
 
 
