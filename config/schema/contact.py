@@ -30,7 +30,10 @@ class Form(Table, frozen=True, kw_only=True):
     """A rigid body centred on the probe: a sphere or an ellipsoid."""
 
     radius_m: (
-        Annotated[float, within(limits.LENGTH_M, "radius of a spherical fingertip; required unless radii_m is given", 0.01)] | None
+        Annotated[
+            float, within(limits.LENGTH_M, "radius of a spherical fingertip; required unless radii_m is given", 0.01)
+        ]
+        | None
     ) = None
     radii_m: (
         Annotated[
@@ -96,7 +99,9 @@ class Fingertip(Form, frozen=True, kw_only=True):
 class Rolling(Table, frozen=True, kw_only=True):
     """Rolling contact; without this table a rotation of the fingertip moves no contact."""
 
-    method: Annotated[RollingMethod, said("integration method: turns the rotation between two ticks into a roll", "euler_zxz")]
+    method: Annotated[
+        RollingMethod, said("integration method: turns the rotation between two ticks into a roll", "euler_zxz")
+    ]
     torque_stiffness_n_per_m: (
         Annotated[
             float,
@@ -122,7 +127,10 @@ class Rolling(Table, frozen=True, kw_only=True):
     ) = None
     state_machine: Annotated[
         StateMachine,
-        said("rule that switches between rolling and sliding; paper: the published rule verbatim, for study only", "default"),
+        said(
+            "rule that switches between rolling and sliding; paper: the published rule verbatim, for study only",
+            "default",
+        ),
     ] = "default"
 
     def faults(self) -> Iterator[Complaint]:
@@ -143,7 +151,12 @@ class Probe(Table, frozen=True, kw_only=True):
     """Filtering of the measured pose."""
 
     velocity_time_constant_s: Annotated[
-        float, within(limits.TIME_CONSTANT_S, "time constant of the low-pass filter on the probe velocity; 0: plain difference quotient", 0.002)
+        float,
+        within(
+            limits.TIME_CONSTANT_S,
+            "time constant of the low-pass filter on the probe velocity; 0: plain difference quotient",
+            0.002,
+        ),
     ] = 0.002
     position_resolution_m: Annotated[
         float, within(limits.RESOLUTION_M, "position resolution of the device; smaller motions count as noise", 1e-5)
@@ -154,9 +167,10 @@ class Finger(Form, frozen=True, kw_only=True):
     """One of several fingertips, each with its own device; replaces [fingertip]."""
 
     name: TopicPart
-    device: Annotated[TopicPart, said("rig section [devices.NAME] that moves this finger; default: the finger's name")] | None = (
-        None
-    )
+    device: (
+        Annotated[TopicPart, said("rig section [devices.NAME] that moves this finger; default: the finger's name")]
+        | None
+    ) = None
     patch: Patch | None = None
     coupling: Coupling | None = None
     probe: Probe | None = None
@@ -166,12 +180,15 @@ class Passivity(Table, frozen=True, kw_only=True):
     """Passivity observer and controller; without this table energy is not monitored."""
 
     mode: Annotated[
-        PassivityMode, said("observe: report the energy in telemetry; control: also dissipate generated energy", "control")
+        PassivityMode,
+        said("observe: report the energy in telemetry; control: also dissipate generated energy", "control"),
     ]
     damping_max_ns_per_m: (
         Annotated[
             float,
-            within(limits.DAMPING_NS_PER_M, "control only: largest damping that the controller adds; default: 20", 20.0),
+            within(
+                limits.DAMPING_NS_PER_M, "control only: largest damping that the controller adds; default: 20", 20.0
+            ),
         ]
         | None
     ) = None

@@ -47,7 +47,8 @@ class Region(Table, frozen=True, kw_only=True):
     size_m: Edges | None = None
     radius_m: BallRadius | None = None
     edge_m: Annotated[
-        float, within(limits.EDGE_M, "width of the border over which the effect rises linearly from zero; 0: a step", 0.005)
+        float,
+        within(limits.EDGE_M, "width of the border over which the effect rises linearly from zero; 0: a step", 0.005),
     ] = 0.0
 
     def faults(self) -> Iterator[Complaint]:
@@ -80,13 +81,9 @@ class Spring(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="sprin
     """Spring to a fixed point."""
 
     kind: ClassVar[str] = "spring"
-    position_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("anchor in the world", [0.0, 0.0, 0.05])
-    ]
+    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("anchor in the world", [0.0, 0.0, 0.05])]
     stiffness_n_per_m: EffectStiffness
-    rest_length_m: Annotated[
-        float, within(limits.EDGE_M, "rest length; a shorter spring pushes", 0.0)
-    ] = 0.0
+    rest_length_m: Annotated[float, within(limits.EDGE_M, "rest length; a shorter spring pushes", 0.0)] = 0.0
     force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "largest force", 3.0)]
     region: Region | None = None
 

@@ -66,7 +66,15 @@ class Friction(Table, frozen=True, kw_only=True):
         | None
     ) = None
     viscous_s_per_m: (
-        Annotated[float, within(limits.VISCOUS_S_PER_M, "viscous term (c): the coefficient rises by c times the slip speed; default: none", 0.5)] | None
+        Annotated[
+            float,
+            within(
+                limits.VISCOUS_S_PER_M,
+                "viscous term (c): the coefficient rises by c times the slip speed; default: none",
+                0.5,
+            ),
+        ]
+        | None
     ) = None
     direction_x: (
         Annotated[
@@ -80,10 +88,12 @@ class Friction(Table, frozen=True, kw_only=True):
         | None
     ) = None
     static_scale: (
-        Annotated[tuple[Scale, Scale], said("factors on static friction along direction_x and across it", [1.0, 0.5])] | None
+        Annotated[tuple[Scale, Scale], said("factors on static friction along direction_x and across it", [1.0, 0.5])]
+        | None
     ) = None
     kinetic_scale: (
-        Annotated[tuple[Scale, Scale], said("factors on kinetic friction along direction_x and across it", [1.0, 0.5])] | None
+        Annotated[tuple[Scale, Scale], said("factors on kinetic friction along direction_x and across it", [1.0, 0.5])]
+        | None
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
@@ -160,7 +170,8 @@ class Torsion(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.FRICTION_LENGTH_M,
-                "soft_finger_proxy only: kinetic torsional limit over normal force; at most friction_length_m, the default",
+                "soft_finger_proxy only: kinetic torsional limit over normal force; at most friction_length_m, the "
+                "default",
                 0.003,
             ),
         ]
@@ -195,7 +206,8 @@ class Material(Table, frozen=True, kw_only=True):
 
     name: (
         Annotated[
-            str, sized(limits.NAME_LENGTH, "material of the library; keys given beside it override its values", "rubber")
+            str,
+            sized(limits.NAME_LENGTH, "material of the library; keys given beside it override its values", "rubber"),
         ]
         | None
     ) = None

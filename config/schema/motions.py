@@ -19,7 +19,8 @@ class Sinusoid(Table, frozen=True, kw_only=True, tag_field="kind", tag="sinusoid
 
     kind: ClassVar[str] = "sinusoid"
     translation_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("amplitude of the translation, in the object frame", [0.0, 0.0, 0.01])
+        tuple[Coordinate, Coordinate, Coordinate],
+        said("amplitude of the translation, in the object frame", [0.0, 0.0, 0.01]),
     ] = (0.0, 0.0, 0.0)
     rotation_rad: Annotated[float, within(limits.ANGLE_RAD, "amplitude of the rotation about axis", 0.2)] = 0.0
     axis: Axis = (0.0, 0.0, 1.0)

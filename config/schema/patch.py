@@ -39,7 +39,8 @@ class Patch(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.PRESSURE_EXPONENT,
-                "exponent of the pressure distribution (k), p ~ (1 - (s / a)^k)^(1/k) at the distance s from the centre; "
+                "exponent of the pressure distribution (k), p ~ (1 - (s / a)^k)^(1/k) at the distance s from the "
+                "centre; "
                 "needs radius_m; default: 2, Hertz",
                 3.0,
             ),

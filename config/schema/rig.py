@@ -27,7 +27,8 @@ class Tool(Table, frozen=True, kw_only=True):
         tuple[Arm, Arm, Arm], said("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component], said("orientation, tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0])
+        tuple[Component, Component, Component, Component],
+        said("orientation, tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
@@ -51,7 +52,11 @@ class Servo(Table, frozen=True, kw_only=True):
 
     rate_hz: Annotated[float, within(limits.RATE_HZ, "ticks per second", 1000.0)] = 1000.0
     realtime: Annotated[
-        RealtimeMode, said("real-time settings; auto: use what the system grants; require: refuse to start without; off: request none", "auto")
+        RealtimeMode,
+        said(
+            "real-time settings; auto: use what the system grants; require: refuse to start without; off: request none",
+            "auto",
+        ),
     ] = "auto"
     priority: Annotated[int, within(limits.PRIORITY, "SCHED_FIFO priority of the servo thread", 80)] = 80
     cpu: Annotated[int, within(limits.CPU, "processor to run on; default: any", 1)] | None = None
@@ -60,11 +65,15 @@ class Servo(Table, frozen=True, kw_only=True):
 class Guard(Table, frozen=True, kw_only=True):
     """Limits on every force before it reaches the device."""
 
-    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest norm of the force; the direction is kept", 12.0)] = 12.0
-    torque_max_nm: Annotated[float, within(limits.TORQUE_MAX_NM, "largest norm of the torque; the direction is kept", 0.3)] = 0.3
-    force_slew_n_per_s: Annotated[float, within(limits.FORCE_SLEW_N_PER_S, "largest rate of change of the force", 2000.0)] = (
-        2000.0
-    )
+    force_max_n: Annotated[
+        float, within(limits.FORCE_MAX_N, "largest norm of the force; the direction is kept", 12.0)
+    ] = 12.0
+    torque_max_nm: Annotated[
+        float, within(limits.TORQUE_MAX_NM, "largest norm of the torque; the direction is kept", 0.3)
+    ] = 0.3
+    force_slew_n_per_s: Annotated[
+        float, within(limits.FORCE_SLEW_N_PER_S, "largest rate of change of the force", 2000.0)
+    ] = 2000.0
     torque_slew_nm_per_s: Annotated[
         float, within(limits.TORQUE_SLEW_NM_PER_S, "largest rate of change of the torque", 50.0)
     ] = 50.0
@@ -76,7 +85,12 @@ class Guard(Table, frozen=True, kw_only=True):
         float, within(limits.TURN_MAX_RAD_PER_S, "a faster rotation counts as a jump and gets no force", 100.0)
     ] = 100.0
     frozen_s: Annotated[
-        float, within(limits.FROZEN_S, "the force is removed after the pose repeats bit for bit for this long under force; 0: no check", 5.0)
+        float,
+        within(
+            limits.FROZEN_S,
+            "the force is removed after the pose repeats bit for bit for this long under force; 0: no check",
+            5.0,
+        ),
     ] = 5.0
 
 
@@ -188,7 +202,12 @@ class Commands(Table, frozen=True, kw_only=True):
     ) = None
     heartbeat_s: (
         Annotated[
-            float, within(limits.HEARTBEAT_S, "the force is removed after this long without a command; default: no heartbeat required", 0.5)
+            float,
+            within(
+                limits.HEARTBEAT_S,
+                "the force is removed after this long without a command; default: no heartbeat required",
+                0.5,
+            ),
         ]
         | None
     ) = None
@@ -211,7 +230,11 @@ class Recording(Table, frozen=True, kw_only=True):
 
     directory: Annotated[
         str,
-        sized(limits.FILE_NAME_LENGTH, "folder below which record_start writes, relative to the working directory of run", "."),
+        sized(
+            limits.FILE_NAME_LENGTH,
+            "folder below which record_start writes, relative to the working directory of run",
+            ".",
+        ),
     ] = "."
 
 

@@ -38,10 +38,9 @@ class Texture(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None
-    friction_scale: (
-        Annotated[tuple[Scale, Scale], said("factors on friction at values 0 and 1", [0.5, 1.5])]
-        | None
-    ) = None
+    friction_scale: Annotated[tuple[Scale, Scale], said("factors on friction at values 0 and 1", [0.5, 1.5])] | None = (
+        None
+    )
     speed_m_per_s: Annotated[
         float, within(limits.STROKE_M_PER_S, "fastest stroke to render at 1 kHz; finer detail is filtered out", 0.1)
     ] = 0.1

@@ -106,7 +106,8 @@ def _as_toml(key: str, value: dict[str, Any]) -> None:
 
 
 def markdown(kind: str) -> str:
-    """As Markdown tables, of which docs/reference is made; tables of the same keys stand once, under all their names."""
+    """As Markdown tables, of which docs/reference is made; tables of the same keys stand once, under all their
+    names."""
     if kind == "commands":
         rows = [[f"`{name}`", *words] for name, words in commands.table().items()]
         return grid(["method", "params", "result", "meaning"], rows)
@@ -114,9 +115,11 @@ def markdown(kind: str) -> str:
         names = [field.name for field in dataclasses.fields(FIELDS[0])]
         return grid(names, [[str(getattr(field, name)) for name in names] for field in FIELDS])
     names_of: dict[str, list[str]] = {}
-    for heading, meaning, rows in _sections(tables(_STRUCTS[kind])):
-        cells = [[f"`{row.key}`", row.unit, row.allowed, row.default, row.meaning] for row in rows]
-        body = "\n\n".join([meaning, *([grid(["key", "unit", "allowed", "default", "meaning"], cells)] if cells else [])])
+    for heading, meaning, keys in _sections(tables(_STRUCTS[kind])):
+        cells = [[f"`{row.key}`", row.unit, row.allowed, row.default, row.meaning] for row in keys]
+        body = "\n\n".join(
+            [meaning, *([grid(["key", "unit", "allowed", "default", "meaning"], cells)] if cells else [])]
+        )
         names_of.setdefault(body, []).append(heading)
     return "\n\n".join(f"### {', '.join(names)}\n\n{body}" for body, names in names_of.items())
 

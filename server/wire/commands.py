@@ -59,8 +59,8 @@ Quaternion = tuple[float, float, float, float]
 
 
 class State(Struct, frozen=True):
-    """The newest tick of the first finger. `timestamp` is in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and force
-    (N) are in the world frame; `field_state` has `mode`, `object` and `penetration`."""
+    """The newest tick of the first finger. `timestamp` is in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and
+    force (N) are in the world frame; `field_state` has `mode`, `object` and `penetration`."""
 
     timestamp: float
     sequence: int
@@ -78,7 +78,8 @@ class Alive(Struct, frozen=True):
 
 
 VALUES: Final = (
-    "New values by dotted key, as in the scene file: `object.0.material.friction.static`. An object or finger is named by "
+    "New values by dotted key, as in the scene file: `object.0.material.friction.static`. An object or finger is "
+    "named by "
     "its index or its name: `object.table.material.friction.static`, `finger.thumb.radius_m`."
 )
 Values = Annotated[dict[Name, Any], Meta(min_length=1, max_length=1024, description=VALUES)]
@@ -92,8 +93,8 @@ class Change(Struct, frozen=True, rename={"before": "from", "after": "to"}):
 
 
 class Changed(Struct, frozen=True):
-    """`changed` has `from` and `to` of each key that has a new value. Parameters that act on the force reach it `ramp_s`
-    after `tick`."""
+    """`changed` has `from` and `to` of each key that has a new value. Parameters that act on the force reach it
+    `ramp_s` after `tick`."""
 
     changed: dict[str, Change]
     tick: int
@@ -126,8 +127,8 @@ class Drive(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Hand(Struct, frozen=True, forbid_unknown_fields=True):
-    """Goal pose of the fingertip in the world; without `orientation_wxyz` the orientation stays. `finger` is a name or an
-    index. `release` returns the hand to the motion of its rig."""
+    """Goal pose of the fingertip in the world; without `orientation_wxyz` the orientation stays. `finger` is a name or
+    an index. `release` returns the hand to the motion of its rig."""
 
     position_m: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType = msgspec.UNSET
     orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
@@ -171,8 +172,8 @@ class Mark(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RecordStart(Struct, frozen=True, forbid_unknown_fields=True):
-    """A new file that ends in `.mcap`, in an existing folder below `[recording] directory` of the rig; no absolute path,
-    no `..`, no link."""
+    """A new file that ends in `.mcap`, in an existing folder below `[recording] directory` of the rig; no absolute
+    path, no `..`, no link."""
 
     file: Name
 
@@ -185,9 +186,9 @@ class RecordStarted(Struct, frozen=True):
 
 
 class RecordStopped(Struct, frozen=True):
-    """`ticks` are written; `dropped` ticks and `events_dropped` events were lost because the disk was too slow. `error` says
-    why the recording ended early. `whole` is false while the disk is still being waited for. `worst_write_s` is the
-    longest write."""
+    """`ticks` are written; `dropped` ticks and `events_dropped` events were lost because the disk was too slow. `error`
+    says why the recording ended early. `whole` is false while the disk is still being waited for. `worst_write_s` is
+    the longest write."""
 
     file: str
     ticks: int
@@ -206,9 +207,9 @@ class OfObject(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Triangles(Struct, frozen=True):
-    """`vertices` are x, y, z of each vertex in the object frame (m, float32), `triangles` three vertex indices each (uint32,
-    counter-clockwise seen from outside), both little-endian. At most 50000 triangles are sent; `of` is their number
-    in the file."""
+    """`vertices` are x, y, z of each vertex in the object frame (m, float32), `triangles` three vertex indices each
+    (uint32, counter-clockwise seen from outside), both little-endian. At most 50000 triangles are sent; `of` is their
+    number in the file."""
 
     vertices: bytes
     triangles: bytes
