@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.proxy.record import CAUSE_NAMES, MODE_NAMES
+from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
@@ -64,7 +64,9 @@ fingertip, the one with the largest load first; the object of an unused one is -
         ("bits of `servo.guard`", ((1 << bit, name) for bit, name in enumerate(GUARD_NAMES))),
     ]
     numbers = "\n".join(f"- {what}: {_numbers(values)}." for what, values in numbered)
-    return _page(head, schema.markdown("telemetry"), "## Numbers", numbers)
+    rows = [Key(each.name, _kind(each), each.unit, each.frame, each.meaning) for each in FIELDS]
+    once = [row for row in rows if not row.name.startswith(("contacts1", "contacts2"))]
+    return _page(head, keys_table(once), "## Numbers", numbers)
 
 
 def telemetry() -> str:
@@ -127,6 +129,10 @@ def _said(kind: Any) -> str:
     """What a type of the table of commands says about itself, on one line."""
     text = commands.VALUES if kind is commands.Values else kind.__doc__ if isinstance(kind, type) else ""
     return " ".join((text or "").split())
+
+
+def _kind(field: Field) -> str:
+    return f"{field.kind}[{field.size}]" if field.size > 1 else field.kind
 
 
 def _numbers(values: Iterable[tuple[int, str]]) -> str:
