@@ -56,8 +56,8 @@ def record() -> str:
 
 Every tick of the servo loop writes one record. Results files, recordings and `Engine.run` have its fields as
 columns, in this order; a field of several components has the columns `name[0]`, `name[1]`, ...
-[Telemetry](telemetry.md) publishes the same fields. `contacts0` to `contacts2` are the contacts of the
-fingertip, the one with the largest load first; the object of an unused one is -1."""
+[Telemetry](telemetry.md) publishes the same fields. `contacts0` is the contact with the largest
+load; `contacts1` and `contacts2` are further ones, with the same fields. The object of an unused one is -1."""
     numbered = [
         ("`contact.mode`", enumerate(MODE_NAMES)),
         ("`contact.cause`", enumerate(CAUSE_NAMES)),
