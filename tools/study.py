@@ -37,7 +37,6 @@ PROGRAM: Final = (sys.executable, "-m", "softfinger.server.cli")
 ACCURACY: Final = {
     "paper": report.paper_table,
     "speed": report.speed_table,
-    "targets": report.targets_table,
     "sweeps": report.sweep_table,
 }
 """Tables of `softfinger accuracy` that the pages show; the others are in figures/accuracy.txt."""
