@@ -1,7 +1,7 @@
 """The record: what one servo tick leaves behind, as a table.
 
 A record is one row of float64. The servo writes it, the ring carries it, telemetry names it,
-results files flatten it, and docs/protocol.md lists it; all of them read this table, so a field
+results files flatten it, and docs/reference/ lists it; all of them read this table, so a field
 is added here and nowhere else, at the end. Integers are exact in float64 up to 2**53.
 """
 

@@ -2,7 +2,7 @@
 
 A message is exactly two frames, `[topic, msgpack map]`. The keys of `contact`, and of the topic of each of several
 fingers, come from the record table in proxy/record.py; the keys of `event` and `health` are the tables below.
-docs/protocol.md describes the same keys for readers, and a test compares the two.
+docs/reference/telemetry.md is made of them, and docs/protocol.md explains them.
 """
 
 from __future__ import annotations
