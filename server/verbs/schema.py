@@ -106,8 +106,7 @@ def _as_toml(key: str, value: dict[str, Any]) -> None:
 
 
 def markdown(kind: str) -> str:
-    """As Markdown tables, of which docs/reference is made; tables of the same keys stand once, under all their
-    names."""
+    """Tables of the keys as Markdown, for docs/reference; tables with the same keys are listed once."""
     if kind == "commands":
         rows = [[f"`{name}`", *words] for name, words in commands.table().items()]
         return grid(["method", "params", "result", "meaning"], rows)

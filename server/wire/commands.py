@@ -1,7 +1,7 @@
 """Commands on the wire: the envelope, and a table of every method with what it takes and gives.
 
 A request is `[empty, msgpack map]` with `command_id`, `method` and `params`, the answer `[empty, msgpack map]` with
-`command_id`, `success`, `result` and `error`: hapticore's envelope. Parsing, `softfinger schema`, docs/reference/commands.md,
+`command_id`, `success`, `result` and `error`: hapticore's envelope. Parsing, `softfinger schema`, the reference page,
 the clients and the help of `softfinger ctl` all go by the table METHODS. The text of an error begins with its name.
 """
 
