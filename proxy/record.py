@@ -43,6 +43,10 @@ CAUSE_REVERSE: Final = 5
 CAUSE_RELEASE: Final = 6
 CAUSE_RESTART: Final = 7
 
+UNSEARCHED: Final = 1
+ON_ITS_WAY: Final = 2
+"""Of `contact.budget`, and 0 for neither."""
+
 
 class Offsets(NamedTuple):
     """The table: each field with its number of components, kind, unit, frame and meaning.
@@ -112,7 +116,10 @@ class Offsets(NamedTuple):
         "int",
         "1",
         "",
-        "1 if a mesh or height map was not searched to the end: the proxy stayed, or a first touch or a gap is unknown",
+        (
+            "1 if a mesh or height map was not searched to the end: the proxy stayed, or a first touch or a gap is "
+            "unknown; 2 if the proxy has yet to come to rest on it: the force is not the sum of `contacts` then"
+        ),
     ]
 
 
