@@ -55,10 +55,11 @@ def camera_of(scene: schema.Scene) -> Camera:
 
 class Page:
     """A page on `host`:`port`, or the next port that is free, for whoever has its `address`; `allowed` are more names
-    of its host. What feeds it calls `change`, `show` and `say`."""
+    of its host, `token` is its secret where that is to be that of a page before. What feeds it calls `change`, `show`
+    and `say`."""
 
-    def __init__(self, host: str, port: int, allowed: tuple[str, ...] = ()) -> None:
-        access = Access(host, allowed, TITLE)
+    def __init__(self, host: str, port: int, allowed: tuple[str, ...] = (), token: str | None = None) -> None:
+        access = Access(host, allowed, TITLE, token)
         logging.getLogger("websockets").setLevel(logging.WARNING)  # it tells of every page that is opened
         with access.guarding(), contextlib.redirect_stdout(io.StringIO()):  # it draws a box with its address
             self.server: Final = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)

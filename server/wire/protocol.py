@@ -171,6 +171,7 @@ SCHEMA_KEYS: Final = (
     _SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "when the server was started, since the epoch"),
     Key("topics", "str[]", "", "", "every topic there is"),
+    Key("commands", "str", "", "", "endpoint where commands are taken, empty where none are"),
     Key("messages", "map", "", "", "of each kind of message its keys: name, type, unit, frame and meaning"),
 )
 
