@@ -29,13 +29,16 @@ ASIDE: Final = np.array([4.5, -8.5, 4.9])
 FRONT: Final = np.array([0.0, -10.5, 4.4])
 """From what is looked at to the camera, nearer than which it does not go. Of fingers on both sides of an object neither
 is hidden by it from the front."""
+UP: Final = np.array([0.0, 0.0, 1.0])
+SIDES: Final = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)])
+"""Of four views the first from which most planes are seen from in front."""
 BESIDE_M: Final = np.array([0.02, 0.02, 0.019])
 """How far around a place of an endless surface one sees at least."""
 ABOVE_M: Final = 0.006
 """The middle of what is seen lies so far above an endless surface, where the fingertip is."""
 HILLS_M: Final = 0.03
 """How far around the middle of a height map one sees."""
-FAR_M: Final = 0.08
+FAR_M: Final = 0.05
 """Farther from its middle an object is not looked at: a touch would be too small."""
 
 
@@ -46,6 +49,8 @@ def camera_of(scene: schema.Scene, drawn: dict[int, Array] | None = None) -> Cam
     low, high = ends.min(axis=0), ends.max(axis=0)
     middle, radius = CM * 0.5 * (low + high), CM * 0.5 * float(np.linalg.norm(high - low))
     way = ASIDE if len(scene.fingers) == 1 else FRONT
+    walls = [rotated(thing.orientation_wxyz, UP) for thing in scene.object if isinstance(thing, schema.Plane)]
+    way = max((way * sides for sides in SIDES), key=lambda each: sum(float(wall @ each) > 0.0 for wall in walls))
     way = way * max(1.0, radius / sin(0.5 * FOV) / float(np.linalg.norm(way)))
     x, y, z = (middle + way).tolist()
     return Camera((x, y, z), tuple(middle.tolist()), FOV)
@@ -57,7 +62,7 @@ def _ends(thing: Any, reach: float, drawn: Array | None) -> Array:
     mesh = mesh_of(thing)
     points = drawn if drawn is not None and len(drawn) else None if mesh is None else mesh.vertices
     if isinstance(thing, schema.Plane) or points is None:
-        middle = position + np.array([0.0, 0.0, ABOVE_M])
+        middle = position + ABOVE_M * UP
         return np.array([middle - BESIDE_M, middle + BESIDE_M])
     if isinstance(thing, schema.Heightmap):
         points = points[(np.abs(points[:, :2]) <= HILLS_M).all(axis=1)]

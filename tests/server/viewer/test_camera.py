@@ -11,6 +11,7 @@ import pytest
 from softfinger.config.load import load_scene, shipped
 from softfinger.config.schema import Scene
 from softfinger.server.viewer.camera import Camera, camera_of
+from softfinger.server.viewer.nodes.glyphs import rotated
 from softfinger.server.viewer.nodes.looks import CM, MAP
 from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.nodes.relief import LIGHT, tints
@@ -45,6 +46,15 @@ def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> Non
             assert max(map(abs, seen(camera, middle + end * way))) < 1.0
     height = seen(camera, middle + RADIUS * up)[1] - seen(camera, middle - RADIUS * up)[1]
     assert height > 0.1  # of 2
+
+
+def test_walls_are_looked_at_from_in_front() -> None:
+    """The camera of the corner is on the side of each plane where the fingertip is."""
+    scene = load_scene("corner")
+    position = np.array(camera_of(scene).position)
+    for wall in scene.object:
+        normal = rotated(wall.orientation_wxyz, np.array([0.0, 0.0, 1.0]))
+        assert normal @ (position - CM * np.array(wall.position_m)) > 0.0
 
 
 def test_of_two_fingers_neither_is_hidden() -> None:

@@ -16,12 +16,14 @@ from helpers.pressed import pressed_scene
 
 from softfinger.config.errors import RecordingError
 from softfinger.config.load import load_rig, load_scene
-from softfinger.proxy.record import AT
+from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon as Servant
 from softfinger.server.cli import main
 from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.viewer.driven import Handles
+from softfinger.server.viewer.hand import Hand, Led
+from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.page import Page
@@ -221,3 +223,21 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
             assert page.fingers[""] is nodes and handles._nodes[0].position.tolist() == [0.0, 0.0, 2.0]
         finally:
             live.close()
+
+
+def test_sliders_follow_a_finger_that_something_else_leads(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until the page leads it: then they show where it is asked to be, though the contact holds it elsewhere."""
+    monkeypatch.setattr("softfinger.server.viewer.hand.FOLLOWS_S", -1.0)
+    asked = []
+    hand = Hand(page.server.gui, page.server.scene, lambda finger, target: asked.append(target))
+    hand.change([Led("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
+    row = np.zeros(RECORD_SIZE)
+    row[AT.probe_orientation] = 1.0
+    for height in (0.02, 0.012):
+        row[AT.probe_position + 2] = height
+        hand.see("", row)
+        assert hand._sliders[2].value == pytest.approx(1e3 * height)
+    hand.nudge(Nudge(z=-0.004))
+    hand.see("", row)
+    assert hand._sliders[2].value == pytest.approx(8.0)
+    assert [target.position[2] for target in asked] == pytest.approx([0.008])
