@@ -13,9 +13,9 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Scene
 from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.recording.verbs.live import Live, Taker, Taking, begin, go_on, subscribed
 from softfinger.server.recording.writer import scene_of
-from softfinger.server.wire.addresses import addresses_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)

@@ -15,8 +15,8 @@ from softfinger.config.load import read_toml
 from softfinger.config.words import near, shown
 from softfinger.server import keys
 from softfinger.server.arguments import duration
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.progress import progress
-from softfinger.server.wire.addresses import addresses_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.commands import METHODS, table
 from softfinger.server.wire.control import Control

@@ -21,7 +21,7 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
-from softfinger.server.wire.addresses import addresses_of
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, silence, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, finger_of
 

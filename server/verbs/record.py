@@ -24,10 +24,10 @@ from softfinger.config.files import open_output
 from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, POSE_COLUMNS, rate_of
 from softfinger.server import keys, signals
 from softfinger.server.arguments import by_finger
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.offline.results import McapResults
 from softfinger.server.progress import counter
 from softfinger.server.recording.verbs.live import Live, record_live
-from softfinger.server.wire.addresses import addresses_of
 from softfinger.server.wire.client import (
     DEFAULT_ENDPOINT,
     NoTelemetry,

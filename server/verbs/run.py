@@ -19,7 +19,7 @@ from softfinger.server.arguments import duration
 from softfinger.server.loop import wayout
 from softfinger.server.loop.realtime import Setting
 from softfinger.server.progress import counter, making
-from softfinger.server.verbs.shown import Shown, check_viewer, shown_by
+from softfinger.server.viewer.door.process import Shown, check_viewer, shown_by
 from softfinger.server.watcher import Watcher
 
 log: Final = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ from typing import Final
 from softfinger.config.errors import ConfigError
 from softfinger.server import keys, signals
 from softfinger.server.arguments import duration
-from softfinger.server.wire.addresses import addresses_of
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
@@ -66,8 +66,8 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("the page needs viser: pip install 'softfinger[viewer]'") from None
     if not 0 <= args.port < 65536:
         raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
+    from softfinger.server.viewer.door.opening import in_browser
     from softfinger.server.viewer.live import LivePage
-    from softfinger.server.viewer.opening import in_browser
     from softfinger.server.viewer.playback import RecordedPage, load
 
     recording = None if args.recording is None else load(args.recording, args.scene)

@@ -14,6 +14,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
+from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.driven import Handles, drive_of, resting
 from softfinger.server.viewer.hand import Hand, Led, Target
@@ -23,7 +24,6 @@ from softfinger.server.viewer.nodes.bodies import Place
 from softfinger.server.viewer.page import Page, began_of, scene_of
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
-from softfinger.server.wire.addresses import Addresses
 from softfinger.server.wire.commands import Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"

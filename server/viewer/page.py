@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.access import Access
-from softfinger.server.viewer.camera import Camera, camera_of
 from softfinger.server.viewer.controls import on_slider
+from softfinger.server.viewer.door.access import Access
 from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server.viewer.nodes.camera import Camera, camera_of
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.looks import Looks
 from softfinger.server.viewer.nodes.meshes import Mesh

@@ -19,9 +19,9 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import commands_beside
 from softfinger.server.app import Daemon
 from softfinger.server.cli import main
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.recording.reader import Note, contents
 from softfinger.server.remote import Client
-from softfinger.server.wire.addresses import addresses_of
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.endpoint import listen
 

@@ -14,12 +14,12 @@ from typing import Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.gateway.allowed import Allowed
 from softfinger.server.gateway.forward import Forward, Source, Way
 from softfinger.server.gateway.front import Lock
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.progress import counter
-from softfinger.server.wire.addresses import addresses_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.endpoint import Bound, listen
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, RecordingError
 from softfinger.config.files import open_recording
+from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
 from softfinger.server.recording.recorder import Recorded, Recorder
-from softfinger.server.wire.addresses import Addresses
 from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, record_of, silence, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, finger_of

@@ -21,10 +21,10 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.viewer.access import Access
+from softfinger.server.gateway.addresses import Addresses
+from softfinger.server.viewer.door.access import Access
 from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.page import Page
-from softfinger.server.wire.addresses import Addresses
 
 pytestmark = pytest.mark.real_time
 

@@ -10,7 +10,7 @@ import pytest
 
 from softfinger.config.load import load_scene, shipped
 from softfinger.config.schema import Scene
-from softfinger.server.viewer.camera import Camera, camera_of
+from softfinger.server.viewer.nodes.camera import Camera, camera_of
 from softfinger.server.viewer.nodes.glyphs import rotated
 from softfinger.server.viewer.nodes.looks import CM, MAP
 from softfinger.server.viewer.nodes.meshes import Mesh

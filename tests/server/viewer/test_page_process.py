@@ -17,7 +17,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from softfinger.server.verbs.shown import RESTARTS
+from softfinger.server.viewer.door.process import RESTARTS
 
 pytestmark = pytest.mark.real_time
 

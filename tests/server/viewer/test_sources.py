@@ -19,6 +19,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon as Servant
 from softfinger.server.cli import main
+from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.viewer.driven import Handles
@@ -28,7 +29,6 @@ from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import BEFORE, Player, load
-from softfinger.server.wire.addresses import Addresses
 
 pytestmark = pytest.mark.real_time
 
