@@ -6,6 +6,7 @@ import argparse
 import logging
 import os
 import sys
+import threading
 from contextlib import nullcontext
 from typing import Final
 
@@ -49,9 +50,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--print-address", action="store_true", help="the address alone on standard output, for programs"
     )
-    parser.add_argument(  # a pipe: what a program is started with is for all to read
-        "--token-from-stdin", action="store_true", help=argparse.SUPPRESS
-    )
+    # For `run --view`. Standard input begins with the token, or an empty line for a new one; the page ends with it.
+    parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
     parser.add_argument("--duration", type=duration, metavar="S", help="leave after S seconds (default: stay)")
 
@@ -74,8 +74,11 @@ def run(args: argparse.Namespace) -> int:
     if args.host == HOST:  # beside a servo, most likely, and one that may have no priority
         os.nice(NICE)
     lock = keys.of_options(args)
-    token = sys.stdin.readline().strip() if args.token_from_stdin else None
-    page, asked = Page(args.host, args.port, tuple(args.allow_host), token), list[bool]()
+    asked = list[bool]()
+    token = sys.stdin.readline().strip() or None if args.until_eof else None
+    if args.until_eof:
+        threading.Thread(target=_until_eof, args=(asked,), daemon=True).start()
+    page = Page(args.host, args.port, tuple(args.allow_host), token)
     try:
         if recording is None:
             fed: LivePage | RecordedPage = LivePage(page, addresses_of(args.endpoint, lock, args.commands), lock)
@@ -97,6 +100,12 @@ def run(args: argparse.Namespace) -> int:
     finally:
         page.close()
     return signals.code_of_stop()
+
+
+def _until_eof(asked: list[bool]) -> None:
+    while os.read(sys.stdin.fileno(), 64):
+        pass
+    asked.append(True)
 
 
 def _can_open() -> bool:

@@ -59,7 +59,7 @@ class Shown:
             raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
         self._words = ["view", "--endpoint", telemetry, "--commands", commands]
         self._loudness, self._restarts, self._over = loudness, 0, False
-        self._process = self._started()
+        self._process = self._started("")
         try:
             self._address = self._said()
             if self._address:
@@ -71,9 +71,16 @@ class Shown:
             self.close()
             raise
 
-    def _started(self, *more: str, stdin: int | None = None) -> subprocess.Popen[str]:
+    def _started(self, token: str, *more: str) -> subprocess.Popen[str]:
+        """It ends with its standard input, so with this process; that begins with the token, of which none sees."""
         command = [sys.executable, "-m", "softfinger.server.cli", *self._words, *self._loudness, "--print-address"]
-        return subprocess.Popen([*command, *more], stdin=stdin, stdout=subprocess.PIPE, text=True)
+        words = [*command, "--until-eof", *more]
+        process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdin is not None
+        with suppress(BrokenPipeError):
+            process.stdin.write(f"{token}\n")
+            process.stdin.flush()
+        return process
 
     def _said(self) -> str:
         """The address that it says; empty where it ends before that."""
@@ -100,11 +107,7 @@ class Shown:
     def _restart(self) -> None:
         """At its old port, with its old token, and without another window of a browser."""
         where = urlsplit(self._address)
-        more = ("--port", str(where.port), "--no-open", "--token-from-stdin")
-        self._process = self._started(*more, stdin=subprocess.PIPE)
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError), self._process.stdin as to:
-            to.write(where.path.strip("/") + "\n")
+        self._process = self._started(where.path.strip("/"), "--port", str(where.port), "--no-open")
         threading.Thread(target=self._listen_again, name="page", daemon=True).start()
 
     def _listen_again(self) -> None:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import stat
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.error import URLError
 from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 import pytest
+from helpers.browser import browser, eventually, shown, why_none
 
 from softfinger.server.viewer.door.process import RESTARTS
 
@@ -85,6 +88,16 @@ def test_a_page_that_is_ended_stays_away() -> None:
         assert "to see it again: " in ended
 
 
+def test_a_page_ends_with_its_daemon() -> None:
+    """One that is killed takes no leave of it."""
+    with run_with_page() as (process, _):
+        page = Path(f"/proc/{child_of(process)}")
+        process.kill()
+        with suppress(OSError):  # it is gone
+            while "State:\tZ" not in (page / "status").read_text():  # a zombie, where nobody reaps
+                time.sleep(0.01)
+
+
 BROWSER = """#!/bin/sh
 printf '%s\\n' "$@" > {seen}/words.new
 cp -p "${{1#file://}}" {seen}/leads.html
@@ -123,3 +136,21 @@ def test_run_without_a_page_names_the_option() -> None:
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *ends, "--duration", "0.01"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
     assert "run it with --view" in done.stderr
+
+
+@pytest.mark.exhaustive
+@pytest.mark.skipif(bool(why_none()), reason=why_none())
+def test_an_open_browser_goes_on_when_its_page_was_killed() -> None:
+    """Without being opened again: it shows ticks of after the page's death, which the new one alone can know."""
+    with run_with_page() as (process, address), browser() as page:
+        threading.Thread(target=process.communicate, daemon=True).start()  # reads what it says, lest it wait
+        screen = shown(page, address)
+
+        def tick() -> int:
+            found = re.search(r"tick (\d+)", screen.page.inner_text("body"))
+            return int(found[1]) if found else -1
+
+        assert eventually(lambda: tick() > 0)
+        os.kill(child_of(process), signal.SIGKILL)
+        before = tick()
+        assert eventually(lambda: tick() > before + 2000)  # ticks that come as fast as in time: two seconds
