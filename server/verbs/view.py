@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
             if args.host != HOST:
                 log.warning("whoever has this address may command the daemon, and it crosses the network in plain text")
             shown = nullcontext() if args.no_open or not _can_open() else in_browser(page.address)
-            with shown, signals.asked(lambda: asked.append(True)):
+            with signals.asked(lambda: asked.append(True)), shown:
                 each_frame(fed.step, asked, args.duration)
         finally:
             fed.close()

@@ -120,6 +120,9 @@ class Shown:
     def close(self) -> None:
         """End it; by force where it does not."""
         self._process.terminate()
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
         try:
             self._process.wait(END_S)
         except subprocess.TimeoutExpired:
