@@ -76,19 +76,21 @@ class Daemon:
         opened: list[Callable[[], None]] = [gateway.stop]
         bound = None
         try:
+            taken, beside = gateway.commands, rig.commands.endpoint is None and "commands" not in gateway.public
+            if taken is not None and not beside:
+                bound = listen(taken, KEY)
+                opened.append(bound.files.close)
+            said = "" if taken is None else None if bound is None else gateway.public.get("commands", bound.endpoint)
             self.publisher: Final = Publisher(
-                gateway.telemetry, rig.telemetry.every, guard_names=GUARD_NAMES, fingers=fingers
+                gateway.telemetry, rig.telemetry.every, guard_names=GUARD_NAMES, fingers=fingers, commands=said
             )
             opened.append(self.publisher.close)
             metrics = None
             if rig.metrics.endpoint is not None:
                 metrics = self._metrics(rig.metrics.endpoint)
                 opened.append(metrics.stop)
-            if gateway.commands is not None:
-                beside = rig.commands.endpoint is None and "commands" not in gateway.public
-                # The port that the telemetry got, where the rig leaves it open.
-                place = commands_beside(self.publisher.endpoint) if beside else gateway.commands
-                bound = listen(place, KEY, own=beside)
+            if taken is not None and beside:  # the port that the telemetry got, where the rig leaves it open
+                bound = listen(commands_beside(self.publisher.endpoint), KEY, own=True)
                 opened.append(bound.files.close)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare)
         except BaseException as error:

@@ -148,14 +148,6 @@ def commands_beside(telemetry: str) -> str:
     return f"{host}:{int(port) + (1 if int(port) < _PORT_MAX else -1)}"
 
 
-def commands_of(endpoint: str) -> str:
-    """Where to command the daemon of an address, which may be that of its telemetry: the socket beside it, if there is
-    one; otherwise the address itself."""
-    beside = commands_beside(endpoint)
-    path = Path(beside.removeprefix("ipc://"))
-    return beside if beside.startswith("ipc:") and path.is_socket() else endpoint
-
-
 def telemetry_of(endpoint: str) -> str:
     """Where the daemon of an address publishes, which may be that of a socket of commands beside the telemetry;
     otherwise the address itself."""

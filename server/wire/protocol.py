@@ -177,6 +177,7 @@ SCHEMA_KEYS: Final = (
     _SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "when the server was started, since the epoch"),
     Key("topics", "str[]", "", "", "all topics"),
+    Key("commands", "str", "", "", "endpoint where commands are taken, empty where none are"),
     Key("messages", "map", "", "", "keys of each kind of message: name, type, unit, frame, meaning"),
 )
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.schema import commands_beside
 from softfinger.proxy.record import RECORD_SIZE, columns
 from softfinger.server.closing import Closing
 from softfinger.server.wire.endpoint import listen
@@ -51,6 +52,7 @@ LINGER_S: Final = 0.2
 
 class Publisher(Closing):
     """ZeroMQ publisher bound to `endpoint`; sends one tick in `every`, of several `fingers` each under its name.
+    It says where `commands` are taken: nowhere if empty, beside the endpoint if None.
 
     Ticks come from a servo (`attach`), and a thread without Python sends them; what follows from them is told by
     whoever feeds `observe` with the records of `tap`. `observe` and `publish` belong to one thread; `event` may be
@@ -65,6 +67,7 @@ class Publisher(Closing):
         *,
         guard_names: Sequence[str] = (),
         fingers: Sequence[str] = ("",),
+        commands: str | None = None,
         backlog: int = BACKLOG,
     ) -> None:
         if every < 1:
@@ -79,8 +82,13 @@ class Publisher(Closing):
         self._sender = Sender(fingers, every, len(self._topics), retained, backlog)
         self.tap: Final = self._sender.tap
         """The records that were sent, for one thread of this process."""
-        schema = wire_schema()
-        content = {"schema": SCHEMA, "timestamp": time.time(), "topics": self._topics, "messages": schema["messages"]}
+        content = {
+            "schema": SCHEMA,
+            "timestamp": time.time(),
+            "topics": self._topics,
+            "commands": commands_beside(self.endpoint) if commands is None else commands,
+            "messages": wire_schema()["messages"],
+        }
         greeting = message(SCHEMA_TOPIC.encode(), encode(content))
         topics = [topic.encode() for topic in self._topics]
         self.fanout = Fanout(listener, topics, {SCHEMA_TOPIC.encode(): greeting}, self._sender.backlog)
