@@ -156,7 +156,7 @@ def lz4_zeros(known: bool) -> bytes:
 
 
 def npz_of_zeros(path: Path) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name in ("timestamp", "probe.position", "probe.orientation", "records"):
             with archive.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array_header_1_0(
