@@ -28,8 +28,6 @@ STATE: Final = "state"
 SCHEMA_TOPIC: Final = "schema"
 TOPICS: Final = (CONTACT, EVENT, HEALTH, STATE, SCHEMA_TOPIC)
 """Of a server with a single finger."""
-RETAINED: Final = (CONTACT, HEALTH, STATE)
-"""Topics whose newest message a new subscriber is sent at once; those of several fingers too."""
 FINGERS: Final = poses.FINGERS
 """Of several fingers each has a topic of its own in place of `contact`: this and its name."""
 
@@ -155,9 +153,10 @@ HEALTH_KEYS: Final = (
         "int",
         "1",
         "",
-        "messages that subscribers were too slow to take, all together, since the server started",
+        "messages that subscribers were too slow to take, at least, since the server started",
     ),
     Key("refused", "int", "1", "", "connections refused or cut off for what they did, since the server started"),
+    Key("restarts", "int", "1", "", "times the publisher ended and was started again, since the server started"),
 )
 
 STATE_KEYS: Final = (

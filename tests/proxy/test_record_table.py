@@ -95,18 +95,16 @@ from softfinger.drivers.poses import decoded_messages
 from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
 from softfinger.server.cli import main
 from softfinger.server.offline.results import read_results, write_results
+from softfinger.server.publishing.messages import Messages
+from softfinger.server.publishing.setup import Shown, Ticks
 from softfinger.server.wire.client import record_of
-from softfinger.server.wire.native.templates import Shown, make_plan, write_message
 from softfinger.server.wire.protocol import CONTACT, decode
 
 assert FIELDS[-1] is NAMED["fault.level"] and AT.fault_level == RECORD_SIZE - 2
 records = np.zeros((3, RECORD_SIZE))
 records[:, AT.fault_level :] = (0.25, -0.5)
 
-plan = make_plan(("",), 1, Shown())
-sent = np.zeros(plan.sizes[7], np.uint8)
-write_message(plan, 7, records, 0, 0, sent, 0)
-body = sent[2 + len(CONTACT) + 9 :].tobytes()
+_, body = next(Messages(Ticks(1, 1, [CONTACT], "state", 200.0), Shown()).of(tuple(records[0].tolist())))
 assert decode(CONTACT.encode(), body).fault.level == (0.25, -0.5)
 
 for ending in ("csv", "npz", "mcap"):

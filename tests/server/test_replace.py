@@ -108,7 +108,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
 
 
 def test_a_stiff_scene_exchanged_in_contact_fades_in_as_any_other():
-    """A wall of 1 MN/m asks for many times the limit in its first tick: it is given a share that grows with the ramp."""
+    """A wall of 1 MN/m asks for many times the limit in its first tick: it gets a share that grows with the ramp."""
     rig, kept = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})
     with Daemon(rig, load_scene("frictionless-plane"), sinks=[kept.sink]) as running:
@@ -132,7 +132,7 @@ def test_subscribers_stay_and_are_told():
         socket.subscribe("contact")
         socket.subscribe("event")
         socket.connect(running.publisher.endpoint)
-        assert eventually(lambda: running.publisher.fanout.subscribers == 1)
+        assert eventually(lambda: running.publisher.subscribers == 1)
         running.start()
         assert eventually(lambda: running.servo.ticks > 50)
         running.replace(second)
