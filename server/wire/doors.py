@@ -37,6 +37,12 @@ class Doors:
         self.public: Final[dict[str, str]] = {}
         """Endpoints that other machines reach, by the name of their table."""
 
+    @property
+    def commands_told(self) -> str:
+        """Where telemetry says that commands are taken: the endpoint that other machines reach, if there is one; empty
+        where none are taken."""
+        return self.public.get(COMMANDS, self.commands or "")
+
     def close(self) -> None:
         """Any number of times."""
         self.files.close()

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.schema import commands_beside
 from softfinger.proxy.record import RECORD_SIZE, columns
 from softfinger.server.closing import Closing
 from softfinger.server.publishing.setup import Figures, Kind, Setup, Shown, Ticks
@@ -67,6 +68,7 @@ class Publisher(Closing):
         *,
         guard_names: Sequence[str] = (),
         fingers: Sequence[str] = ("",),
+        commands: str | None = None,
         backlog: int = BACKLOG,
         priority: int = 0,
     ) -> None:
@@ -81,8 +83,14 @@ class Publisher(Closing):
         self._closed = False
         self._doors: Final = door(doors) if isinstance(doors, str) else doors
         self.endpoint: Final = self._doors.telemetry
-        schema = wire_schema()
-        content = {"schema": SCHEMA, "timestamp": time.time(), "topics": self._topics, "messages": schema["messages"]}
+        alone = isinstance(doors, str)
+        content = {
+            "schema": SCHEMA,
+            "timestamp": time.time(),
+            "topics": self._topics,
+            "commands": commands_beside(self.endpoint) if alone else self._doors.commands_told,
+            "messages": wire_schema()["messages"],
+        }
         self._greeting = encode(content)
         self._starts = 0
         with ExitStack() as undo:

@@ -127,9 +127,9 @@ def test_new_field_is_everywhere(tree):
 
 
 def test_new_field_is_asked_of_the_page(tree):
-    """The page that lists the keys no longer agrees, and the failure shows the line to add."""
-    page = "tests/server/test_protocol_doc.py::test_table_is_the_codes_table"
+    """The pages that list the keys no longer agree, and the failure says what makes them again."""
+    page = "tests/tools/test_reference.py::test_a_page_is_what_the_program_makes"
     done = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "| `fault.level` | float[2] | V | rotor | a field that a test has added |" in done.stdout
-    assert "1 failed" in done.stdout
+    assert "run `make reference`" in done.stdout
+    assert "2 failed" in done.stdout  # the record and the telemetry

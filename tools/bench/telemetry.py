@@ -224,7 +224,7 @@ def await_messages(endpoint: str) -> None:
         socket.linger = 0
         socket.subscribe(b"contact")
         socket.connect(endpoint)
-        with progress("waiting for the first message"):
+        with progress("the daemon starts, and compiles what is not kept"):
             if not socket.poll(int(START_S * 1000)):
                 raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
 

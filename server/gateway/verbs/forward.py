@@ -11,8 +11,9 @@ from contextlib import ExitStack
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside, is_public, telemetry_of
+from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.gateway.allowed import Allowed
 from softfinger.server.gateway.forward import Forward, Source, Way
 from softfinger.server.gateway.lsl import Outlets
@@ -34,7 +35,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--from",
         dest="source",
         metavar="URL",
-        type=telemetry_of,
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
@@ -60,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: give --to, --commands-to or --lsl")
     upstream = None if args.server_key is None else keys.of_options(args)
+    origin = addresses_of(args.source, upstream, args.commands_from)
     stop = threading.Event()
     with ExitStack() as stack:
         to, commands = None, None
@@ -69,9 +70,9 @@ def run(args: argparse.Namespace) -> int:
         if args.commands_to:
             lock = lock_of(args.commands_to, "--commands-to", args.keys, args.commanders)
             opened = bound(args.commands_to, "--commands-to", stack)
-            commands = Way(Source(args.commands_from or commands_beside(args.source), upstream), opened, lock)
-        stream = Source(args.source, upstream) if to or args.lsl else None
-        forward = Forward(stream, to, commands, Outlets(args.source) if args.lsl else None)
+            commands = Way(Source(origin.commanded(), upstream), opened, lock)
+        stream = Source(origin.telemetry, upstream) if to or args.lsl else None
+        forward = Forward(stream, to, commands, Outlets(origin.telemetry) if args.lsl else None)
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
