@@ -17,7 +17,9 @@ from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("config", "drivers", "proxy", "server", "tools")
 OURS = "softfinger."
-KERNEL = re.compile(r"(jit|entry|outlined|by_type|c_function\(.*|\w+\.of\(.*|\w+\.otherwise)$", re.DOTALL)
+KERNEL = re.compile(
+    r"(jit|entry|outlined|outlined_where\(.*|by_\w+|c_function\(.*|\w+\.of\(.*|\w+\.otherwise)$", re.DOTALL
+)
 """Decorators of kernels, and of what kernels are chosen by."""
 
 
@@ -78,8 +80,8 @@ SHOW = r"""
 import sys
 from pathlib import Path
 from softfinger.proxy.kernels.native.jit import CACHE_DIR
-from softfinger.proxy.kernels.native.kept import _sources
-print(CACHE_DIR, *(_sources(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]), sep="\n")
+from softfinger.proxy.kernels.native.kept import sources_of
+print(CACHE_DIR, *(sources_of(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]), sep="\n")
 """
 
 
