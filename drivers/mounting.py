@@ -7,8 +7,8 @@ from math import hypot
 from typing import Annotated
 
 from softfinger.config.schema import Complaint, Component, Coordinate, Table, known, said
-from softfinger.proxy.kernels.geometry.rotations import normalize
 from softfinger.proxy.kernels.model import Quaternion, Vec3
+from softfinger.proxy.kernels.numerics.rotations import normalize
 
 
 class Mounting(Table, frozen=True, kw_only=True):

@@ -27,11 +27,12 @@ from references.brute_force import Balls, balls_of, brute_distances
 from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
 from softfinger.proxy.kernels.model import Triangles
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.pack import flatten, packed, unpack
+from softfinger.proxy.kernels.shapes.budget import BUDGET
+from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
+from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
 from softfinger.proxy.record import UNSEARCHED
 from softfinger.proxy.scene import build_scene, start_state
 from softfinger.server.loop.clock import stopwatch

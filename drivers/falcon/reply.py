@@ -10,10 +10,10 @@ from math import nan
 from softfinger.drivers.base import FORCE_OFF, OK, SAMPLE_BUTTONS, SAMPLE_TIME
 from softfinger.drivers.falcon import delta, packets
 from softfinger.drivers.falcon.block import AT
-from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.memory import float64_at, int64_at, uint8_at
+from softfinger.proxy.kernels.numerics import vec3
 
 
 @jit

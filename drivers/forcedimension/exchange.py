@@ -29,11 +29,11 @@ from softfinger.drivers.base import (
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.rotations import from_matrix
 from softfinger.proxy.kernels.native.foreign import call_int32
 from softfinger.proxy.kernels.native.jit import c_function, jit
 from softfinger.proxy.kernels.native.memory import exchange_int64, float64_at, int32_at, int64_at
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
 # Of the library's status words.
 STATUS_FORCE: Final = 5

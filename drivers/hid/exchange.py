@@ -39,12 +39,12 @@ from softfinger.drivers.hid.reports import (
     encode,
 )
 from softfinger.drivers.system.libc import EAGAIN, ETIMEDOUT, read_now, write_now
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.rotations import conjugate, multiply, normalize, rotate
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.native.pack import flatten, unpack_at
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
 
 CARTESIAN: Final = 0
 CARTESIAN_WITH_ORIENTATION: Final = 1

@@ -23,8 +23,12 @@ from softfinger.drivers.serial.frames import (
     take,
 )
 from softfinger.drivers.system.libc import EAGAIN, read_waiting, write_now
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.rotations import (
+from softfinger.proxy.kernels.model import Quaternion, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.proxy.kernels.native.pack import flatten, unpack_at
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.rotations import (
     about_x,
     about_y,
     about_z,
@@ -33,10 +37,6 @@ from softfinger.proxy.kernels.geometry.rotations import (
     normalize,
     rotate,
 )
-from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at
-from softfinger.proxy.kernels.native.pack import flatten, unpack_at
 
 CHUNK: Final = 1024
 """Bytes of one read."""

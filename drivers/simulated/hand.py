@@ -10,11 +10,11 @@ from math import exp
 from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.drivers.block import Block, lay_out, numbers, word
-from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.memory import float64_at, int64_at
 from softfinger.proxy.kernels.native.seqlock import Slot, publish, refresh
+from softfinger.proxy.kernels.numerics import rotations, vec3
 
 SPEED_MAX_M_PER_S: Final = 0.3
 """Of what the hand intends: a quick stroke."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.drivers.base import Device, Led
-from softfinger.proxy.kernels.geometry.rotations import normalize
-from softfinger.proxy.kernels.geometry.tool import Tool, handle_of
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
+from softfinger.proxy.kernels.numerics.rotations import normalize
+from softfinger.proxy.kernels.numerics.tool import Tool, handle_of
 
 
 class NoHand(HapticError):

@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.axis import Axis, Inputs, move
-from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import rotations, vec3
 
 Array = NDArray[np.float64]
 

@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.geometry.rotations import normalize
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.record import write_contact
+from softfinger.proxy.kernels.numerics.rotations import normalize
+from softfinger.proxy.kernels.record_writer import write_contact
 from softfinger.proxy.record import AT
 
 

@@ -2,51 +2,60 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.approach import (
+from softfinger.proxy.kernels.contact.carry import carried_direction, carry, relative_velocity
+from softfinger.proxy.kernels.contact.contacts import (
+    Motion,
+    carried_patches,
+    displaced_by_friction,
+    farther_than_probe,
+    hand_over,
+    warm_start,
+)
+from softfinger.proxy.kernels.contact.detection import (
     STUCK_TICKS,
+    continue_contact,
+    detect_among_several,
+    detect_contact,
     has_ended,
     is_clear,
-    meet,
-    parted,
-    stay,
-    touch,
+    separated,
 )
-from softfinger.proxy.kernels.contact.carry import carried_direction, carry, velocity_against
-from softfinger.proxy.kernels.contact.fingertip import point_on, point_under, roundness, seen_by, torque_of, velocity_at
-from softfinger.proxy.kernels.contact.normal import press
-from softfinger.proxy.kernels.contact.patches import Motion, again, aside, carried_patches, farther_than_probe, hand_on
-from softfinger.proxy.kernels.contact.rest.constraints import (
+from softfinger.proxy.kernels.contact.fingertip import (
+    point_on,
+    point_under,
+    radius_of_curvature,
+    seen_by,
+    torque_of,
+    velocity_at,
+)
+from softfinger.proxy.kernels.contact.normal import normal_force_of
+from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
+from softfinger.proxy.kernels.contact.rest.active_set import (
     INSIDE,
     NONE,
-    Constraints,
-    held_by,
+    ActiveSet,
+    active_objects,
     one_constraint,
     tangent_to_all,
 )
-from softfinger.proxy.kernels.contact.rest.several import drawn_after, settle_among_several
-from softfinger.proxy.kernels.contact.rest.single import settle_on_one
-from softfinger.proxy.kernels.contact.rolling_resistance import Bent, resist
-from softfinger.proxy.kernels.contact.texture import embossed, roughened
+from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
+from softfinger.proxy.kernels.contact.rest.among import drawn_after, settle_among_several
+from softfinger.proxy.kernels.contact.texture import textured, with_texture_friction
 from softfinger.proxy.kernels.contact.wrench import outcome_of, wrench_of
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
 from softfinger.proxy.kernels.effects.objects import Touched, apply_objects_effects
-from softfinger.proxy.kernels.friction.footprint import footprint, torsion_under, winding_unit
+from softfinger.proxy.kernels.friction.contact_patch import contact_patch, torsion_under, winding_unit
 from softfinger.proxy.kernels.friction.laws import turned
-from softfinger.proxy.kernels.friction.machine import react
-from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_to_within, deepest, number_of, pose_of
-from softfinger.proxy.kernels.geometry.kinds import any_wide
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
-from softfinger.proxy.kernels.geometry.world import advance, all_bare, place_all
+from softfinger.proxy.kernels.friction.stick_slip import stick_slip
 from softfinger.proxy.kernels.model import (
-    NO_PATCH,
-    NO_PATCH_CONTACT,
+    NO_CONTACT,
+    NO_OUTCOME,
     Contact,
+    ContactOutcome,
+    ContactState,
     Finger,
     FingerState,
-    Patch,
-    PatchContact,
-    PatchState,
+    FrictionInput,
     Pose,
     Probe,
     Scene,
@@ -55,7 +64,12 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.tuples import same_for
+from softfinger.proxy.kernels.native.tuples import same_for
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.query.kinds import any_multipoint
+from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, number_of, pose_of
+from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
+from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import (
     CAUSE_NONE,
     CAUSE_RELEASE,
@@ -111,46 +125,46 @@ def step_finger(
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
-    return touch_or_stay(state.patches, seen, scene, finger, state, probe, dt)
+    return update_contact(state.patches, seen, scene, finger, state, probe, dt)
 
 
 @by_count
-def touch_or_stay(
+def update_contact(
     patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> Any:
     """The finger's state and Contact: with one object there is one patch, and the proxy follows it where it slips."""
 
 
-@touch_or_stay.of(1)
-def on_the_only_object(
+@update_contact.of(1)
+def contact_with_one_object(
     patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     position, form, shapes = probe.position, finger.form, all_bare(objects)
     touches = state.mode == FREE
     if not touches:
-        comes = stay(scene, finger, shapes, state, probe, dt)
+        comes = continue_contact(scene, finger, shapes, state, probe, dt)
         touches = has_ended(comes.active)
     if touches:  # what is met in the tick in which the last contact ended is another one
-        state = parted(state)
-        comes = touch(finger, shapes, state, probe, dt)
+        state = separated(state)
+        comes = detect_contact(finger, shapes, state, probe, dt)
     if comes.active.first < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
 
-    rough = roughened(objects, comes.active, comes.center)
+    rough = with_texture_friction(objects, comes.active, comes.center)
     material, last = rough[0].material, state.patches[0]
-    felt = embossed(objects, comes.active, position)
+    felt = textured(objects, comes.active, position)
     moves, since = carry(shapes, 0.0), 0.0 if touches else dt
     against = velocity_at(form, comes.against, moves, probe, state.probe, comes.active.n1, since)
-    normal_force = press(material.normal, felt.push.first, vec3.dot(against, felt.n1))
-    round_by = roundness(form, finger.radius, probe.orientation, comes.active.n1)
-    area = footprint(finger.patch, round_by, material.compliance, normal_force)
+    normal_force = normal_force_of(material.normal, felt.push.first, vec3.dot(against, felt.n1))
+    round_by = radius_of_curvature(form, finger.radius, probe.orientation, comes.active.n1)
+    area = contact_patch(finger.patch, round_by, material.compliance, normal_force)
     torsion, unit = torsion_under(material.torsion, area), winding_unit(material.torsion, area, 1.0)
-    kept = react(
+    kept = stick_slip(
         turned(material.friction, pose_of(shapes, 0.0).orientation),
         torsion,
         finger.coupling,
         finger.torque_stiffness,
-        Patch(
+        FrictionInput(
             radius=finger.radius,
             resolution=finger.position_resolution,
             dt=dt,
@@ -175,11 +189,11 @@ def on_the_only_object(
         shapes, finger.radius, position, comes.center, kept.deflection, comes.active, slips
     )
     normal = rests.n1
-    felt = embossed(objects, rests, position)
+    felt = textured(objects, rests, position)
     against = velocity_at(form, comes.against, moves, probe, state.probe, normal, since)
-    load = press(material.normal, felt.push.first, vec3.dot(against, felt.n1))
+    load = normal_force_of(material.normal, felt.push.first, vec3.dot(against, felt.n1))
     tangential, moment = vec3.reject(kept.force, normal), kept.moment
-    bent = Bent(0.0, comes.active.n1, 1.0, carried_direction(moves, last.bend), touches)
+    bent = ResistanceInput(0.0, comes.active.n1, 1.0, carried_direction(moves, last.bend), touches)
     bend, bending = resist(finger.patch, shapes, bent, probe, state.probe, area)
     if normal_force > load:
         # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
@@ -195,7 +209,7 @@ def on_the_only_object(
     point = point_under(form, finger.radius, probe.orientation, center, normal)
     force = vec3.add(pressing, tangential)
     deflection = vec3.sub(behind, vec3.scale(rests.push.first, normal))
-    patch = PatchState(
+    patch = ContactState(
         body=0.0,
         normal=normal,
         push=rests.push.first,
@@ -223,7 +237,7 @@ def on_the_only_object(
     cause = kept.cause if kept.cause != CAUSE_NONE else comes.cause
     to_fingertip = rotations.conjugate(probe.orientation)
     inward, number = rotations.rotate(to_fingertip, normal), number_of(shapes, 0.0)
-    touched = PatchContact(object=number, point=point, normal=normal, force=force, mode=kept.mode, spin=kept.spin)
+    touched = ContactOutcome(object=number, point=point, normal=normal, force=force, mode=kept.mode, spin=kept.spin)
     contact = Contact(
         mode=kept.mode,
         object=number,
@@ -251,14 +265,14 @@ def on_the_only_object(
 
 
 @jit
-def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, left: int) -> Vec3:
+def displaced_proxy(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, left: int) -> Vec3:
     """The proxy (3,) m that friction keeps `way` (3,) m beside `center`: on what is nearest there, outside of all; with
     what is `left` of the budget."""
     if way == (0.0, 0.0, 0.0):
         return center
     there = vec3.add(center, way)
     gap, at, left = deepest(objects, there, radius, known, left)
-    if any_wide(objects):
+    if any_multipoint(objects):
         if gap >= radius * (1.0 - INSIDE):  # beside a convex edge it is a little above the surface
             return there
         if at < 0.0:
@@ -269,8 +283,8 @@ def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, le
     return there if gap >= radius * (1.0 - INSIDE) else center
 
 
-@touch_or_stay.of(2)
-def among_several_objects(
+@update_contact.of(2)
+def contact_with_several_objects(
     patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     radius, position, shapes = finger.radius, probe.position, all_bare(objects)
@@ -280,19 +294,19 @@ def among_several_objects(
     if stuck >= STUCK_TICKS and is_clear(shapes, radius, position):
         return out_of_contact(scene, finger, objects, state, probe, dt, left)
     if not touches:
-        center, active = again(shapes, radius, state, position)
+        center, active = warm_start(shapes, radius, state, position)
         touches = has_ended(active)
     before = center
     if touches:  # what is met in the tick in which the last contact ended is another one
-        state = parted(state)
-        start, center, active, left = meet(finger, shapes, state, position)
+        state = separated(state)
+        start, center, active, left = detect_among_several(finger, shapes, state, position)
     if active.first < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, left)
 
     center, active, late, left = settle_among_several(shapes, radius, position, start, center, active, left)
     last = carried_patches(shapes, state.patches)
-    held = hand_on(objects, last, active)
-    way = aside(last, held)
+    held = hand_over(objects, last, active)
+    way = displaced_by_friction(last, held)
     motion = Motion(
         radius=radius,
         form=finger.form,
@@ -307,7 +321,7 @@ def among_several_objects(
         farther=farther_than_probe(last, held),
         touches=touches,
     )
-    rough = roughened(objects, active, center)
+    rough = with_texture_friction(objects, active, center)
     one = wrench_of(scene.rolling, finger, rough, held[0], motion)
     two = wrench_of(scene.rolling, finger, rough, held[1], motion)
     three = wrench_of(scene.rolling, finger, rough, held[2], motion)
@@ -318,10 +332,10 @@ def among_several_objects(
     lag = vec3.scale(one.after.share, one.after.deflection)
     lag = vec3.add_scaled(lag, two.after.share, two.after.deflection)
     lag = vec3.add_scaled(lag, three.after.share, three.after.deflection)
-    shown = beside(shapes, radius, center, tangent_to_all(active, lag), held_by(active), left)
-    against = velocity_against(carry(shapes, active.first), probe.velocity, state.probe.position, dt)
+    shown = displaced_proxy(shapes, radius, center, tangent_to_all(active, lag), active_objects(active), left)
+    against = relative_velocity(carry(shapes, active.first), probe.velocity, state.probe.position, dt)
     extra, states, unknown = all_effects(scene, radius, objects, state, active, probe, against, dt)
-    moving = late and any_wide(shapes)
+    moving = late and any_multipoint(shapes)
     if moving:
         extra = vec3.add(extra, drawn_after(shapes, active, vec3.sub(center, position)))
     cause = one.cause
@@ -397,7 +411,7 @@ def out_of_contact(
         probe=probe,
         mode=free,
         center=probe.position,
-        patches=same_for(state.patches, NO_PATCH),
+        patches=same_for(state.patches, NO_CONTACT),
         rolled=0.0,
         stuck=0.0,
         effects=states,
@@ -431,7 +445,7 @@ def no_contact(state: FingerState, probe: Probe, force: Vec3, unsearched: float)
         patch_radius=0.0,
         patch_normal=zero,
         patch_stretch=zero,
-        patches=same_for(state.patches, NO_PATCH_CONTACT),
+        patches=same_for(state.patches, NO_OUTCOME),
         budget=unsearched,
     )
 
@@ -442,7 +456,7 @@ def all_effects(
     radius: float,
     objects: Any,
     state: FingerState,
-    active: Constraints,
+    active: ActiveSet,
     probe: Probe,
     against: Vec3,
     dt: float,

@@ -7,8 +7,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.geometry.vec3 import cross, dot, sub
 from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.numerics.vec3 import cross, dot, sub
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int32]

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.geometry.mesh import build
-from softfinger.proxy.kernels.geometry.mesh.lanes import NODE
+from softfinger.proxy.kernels.shapes.mesh import build
+from softfinger.proxy.kernels.shapes.mesh.lanes import NODE
 
 Doubles = NDArray[np.float64]
 Whole = NDArray[np.int32]

@@ -15,9 +15,9 @@ that has zeroed the force (a refused pose, disarming, the driver itself), it com
 from math import inf, isfinite
 from typing import Final, NamedTuple
 
-from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
 
 GUARD_NAMES: Final = (
     "pose_refused", "not_finite", "ramping", "force_clamped", "torque_clamped", "slew_limited", "disarmed",

@@ -6,13 +6,13 @@ The servo loop and `simulate` both run this, on the same poses to the same bits.
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
-from softfinger.proxy.kernels.geometry.rotations import normalize
-from softfinger.proxy.kernels.geometry.tool import about_handle, about_tip, tip_of
-from softfinger.proxy.kernels.geometry.vec3 import scale
 from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.record import put3, write_contact
+from softfinger.proxy.kernels.numerics.rotations import normalize
+from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
+from softfinger.proxy.kernels.numerics.vec3 import scale
+from softfinger.proxy.kernels.record_writer import put3, write_contact
 from softfinger.proxy.kernels.step import no_contact, step
 from softfinger.proxy.record import AT, POSITION_MAX_M
 from softfinger.proxy.scene import start_state

@@ -10,7 +10,7 @@ from typing import Final
 from softfinger.config import schema
 from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.geometry.tool import make_tool
+from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.passivity import Passivity

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.kernels.contact.fingertip import seen_by
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_to_within
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.pack import Packed, flatten, pack, packed, unpack
+from softfinger.proxy.kernels.native.tuples import same_for
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.objects import closest_to_within
+from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.step import step
-from softfinger.proxy.kernels.tuples import same_for
 from softfinger.proxy.record import FREE
 from softfinger.proxy.scene import build_scene, start_state
 from softfinger.server.loop.clock import Stopwatch, now_ns, sleep_until, stopwatch, thread_cpu_ns

@@ -11,7 +11,7 @@ import pytest
 from softfinger.config import limits, schema
 from softfinger.config.load import FaultyConfig, build, describe, load_scene
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import shape_bodies
 from softfinger.server.verbs import schema as schema_verb
 

@@ -15,7 +15,7 @@ from softfinger.drivers import registry
 from softfinger.drivers.simulated.device import Options, Simulated, open_device
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.simulated.lead import NoHand, Wanted, lead
-from softfinger.proxy.kernels.geometry.tool import make_tool
+from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.server.driver_contract import Servo
 
 AT = (0.0, 0.0, 0.02)

@@ -34,9 +34,9 @@ def poses_at(points: ArrayLike) -> Array:
 
 def count(method: str, scenes: list[Any]) -> list[Any]:
     from helpers.touching import scene_with
-    from softfinger.proxy.kernels.geometry.surfaces import footing, heightmap, tiles
     from softfinger.proxy.kernels.model import Pose
     from softfinger.proxy.kernels.native.jit import PLAIN
+    from softfinger.proxy.kernels.shapes import footing, heightmap, tiles
     from softfinger.proxy.kernels.step import step
     from softfinger.proxy.scene import build_scene, start_state
 

@@ -11,9 +11,9 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from softfinger.config.limits import Range
 from softfinger.config.schema import ObjectBase, add_shape, within
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.surfaces import closest, curvature
-from softfinger.proxy.kernels.geometry.surfaces.contract import X_AXIS, direction, offset
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.shapes import closest, curvature
+from softfinger.proxy.kernels.shapes.protocol import X_AXIS, direction, offset
 from softfinger.proxy.scene import Body, shape_bodies
 
 ANGLE_RAD = Range(0.05, 1.5, "a needle and a plane are other shapes")

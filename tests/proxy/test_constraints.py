@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from softfinger.proxy.kernels.contact.rest.half_spaces import FACING, displacement, hold
 from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.numerics.half_spaces import FACING, displacement, solve_half_spaces
 
 pytestmark = pytest.mark.plain
 
 
 @entry
 def solve(count, n1, n2, n3, b1, b2, b3):
-    held = hold(count, n1, n2, n3, b1, b2, b3)
+    held = solve_half_spaces(count, n1, n2, n3, b1, b2, b3)
     return held.push, displacement(held.place, n1, n2, n3)
 
 

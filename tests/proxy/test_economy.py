@@ -29,38 +29,38 @@ TORSION = {"torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
 STAND_INS = {
     "contact.fingertip.point_on_ball",
     "contact.fingertip.point_under_ball",
-    "contact.fingertip.roundness_of_ball",
+    "contact.fingertip.radius_of_curvature_of_ball",
     "contact.fingertip.seen_by_ball",
     "contact.fingertip.torque_of_ball",
     "contact.fingertip.velocity_of_ball",
-    "contact.normal.press_linear",
+    "contact.normal.normal_force_linear",
     "contact.normal.linear_spring",
     "contact.normal.bounded",
-    "friction.footprint.no_footprint",
-    "friction.footprint.no_torsion_under",
-    "friction.footprint.no_unit",
-    "friction.machine.slide_freely",
+    "friction.contact_patch.no_contact_patch",
+    "friction.contact_patch.no_torsion_under",
+    "friction.contact_patch.no_unit",
+    "friction.stick_slip.slide_freely",
     "friction.laws.unturned_nothing",
     "friction.torsion.no_torsion",
     "contact.rolling.base.no_roll",
     "contact.rolling.base.land_from",
-    "contact.texture.not_shaded",
+    "shapes.protocol.not_shaded",
     "effects.forces.apply_none",
     "effects.objects.effects_of_none",
     "effects.objects.effects_of_one",
-    "geometry.motion.pose_at_rest",
-    "geometry.motion.no_moving_pose",
-    "geometry.surfaces.contract.closest_from_anywhere",
-    "geometry.surfaces.contract.closest_without_budget",
-    "geometry.surfaces.contract.follows_anywhere",
-    "geometry.surfaces.plane.closest_on_plane",
-    "geometry.surfaces.plane.transport_on_plane",
-    "geometry.surfaces.plane.travel_to_plane",
-    "contact.texture.roughened",
-    "contact.texture.roughened_one",
-    "contact.texture.roughen_nothing",
-    "contact.texture.embossed_by_one",
-    "contact.texture.emboss_nothing",
+    "query.motion.pose_at_rest",
+    "query.motion.no_moving_pose",
+    "shapes.protocol.closest_from_anywhere",
+    "shapes.protocol.closest_without_budget",
+    "shapes.protocol.follows_anywhere",
+    "shapes.plane.closest_on_plane",
+    "shapes.plane.transport_on_plane",
+    "shapes.plane.travel_to_plane",
+    "contact.texture.with_texture_friction",
+    "contact.texture.with_texture_friction_on_one",
+    "contact.texture.friction_without_texture",
+    "contact.texture.textured_alone",
+    "contact.texture.depth_without_texture",
 }
 """All that a bare plane compiles of the modules below: the kernels for a part that is not there, and the plane's."""
 
@@ -70,8 +70,8 @@ PARTS = (
     "contact.normal",
     "contact.rolling",
     "effects",
-    "geometry.motion",
-    "geometry.surfaces",
+    "query.motion",
+    "shapes",
     "contact.texture",
 )
 
@@ -94,15 +94,15 @@ SCENES: dict[str, dict[str, Any]] = {
 ADDED = {
     ("bare", "bent"): {"contact.normal"},
     ("bare", "crossed"): {"contact.normal"},
-    ("bare", "friction"): {"friction.machine", "friction.laws", "friction.limit_surface"},
-    ("friction", "rolling"): {"contact.rolling.euler", "geometry.rotations"},
+    ("bare", "friction"): {"friction.stick_slip", "friction.laws", "friction.limit_surface"},
+    ("friction", "rolling"): {"contact.rolling.euler", "numerics.rotations"},
     ("rolling", "whole"): {"friction.torsion"},
-    ("friction", "patch"): {"friction.footprint"},
-    ("bare", "form"): {"contact.fingertip", "geometry.surfaces.grown"},
+    ("friction", "patch"): {"friction.contact_patch"},
+    ("bare", "form"): {"contact.fingertip", "shapes.minkowski"},
     ("bare", "effect"): {"effects.forces"},
-    ("bare", "motion"): {"geometry.motion"},
-    ("bare", "texture"): {"contact.texture", "geometry.surfaces.charts"},
-    ("bare", "second object"): {"contact.rest.constraints", "contact.rest.several", "geometry.surfaces.round"},
+    ("bare", "motion"): {"query.motion"},
+    ("bare", "texture"): {"contact.texture", "shapes.charts"},
+    ("bare", "second object"): {"contact.rest.active_set", "contact.rest.among", "shapes.round"},
 }
 """Scenes that differ by one part, and modules of which the one without it must have less."""
 
@@ -182,8 +182,8 @@ REGISTER = """
 import sys
 import numba
 from typing import NamedTuple
-from softfinger.proxy.kernels.geometry.surfaces import closest, curvature
-from softfinger.proxy.kernels.geometry.surfaces.contract import any_tangent
+from softfinger.proxy.kernels.shapes import closest, curvature
+from softfinger.proxy.kernels.shapes.protocol import any_tangent
 
 class Step(NamedTuple):
     "Half space z <= height: a plane again, but as a type of its own."

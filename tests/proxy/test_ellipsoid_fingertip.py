@@ -22,10 +22,10 @@ from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.contact.fingertip import roundness
+from softfinger.proxy.kernels.contact.fingertip import radius_of_curvature
 from softfinger.proxy.kernels.contact.rolling import roll
-from softfinger.proxy.kernels.geometry import rotations
-from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.numerics import rotations
+from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.record import AT, ROLLING
 from softfinger.proxy.scene import build_scene
 from softfinger.tools.accuracy.reference import normal_and_curvature
@@ -71,9 +71,9 @@ def scene(tip: dict[str, Any], *things: dict[str, Any], friction: dict[str, floa
     return build(Scene, tables, "test scene")
 
 
-def grown(shape: Any, orientation: ArrayLike, axes: model.Vec3 = AXES) -> model.Grown:
+def grown(shape: Any, orientation: ArrayLike, axes: model.Vec3 = AXES) -> model.MinkowskiSum:
     q = np.asarray(orientation, float)
-    return model.Grown(shape, axes, tuple(float(part) for part in q / np.linalg.norm(q)), min(axes))  # type: ignore[arg-type]
+    return model.MinkowskiSum(shape, axes, tuple(float(part) for part in q / np.linalg.norm(q)), min(axes))  # type: ignore[arg-type]
 
 
 def support(axes: ArrayLike, orientation: ArrayLike, n: ArrayLike) -> float:
@@ -137,7 +137,7 @@ def test_its_roundness_is_that_of_the_point_that_touches() -> None:
         spot = touching_at(AXES, multiply(q, TURN), n)
         _, bend = normal_and_curvature(spot, model.Ellipsoid(AXES, 1.0))
         curvatures = np.linalg.eigvalsh(bend)[1:]  # the third is 0, along the normal
-        found = roundness(form, min(AXES), tuple(q), tuple(n))
+        found = radius_of_curvature(form, min(AXES), tuple(q), tuple(n))
         assert found == pytest.approx(1.0 / np.sqrt(curvatures.prod()), rel=1e-12)
 
 

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import kernel_heightmap
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.surfaces import closest_or_bound
-from softfinger.proxy.kernels.geometry.surfaces.footing import BUDGET, LOOK, gap_within, nearest_from
-from softfinger.proxy.kernels.geometry.surfaces.heightmap import LOOKS
-from softfinger.proxy.kernels.geometry.surfaces.tiles import LEVELS
 from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.shapes import closest_or_bound
+from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, LOOK, gap_within, nearest_from
+from softfinger.proxy.kernels.shapes.heightmap.surface import LOOKS
+from softfinger.proxy.kernels.shapes.heightmap.tiles import LEVELS
 
 Array = NDArray[np.float64]
 

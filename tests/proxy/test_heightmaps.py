@@ -20,12 +20,12 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import kernel_heightmap, thinned, tightest
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
-from softfinger.proxy.kernels.geometry import rotations
-from softfinger.proxy.kernels.geometry.surfaces import curvature
-from softfinger.proxy.kernels.geometry.surfaces.footing import BUDGET, nearest_from
-from softfinger.proxy.kernels.geometry.surfaces.heightmap import foot_at, height_at
-from softfinger.proxy.kernels.geometry.surfaces.tiles import beaten, tile_at, wide
 from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.numerics import rotations
+from softfinger.proxy.kernels.shapes import curvature
+from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, nearest_from
+from softfinger.proxy.kernels.shapes.heightmap.surface import foot_at, height_at
+from softfinger.proxy.kernels.shapes.heightmap.tiles import beaten, tile_at, wide
 from softfinger.proxy.record import AT
 
 Array = NDArray[np.float64]

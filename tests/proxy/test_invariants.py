@@ -13,9 +13,9 @@ from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.geometry import rotations
-from softfinger.proxy.kernels.geometry.motion import pose_at
 from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.numerics import rotations
+from softfinger.proxy.kernels.query.motion import pose_at
 
 pytestmark = pytest.mark.plain
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from softfinger.proxy.kernels.model import Patch
+from softfinger.proxy.kernels.model import FrictionInput
 
 KERNELS = Path(__file__).parents[2] / "proxy" / "kernels"
 BY_POSITION_MAX = 6
@@ -39,10 +39,10 @@ def test_long_tuples_are_built_by_keyword(path):
 
 def test_keywords_cost_nothing():
     """A kernel that builds a tuple by keyword compiles to what it is by position."""
-    names = Patch._fields
+    names = FrictionInput._fields
 
     def code(call):
-        scope = {"Patch": Patch}
+        scope = {"Patch": FrictionInput}
         exec(f"def build(x):\n    return Patch({call})", scope)
         kernel = numba.njit(scope["build"])
         kernel.compile((numba.float64,))

@@ -20,7 +20,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.friction.ellipsoid import LAST_STEP, multiplier, near, shrink
+from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP, multiplier, near, shrink
 from softfinger.proxy.record import ROLLING, SLIDING
 
 pytestmark = pytest.mark.plain

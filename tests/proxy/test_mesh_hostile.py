@@ -13,8 +13,8 @@ from references.brute_force import balls_of, brute_distances
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.contact.first_pose import GRAZE
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import AT
 
 TICKS = 3000

@@ -14,14 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.triangles import distances
 
-from softfinger.proxy.kernels.geometry.mesh import contact, query, triangle
-from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE, SPENT
-from softfinger.proxy.kernels.geometry.mesh.lanes import FIELDS, LANES, ROOM
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, MANY, SLOPE
 from softfinger.proxy.kernels.model import Mesh, Triangles
 from softfinger.proxy.kernels.native.arrays import ReadOnly
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.rows import Rows
+from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM, SPENT
+from softfinger.proxy.kernels.shapes.mesh import contact, triangle
+from softfinger.proxy.kernels.shapes.mesh import nearest as query
+from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
+from softfinger.proxy.kernels.shapes.mesh.lanes import FIELDS, LANES
+from softfinger.proxy.kernels.shapes.mesh.nearest import MANY, SLOPE
 from softfinger.proxy.meshes.tree import Tree, build_tree
 
 WHOLE = ROOM

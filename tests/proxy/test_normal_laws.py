@@ -26,7 +26,7 @@ from softfinger.config.load import build
 from softfinger.config.schema import Material, Normal, Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.contact.normal import press
+from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.laws import normal_laws
 
 pytestmark = pytest.mark.plain
@@ -374,4 +374,4 @@ def test_a_linear_law_of_the_richer_type_has_the_same_bits() -> None:
     law = model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 3.0), 0.0)
     rng = np.random.default_rng(0)
     for depth, speed in zip(rng.uniform(-1e-3, 5e-3, 500), rng.normal(scale=0.3, size=500), strict=True):
-        assert press(law, depth, speed) == press(model.LinearNormal(1000.0, 3.0), depth, speed)
+        assert normal_force_of(law, depth, speed) == normal_force_of(model.LinearNormal(1000.0, 3.0), depth, speed)

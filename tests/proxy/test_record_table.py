@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.engine import STEP_FIELDS, Step
-from softfinger.proxy.kernels.model import NO_PATCH_CONTACT, Contact
-from softfinger.proxy.kernels.record import write_contact
+from softfinger.proxy.kernels.model import NO_OUTCOME, Contact
+from softfinger.proxy.kernels.record_writer import write_contact
 from softfinger.proxy.record import AT, CAUSE_NAMES, FIELDS, NAMED, RECORD_SIZE, ContactMode, Kind
 
 ROOT = Path(__file__).parents[2]
@@ -34,7 +34,7 @@ def test_step_has_every_field_that_the_contact_fills():
     Step."""
     row = np.full(RECORD_SIZE, np.nan)
     outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
-    outcome = outcome._replace(patches=(NO_PATCH_CONTACT,))
+    outcome = outcome._replace(patches=(NO_OUTCOME,))
     force, orientation = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
     write_contact.py_func(row, 7, 0.001, force, orientation, outcome, force, force)
     filled = {f.name for f in FIELDS if not np.isnan(row[f.at : f.at + f.size]).any()}

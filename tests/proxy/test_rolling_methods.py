@@ -24,8 +24,8 @@ from references.rolling_cases import (
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
-from softfinger.proxy.kernels.geometry import rotations
-from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.numerics import rotations
+from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import build_scene
 from softfinger.tools.accuracy.reference import rolled
 

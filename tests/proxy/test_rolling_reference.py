@@ -20,7 +20,7 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
-from softfinger.proxy.kernels.geometry import rotations
+from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.record import AT, ROLLING
 
 pytestmark = pytest.mark.plain

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softfinger.proxy.kernels.geometry import rotations
+from softfinger.proxy.kernels.numerics import rotations
 
 ULP = np.finfo(np.float64).eps
 SEAM = rotations.SMALL

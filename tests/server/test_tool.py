@@ -19,8 +19,8 @@ from softfinger.config.load import build, describe, load_rig, load_scene
 from softfinger.drivers.base import HELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
-from softfinger.proxy.kernels.geometry.tool import about_handle, about_tip, make_tool, tip_of
 from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, make_tool, tip_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import TORQUE_CLAMPED, Guard
 from softfinger.server.loop.servo_thread import Servo

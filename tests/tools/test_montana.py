@@ -10,7 +10,7 @@ import pytest
 from references.rolling_cases import METHODS, RADIUS, rolled_by
 
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.geometry import rotations
+from softfinger.proxy.kernels.numerics import rotations
 from softfinger.tools.accuracy import montana
 from softfinger.tools.accuracy.reference import normal_and_curvature, rolled
 

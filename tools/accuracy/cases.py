@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.shapes import closest
 
 Array = NDArray[np.float64]
 Motion = Literal["constant", "changing"]

@@ -22,7 +22,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.records import Records
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress

@@ -17,10 +17,10 @@ Source: Montana (1988), The Kinematics of Contact and Grasp; Murray, Li, Sastry 
 from math import atan2, cos, hypot, sin
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.model import Cylinder, Ellipsoid, Plane, Quaternion, Sphere, Torus, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import rotations, vec3
 
 Pair = tuple[float, float]
 Profile = tuple[float, float, float, float, float, float]

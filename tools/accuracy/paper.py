@@ -18,7 +18,7 @@ import numpy as np
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
-from softfinger.proxy.kernels.geometry import rotations, vec3
+from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.server.loop.clock import stopwatch
 from softfinger.tools.accuracy.cases import METHODS, RADIUS_M, Array
 from softfinger.tools.accuracy.classical import (

@@ -14,11 +14,12 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
-from softfinger.proxy.kernels.geometry.mesh.contact import NO_TRIANGLE
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
-from softfinger.proxy.kernels.geometry.mesh.triangle import corners_of, foot_on
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.pack import flatten, packed, unpack
+from softfinger.proxy.kernels.shapes.budget import BUDGET
+from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
+from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
+from softfinger.proxy.kernels.shapes.mesh.triangle import corners_of, foot_on
 from softfinger.proxy.scene import build_scene, start_state
 from softfinger.server.loop.clock import stopwatch
 from softfinger.server.offline.cost import time_steps

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 from numba import literal_unroll
 
-from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.entries import has, member, places
-from softfinger.proxy.kernels.geometry.frames import into, out_of, pose_values, turn_into, turn_out_of
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.numerics.frames import into, out_of, pose_values, turn_into, turn_out_of
+from softfinger.proxy.kernels.query.elements import contains, count, element
 
 STILL = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
@@ -23,21 +23,6 @@ class Carry(NamedTuple):
     moves: float
     was: Pose
     now: Pose
-
-
-@by_type
-def ridden(was: Any, pose: Any, x: Vec3) -> Any:
-    """Where a point `x` (3,) m of the last tick is now, had it ridden on the object."""
-
-
-@ridden.of(None)
-def stayed(was: None, pose: Any, x: Vec3) -> Vec3:
-    return x
-
-
-@ridden.of(Pose)
-def ridden_on(was: Pose, pose: Pose, x: Vec3) -> Vec3:
-    return out_of(pose, into(was, x))
 
 
 @by_type
@@ -61,10 +46,10 @@ def carry(objects: Any, index: float) -> Carry:
     moves, was, now = 0.0, STILL, STILL
     at = 0.0
     for entry in literal_unroll(objects):
-        if has(entry, at, index):
-            body = member(entry, index - at)
+        if contains(entry, at, index):
+            body = element(entry, index - at)
             moves, was, now = can_move(body.motion), pose_values(body.was), pose_values(body.pose)
-        at += places(entry)
+        at += count(entry)
     return Carry(moves, was, now)
 
 
@@ -73,7 +58,7 @@ def any_moves(objects: Any) -> bool:
     """Whether any object can move: known when the scene is compiled."""
     found = 0.0
     for entry in literal_unroll(objects):
-        found += can_move(member(entry, 0.0).motion)
+        found += can_move(element(entry, 0.0).motion)
     return found > 0.0
 
 
@@ -86,7 +71,7 @@ def carried_point(carried: Carry, x: Vec3) -> Vec3:
 
 
 @jit
-def velocity_against(carried: Carry, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
+def relative_velocity(carried: Carry, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
     """`velocity` (3,) m/s less that of the object there; `position` (3,) m at the last tick. dt = 0 has no velocity."""
     if carried.moves == 0.0 or dt <= 0.0:
         return velocity
@@ -102,7 +87,7 @@ def carried_direction(carried: Carry, v: Vec3) -> Vec3:
 
 
 @jit
-def turn_against(carried: Carry, turn: Quaternion) -> Quaternion:
+def relative_rotation(carried: Carry, turn: Quaternion) -> Quaternion:
     """The fingertip's rotation `turn` less the object's own, w >= 0: what it turned against the object."""
     if carried.moves == 0.0:
         return turn

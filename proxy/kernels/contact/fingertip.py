@@ -6,13 +6,13 @@ geometry.surfaces.grown; then it meets, rests, slides and leaves as a ball of th
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.carry import Carry, turn_against
-from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.frames import pose_values
-from softfinger.proxy.kernels.geometry.surfaces.grown import arm
-from softfinger.proxy.kernels.model import EllipsoidTip, Grown, Object, Probe, Quaternion, Vec3
+from softfinger.proxy.kernels.contact.carry import Carry, relative_rotation
+from softfinger.proxy.kernels.model import EllipsoidTip, MinkowskiSum, Object, Probe, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_count, by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.numerics.frames import pose_values
+from softfinger.proxy.kernels.shapes.minkowski import support_vector
 
 
 @by_type
@@ -31,7 +31,7 @@ def point_under(form: Any, radius: float, orientation: Quaternion, center: Vec3,
 
 
 @by_type
-def roundness(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> Any:
+def radius_of_curvature(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> Any:
     """Radius of curvature at the contact, m: the geometric mean of the two principal ones."""
 
 
@@ -68,8 +68,8 @@ def point_under_ball(form: None, radius: float, orientation: Quaternion, center:
     return vec3.add_scaled(center, -radius, normal)
 
 
-@roundness.of(None)
-def roundness_of_ball(form: None, radius: float, orientation: Quaternion, normal: Vec3) -> float:
+@radius_of_curvature.of(None)
+def radius_of_curvature_of_ball(form: None, radius: float, orientation: Quaternion, normal: Vec3) -> float:
     return radius
 
 
@@ -96,12 +96,12 @@ def axes_in_world(form: EllipsoidTip, orientation: Quaternion) -> Quaternion:
 
 
 @jit
-def grown(body: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Object:
+def minkowski_sum(body: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Object:
     """The object as the centre of such a fingertip sees it."""
     to_body = rotations.conjugate(pose_values(body.pose).orientation)
     axes = rotations.multiply(to_body, axes_in_world(form, orientation))
     return Object(
-        shape=Grown(body.shape, form.semi_axes, axes, radius),
+        shape=MinkowskiSum(body.shape, form.semi_axes, axes, radius),
         pose=body.pose,
         motion=body.motion,
         material=body.material,
@@ -113,42 +113,42 @@ def grown(body: Any, form: EllipsoidTip, radius: float, orientation: Quaternion)
 
 
 @by_count
-def all_grown(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any: ...
+def minkowski_sums(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any: ...
 
 
-@all_grown.of(1)
-def one_grown(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
-    return (grown(objects[0], form, radius, orientation),)
+@minkowski_sums.of(1)
+def minkowski_sum_of_one(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
+    return (minkowski_sum(objects[0], form, radius, orientation),)
 
 
-@all_grown.of(2)
-def several_grown(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
-    first = grown(objects[0], form, radius, orientation)
-    return (first,) + all_grown(objects[1:], form, radius, orientation)  # noqa: RUF005  # see world.poses_of_several_at
+@minkowski_sums.of(2)
+def minkowski_sums_of_several(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
+    first = minkowski_sum(objects[0], form, radius, orientation)
+    return (first,) + minkowski_sums(objects[1:], form, radius, orientation)  # noqa: RUF005  # see world.poses_of_several_at
 
 
 @seen_by.of(EllipsoidTip)
 def seen_by_ellipsoid(form: EllipsoidTip, radius: float, objects: Any, orientation: Quaternion) -> Any:
-    return all_grown(objects, form, radius, orientation)
+    return minkowski_sums(objects, form, radius, orientation)
 
 
 @point_on.of(EllipsoidTip)
 def point_on_ellipsoid(form: EllipsoidTip, radius: float, inward: Vec3) -> Vec3:
-    return vec3.scale(-1.0, arm(form.semi_axes, form.orientation, inward))
+    return vec3.scale(-1.0, support_vector(form.semi_axes, form.orientation, inward))
 
 
 @point_under.of(EllipsoidTip)
 def point_under_ellipsoid(
     form: EllipsoidTip, radius: float, orientation: Quaternion, center: Vec3, normal: Vec3
 ) -> Vec3:
-    return vec3.sub(center, arm(form.semi_axes, axes_in_world(form, orientation), normal))
+    return vec3.sub(center, support_vector(form.semi_axes, axes_in_world(form, orientation), normal))
 
 
-@roundness.of(EllipsoidTip)
-def roundness_of_ellipsoid(form: EllipsoidTip, radius: float, orientation: Quaternion, normal: Vec3) -> float:
+@radius_of_curvature.of(EllipsoidTip)
+def radius_of_curvature_of_ellipsoid(form: EllipsoidTip, radius: float, orientation: Quaternion, normal: Vec3) -> float:
     """1 / sqrt(K) with the Gaussian curvature K = h^4 / (a b c)^2."""
     a = form.semi_axes
-    h = vec3.dot(arm(a, axes_in_world(form, orientation), normal), normal)
+    h = vec3.dot(support_vector(a, axes_in_world(form, orientation), normal), normal)
     return (a[0] / h) * (a[1] / h) * a[2]
 
 
@@ -162,7 +162,7 @@ def torque_of_ellipsoid(
     pressing: Vec3,
     tangential: Vec3,
 ) -> Vec3:
-    reach = arm(form.semi_axes, axes_in_world(form, orientation), normal)
+    reach = support_vector(form.semi_axes, axes_in_world(form, orientation), normal)
     return vec3.sub(vec3.scale(moment, normal), vec3.cross(reach, vec3.add(pressing, tangential)))
 
 
@@ -173,6 +173,6 @@ def velocity_of_ellipsoid(
     """v - w x arm: an ellipsoid that turns presses deeper or less deep, and the damping has to see it, or it gives."""
     if dt <= 0.0:
         return velocity
-    turn = rotations.log(turn_against(carried, rotations.relative(probe.orientation, last.orientation)))
-    reach = arm(form.semi_axes, axes_in_world(form, probe.orientation), normal)
+    turn = rotations.log(relative_rotation(carried, rotations.relative(probe.orientation, last.orientation)))
+    reach = support_vector(form.semi_axes, axes_in_world(form, probe.orientation), normal)
     return vec3.add_scaled(velocity, -1.0 / dt, vec3.cross(turn, reach))

@@ -6,14 +6,14 @@ not known then is said, and the next tick's pose is the first again.
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.constraints import INSIDE, NONE
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import EVERYWHERE, NOBODY, closest_to_within, deepest
-from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged, rugged_on
-from softfinger.proxy.kernels.geometry.mesh.lanes import ROOM
-from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, NONE
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_creases_at
+from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest
+from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM
+from softfinger.proxy.kernels.shapes.protocol import EVERYWHERE
 
 GRAZE = 1e-4
 """Share of the radius by which a fingertip may touch a mesh and count as clear, where its nearest triangle cannot be
@@ -37,18 +37,18 @@ class Touched(NamedTuple):
 def touched_at_first(objects: Any, radius: float, position: Vec3, left: int) -> Touched:
     """What a fingertip touches that begins at `position` (3,) m; `left` of the budget for height maps, and for meshes
     beside them."""
-    if any_rugged(objects):  # a height map tells its side from near by
+    if any_creases(objects):  # a height map tells its side from near by
         gap, index, left = deepest(objects, position, radius, NOBODY, left)
-        if any_faceted(objects) and gap >= radius:
+        if any_mesh(objects) and gap >= radius:
             gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
-            if rugged_on(objects, index):  # its bound: it has just been found to be farther
+            if has_creases_at(objects, index):  # its bound: it has just been found to be farther
                 index = NONE
     else:  # of a mesh all has to be asked for that
         gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
-    if left < 0 and index >= 0.0 and not rugged_on(objects, index):
+    if left < 0 and index >= 0.0 and not has_creases_at(objects, index):
         # A mesh was not searched to the end: the gap was a bound. This is that of the nearest triangle found so far.
         gap, _, _, left = closest_to_within(objects, index, position, left)
-        if gap >= radius and not any_rugged(objects):
+        if gap >= radius and not any_creases(objects):
             gap, nearer, left = deepest(objects, position, radius * (1.0 - GRAZE), NOBODY, ROOM)
             if left < 0:
                 return Touched(NONE, False, left)

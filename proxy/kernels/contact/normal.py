@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.native.jit import jit
 
 
 @by_type
-def press(law: Any, depth: float, speed: float) -> Any: ...
+def normal_force_of(law: Any, depth: float, speed: float) -> Any: ...
 
 
 @by_type
@@ -44,20 +44,20 @@ def spring_under_damping(law: HuntCrossley, depth: float) -> float:
     return spring(law.law, depth)
 
 
-@press.of(LinearNormal)
-def press_linear(law: LinearNormal, depth: float, speed: float) -> float:
+@normal_force_of.of(LinearNormal)
+def normal_force_linear(law: LinearNormal, depth: float, speed: float) -> float:
     return bounded(linear_spring(law, depth), law.damping, speed)
 
 
-@press.of(PowerNormal)
-def press_power(law: PowerNormal, depth: float, speed: float) -> float:
+@normal_force_of.of(PowerNormal)
+def normal_force_power(law: PowerNormal, depth: float, speed: float) -> float:
     return bounded(power_spring(law, depth), law.damping, speed)
 
 
-@press.of(HuntCrossley)
-def press_hunt_crossley(law: HuntCrossley, depth: float, speed: float) -> float:
+@normal_force_of.of(HuntCrossley)
+def normal_force_hunt_crossley(law: HuntCrossley, depth: float, speed: float) -> float:
     """k delta^p (1 - c v), not less than 0 where the probe leaves faster than 1 / c.
 
     Source: Hunt and Crossley (1975); c is their lambda / k.
     """
-    return max(press(law.law, depth, speed) - law.damping * spring(law.law, depth) * speed, 0.0)
+    return max(normal_force_of(law.law, depth, speed) - law.damping * spring(law.law, depth) * speed, 0.0)

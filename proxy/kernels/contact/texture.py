@@ -16,19 +16,19 @@ from typing import Any, NamedTuple
 
 from numba import literal_unroll
 
-from softfinger.proxy.kernels.contact.rest.constraints import Constraints
-from softfinger.proxy.kernels.contact.rest.half_spaces import Push
-from softfinger.proxy.kernels.effects.forces import clamp
+from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet
 from softfinger.proxy.kernels.friction.laws import scaled
-from softfinger.proxy.kernels.friction.torsion import gripped
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.entries import has, member, places
-from softfinger.proxy.kernels.geometry.frames import into, turn_into, turn_out_of
-from softfinger.proxy.kernels.geometry.mesh.triangle import shaded_normal
-from softfinger.proxy.kernels.geometry.surfaces.charts import Chart, chart
-from softfinger.proxy.kernels.model import Facet, Grip, Material, Object, Relief, Texture, Vec3
+from softfinger.proxy.kernels.friction.torsion import with_scaled_friction
+from softfinger.proxy.kernels.model import Grip, Material, Object, Relief, Texture, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_count, by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
+from softfinger.proxy.kernels.numerics.half_spaces import Depths
+from softfinger.proxy.kernels.numerics.scalars import clamp
+from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.shapes.charts import Chart, chart
+from softfinger.proxy.kernels.shapes.protocol import shaded
 
 CELLS_CEILING = 1e15
 """Past this many cells float64 has no fraction of a cell left, and farther out no whole number of them."""
@@ -96,37 +96,17 @@ def chart_at(body: Any, x: Vec3, normal: Vec3) -> Chart:
 
 
 @by_type
-def emboss(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> Any:
+def texture_depth(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> Any:
     """Surface depth d (m) and m (3,) on one object that the probe at `position` lies `depth` behind."""
 
 
-@emboss.of(None)
-def emboss_nothing(texture: None, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+@texture_depth.of(None)
+def depth_without_texture(texture: None, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
     return depth, shaded(body.shape, body.pose, normal, position)
 
 
-@by_type
-def shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Any:
-    """Unit vector (3,) along which a shape without a texture presses on the probe at `position` (3,) m."""
-
-
-@shaded.otherwise
-def not_shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
-    return normal
-
-
-@shaded.of(Facet)
-def shaded_facet(shape: Facet, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
-    """Between the vertices' normals, as the contact point lies between the vertices: Morgenbesser and Srinivasan,
-    Force shading for haptic shape perception, 1996. Only the direction of the force changes, not where the proxy is."""
-    triangles = shape.mesh.row[0]
-    if triangles.shade == 0.0:
-        return normal
-    return turn_out_of(pose, shaded_normal(shape.mesh, shape.number, into(pose, position), turn_into(pose, normal)))
-
-
-@emboss.of(Texture)
-def emboss_texture(texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+@texture_depth.of(Texture)
+def depth_with_texture(texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
     return raise_by(texture.relief, texture, body, depth, normal, position)
 
 
@@ -155,40 +135,40 @@ def raise_by_relief(
 
 
 @by_count
-def embossed(objects: Any, active: Constraints, position: Vec3) -> Any:
+def textured(objects: Any, active: ActiveSet, position: Vec3) -> Any:
     """`active` as the probe at `position` (3,) m feels it."""
 
 
-@embossed.of(1)
-def embossed_by_one(objects: Any, active: Constraints, position: Vec3) -> Constraints:
-    depth, m = emboss(objects[0].texture, objects[0], active.push.first, active.n1, position)
-    return Constraints(
+@textured.of(1)
+def textured_alone(objects: Any, active: ActiveSet, position: Vec3) -> ActiveSet:
+    depth, m = texture_depth(objects[0].texture, objects[0], active.push.first, active.n1, position)
+    return ActiveSet(
         first=active.first, second=active.second, third=active.third, n1=m, n2=active.n2, n3=active.n3,
-        push=Push(depth, active.push.second, active.push.third),
+        push=Depths(depth, active.push.second, active.push.third),
     )  # fmt: skip
 
 
-@embossed.of(2)
-def embossed_by_several(objects: Any, active: Constraints, position: Vec3) -> Constraints:
+@textured.of(2)
+def textured_among_several(objects: Any, active: ActiveSet, position: Vec3) -> ActiveSet:
     push = active.push
-    d1, m1 = emboss_on(objects, active.first, push.first, active.n1, position)
-    d2, m2 = emboss_on(objects, active.second, push.second, active.n2, position)
-    d3, m3 = emboss_on(objects, active.third, push.third, active.n3, position)
-    return Constraints(
-        first=active.first, second=active.second, third=active.third, n1=m1, n2=m2, n3=m3, push=Push(d1, d2, d3)
+    d1, m1 = texture_depth_on(objects, active.first, push.first, active.n1, position)
+    d2, m2 = texture_depth_on(objects, active.second, push.second, active.n2, position)
+    d3, m3 = texture_depth_on(objects, active.third, push.third, active.n3, position)
+    return ActiveSet(
+        first=active.first, second=active.second, third=active.third, n1=m1, n2=m2, n3=m3, push=Depths(d1, d2, d3)
     )  # fmt: skip
 
 
 @jit
-def emboss_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    """`emboss` on the object with that place."""
+def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+    """`texture_depth` on the object with that place."""
     d, m = depth, normal
     at = 0.0
     for entry in literal_unroll(objects):
-        if has(entry, at, index):
-            body = member(entry, index - at)
-            d, m = emboss(body.texture, body, depth, normal, position)
-        at += places(entry)
+        if contains(entry, at, index):
+            body = element(entry, index - at)
+            d, m = texture_depth(body.texture, body, depth, normal, position)
+        at += count(entry)
     return d, m
 
 
@@ -196,31 +176,33 @@ def emboss_on(objects: Any, index: float, depth: float, normal: Vec3, position: 
 
 
 @by_type
-def roughen(texture: Any, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+def texture_friction(texture: Any, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
     """The object with that place, with the friction that it has under the proxy's `center` if it holds it."""
 
 
-@roughen.of(None)
-def roughen_nothing(texture: None, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+@texture_friction.of(None)
+def friction_without_texture(texture: None, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
     return body
 
 
-@roughen.of(Texture)
-def roughen_texture(texture: Texture, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
-    return regrip(texture.grip, texture, body, index, active, center)
+@texture_friction.of(Texture)
+def friction_with_texture(texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
+    return scale_friction(texture.grip, texture, body, index, active, center)
 
 
 @by_type
-def regrip(grip: Any, texture: Texture, body: Any, index: float, active: Constraints, center: Vec3) -> Any: ...
+def scale_friction(grip: Any, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any: ...
 
 
-@regrip.of(None)
-def regrip_nothing(grip: None, texture: Texture, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+@scale_friction.of(None)
+def scale_no_friction(grip: None, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
     return body
 
 
-@regrip.of(Grip)
-def regrip_grip(grip: Grip, texture: Texture, body: Any, index: float, active: Constraints, center: Vec3) -> Any:
+@scale_friction.of(Grip)
+def scale_friction_by_grip(
+    grip: Grip, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3
+) -> Any:
     factor = 1.0
     if index == active.first or index == active.second or index == active.third:
         normal = active.n1 if index == active.first else active.n2 if index == active.second else active.n3
@@ -229,7 +211,7 @@ def regrip_grip(grip: Grip, texture: Texture, body: Any, index: float, active: C
         z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
         factor = grip.low + (grip.high - grip.low) * z
     made_of = body.material
-    friction, torsion = scaled(made_of.friction, factor), gripped(made_of.torsion, factor)
+    friction, torsion = scaled(made_of.friction, factor), with_scaled_friction(made_of.torsion, factor)
     return Object(
         shape=body.shape,
         pose=body.pose,
@@ -243,24 +225,24 @@ def regrip_grip(grip: Grip, texture: Texture, body: Any, index: float, active: C
 
 
 @jit
-def roughened(objects: Any, active: Constraints, center: Vec3) -> Any:
+def with_texture_friction(objects: Any, active: ActiveSet, center: Vec3) -> Any:
     """The objects with the friction that they have under the proxy's `center` (3,) m."""
-    return roughened_from(objects, 0.0, active, center)
+    return with_texture_friction_from(objects, 0.0, active, center)
 
 
 @by_count
-def roughened_from(objects: Any, index: float, active: Constraints, center: Vec3) -> Any:
+def with_texture_friction_from(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
     """Those of a tuple that begins with the place `index`."""
 
 
-@roughened_from.of(1)
-def roughened_one(objects: Any, index: float, active: Constraints, center: Vec3) -> Any:
-    texture = member(objects[0], 0.0).texture
-    return (roughen(texture, objects[0], index, active, center),)
+@with_texture_friction_from.of(1)
+def with_texture_friction_on_one(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
+    texture = element(objects[0], 0.0).texture
+    return (texture_friction(texture, objects[0], index, active, center),)
 
 
-@roughened_from.of(2)
-def roughened_several(objects: Any, index: float, active: Constraints, center: Vec3) -> Any:
-    texture = member(objects[0], 0.0).texture
-    body = roughen(texture, objects[0], index, active, center)
-    return (body,) + roughened_from(objects[1:], index + places(objects[0]), active, center)  # noqa: RUF005  # see world.poses_of_several_at
+@with_texture_friction_from.of(2)
+def with_texture_friction_on_several(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
+    texture = element(objects[0], 0.0).texture
+    body = texture_friction(texture, objects[0], index, active, center)
+    return (body,) + with_texture_friction_from(objects[1:], index + count(objects[0]), active, center)  # noqa: RUF005  # see world.poses_of_several_at

@@ -2,35 +2,35 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.fingertip import point_under, roundness, torque_of
-from softfinger.proxy.kernels.contact.patches import Motion, load_on, sheared
-from softfinger.proxy.kernels.contact.rolling_resistance import Bent, resist
-from softfinger.proxy.kernels.friction.footprint import footprint, torsion_under, winding_unit
+from softfinger.proxy.kernels.contact.contacts import Motion, load_on, shear
+from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
+from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
+from softfinger.proxy.kernels.friction.contact_patch import contact_patch, torsion_under, winding_unit
 from softfinger.proxy.kernels.friction.laws import turned
-from softfinger.proxy.kernels.friction.machine import react
+from softfinger.proxy.kernels.friction.stick_slip import stick_slip
 from softfinger.proxy.kernels.friction.torsion import share_of
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import material_of, number_of, pose_of
-from softfinger.proxy.kernels.geometry.kinds import has_wide
 from softfinger.proxy.kernels.model import (
-    NO_PATCH,
-    NO_PATCH_CONTACT,
+    NO_CONTACT,
+    NO_OUTCOME,
+    ContactOutcome,
+    ContactState,
     Coupling,
     Finger,
-    PatchContact,
-    PatchState,
     Quaternion,
     Vec3,
 )
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined_where
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.kinds import has_wide
+from softfinger.proxy.kernels.query.objects import material_of, number_of, pose_of
 from softfinger.proxy.record import CAUSE_NONE
 
 
 class Wrench(NamedTuple):
     """What a patch does to the hand, torque about the fingertip's centre, and what becomes of it.
 
-    after    PatchState
+    after    ContactState
     cause    of its change of mode
     theta    rad    roll in this tick
     spin     rad    torsional wind-up
@@ -38,7 +38,7 @@ class Wrench(NamedTuple):
     radius   m      of the contact patch
     """
 
-    after: PatchState
+    after: ContactState
     cause: float
     theta: float
     spin: float
@@ -50,33 +50,33 @@ class Wrench(NamedTuple):
 
 
 @outlined_where(has_wide)
-def wrench_of(rolling: Any, finger: Finger, objects: Any, patch: PatchState, motion: Motion) -> Wrench:
+def wrench_of(rolling: Any, finger: Finger, objects: Any, patch: ContactState, motion: Motion) -> Wrench:
     """Friction and torsion of one of several patches: with its own load, its own law, and its share of the springs."""
     zero = (0.0, 0.0, 0.0)
     if patch.body < 0.0:
         return Wrench(
-            after=NO_PATCH, cause=float(CAUSE_NONE), theta=0.0, spin=0.0,
+            after=NO_CONTACT, cause=float(CAUSE_NONE), theta=0.0, spin=0.0,
             normal_force=zero, tangential_force=zero, torque=zero, torsion=0.0, radius=0.0,
         )  # fmt: skip
     material, share, normal = material_of(objects, patch.body), patch.share, patch.normal
     load = load_on(objects, patch, motion)
     orientation = motion.probe.orientation
-    round_by = roundness(finger.form, finger.radius, orientation, normal)
-    area = footprint(finger.patch, round_by, material.compliance, load.size)
+    round_by = radius_of_curvature(finger.form, finger.radius, orientation, normal)
+    area = contact_patch(finger.patch, round_by, material.compliance, load.size)
     unit = winding_unit(material.torsion, area, share)
-    seen, theta = sheared(rolling, objects, patch, motion, load.size, unit)
-    kept = react(
+    seen, theta = shear(rolling, objects, patch, motion, load.size, unit)
+    kept = stick_slip(
         turned(material.friction, pose_of(objects, patch.body).orientation),
         torsion_under(share_of(material.torsion, share), area),
         Coupling(share * finger.coupling.stiffness, share * finger.coupling.damping),
         share * finger.torque_stiffness,
         seen,
     )
-    bent = Bent(patch.body, normal, share, patch.bend, motion.touches)
+    bent = ResistanceInput(patch.body, normal, share, patch.bend, motion.touches)
     bend, bending = resist(finger.patch, objects, bent, motion.probe, motion.last, area)
     pressing = vec3.scale(load.size, load.along)
     torque = torque_of(finger.form, finger.radius, orientation, normal, kept.moment, pressing, kept.force)
-    after = PatchState(
+    after = ContactState(
         body=patch.body,
         normal=normal,
         push=patch.push,
@@ -105,12 +105,12 @@ def wrench_of(rolling: Any, finger: Finger, objects: Any, patch: PatchState, mot
 
 
 @jit
-def outcome_of(objects: Any, wrench: Wrench, finger: Finger, orientation: Quaternion, center: Vec3) -> PatchContact:
+def outcome_of(objects: Any, wrench: Wrench, finger: Finger, orientation: Quaternion, center: Vec3) -> ContactOutcome:
     """What is told of a patch under the proxy at `center` (3,) m."""
     patch = wrench.after
     if patch.body < 0.0:
-        return NO_PATCH_CONTACT
-    return PatchContact(
+        return NO_OUTCOME
+    return ContactOutcome(
         object=number_of(objects, patch.body),
         point=point_under(finger.form, finger.radius, orientation, center, patch.normal),
         normal=patch.normal,

@@ -12,8 +12,6 @@ Finite input gives finite force, however far out or fast: the products are kept 
 from math import floor, pi, sin
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.frames import into, out_of
 from softfinger.proxy.kernels.model import (
     Anchor,
     BoxBoundary,
@@ -33,6 +31,9 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.native.dispatch import by_count, by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.frames import into, out_of
+from softfinger.proxy.kernels.numerics.scalars import clamp
 
 FORCE_CEILING_N = 1e6
 """Only keeps products of absurd numbers finite; what reaches a hand is the guard's business."""
@@ -110,11 +111,6 @@ def reach_of_sphere(region: SphereRegion, situation: Situation) -> float:
 
 
 # --- bounds --------------------------------------------------------------------------------------
-
-
-@jit
-def clamp(x: float, largest: float) -> float:
-    return min(max(x, -largest), largest)
 
 
 @jit

@@ -3,12 +3,12 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_or_bound_on
-from softfinger.proxy.kernels.geometry.entries import member
-from softfinger.proxy.kernels.geometry.motion import moving_pose
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.dispatch import by_count
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.elements import element
+from softfinger.proxy.kernels.query.motion import moving_pose
+from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
 
 class Touched(NamedTuple):
@@ -31,14 +31,14 @@ def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Tou
 @apply_objects_effects.of(1)
 def effects_of_one(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
     body = objects[0]
-    force, state, unsearched = effects_of(member(body, 0.0).effects, body, states[0], radius, touched, contact)
+    force, state, unsearched = effects_of(element(body, 0.0).effects, body, states[0], radius, touched, contact)
     return force, (state,), unsearched
 
 
 @apply_objects_effects.of(2)
 def effects_of_several(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
     body = objects[0]
-    force, state, unsearched = effects_of(member(body, 0.0).effects, body, states[0], radius, touched, contact)
+    force, state, unsearched = effects_of(element(body, 0.0).effects, body, states[0], radius, touched, contact)
     others, rest, more = apply_objects_effects(objects[1:], states[1:], radius, touched, contact)
     states = (state,) + rest  # noqa: RUF005  # see world.poses_of_several_at
     return vec3.add(force, others), states, max(unsearched, more)

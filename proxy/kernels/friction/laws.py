@@ -11,8 +11,6 @@
 from math import exp, sqrt
 from typing import Any
 
-from softfinger.proxy.kernels.friction.ellipsoid import multiplier, shrink
-from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.model import (
     Anisotropic,
     Friction,
@@ -24,6 +22,8 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, shrink
 
 Scales = tuple[Vec3, Vec3, float, float]
 Cut = tuple[Vec3, float, float]

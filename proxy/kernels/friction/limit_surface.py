@@ -7,13 +7,13 @@ slide(torsion, law, stiffness, limit, breaking, patch) -> Slide
 from math import sqrt
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.friction.ellipsoid import multiplier, near, shrink
 from softfinger.proxy.kernels.friction.laws import cut, scales
 from softfinger.proxy.kernels.friction.torsion import torsional_limit, torsional_stiffness
-from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.model import LimitSurface, Patch, Vec3
+from softfinger.proxy.kernels.model import FrictionInput, LimitSurface, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, near, shrink
 
 WEIGHT_MAX = 1e24
 """Ratio of the energies that the two springs store at their limits, beyond which one of them is rigid."""
@@ -41,11 +41,11 @@ def room(torsion: Any, spin: float, normal_force: float) -> Any:
 
 
 @by_type
-def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch) -> Any: ...
+def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput) -> Any: ...
 
 
 @jit
-def slide_alone(law: Any, stiffness: float, limit: float, breaking: float, patch: Patch) -> Slide:
+def slide_alone(law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput) -> Slide:
     """Tangential slip that torsion has no part in: K |e| at most `limit`."""
     deflection, slip, length = cut(law, patch.normal, limit / stiffness, breaking, patch.deflection)
     return Slide(deflection, patch.spin, patch.twist, slip, length)
@@ -63,14 +63,14 @@ def room_beside_torsion(torsion: Any, spin: float, normal_force: float) -> float
 
 @slide.of(None)
 def slide_without_torsion(
-    torsion: None, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+    torsion: None, law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput
 ) -> Slide:
     return slide_alone(law, stiffness, limit, breaking, patch)
 
 
 @slide.otherwise
 def slide_beside_torsion(
-    torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+    torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput
 ) -> Slide:
     return slide_alone(law, stiffness, limit, breaking, patch)
 
@@ -87,7 +87,7 @@ def room_on_limit_surface(torsion: LimitSurface, spin: float, normal_force: floa
 
 @slide.of(LimitSurface)
 def slide_on_limit_surface(
-    torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, patch: Patch
+    torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput
 ) -> Slide:
     """Bring (K e, k_z phi) back to (f_T / F)^2 + (tau_n / tau_max)^2 <= 1.
 

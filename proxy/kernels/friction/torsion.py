@@ -1,6 +1,6 @@
 """Spin moment of a soft finger: a torsional spring whose anchor slips at the torsional limit.
 
-    wind(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt) -> Wound
+    wind(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt) -> TorsionResult
 
 Positive spin is right-handed about the normal; the moment on the hand opposes it.
 """
@@ -23,7 +23,7 @@ SLOWEST = 1e-300
 """A slip speed that is not zero: an anchor that slips, however slowly, is told from one that sticks."""
 
 
-class Wound(NamedTuple):
+class TorsionResult(NamedTuple):
     """Wind-up phi, rad, moment about the normal on the hand, N m, and the anchor's slip (see `State`)."""
 
     spin: float
@@ -73,7 +73,7 @@ def no_stiffness(torsion: None) -> float:
 
 @torsional_stiffness.of(PatchTorsion)
 def stiffness_in_winding_units(torsion: PatchTorsion) -> float:
-    """A wind-up is remembered with its stiffness in it: see `friction.footprint.winding_unit`."""
+    """A wind-up is remembered with its stiffness in it: see `friction.contact_patch.winding_unit`."""
     return 1.0
 
 
@@ -88,38 +88,38 @@ def soft_finger_stiffness(torsion: SoftFingerProxy) -> float:
 
 
 @by_type
-def gripped(torsion: Any, factor: float) -> Any:
+def with_scaled_friction(torsion: Any, factor: float) -> Any:
     """The law where friction is `factor` times what it is: so is the torsional limit, which friction makes."""
 
 
-@gripped.of(None)
+@with_scaled_friction.of(None)
 def grip_none(torsion: None, factor: float) -> None:
     return torsion
 
 
-@gripped.of(Torsion)
+@with_scaled_friction.of(Torsion)
 def grip_linear(torsion: Torsion, factor: float) -> Torsion:
     return Torsion(torsion.stiffness, factor * torsion.friction_length)
 
 
-@gripped.of(PowerTorsion)
+@with_scaled_friction.of(PowerTorsion)
 def grip_power(torsion: PowerTorsion, factor: float) -> PowerTorsion:
     return PowerTorsion(torsion.stiffness, factor * torsion.friction_length, torsion.exponent)
 
 
-@gripped.of(PatchTorsion)
+@with_scaled_friction.of(PatchTorsion)
 def grip_patch(torsion: PatchTorsion, factor: float) -> PatchTorsion:
     return PatchTorsion(factor * torsion.friction)
 
 
-@gripped.of(LimitSurface)
+@with_scaled_friction.of(LimitSurface)
 def grip_limit_surface(torsion: LimitSurface, factor: float) -> LimitSurface:
-    return LimitSurface(gripped(torsion.law, factor))
+    return LimitSurface(with_scaled_friction(torsion.law, factor))
 
 
-@gripped.of(SoftFingerProxy)
+@with_scaled_friction.of(SoftFingerProxy)
 def grip_soft_finger(torsion: SoftFingerProxy, factor: float) -> SoftFingerProxy:
-    return SoftFingerProxy(gripped(torsion.law, factor), torsion.kinetic_share)
+    return SoftFingerProxy(with_scaled_friction(torsion.law, factor), torsion.kinetic_share)
 
 
 @by_type
@@ -161,14 +161,14 @@ def share_of_soft_finger(torsion: SoftFingerProxy, share: float) -> SoftFingerPr
 @wind.of(None)
 def no_torsion(
     torsion: None, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> Wound:
-    return Wound(0.0, 0.0, 0.0, 0.0)
+) -> TorsionResult:
+    return TorsionResult(0.0, 0.0, 0.0, 0.0)
 
 
 @jit
 def clamped(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> Wound:
+) -> TorsionResult:
     """tau_n = k_z phi, its magnitude at most the torsional limit; what is beyond it the anchor has slipped.
 
     Source: Salvietti et al. (2013), eq. 1; the paper has no limit.
@@ -176,13 +176,13 @@ def clamped(
     stiffness = torsional_stiffness(torsion)
     limit = torsional_limit(torsion, normal_force) / stiffness
     wound = min(max(spin + turn, -limit), limit)
-    return Wound(wound, -stiffness * wound, 0.0, 0.0)
+    return TorsionResult(wound, -stiffness * wound, 0.0, 0.0)
 
 
 @wind.otherwise
 def wind_spring(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> Wound:
+) -> TorsionResult:
     return clamped(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
 
@@ -195,7 +195,7 @@ def wind_limit_surface(
     slip_speed: float,
     slip_angle: float,
     dt: float,
-) -> Wound:
+) -> TorsionResult:
     """Without a tangential load the limit surface is the torsional limit; with one, friction has cut phi before."""
     return clamped(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
@@ -209,7 +209,7 @@ def wind_soft_finger(
     slip_speed: float,
     slip_angle: float,
     dt: float,
-) -> Wound:
+) -> TorsionResult:
     """The proxy's fourth degree of freedom: its angle about the normal sticks, or slips behind the probe's.
 
     phi is the probe's angle less the proxy's. The proxy stays while k_z |phi| is within the static torsional
@@ -240,4 +240,4 @@ def wind_soft_finger(
         turned_back = slip_angle - abs(wound) > SPIN_REVERSE_SHARE * slip_angle
         if not slips and (stopped or turned_back):
             slip_speed = 0.0
-    return Wound(wound, -stiffness * wound, slip_speed, slip_angle)
+    return TorsionResult(wound, -stiffness * wound, slip_speed, slip_angle)

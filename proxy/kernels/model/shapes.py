@@ -56,7 +56,7 @@ class Ellipsoid(NamedTuple):
     side: float
 
 
-class Grown(NamedTuple):
+class MinkowskiSum(NamedTuple):
     """A shape as the centre of an ellipsoidal fingertip sees it, which is then taken for a ball of `radius`.
 
     shape              Plane, Sphere or Cylinder, touched from outside

@@ -28,7 +28,7 @@ class Probe(NamedTuple):
     velocity: Vec3
 
 
-class PatchState(NamedTuple):
+class ContactState(NamedTuple):
     """What one patch of contact remembers from one tick to the next.
 
     body             place in the scene's tuple of the object that it is on, -1 for no patch
@@ -38,7 +38,7 @@ class PatchState(NamedTuple):
     mode             FREE, ROLLING or SLIDING
     deflection       e: tangential, from the probe to where the patch sticks
     rolled_part      p: the share of e that rolling has wound
-    spin             phi: torsional wind-up, rad; under a contact patch in the unit of `friction.footprint.winding_unit`
+    spin             phi: torsional wind-up, rad; under a contact patch in the unit of `friction.contact_patch.winding_unit`
     slip_speed       low-passed plastic slip, m/s
     slip_deflection  |e| at the last tick that slipped, m
     spin_slip_speed  low-passed slip of the torsional anchor, rad/s; 0 while it sticks (soft-finger proxy only)
@@ -61,7 +61,7 @@ class PatchState(NamedTuple):
     bend: Vec3
 
 
-NO_PATCH = PatchState(
+NO_CONTACT = ContactState(
     body=-1.0,
     normal=(0.0, 0.0, 1.0),
     push=0.0,
@@ -86,7 +86,7 @@ class FingerState(NamedTuple):
     probe            at the last tick
     mode             FREE, or the mode of its first patch
     center           the proxy; among several objects the one that friction has not displaced
-    patches          tuple of PatchState: one in a scene of one object, else three, the most loaded first
+    patches          tuple of ContactState: one in a scene of one object, else three, the most loaded first
     rolled           roll angle since touch, rad
     stuck            ticks in a row in which the proxy found no rest and stood still
     effects          states of the effects of the workspace and of every object: what they remember is about this
@@ -110,8 +110,8 @@ class State(NamedTuple):
     fingers: Any
 
 
-class Patch(NamedTuple):
-    """What a patch brings to friction and torsion in a tick: see `PatchState` for the names.
+class FrictionInput(NamedTuple):
+    """What a patch brings to friction and torsion in a tick: see `ContactState` for the names.
 
     deflection         e after this tick's motion and roll; with deflection_before and rolled_part in the
                        tangent plane of `normal`
@@ -135,7 +135,7 @@ class Patch(NamedTuple):
     normal_force: float
 
 
-class Reaction(NamedTuple):
+class FrictionResult(NamedTuple):
     """What friction and torsion make of a tick: the new mode and why, what is kept, and the reaction on the hand.
 
     force   (3,) N    tangential force
@@ -155,7 +155,7 @@ class Reaction(NamedTuple):
     moment: float
 
 
-class PatchContact(NamedTuple):
+class ContactOutcome(NamedTuple):
     """The outcome of one step for one patch; zeros, and -1 for the object, where there is none.
 
     object  its number in the scene
@@ -173,7 +173,7 @@ class PatchContact(NamedTuple):
     spin: float
 
 
-NO_PATCH_CONTACT = PatchContact(
+NO_OUTCOME = ContactOutcome(
     object=-1.0, point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), mode=0.0, spin=0.0
 )
 
@@ -188,7 +188,7 @@ class Contact(NamedTuple):
     patch_radius     m, 0 for a fingertip without a patch
     patch_normal     of the object, in the fingertip frame
     patch_stretch    m, of the skin against the fingertip along the surface, in the fingertip frame
-    patches          tuple of PatchContact, as many as FingerState has patches, in their order
+    patches          tuple of ContactOutcome, as many as FingerState has patches, in their order
     budget           1 if a mesh or height map could not be searched to the end: the proxy stays where it was, or it is
                      not known whether a first pose touches
     """

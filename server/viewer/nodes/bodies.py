@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.actions import kernel_motion
-from softfinger.proxy.kernels.geometry.motion import pose_at
 from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.kernels.query.motion import pose_at
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.nodes.board import add_board

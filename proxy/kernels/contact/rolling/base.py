@@ -2,12 +2,12 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.surfaces import BUDGET_OF_A_ROLL, closest, closest_from
-from softfinger.proxy.kernels.geometry.surfaces.grown import arm
-from softfinger.proxy.kernels.model import Grown, Quaternion, Vec3
+from softfinger.proxy.kernels.model import MinkowskiSum, Quaternion, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.shapes import BUDGET_OF_A_ROLL, closest, closest_from
+from softfinger.proxy.kernels.shapes.minkowski import support_vector
 
 
 class OffsetPoint(NamedTuple):
@@ -79,7 +79,7 @@ def earlier(shape: Any, w: Vec3, left: float) -> Any:
 
 
 @by_type
-def pace(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Any:
+def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Any:
     """Velocity (3,) of the fingertip's centre while it rolls without slip at the angular velocity `w`: w x arm."""
 
 
@@ -98,8 +98,8 @@ def seen_the_same(shape: Any, w: Vec3, left: float) -> Any:
     return shape
 
 
-@pace.otherwise
-def pace_of_ball(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
+@center_velocity.otherwise
+def center_velocity_of_ball(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
     return vec3.scale(radius, vec3.cross(w, normal))
 
 
@@ -113,23 +113,23 @@ def roll_angle_of_ball(shape: Any, radius: float, motion: Vec3, tilted: float) -
     return vec3.norm(motion) / radius
 
 
-@earlier.of(Grown)
-def turned_less(shape: Grown, w: Vec3, left: float) -> Grown:
+@earlier.of(MinkowskiSum)
+def turned_less(shape: MinkowskiSum, w: Vec3, left: float) -> MinkowskiSum:
     back = rotations.exp(vec3.scale(-left, w))
-    return Grown(shape.shape, shape.semi_axes, rotations.multiply(back, shape.orientation), shape.radius)
+    return MinkowskiSum(shape.shape, shape.semi_axes, rotations.multiply(back, shape.orientation), shape.radius)
 
 
-@pace.of(Grown)
-def pace_of_ellipsoid(shape: Grown, radius: float, w: Vec3, normal: Vec3) -> Vec3:
+@center_velocity.of(MinkowskiSum)
+def center_velocity_of_ellipsoid(shape: MinkowskiSum, radius: float, w: Vec3, normal: Vec3) -> Vec3:
     """Not along the surface alone: the centre rises and falls."""
-    return vec3.cross(w, arm(shape.semi_axes, shape.orientation, normal))
+    return vec3.cross(w, support_vector(shape.semi_axes, shape.orientation, normal))
 
 
-@surface_part.of(Grown)
-def part_along_the_surface(shape: Grown, way: Vec3, normal: Vec3) -> float:
+@surface_part.of(MinkowskiSum)
+def part_along_the_surface(shape: MinkowskiSum, way: Vec3, normal: Vec3) -> float:
     return vec3.norm(vec3.reject(way, normal))
 
 
-@roll_angle.of(Grown)
-def roll_angle_of_ellipsoid(shape: Grown, radius: float, motion: Vec3, tilted: float) -> float:
+@roll_angle.of(MinkowskiSum)
+def roll_angle_of_ellipsoid(shape: MinkowskiSum, radius: float, motion: Vec3, tilted: float) -> float:
     return tilted

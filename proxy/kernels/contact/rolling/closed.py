@@ -11,10 +11,10 @@ from math import sin
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land, roll
-from softfinger.proxy.kernels.geometry import rotations, vec3
-from softfinger.proxy.kernels.geometry.surfaces import unroll
 from softfinger.proxy.kernels.model import Cylinder, Plane, Quaternion, RotationVector, Sphere, Vec3
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.shapes import unroll
 
 
 @jit

@@ -1,0 +1,360 @@
+"""The patches of a contact with several objects: handed on from tick to tick, carried, rolled and sheared.
+
+Each object that holds the proxy has a patch of its own, with the share w of the coupling's and the torsional
+spring that it has of the load (the elastic normal forces). What one loses of its share another gains, and with the
+share goes what it holds: deflection and wind-up mix as the shares do, so the forces are continuous, and the springs'
+energy does not grow, since it is convex.
+
+e of a patch follows the motion of the proxy without friction y, which is the probe's where nothing is in the way, and
+is as it was where the probe only presses deeper into another wall. The patch is on the skin, and the skin rests there.
+"""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.carry import (
+    carried_direction,
+    carried_point,
+    carry,
+    relative_rotation,
+    relative_velocity,
+)
+from softfinger.proxy.kernels.contact.fingertip import velocity_at
+from softfinger.proxy.kernels.contact.normal import normal_force_of
+from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet, loads_of, one_constraint
+from softfinger.proxy.kernels.contact.rest.among import relax
+from softfinger.proxy.kernels.contact.rest.cutting_planes import held_at_anchor
+from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
+from softfinger.proxy.kernels.contact.texture import texture_depth_on
+from softfinger.proxy.kernels.friction.stick_slip import split
+from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
+from softfinger.proxy.kernels.model import NO_CONTACT, ContactState, FingerState, FrictionInput, Probe, Quaternion, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
+from softfinger.proxy.kernels.query.objects import material_of, transport_on
+from softfinger.proxy.record import ROLLING
+
+Patches = tuple[ContactState, ContactState, ContactState]
+
+
+class Motion(NamedTuple):
+    """What moves all patches in a tick.
+
+    radius          m     of the fingertip
+    form                  None or EllipsoidTip
+    resolution      m     encoder step of the probe
+    dt              s     time step
+    probe                 now
+    last                  the probe at the last tick
+    center   (3,)   m     the proxy at the last tick
+    turn                  rotation of the fingertip since the last tick
+    free     (3,)   m     way of the proxy without friction, less what carried it
+    blocked  (3,)   m     way of the probe less that
+    farther  (3,)   m     how much farther the proxy went where the normals turned; in neither of the two above
+    touches               a first touch, whose patches stick where it is now: nothing has moved them
+    """
+
+    radius: float
+    form: Any
+    resolution: float
+    dt: float
+    probe: Probe
+    last: Probe
+    center: Vec3
+    turn: Quaternion
+    free: Vec3
+    blocked: Vec3
+    farther: Vec3
+    touches: bool
+
+
+class Load(NamedTuple):
+    """How hard one object presses on the hand: N, and along which unit vector (3,)."""
+
+    size: float
+    along: Vec3
+
+
+@jit
+def warm_start(objects: Any, radius: float, state: FingerState, probe: Vec3) -> tuple[Vec3, ActiveSet]:
+    """The proxy (3,) m of the last tick as its first object carried it, and what held it, pushing as it does now."""
+    one, two, three = state.patches
+    center = carried_point(carry(objects, one.body), state.center)
+    if any_mesh(objects) and not any_creases(objects):
+        return center, held_at_anchor(objects, radius, probe, center, (one.body, two.body, three.body))
+    up = one_constraint(one.body, one.normal)
+    active = ActiveSet(
+        first=one.body, second=two.body, third=three.body, n1=up.n1, n2=up.n2, n3=up.n3, push=up.push
+    )  # fmt: skip
+    _, active = relax(objects, radius, probe, center, active, 1)
+    return center, active
+
+
+@jit
+def carried_patch(objects: Any, patch: ContactState) -> ContactState:
+    """The patch where its object has taken it."""
+    if patch.body < 0.0:
+        return patch
+    moved = carry(objects, patch.body)
+    return ContactState(
+        body=patch.body,
+        normal=carried_direction(moved, patch.normal),
+        push=patch.push,
+        share=patch.share,
+        mode=patch.mode,
+        deflection=carried_direction(moved, patch.deflection),
+        rolled_part=carried_direction(moved, patch.rolled_part),
+        spin=patch.spin,
+        slip_speed=patch.slip_speed,
+        slip_deflection=patch.slip_deflection,
+        spin_slip_speed=patch.spin_slip_speed,
+        spin_slip_angle=patch.spin_slip_angle,
+        bend=carried_direction(moved, patch.bend),
+    )
+
+
+@jit
+def carried_patches(objects: Any, patches: Any) -> Patches:
+    return (
+        carried_patch(objects, patches[0]),
+        carried_patch(objects, patches[1]),
+        carried_patch(objects, patches[2]),
+    )
+
+
+@jit
+def contact_on(patches: Patches, body: float) -> ContactState:
+    """The patch on that object, or none."""
+    if body >= 0.0:
+        if patches[0].body == body:
+            return patches[0]
+        if patches[1].body == body:
+            return patches[1]
+        if patches[2].body == body:
+            return patches[2]
+    return NO_CONTACT
+
+
+@jit
+def load_shares(objects: Any, active: ActiveSet) -> Vec3:
+    """Shares of the load that the three bear; they sum to 1."""
+    one, two, three = loads_of(objects, active)
+    load = one + two + three
+    if load > 0.0:
+        return one / load, two / load, three / load
+    return 1.0, 0.0, 0.0
+
+
+@jit
+def load_share_on(active: ActiveSet, shares: Vec3, body: float) -> float:
+    """The share that the object with that place in the tuple has now."""
+    if body == active.first:
+        return shares[0]
+    if body == active.second:
+        return shares[1]
+    if body == active.third:
+        return shares[2]
+    return 0.0
+
+
+@jit
+def load_share_lost(active: ActiveSet, shares: Vec3, patch: ContactState) -> float:
+    """How much of its share a patch loses in this tick."""
+    if patch.body < 0.0:
+        return 0.0
+    return max(patch.share - load_share_on(active, shares, patch.body), 0.0)
+
+
+@jit
+def largest_loser(patches: Patches, losses: Vec3) -> ContactState:
+    if losses[0] >= losses[1] and losses[0] >= losses[2]:
+        return patches[0]
+    if losses[1] >= losses[2]:
+        return patches[1]
+    return patches[2]
+
+
+@jit
+def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float) -> ContactState:
+    """The patch with what `weight`, a share of its own, brings along from another: what lies in its plane, about its
+    normal. Wind-up about a stiffer spring is less: the moment is kept, and no energy comes of it."""
+    if weight == 0.0:
+        return taker
+    ease = torsional_stiffness(material_of(objects, giver.body).torsion)
+    ease = min(ease / torsional_stiffness(material_of(objects, taker.body).torsion), 1.0)
+    turned = vec3.dot(giver.normal, taker.normal)
+    return ContactState(
+        body=taker.body,
+        normal=taker.normal,
+        push=taker.push,
+        share=taker.share,
+        mode=taker.mode,
+        deflection=vec3.add_scaled(taker.deflection, weight, vec3.reject(giver.deflection, taker.normal)),
+        rolled_part=vec3.add_scaled(taker.rolled_part, weight, vec3.reject(giver.rolled_part, taker.normal)),
+        spin=taker.spin + weight * ease * turned * giver.spin,
+        slip_speed=taker.slip_speed,
+        slip_deflection=taker.slip_deflection,
+        spin_slip_speed=taker.spin_slip_speed,
+        spin_slip_angle=taker.spin_slip_angle,
+        bend=vec3.add_scaled(taker.bend, weight, vec3.reject(giver.bend, taker.normal)),
+    )
+
+
+@jit
+def handed_over(
+    objects: Any, patches: Patches, losses: Vec3, body: float, normal: Vec3, push: float, share: float
+) -> ContactState:
+    """The patch on an object with what it keeps of its own, and what comes with the share that it has gained.
+
+    patches, losses   of the last tick, carried; see `load_share_lost`
+    """
+    if body < 0.0:
+        return NO_CONTACT
+    own = contact_on(patches, body)
+    lost = losses[0] + losses[1] + losses[2]
+    keeps = own.body >= 0.0
+    like = own if keeps or lost == 0.0 else largest_loser(patches, losses)
+    kept, gained = 0.0, 0.0
+    if share > 0.0:
+        kept = min(own.share, share) / share
+        if lost > 0.0:
+            gained = max(share - own.share, 0.0) / (lost * share)
+    mode = like.mode if like.body >= 0.0 else float(ROLLING)
+    zero = (0.0, 0.0, 0.0)
+    deflection, rolled_part = zero, zero
+    if keeps:
+        deflection = vec3.scale(kept, transport_on(objects, body, own.deflection, own.normal, normal))
+        rolled_part = vec3.scale(kept, transport_on(objects, body, own.rolled_part, own.normal, normal))
+    patch = ContactState(
+        body=body,
+        normal=normal,
+        push=push,
+        share=share,
+        mode=mode,
+        deflection=deflection,
+        rolled_part=rolled_part,
+        spin=kept * own.spin,
+        slip_speed=like.slip_speed,
+        slip_deflection=like.slip_deflection,
+        spin_slip_speed=like.spin_slip_speed,
+        spin_slip_angle=like.spin_slip_angle,
+        bend=vec3.scale(kept, own.bend),
+    )
+    patch = merged(objects, patch, patches[0], gained * losses[0])
+    patch = merged(objects, patch, patches[1], gained * losses[1])
+    return merged(objects, patch, patches[2], gained * losses[2])
+
+
+@jit
+def hand_over(objects: Any, patches: Patches, active: ActiveSet) -> Patches:
+    """The patches of this tick, one for each that holds the proxy now, before anything has moved them."""
+    shares = load_shares(objects, active)
+    losses = (
+        load_share_lost(active, shares, patches[0]),
+        load_share_lost(active, shares, patches[1]),
+        load_share_lost(active, shares, patches[2]),
+    )
+    push = active.push
+    return (
+        handed_over(objects, patches, losses, active.first, active.n1, push.first, shares[0]),
+        handed_over(objects, patches, losses, active.second, active.n2, push.second, shares[1]),
+        handed_over(objects, patches, losses, active.third, active.n3, push.third, shares[2]),
+    )
+
+
+@jit
+def displaced_by_object(before: Patches, patch: ContactState) -> Vec3:
+    """How far (3,) m the object under a patch pushes the proxy beside the way of the probe in this tick."""
+    return vec3.scale(patch.push - contact_on(before, patch.body).push, patch.normal)
+
+
+@jit
+def displaced_by_release(patches: Patches, patch: ContactState) -> Vec3:
+    """How far (3,) m the proxy comes back because an object has let go of it; 0 where it holds it still."""
+    return vec3.scale(-patch.push if contact_on(patches, patch.body).body < 0.0 else 0.0, patch.normal)
+
+
+@jit
+def displaced_by_friction(before: Patches, patches: Patches) -> Vec3:
+    """What (3,) m the proxy's way in this tick is beside the probe's."""
+    way = vec3.add(displaced_by_object(before, patches[0]), displaced_by_release(patches, before[0]))
+    way = vec3.add(way, vec3.add(displaced_by_object(before, patches[1]), displaced_by_release(patches, before[1])))
+    return vec3.add(way, vec3.add(displaced_by_object(before, patches[2]), displaced_by_release(patches, before[2])))
+
+
+@jit
+def displaced_by_turning_normal(before: Patches, patch: ContactState) -> Vec3:
+    """How far (3,) m the proxy goes because the normal of the object under a patch turned in this tick."""
+    was = contact_on(before, patch.body)
+    return vec3.scale(was.push, vec3.sub(patch.normal, was.normal))
+
+
+@jit
+def farther_than_probe(before: Patches, patches: Patches) -> Vec3:
+    """How much farther (3,) m than the probe, which is deeper, the proxy goes over a curve or an edge."""
+    return vec3.add(
+        vec3.add(displaced_by_turning_normal(before, patches[0]), displaced_by_turning_normal(before, patches[1])),
+        displaced_by_turning_normal(before, patches[2]),
+    )
+
+
+@jit
+def load_on(objects: Any, patch: ContactState, motion: Motion) -> Load:
+    carried, since = carry(objects, patch.body), 0.0 if motion.touches else motion.dt
+    velocity = relative_velocity(carried, motion.probe.velocity, motion.last.position, motion.dt)
+    velocity = velocity_at(motion.form, velocity, carried, motion.probe, motion.last, patch.normal, since)
+    depth, m = texture_depth_on(objects, patch.body, patch.push, patch.normal, motion.probe.position)
+    return Load(normal_force_of(material_of(objects, patch.body).normal, depth, vec3.dot(velocity, m)), m)
+
+
+@jit
+def shear(
+    method: Any, objects: Any, patch: ContactState, motion: Motion, normal_force: float, unit: float
+) -> tuple[FrictionInput, float]:
+    """A patch that sticks, as friction is to see it, and how far it rolled, rad: its deflection after what proxy,
+    object and fingertip did in this tick. `unit` is that of its wind-up.
+
+    e <- e - (dy - do) + r theta (a x n), all of it in the tangent plane: y the proxy without friction, o the object
+    there. Of the probe's way that the proxy was kept from, only what unwinds e counts: the hand gets no more work from
+    the patch than its spring gives, whatever the others do meanwhile. And where the proxy goes farther than the probe,
+    its way takes back what a roll has wound: a fingertip that is led as it rolls winds nothing. What a drag has wound
+    follows the probe, or a drag while pressed deep, let go while lifted, would give the hand work.
+    """
+    normal, carried = patch.normal, carry(objects, patch.body)
+    deflection, rolled_part, theta, twist = patch.deflection, patch.rolled_part, 0.0, 0.0
+    if not motion.touches:
+        turn = relative_rotation(carried, motion.turn)
+        rolled = roll_flat_on(method, objects, patch.body, motion.radius, normal, turn)
+        rode = vec3.sub(carried_point(carried, motion.center), motion.center)
+        way = vec3.reject(vec3.sub(motion.free, rode), normal)
+        deflection = vec3.add(vec3.sub(deflection, way), rolled.motion)
+        rolled_part, theta, twist = vec3.add(rolled_part, rolled.motion), rolled.theta, rolled.spin
+        blocked = vec3.reject(motion.blocked, normal)
+        square = vec3.dot(blocked, blocked)
+        if square > 0.0:
+            share = min(max(vec3.dot(deflection, blocked) / square, 0.0), 1.0)
+            deflection = vec3.add_scaled(deflection, -share, blocked)
+        swing = vec3.reject(motion.farther, normal)
+        square = vec3.dot(swing, swing)
+        if square > 0.0:
+            _, by_roll = split(deflection, rolled_part)
+            share = min(max(min(vec3.dot(by_roll, swing), vec3.dot(deflection, swing)) / square, 0.0), 1.0)
+            deflection = vec3.add_scaled(deflection, -share, swing)
+    seen = FrictionInput(
+        radius=motion.radius,
+        resolution=motion.resolution,
+        dt=motion.dt,
+        mode=patch.mode,
+        normal=normal,
+        deflection=deflection,
+        deflection_before=patch.deflection,
+        rolled_part=rolled_part,
+        slip_speed=patch.slip_speed,
+        slip_deflection=patch.slip_deflection,
+        spin=patch.spin / unit,
+        twist=twist,
+        spin_slip_speed=patch.spin_slip_speed,
+        spin_slip_angle=patch.spin_slip_angle / unit,
+        normal_force=normal_force,
+    )
+    return seen, theta

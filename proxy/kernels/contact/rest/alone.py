@@ -1,0 +1,78 @@
+"""Where the proxy comes to rest on the only object, held aside by friction or not."""
+
+from typing import Any
+
+from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet, pressed
+from softfinger.proxy.kernels.model import Plane, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.objects import closest_on
+from softfinger.proxy.kernels.shapes import is_hollow, rest_on
+
+ROUNDS = 10
+"""Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""
+SLIDING_ROUNDS = 2
+"""The same for a proxy that slides, and on meshes and height maps: what is left is far below the slip of one tick, and
+the next tick takes it up. Short of the end the proxy is outside, not inside."""
+SAME_SIDE = 0.5
+"""Cosine between two normals of one side of an object, one tick apart: a fingertip does not turn round it in a tick."""
+SETTLED = 1e-13
+"""Movement, as a share of the fingertip's radius, below which the proxy is at rest."""
+
+
+@jit
+def settle_on_one(
+    objects: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, active: ActiveSet, slips: bool
+) -> tuple[Vec3, ActiveSet, float]:
+    """Bring the proxy to rest on the only object; and 1 if its search had to stop before that was found.
+
+    center      (3,) m  where its roll has brought it
+    deflection  (3,) m  what friction keeps between proxy and probe, tangent
+    slips               False where friction holds it
+    """
+    if not slips:
+        return center, active, 0.0
+    center, normal, bounded = rest_on(objects[0].shape, objects[0], radius, probe, center, deflection, active.n1)
+    return center, pressed(normal, vec3.sub(center, probe)), bounded
+
+
+@rest_on.of(Plane)
+def rest_on_plane(
+    shape: Plane, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, Vec3, float]:
+    """Found from the probe alone, so that a tick does not wait for the last one's proxy."""
+    gap, _, normal = closest_on(body, probe)
+    return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal, 0.0
+
+
+@rest_on.otherwise
+def rest_on_curved(
+    shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, Vec3, float]:
+    """Project the probe onto the tangent plane, put that onto the surface, and again from there.
+
+    In a hollow the probe itself is displaced, not its image in the tangent plane: the surface through the probe is the
+    flatter one there, and the foot from it is Newton's step. From the tangent plane a depth of more than the radius
+    that the centre moves on would lead away.
+
+    Without a deflection the answer is the surface point nearest to the probe, unless that one is on another
+    side of the object: then the normal has jumped, and the proxy goes its way round.
+    """
+    if deflection == (0.0, 0.0, 0.0):
+        _, point, foot_normal = closest_on(body, probe)
+        if vec3.dot(foot_normal, normal) > SAME_SIDE:
+            return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
+    near, rounds = (SETTLED * radius) ** 2, SLIDING_ROUNDS
+    if deflection == (0.0, 0.0, 0.0):
+        rounds = ROUNDS
+    hollow = is_hollow(shape)
+    for _ in range(rounds):
+        depth = 0.0 if hollow else vec3.dot(vec3.sub(center, probe), normal)
+        goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
+        _, point, normal = closest_on(body, goal)
+        moved = vec3.add_scaled(point, radius, normal)
+        step = vec3.sub(moved, center)
+        center = moved
+        if vec3.dot(step, step) <= near:
+            break
+    return center, normal, 0.0

@@ -1,0 +1,297 @@
+"""Where the proxy comes to rest among several objects, the triangles of a mesh among them, without friction."""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.normal import spring
+from softfinger.proxy.kernels.contact.rest.active_set import (
+    INSIDE,
+    ActiveSet,
+    active_objects,
+    count_of,
+    is_support_point_of,
+    leaves_no_room,
+    loads_of,
+    merge_support_points,
+    one_constraint,
+    strongest_first,
+    with_another,
+    with_touched,
+    without_weakest,
+)
+from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SETTLED, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, settle_by_planes
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.outlined import outlined_where
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
+from softfinger.proxy.kernels.query.kinds import (
+    FACETED,
+    RUGGED,
+    SMOOTH,
+    any_creases,
+    any_multipoint,
+    by_roughness,
+    has_creases_at,
+    has_wide,
+)
+from softfinger.proxy.kernels.query.objects import closest_to_within, constraint_of, deepest, material_of, neighbour_on
+from softfinger.proxy.kernels.query.sweep import first_hit
+from softfinger.proxy.kernels.shapes.budget import BUDGET, STRIDE
+
+ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
+"""Times that something found in the way is added to what holds the proxy, before it stays where it was for a tick."""
+
+
+class Rest(NamedTuple):
+    """Where the proxy (3,) m comes to rest and what holds it there; if it is `late`, a place on the way, or where it
+    was since nothing better was found to be outside. And what is left of the budget, below 0 where it was used up."""
+
+    center: Vec3
+    active: ActiveSet
+    late: bool
+    left: int
+
+
+@outlined_where(has_wide)
+def settle_among_several(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+) -> Rest:
+    """Bring the proxy to rest among several objects, where it would be without friction.
+
+    start   (3,) m  where its way in this tick begins, for what may be met on it: see `first_hit`
+    center  (3,) m  where what holds it has carried it
+    active          what holds it, pushing
+    left            of the budget
+
+    Over meshes and height maps it goes no farther in a tick than crosses nothing that is thin. A probe that asks
+    for more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
+    So is one that finds no rest.
+    """
+    return settle_as_rough(objects, radius, probe, start, center, active, left)
+
+
+@by_roughness
+def settle_as_rough(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+) -> Any:
+    """`settle_among_several`: beside height maps step by step, beside meshes by supporting planes, else at once."""
+
+
+@settle_as_rough.of(SMOOTH)
+def settle_at_once(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+) -> Rest:
+    return settle_for(objects, radius, probe, start, center, active, left)
+
+
+@settle_as_rough.of(FACETED)
+def settle_beside_meshes(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+) -> Rest:
+    return settle_on_facets(objects, radius, probe, center, active, left)
+
+
+@settle_as_rough.of(RUGGED)
+def settle_in_steps(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+) -> Rest:
+    rest, whole, held = Rest(center, active, True, 0), probe, active
+    for budget in (3 * left // 4, left // 4):
+        goal = vec3.add(whole, displacement(held.push, held.n1, held.n2, held.n3))
+        if is_a_step(center, goal, radius):
+            rest = settle_for(objects, radius, whole, start, center, held, budget)
+            if not is_a_step(center, rest.center, radius):  # it may be on the other side of something
+                rest = Rest(center, active, True, rest.left)
+        if not rest.late:
+            break
+        deep = vec3.sub(probe, center)
+        whole = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(deep), 0.5), deep)
+        _, held, _ = relaxed(objects, radius, whole, center, active, 1, rest.left)
+    if whole == probe:
+        return rest
+    _, held, _ = relaxed(objects, radius, probe, rest.center, rest.active, 1, rest.left)
+    return Rest(rest.center, held, True, rest.left)
+
+
+@jit
+def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, left: int) -> Rest:
+    """`settle_among_several` where there is a mesh: what held the proxy holds it still, or the facet beside that; where
+    that is not so, or would take it away from the probe, it goes from the anchor the careful way.
+
+    What crosses the way in a tick needs no sweep: beside a mesh no step is longer than `is_a_step` allows.
+    """
+    there = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
+    center, held, rests, left = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, left)
+    for _ in range(EDGES):
+        beyond = held.first if held.second >= 0.0 else neighbour_on(objects, held.first, center)
+        if beyond == held.first:
+            break
+        held = one_constraint(beyond, held.n1)
+        center, held, rests, left = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, left)
+    behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
+    nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
+    if rests and nearer and is_a_step(anchor, center, radius):
+        gap, _, left = deepest(objects, center, radius, active_objects(held), left)
+        if gap >= radius * (1.0 - INSIDE):
+            return Rest(center, strongest_first(objects, held), False, left)
+    stand = settle_by_planes(objects, radius, probe, anchor, active, left)
+    held = stand.active
+    if held.first < 0.0:
+        held = one_constraint(active.first, active.n1)
+    return Rest(stand.center, strongest_first(objects, held), stand.late, stand.left)
+
+
+@jit
+def is_a_step(start: Vec3, end: Vec3, radius: float) -> bool:
+    """Whether a fingertip that is outside at both crosses nothing thin between."""
+    way = vec3.sub(end, start)
+    return vec3.dot(way, way) <= (STRIDE * radius) ** 2
+
+
+@jit
+def settle_for(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+) -> Rest:
+    """`settle_among_several` in one step, with what is `left` of the budget."""
+    wide = any_multipoint(objects)
+    rounds = SLIDING_ROUNDS if wide else ROUNDS
+    before, active_before = center, active
+    goal = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
+    for _ in range(4):
+        hit, stop, left = first_hit(objects, start, goal, radius, True, active_objects(active), left)
+        if hit < 0.0:
+            break
+        _, point, normal, left = closest_to_within(objects, hit, stop, left)
+        if active.second >= 0.0 and active.third >= 0.0:
+            # Three constraints already: stop short of the fourth, and let the next tick sort it out.
+            goal = stop
+            break
+        active = with_another(active, hit, normal)
+        goal, active, left = relaxed(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
+    center = goal
+    if not wide:
+        # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
+        near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), left)
+        active, left = with_touched(objects, radius, goal, active, near)
+    found, lift, budget = False, 0.0, left
+    for attempt in range(ATTEMPTS_ON_MANY if wide else ATTEMPTS):
+        center, active, left = relaxed(objects, radius + lift, probe, center, active, rounds, left)
+        if wide and attempt == 0:
+            center, active = step_over(objects, radius, probe, center, active)
+        gap, at, left = deepest(objects, center, radius, active_objects(active), left)
+        if gap >= radius * (1.0 - INSIDE):
+            found = True
+            break
+        if left < 0:
+            break
+        if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * budget):
+            lift = 2.0 * (radius - gap)
+        other = at != active.first and at != active.second and at != active.third
+        if other or any_creases(objects):
+            _, _, normal, left = closest_to_within(objects, at, center, left)
+            if other or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
+                if active.second >= 0.0 and active.third >= 0.0:
+                    active = without_weakest(active)
+                active = with_another(active, at, normal)
+    late = not found
+    if not found:
+        # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
+        gap, _, left = deepest(objects, before, radius, active_objects(active_before), left)
+        late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
+        if late:
+            center = before
+            _, active, left = relaxed(objects, radius, probe, before, active_before, 1, left)
+    if any_creases(objects):
+        active = merge_support_points(active)
+    return Rest(center, strongest_first(objects, active), late, left)
+
+
+@jit
+def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: ActiveSet) -> tuple[Vec3, ActiveSet]:
+    """The proxy's goal (3,) m, and what holds it, after a way over the edge of the facet that holds it alone.
+
+    What is beside the facet is nearer at hand than what a search of the whole mesh finds, which then only agrees.
+    """
+    for _ in range(EDGES):
+        if active.second >= 0.0:
+            break
+        beyond = neighbour_on(objects, active.first, goal)
+        if beyond == active.first:
+            break
+        active = one_constraint(beyond, active.n1)
+        goal, active = relax(objects, radius, probe, goal, active, 1)
+    return goal, active
+
+
+@jit
+def relax(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int
+) -> tuple[Vec3, ActiveSet]:
+    """`relaxed` for a place that is known to need little of the budget."""
+    center, active, _ = relaxed(objects, radius, base, center, active, rounds, BUDGET)
+    return center, active
+
+
+@jit
+def relaxed(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, left: int
+) -> tuple[Vec3, ActiveSet, int]:
+    """Nearest point to `base` behind the tangent planes of all holding objects, again and again at the new point. And
+    what is left of the budget.
+
+    In a pinch the point between them; see `solve_half_spaces`.
+    """
+    center, active, _, left = relaxed_to_rest(objects, radius, base, center, active, rounds, left)
+    return center, active, left
+
+
+@jit
+def relaxed_to_rest(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, left: int
+) -> tuple[Vec3, ActiveSet, bool, int]:
+    """`relaxed`, and whether the last round moved the proxy no more."""
+    rests = False
+    near = (SETTLED * radius) ** 2
+    n1, n2, n3 = active.n1, active.n2, active.n3
+    push = active.push
+    for _ in range(rounds):
+        point, n1, left = constraint_of(objects, active.first, center, radius, n1, left)
+        b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
+        b2, b3 = b1, b1
+        if active.second < 0.0:
+            n2 = n1
+        else:
+            point, n2, left = constraint_of(objects, active.second, center, radius, n2, left)
+            b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
+        if active.third < 0.0:
+            n3 = n1
+        else:
+            point, n3, left = constraint_of(objects, active.third, center, radius, n3, left)
+            b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
+        held = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
+        push = held.push
+        moved = vec3.add(base, displacement(held.place, n1, n2, n3))
+        step = vec3.sub(moved, center)
+        center = moved
+        rests = vec3.dot(step, step) <= (AT_REST * radius) ** 2
+        if vec3.dot(step, step) <= near:
+            break
+    return center, ActiveSet(
+        first=active.first, second=active.second, third=active.third, n1=n1, n2=n2, n3=n3, push=push
+    ), rests, left  # fmt: skip
+
+
+@jit
+def drawn_after(objects: Any, active: ActiveSet, behind: Vec3) -> Vec3:
+    """Force (3,) N beside what the constraints bear, on a probe whose proxy is late and `behind` (3,) m away from it.
+
+    Planes that hold the proxy change as it goes its way round; its distance from the probe does not jump, and so does
+    the force of a spring between the two.
+    """
+    distance, (one, two, three) = vec3.norm(behind), loads_of(objects, active)
+    pull = 0.0
+    if distance > 0.0:
+        pull = spring(material_of(objects, active.first).normal, distance) / distance
+    borne = displacement(Depths(one, two, three), active.n1, active.n2, active.n3)
+    return vec3.sub(vec3.scale(pull, behind), borne)

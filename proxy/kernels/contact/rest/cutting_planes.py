@@ -1,0 +1,298 @@
+"""Where the proxy comes to rest among the facets of meshes, by supporting planes.
+
+A facet, grown by the fingertip's radius r, is convex. A supporting plane of it has the whole facet on one side, so
+every point on the other side, in front, is at least r away from the facet. The anchor is the last place of the proxy
+that is known to be outside. The half-spaces in front of several supporting planes, each of which contains the anchor,
+intersect in a convex region that is outside of all these facets. A step goes to the point of that region nearest to
+the probe. If the search of the mesh finds another facet there, the plane of that facet is added and the point is
+computed again. The step ends outside and crosses nothing; the next step starts there, with new planes.
+
+A plane that has the anchor behind it would pull the proxy through a thin wall, or out of a crease. Such a plane is
+never added. (This is sequential convex programming with an inner approximation of the free space.)
+"""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, NONE, ActiveSet, active_objects, leaves_no_room
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.outlined import outlined
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
+from softfinger.proxy.kernels.query.kinds import is_mesh_at
+from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, neighbour_on
+from softfinger.proxy.kernels.shapes.budget import BUDGET, SPENT, STRIDE
+
+ADDED = 24
+"""Facets found in the way of one step, at most."""
+STEPS = 4
+"""Steps, each verified by a search of the mesh, that the proxy goes in a tick."""
+SOON, NEARLY = 3, 1e-4
+"""Facets found in the way after which, or after a part of the budget, and depth, as a share of the radius, below which
+a proxy among many that are about as near is lifted off those that hold it: each of them would be in the way in turn."""
+HALVINGS = 6
+"""Times that a step is halved which ends inside."""
+TOUCHES = 1e-3
+"""Distance, as a share of the radius, from a facet whose plane is taken from the start. Any plane may be."""
+AT_REST = 1e-6
+"""Step, as a share of the radius, below which the proxy has come to rest: it turns a normal by as much."""
+EDGES = 3
+"""Edges that a fingertip goes over in a tick before all of the mesh is asked."""
+MISSED = 1e-9
+"""Share of the radius by which three planes may miss a fourth and still satisfy it: the solve is rounded."""
+
+
+class Plane(NamedTuple):
+    """n . x >= offset (m) for a centre x that is outside of the object with that place; -1 for none."""
+
+    body: float
+    normal: Vec3
+    offset: float
+
+
+NO_PLANE = Plane(NONE, (0.0, 0.0, 1.0), 0.0)
+
+
+class Planes(NamedTuple):
+    """Up to three of them, the first ones filled, and the point nearest to the probe in front of all."""
+
+    one: Plane
+    two: Plane
+    three: Plane
+    center: Vec3
+    push: Depths
+
+
+class Stand(NamedTuple):
+    """Where the proxy (3,) m is after some steps, what holds it there, whether it has yet to come to rest, and what is
+    left of the budget."""
+
+    center: Vec3
+    active: ActiveSet
+    late: bool
+    left: int
+
+
+@outlined
+def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x: Vec3) -> Plane:
+    """The tangent plane of an object, a radius away, nearest to `x` (3,) m if the anchor is in front of it; else that
+    nearest to the anchor, which is. The object is a triangle or of a shape without a search: nothing is counted."""
+    _, point, normal, _ = closest_to_within(objects, index, x, BUDGET)
+    normal = towards(objects, index, normal, vec3.sub(anchor, point))
+    if vec3.dot(normal, vec3.sub(anchor, point)) < radius * (1.0 - INSIDE) and x != anchor:
+        _, point, normal, _ = closest_to_within(objects, index, anchor, BUDGET)
+        normal = towards(objects, index, normal, vec3.sub(anchor, point))
+    return Plane(index, normal, vec3.dot(normal, point) + radius)
+
+
+@jit
+def towards(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3:
+    """The normal of a facet on the side of `apart` (3,): its other side is another wall's affair."""
+    if vec3.dot(normal, apart) < 0.0 and is_mesh_at(objects, index):
+        return vec3.scale(-1.0, normal)
+    return normal
+
+
+@outlined
+def solved(planes: Planes, probe: Vec3, lift: float) -> Planes:
+    """With the point nearest to the probe in front of all by `lift` (m), and what pushes it there."""
+    one, two, three = planes.one, planes.two, planes.three
+    if one.body < 0.0:
+        return Planes(one, two, three, probe, Depths(0.0, 0.0, 0.0))
+    count = 1
+    n2, n3 = one.normal, one.normal
+    b1 = one.offset + lift - vec3.dot(one.normal, probe)
+    b2, b3 = b1, b1
+    if two.body >= 0.0:
+        count, n2 = 2, two.normal
+        b2 = two.offset + lift - vec3.dot(n2, probe)
+    if three.body >= 0.0:
+        count, n3 = 3, three.normal
+        b3 = three.offset + lift - vec3.dot(n3, probe)
+    held = solve_half_spaces(count, one.normal, n2, n3, b1, b2, b3)
+    return Planes(one, two, three, vec3.add(probe, displacement(held.place, one.normal, n2, n3)), held.push)
+
+
+@jit
+def missed(plane: Plane, x: Vec3) -> float:
+    """How far (m) `x` is behind a plane."""
+    return plane.offset - vec3.dot(plane.normal, x)
+
+
+@outlined
+def with_plane(planes: Planes, plane: Plane, radius: float, probe: Vec3, lift: float) -> Planes:
+    """With another plane, solved. Of four, that one is dropped which the other three satisfy without it."""
+    one, two, three = planes.one, planes.two, planes.three
+    nowhere, nothing = probe, Depths(0.0, 0.0, 0.0)
+    if one.body < 0.0:
+        return solved(Planes(plane, two, three, nowhere, nothing), probe, lift)
+    if two.body < 0.0:
+        return solved(Planes(one, plane, three, nowhere, nothing), probe, lift)
+    if three.body < 0.0:
+        return solved(Planes(one, two, plane, nowhere, nothing), probe, lift)
+    best = solved(Planes(one, two, plane, nowhere, nothing), probe, lift)
+    least = missed(three, best.center)
+    for turn in range(2):
+        if least <= MISSED * radius:
+            break
+        if turn == 0:
+            other = solved(Planes(one, three, plane, nowhere, nothing), probe, lift)
+            far = missed(two, other.center)
+        else:
+            other = solved(Planes(two, three, plane, nowhere, nothing), probe, lift)
+            far = missed(one, other.center)
+        if far < least:
+            best, least = other, far
+    return best
+
+
+@outlined
+def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> Plane:
+    """The plane at the anchor of an object that it touches, or of what is beside it there; none where neither is."""
+    if index < 0.0:
+        return NO_PLANE
+    for _ in range(EDGES):
+        beyond = neighbour_on(objects, index, anchor)
+        if beyond == index:
+            break
+        index = beyond
+    plane = supporting_plane(objects, index, radius, anchor, anchor)
+    return NO_PLANE if vec3.dot(plane.normal, anchor) - plane.offset > TOUCHES * radius else plane
+
+
+@jit
+def planes_at(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Planes:
+    """The planes, unsolved, of those objects that touch a proxy at the anchor, of three places."""
+    one = touching_plane(objects, active[0], radius, anchor)
+    two = touching_plane(objects, active[1], radius, anchor)
+    three = touching_plane(objects, active[2], radius, anchor)
+    if three.body == one.body or three.body == two.body:
+        three = NO_PLANE
+    if two.body == one.body:
+        two = NO_PLANE
+    if two.body < 0.0:
+        two, three = three, NO_PLANE
+    if one.body < 0.0:
+        one, two, three = two, three, NO_PLANE
+    return Planes(one, two, three, anchor, Depths(0.0, 0.0, 0.0))
+
+
+@jit
+def bodies_of(planes: Planes) -> Vec3:
+    return planes.one.body, planes.two.body, planes.three.body
+
+
+@jit
+def constraints_of(planes: Planes) -> ActiveSet:
+    """What holds the proxy, as the contact sees it."""
+    one, two, three = planes.one, planes.two, planes.three
+    n1 = one.normal
+    n2 = two.normal if two.body >= 0.0 else n1
+    n3 = three.normal if three.body >= 0.0 else n2
+    return ActiveSet(
+        first=one.body, second=two.body, third=three.body, n1=n1, n2=n2, n3=n3, push=planes.push
+    )  # fmt: skip
+
+
+@jit
+def touches(objects: Any, index: float, push: float, radius: float, center: Vec3) -> bool:
+    """Whether an object that pushes a proxy touches it there."""
+    if index < 0.0 or push <= 0.0:
+        return True
+    _, point, _, _ = closest_to_within(objects, index, center, BUDGET)
+    return vec3.norm(vec3.sub(center, point)) <= radius * (1.0 + 3.0 * NEARLY)
+
+
+@jit
+def touches_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) -> bool:
+    """Whether all that push a proxy touch it there."""
+    push = active.push
+    return (
+        touches(objects, active.first, push.first, radius, center)
+        and touches(objects, active.second, push.second, radius, center)
+        and touches(objects, active.third, push.third, radius, center)
+    )
+
+
+@jit
+def step_towards(
+    objects: Any, radius: float, probe: Vec3, anchor: Vec3, planes: Planes, nearest: bool, left: int
+) -> Stand:
+    """One step from the anchor to the place nearest to the probe that its planes allow, no longer than crosses nothing.
+
+    nearest  whether a facet in the way may be kept off by the plane nearest to where it is in the way. That is exact on
+             what is flat; round a convex edge only the planes nearest to the anchor leave it all the way there is
+    """
+    planes = solved(planes, probe, 0.0)
+    center, found, clipped, lift, begun = anchor, False, False, 0.0, left
+    kept = left // 4  # for the halves of a step
+    left -= kept
+    for added in range(ADDED):
+        center = planes.center
+        way = vec3.sub(center, anchor)
+        length = vec3.norm(way)
+        clipped = length > STRIDE * radius
+        if clipped:
+            center = vec3.add_scaled(anchor, STRIDE * radius / length, way)
+        gap, at, left = deepest(objects, center, radius, bodies_of(planes), left)
+        if gap >= radius * (1.0 - INSIDE):
+            found = True
+            break
+        if left < 0 or at < 0.0:
+            break
+        plane = supporting_plane(objects, at, radius, anchor, center if nearest else anchor)
+        if gap > radius * (1.0 - NEARLY) and (added >= SOON or 2 * left < begun):
+            lift = 2.0 * (radius - gap)
+        one, two, three = planes.one, planes.two, planes.three
+        if at == one.body:
+            one = plane
+        elif at == two.body:
+            two = plane
+        elif at == three.body:
+            three = plane
+        else:
+            planes = with_plane(planes, plane, radius, probe, lift)
+            continue
+        planes = solved(Planes(one, two, three, center, planes.push), probe, lift)
+    active, late = constraints_of(planes if lift == 0.0 else solved(planes, probe, 0.0)), left < 0
+    left = max(left, 0) + kept
+    if found:
+        return Stand(center, active, clipped, left)
+    # Too many are about as near. Every place on the way to the last one found is nearer to the probe than the anchor.
+    way = vec3.sub(center, anchor)
+    for _ in range(HALVINGS):
+        if left < 0:
+            break
+        way = vec3.scale(0.5, way)
+        gap, _, left = deepest(objects, vec3.add(anchor, way), radius, bodies_of(planes), left)
+        if gap >= radius * (1.0 - INSIDE):
+            return Stand(vec3.add(anchor, way), active, True, SPENT if late else left)
+    # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
+    gap, _, left = deepest(objects, anchor, radius, bodies_of(planes), left)
+    if left < 0 or gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
+        return Stand(anchor, active, True, SPENT if late else left)
+    return Stand(center, active, False, left)
+
+
+@outlined
+def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, left: int) -> Stand:
+    """Bring a proxy from the anchor, where it is outside, to rest, in steps that are each outside and nearer to the
+    probe."""
+    stand, nearest = Stand(anchor, active, True, left), True
+    for _ in range(STEPS):
+        planes = planes_at(objects, radius, stand.center, active_objects(stand.active))
+        before = stand.center
+        stand = step_towards(objects, radius, probe, before, planes, nearest, stand.left)
+        if stand.left < 0 or (not stand.late and touches_all(objects, stand.active, radius, stand.center)):
+            break
+        if not stand.late or vec3.norm(vec3.sub(stand.center, before)) <= AT_REST * radius:
+            if not nearest:
+                break
+            nearest = False
+    return stand
+
+
+@jit
+def held_at_anchor(objects: Any, radius: float, probe: Vec3, anchor: Vec3, bodies: Vec3) -> ActiveSet:
+    """What holds a proxy at the anchor of three places, pushing it; none where it touches none of them."""
+    return constraints_of(solved(planes_at(objects, radius, anchor, bodies), probe, 0.0))

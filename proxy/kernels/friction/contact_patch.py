@@ -1,0 +1,143 @@
+"""The fingertip's contact patch under a load: how large it is, and what torsion follows.
+
+    contact_patch(patch, radius, compliance, normal_force) -> ContactPatch
+    torsion_under(torsion, area) -> a torsion law of this tick
+    winding_unit(torsion, area, share) -> sqrt(N m/rad)
+
+Assumed: fingertip and object are incompressible and alike in nothing else, the object is flat beside the fingertip.
+"""
+
+from math import pi, sqrt
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.model import HertzPatch, LimitSurface, PatchTorsion, PowerPatch, SoftFingerProxy, Torsion
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+
+HERTZ_LEVER = 3.0 * pi / 16.0
+"""Mean distance from the centre of Hertz's pressure, over the patch's radius."""
+LIMPEST = 1e-30
+"""N m/rad; a stiffness that is not zero, and holds nothing: an angle is divided by it."""
+LEAST_SHARE = 1e-30
+"""A share that is not zero, of a patch that bears nothing: its stiffness is divided by it."""
+
+
+class ContactPatch(NamedTuple):
+    """The patch in a tick.
+
+    radius     m        a
+    torsional  N m/rad  k_z, its stiffness against spin
+    lever      m        largest moment about the normal over friction's largest force
+    bending    N m/rad  stiffness against roll of a loss of 1
+    bend_max   rad      roll at which the resistance has built up
+    """
+
+    radius: float
+    torsional: float
+    lever: float
+    bending: float
+    bend_max: float
+
+
+@by_type
+def contact_patch(patch: Any, radius: float, compliance: Any, normal_force: float) -> Any:
+    """The patch of a fingertip of `radius`, m, on an object of the shear compliance 1/G, m^2/N; None: no patch."""
+
+
+@by_type
+def torsion_under(torsion: Any, contact_patch: ContactPatch) -> Any:
+    """The torsion law with the numbers of this tick."""
+
+
+@by_type
+def winding_unit(torsion: Any, contact_patch: ContactPatch, share: float) -> Any:
+    """What a wind-up is multiplied by to be remembered: 1, or sqrt(k_z / w) where k_z changes with the load.
+
+    w is the patch's share of the load, 1 with one object. w / 2 times the square of phi sqrt(k_z / w) is the energy
+    stored. It stays what it is while the load changes, the moment going as sqrt(k_z): pressing harder on a wound finger
+    makes no energy, and none leaks away in a hand that trembles. Handed over with the share, it does not grow either.
+    """
+
+
+@contact_patch.of(None)
+def no_contact_patch(patch: None, radius: float, compliance: Any, normal_force: float) -> ContactPatch:
+    return ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_max=0.0)
+
+
+@jit
+def contact_patch_of(a: float, lever: float, radius: float, compliance: float, normal_force: float) -> ContactPatch:
+    """A patch of the radius a, at most the fingertip's.
+
+    k_z = 16/3 a^3 / (1/G_f + 1/G_o): a disc stuck to two half-spaces in series (Reissner and Sagoci, 1944), and Hertz's
+    contact before any slip (Lubkin, 1951; Mindlin and Deresiewicz, 1953).
+    """
+    a = min(a, radius)
+    k_z = max(16.0 / 3.0 * a * a * a / compliance, LIMPEST)
+    # The moment 3/16 a f_N (Greenwood, Minshall, Tabor, 1961) after a way of the patch's own radius.
+    bending = max(3.0 / 16.0 * radius * normal_force, LIMPEST)
+    return ContactPatch(radius=a, torsional=k_z, lever=lever * a, bending=bending, bend_max=a / radius)
+
+
+@contact_patch.of(HertzPatch)
+def hertz_contact_patch(patch: HertzPatch, radius: float, compliance: float, normal_force: float) -> ContactPatch:
+    """a^3 = 3 f_N r / (4 E*), with 1/E* = (1/G_f + 1/G_o) / 4 of incompressible bodies (Hertz, 1882)."""
+    both = patch.compliance + compliance
+    a = (3.0 / 16.0 * normal_force * radius * both) ** (1.0 / 3.0)
+    return contact_patch_of(a, HERTZ_LEVER, radius, both, normal_force)
+
+
+@contact_patch.of(PowerPatch)
+def power_contact_patch(patch: PowerPatch, radius: float, compliance: float, normal_force: float) -> ContactPatch:
+    """a = c (f_N / 1 N)^gamma (Xydas and Kao, 1999)."""
+    a = patch.at_newton * normal_force**patch.exponent if normal_force > 0.0 else 0.0
+    return contact_patch_of(a, patch.lever, radius, patch.compliance + compliance, normal_force)
+
+
+@torsion_under.of(None)
+def no_torsion_under(torsion: None, contact_patch: ContactPatch) -> None:
+    return torsion
+
+
+@torsion_under.otherwise
+def constant_torsion(torsion: Any, contact_patch: ContactPatch) -> Any:
+    return torsion
+
+
+@torsion_under.of(PatchTorsion)
+def torsion_of_patch(torsion: PatchTorsion, contact_patch: ContactPatch) -> Torsion:
+    return Torsion(contact_patch.torsional, torsion.friction * contact_patch.lever)
+
+
+@torsion_under.of(LimitSurface)
+def limit_surface_under(torsion: LimitSurface, contact_patch: ContactPatch) -> LimitSurface:
+    return LimitSurface(torsion_under(torsion.law, contact_patch))
+
+
+@torsion_under.of(SoftFingerProxy)
+def soft_finger_under(torsion: SoftFingerProxy, contact_patch: ContactPatch) -> SoftFingerProxy:
+    return SoftFingerProxy(torsion_under(torsion.law, contact_patch), torsion.kinetic_share)
+
+
+@winding_unit.of(None)
+def no_unit(torsion: None, contact_patch: ContactPatch, share: float) -> float:
+    return 1.0
+
+
+@winding_unit.otherwise
+def unit_of_constant(torsion: Any, contact_patch: ContactPatch, share: float) -> float:
+    return 1.0
+
+
+@winding_unit.of(PatchTorsion)
+def unit_of_patch(torsion: PatchTorsion, contact_patch: ContactPatch, share: float) -> float:
+    return sqrt(contact_patch.torsional / max(share, LEAST_SHARE))
+
+
+@winding_unit.of(LimitSurface)
+def unit_on_limit_surface(torsion: LimitSurface, contact_patch: ContactPatch, share: float) -> float:
+    return winding_unit(torsion.law, contact_patch, share)
+
+
+@winding_unit.of(SoftFingerProxy)
+def unit_of_soft_finger(torsion: SoftFingerProxy, contact_patch: ContactPatch, share: float) -> float:
+    return winding_unit(torsion.law, contact_patch, share)

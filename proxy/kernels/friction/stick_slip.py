@@ -1,0 +1,187 @@
+"""Stick-slip: rolling while the contact sticks, sliding while it slips, and the passage between them.
+
+    stick_slip(law, torsion, coupling, k_tau, contact) -> FrictionResult
+
+One call resolves friction and torsion: `contact` is what the contact brings into this tick, among it the
+tangential deflection e of the proxy from the probe, the share p of it that rolling has wound, the
+wind-up phi, the normal force, and what the last tick left.
+"""
+
+from typing import Any
+
+from softfinger.proxy.kernels.friction.laws import cone, load_size
+from softfinger.proxy.kernels.friction.limit_surface import room, slide
+from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_to_the_letter
+from softfinger.proxy.kernels.friction.torsion import wind
+from softfinger.proxy.kernels.model import (
+    Anisotropic,
+    Coupling,
+    Friction,
+    FrictionInput,
+    FrictionResult,
+    PaperFriction,
+    SpeedFriction,
+    Vec3,
+)
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_REVERSE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
+
+SLIP_TIME_CONSTANT_S = 0.010
+"""Low-pass of the plastic slip speed: shorter than a tremor's period, longer than an encoder's steps."""
+STOP_SPEED_M_PER_S = 0.5e-3
+"""Below this slip speed a finger that does not slip in this tick has stopped."""
+REVERSE_SHARE = 0.1
+"""Share of the deflection that must be unwound before a slide counts as reversed."""
+REVERSE_STEPS = 3.0
+"""... and at least so many encoder steps, which a resting hand may flicker by."""
+ROUNDING = 1e-9
+"""Relative size of what is rounding and not motion: of the deflection for a slip, of the cone and of the
+radius for a load."""
+
+
+@by_type
+def stick_slip(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput) -> Any: ...
+
+
+@stick_slip.of(None)
+def slide_freely(
+    law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+) -> FrictionResult:
+    """Without friction the proxy is the foot of the probe: no deflection, no state machine. It still winds."""
+    zero = (0.0, 0.0, 0.0)
+    wound = wind(
+        torsion, patch.spin, patch.twist, patch.normal_force, patch.spin_slip_speed, patch.spin_slip_angle, patch.dt
+    )
+    return FrictionResult(
+        mode=float(SLIDING), cause=float(CAUSE_NONE), deflection=zero, rolled_part=zero, slip_speed=0.0,
+        slip_deflection=0.0, spin=wound.spin, spin_slip_speed=wound.slip_speed, spin_slip_angle=wound.slip_angle,
+        force=zero, moment=wound.moment,
+    )  # fmt: skip
+
+
+@jit
+def split(deflection: Vec3, rolled_part: Vec3) -> tuple[Vec3, Vec3]:
+    """Shares of the deflection wound by dragging (l) and by rolling (p); opposite parts cancel.
+
+    A finger that follows its roll drags back exactly what rolling winds, and then neither is left.
+    """
+    dragged = vec3.sub(deflection, rolled_part)
+    square = vec3.dot(rolled_part, rolled_part)
+    if square > 0.0:
+        share = min(max(-vec3.dot(dragged, rolled_part) / square, 0.0), 1.0)
+        dragged = vec3.add_scaled(dragged, share, rolled_part)
+        rolled_part = vec3.scale(1.0 - share, rolled_part)
+    return dragged, rolled_part
+
+
+@jit
+def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
+    """`force` with its magnitude, as the law measures it, brought down to `largest`."""
+    size = load_size(law, normal, force)
+    if size > largest:
+        return vec3.scale(largest / size, force)
+    return force
+
+
+@jit
+def stick_slip_by_law(
+    law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+) -> FrictionResult:
+    """Friction with the rolling / sliding machine.
+
+    Rolling ends when the load K_t l + k_tau p leaves the static cone, which is the paper's sign rule
+    and its theta_max in one: a roll that the hand has not followed (p, theta = |p| / r) loads the cone
+    like a drag in the same direction, and a roll that it has followed does not load it at all.
+    While sliding the deflection is cut back to the kinetic cone, never extended, so friction opposes the
+    true slip. Sliding ends when the slip has stopped or turned back. With a limit surface the cone is
+    what the moment about the normal leaves of it, and a slip is one of both.
+
+    Source: Salvietti et al. (2013), section 3.2, after Yin et al. (2005). Differs from its conditions
+    read literally, which a counter-tilt of a microradian defeats; see docs/decisions/0003-state-machine.md.
+    """
+    stiffness = coupling.stiffness
+    whole_limit, kinetic_limit = cone(law, patch.normal_force, patch.slip_speed)
+    static_limit = whole_limit * room(torsion, patch.spin + patch.twist, patch.normal_force)
+    mode, cause = patch.mode, float(CAUSE_NONE)
+    deflection, spin, twist = patch.deflection, patch.spin, patch.twist
+    slip_speed, slip_deflection = patch.slip_speed, patch.slip_deflection
+    dragged, rolled_part = split(deflection, patch.rolled_part)
+
+    limit, breaking = -1.0, 0.0
+    if mode == ROLLING:
+        wound = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
+        load = load_size(law, patch.normal, wound)
+        # More than rounding above the cone: a finger at rest on it, as after a slide with mu_d = mu_s, stays at rest.
+        if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * patch.radius:
+            mode, limit, breaking = float(SLIDING), whole_limit, 1.0
+            by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
+            cause = float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)
+    else:
+        limit = kinetic_limit
+
+    if limit >= 0.0:
+        slid = slide(torsion, law, stiffness, limit, breaking, patch)
+        deflection, spin, twist, length = slid.deflection, slid.spin, slid.twist, slid.length
+        rolled_part = (0.0, 0.0, 0.0)
+        slips = slid.slip > ROUNDING * length
+        if slips or cause != CAUSE_NONE:
+            slip_deflection = length
+        speed = slid.slip / patch.dt if patch.dt > 0.0 else 0.0
+        if cause != CAUSE_NONE:
+            slip_speed = speed
+        else:
+            slip_speed += (speed - slip_speed) * patch.dt / (SLIP_TIME_CONSTANT_S + patch.dt)
+            unwound = slip_deflection - length
+            stopped = slip_speed < STOP_SPEED_M_PER_S
+            reversed_ = unwound > max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * patch.resolution)
+            # With viscous friction a fast slip may hold more than the static cone does: it cannot stick yet.
+            if (
+                not slips
+                and (stopped or reversed_)
+                and (load_size(law, patch.normal, vec3.scale(stiffness, deflection)) <= (1.0 + ROUNDING) * static_limit)
+            ):
+                mode, slip_speed = float(ROLLING), 0.0
+                cause = float(CAUSE_STOP) if stopped else float(CAUSE_REVERSE)
+
+    force = vec3.scale(stiffness, deflection)
+    if mode == ROLLING and patch.dt > 0.0:
+        change = vec3.sub(deflection, patch.deflection_before)
+        force = vec3.add_scaled(force, coupling.damping / patch.dt, change)
+    if mode == ROLLING or breaking != 0.0:
+        force = limit_force(law, patch.normal, force, whole_limit if breaking != 0.0 else static_limit)
+    now = wind(torsion, spin, twist, patch.normal_force, patch.spin_slip_speed, patch.spin_slip_angle, patch.dt)
+    return FrictionResult(
+        mode=mode, cause=cause, deflection=deflection, rolled_part=rolled_part, slip_speed=slip_speed,
+        slip_deflection=slip_deflection, spin=now.spin, spin_slip_speed=now.slip_speed,
+        spin_slip_angle=now.slip_angle, force=force, moment=now.moment,
+    )  # fmt: skip
+
+
+@stick_slip.of(Friction)
+def stick_slip_coulomb(
+    law: Friction, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+) -> FrictionResult:
+    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, patch)
+
+
+@stick_slip.of(SpeedFriction)
+def stick_slip_with_speed(
+    law: SpeedFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+) -> FrictionResult:
+    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, patch)
+
+
+@stick_slip.of(Anisotropic)
+def stick_slip_anisotropic(
+    law: Anisotropic, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+) -> FrictionResult:
+    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, patch)
+
+
+@stick_slip.of(PaperFriction)
+def stick_slip_as_in_the_paper(
+    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+) -> FrictionResult:
+    return stick_slip_to_the_letter(law, torsion, coupling, torque_stiffness, patch)

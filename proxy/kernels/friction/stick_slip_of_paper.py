@@ -1,0 +1,66 @@
+"""The paper's rolling / sliding machine, read to the letter. For study: docs/model/friction.md lists what fails.
+
+    react_to_the_letter(law, torsion, coupling, k_tau, patch) -> Reaction
+
+Contact breaking is the contact's own, not the paper's f_N = 0.
+"""
+
+from typing import Any
+
+from softfinger.proxy.kernels.friction.torsion import wind
+from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResult, PaperFriction
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
+
+ROUNDING = 1e-9
+"""Relative size of what is rounding: the letter's equalities are meant up to it."""
+
+
+@jit
+def stick_slip_to_the_letter(
+    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+) -> FrictionResult:
+    """One tick by the sentences of section 3.2.
+
+    rolling to sliding   the tangential force of the hand, -K e, is outside the static cone and has the sign of the
+                         displacement P that rolling has produced since it last began; or |P| / r > theta_max
+    sliding kept         at exactly mu_d f_N, no spring-damper: e is scaled to it, down and up
+    sliding to rolling   inside the kinetic cone and no tangential velocity
+
+    `rolled_part` holds P: the whole roll, followed by the hand or not.
+
+    Source: Salvietti, Malvezzi, Prattichizzo (2013), section 3.2. The sign of no displacement at all is taken to
+    agree with any force, so that a finger that has never rolled can be dragged.
+    """
+    stiffness = coupling.stiffness
+    static_limit, kinetic_limit = law.static * patch.normal_force, law.kinetic * patch.normal_force
+    mode, cause = patch.mode, float(CAUSE_NONE)
+    deflection, rolled = patch.deflection, patch.rolled_part
+    length = vec3.norm(deflection)
+    change = vec3.sub(deflection, patch.deflection_before)
+
+    if mode == ROLLING:
+        outside = stiffness * length >= static_limit and length > 0.0
+        if outside and -vec3.dot(deflection, rolled) >= 0.0:
+            mode, cause = float(SLIDING), float(CAUSE_DRAG)
+        elif torque_stiffness * vec3.norm(rolled) > static_limit:
+            mode, cause = float(SLIDING), float(CAUSE_THETA_MAX)
+    elif stiffness * length < (1.0 - ROUNDING) * kinetic_limit and vec3.norm(change) <= ROUNDING * length:
+        mode, cause = float(ROLLING), float(CAUSE_STOP)
+
+    force = vec3.scale(stiffness, deflection)
+    if mode == SLIDING:
+        rolled = (0.0, 0.0, 0.0)
+        if length > 0.0:
+            deflection = vec3.scale(kinetic_limit / (stiffness * length), deflection)
+        force = vec3.scale(stiffness, deflection)
+    elif patch.dt > 0.0:
+        force = vec3.add_scaled(force, coupling.damping / patch.dt, change)
+    now = wind(
+        torsion, patch.spin, patch.twist, patch.normal_force, patch.spin_slip_speed, patch.spin_slip_angle, patch.dt
+    )
+    return FrictionResult(
+        mode=mode, cause=cause, deflection=deflection, rolled_part=rolled, slip_speed=0.0, slip_deflection=0.0,
+        spin=now.spin, spin_slip_speed=now.slip_speed, spin_slip_angle=now.slip_angle, force=force, moment=now.moment,
+    )  # fmt: skip

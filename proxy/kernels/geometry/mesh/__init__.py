@@ -1,4 +1,0 @@
-"""Triangle meshes: the tree over the triangles, how it is built, and the nearest triangle of millions.
-
-Here and nowhere else it is known how the tree lies in memory. No contact: a triangle is an object like others to it.
-"""

@@ -1,0 +1,8 @@
+"""Numbers: kept within bounds."""
+
+from softfinger.proxy.kernels.native.jit import jit
+
+
+@jit
+def clamp(x: float, largest: float) -> float:
+    return min(max(x, -largest), largest)

@@ -1,0 +1,102 @@
+"""Which objects may be touched in many places: what a scene without any leaves out, known when it is compiled."""
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from numba import literal_unroll
+
+from softfinger.proxy.kernels.model import Heightmap, Mesh
+from softfinger.proxy.kernels.native.dispatch import by_type, chosen_by
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.kept import kinds_in
+from softfinger.proxy.kernels.native.rows import Rows
+from softfinger.proxy.kernels.query.elements import contains, count
+from softfinger.proxy.kernels.shapes.protocol import has_creases, is_mesh_shape
+
+
+def has_wide(*given: Any) -> bool:
+    """Whether there is a mesh or a height map among arguments of those types: what is asked of one is large, and takes
+    long enough for a call by address not to count."""
+    return not {Mesh, Heightmap}.isdisjoint(kinds_in(given))
+
+
+SMOOTH: Final = "smooth"
+FACETED: Final = "faceted"
+RUGGED: Final = "rugged"
+
+
+def _roughest(kinds: Any) -> str:
+    return RUGGED if Heightmap in kinds else FACETED if Mesh in kinds else SMOOTH
+
+
+def by_roughness(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel chosen by what there is in a tuple of objects: `.of(RUGGED)` a height map, `.of(FACETED)` a mesh
+    and no height map, `.of(SMOOTH)` neither. Of the others nothing is compiled."""
+
+    def sort(objects: Any) -> str:
+        return _roughest({type((entry[0] if isinstance(entry, Rows) else entry).shape) for entry in objects})
+
+    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _roughest(kinds_in(tuple(objects))))
+
+
+@by_type
+def shape_in(entry: Any) -> Any:
+    """The shape of an entry, or of the first of a row, whose others are of its kind."""
+
+
+@shape_in.otherwise
+def shape_of_object(entry: Any) -> Any:
+    return entry.shape
+
+
+@shape_in.of(Rows)
+def shape_of_first(entry: Any) -> Any:
+    return entry[0].shape
+
+
+@jit
+def any_mesh(objects: Any) -> bool:
+    """Whether there is a mesh among them."""
+    found = 0.0
+    for entry in literal_unroll(objects):
+        found += is_mesh_shape(shape_in(entry))
+    return found > 0.0
+
+
+@jit
+def any_creases(objects: Any) -> bool:
+    """Whether there is a height map among them."""
+    found = 0.0
+    for entry in literal_unroll(objects):
+        found += has_creases(shape_in(entry))
+    return found > 0.0
+
+
+@jit
+def any_multipoint(objects: Any) -> bool:
+    """Whether there is one of either."""
+    return any_mesh(objects) or any_creases(objects)
+
+
+@jit
+def kind_at(objects: Any, index: float) -> float:
+    """Of the object with that place: 1 a triangle of a mesh, 2 a height map, 0 anything else, or nothing."""
+    kind = 0.0
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if contains(entry, at, index):
+            kind = is_mesh_shape(shape_in(entry)) + 2.0 * has_creases(shape_in(entry))
+        at += count(entry)
+    return kind
+
+
+@jit
+def is_mesh_at(objects: Any, index: float) -> bool:
+    """Whether the object with that place is a triangle of a mesh."""
+    return kind_at(objects, index) == 1.0
+
+
+@jit
+def has_creases_at(objects: Any, index: float) -> bool:
+    """Whether the object with that place is a height map."""
+    return kind_at(objects, index) == 2.0

@@ -1,0 +1,167 @@
+"""The world in a tick: advanced once, whatever the number of fingers, and then read by each of them.
+
+An object is where the World says. How it got there, by a law of the time, driven from outside or by
+forces, is known here only.
+"""
+
+from typing import Any
+
+from softfinger.proxy.kernels.model import Material, Object, Pose, World
+from softfinger.proxy.kernels.native.dispatch import by_count, by_type
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.rows import Rows
+from softfinger.proxy.kernels.query.elements import element
+from softfinger.proxy.kernels.query.motion import moving_pose, pose_at
+
+
+@jit
+def advance(objects: Any, world: World, dt: float) -> World:
+    """The world a tick later, dt in s: every object that can move where its motion has brought it."""
+    time = world.time + dt
+    poses = poses_at(objects, time)
+    return World(started=1.0, time=time, poses=poses, was=before(poses, world.poses, world.started))
+
+
+@by_count
+def poses_at(objects: Any, time: float) -> Any:
+    """Poses of all objects at `time` (s), None for one that cannot move."""
+
+
+@poses_at.of(1)
+def pose_of_one_at(objects: Any, time: float) -> Any:
+    body = element(objects[0], 0.0)
+    return (moving_pose(body.motion, pose_at(body.motion, body.pose, time)),)
+
+
+@poses_at.of(2)
+def poses_of_several_at(objects: Any, time: float) -> Any:
+    body = element(objects[0], 0.0)
+    pose = moving_pose(body.motion, pose_at(body.motion, body.pose, time))
+    # numba joins tuples of known types, and does not unpack one inside another.
+    return (pose,) + poses_at(objects[1:], time)  # noqa: RUF005
+
+
+@by_type
+def since(was: Any, started: float, pose: Any) -> Any:
+    """Pose that an object had at the last tick; before the first it has stood where it is. None if it cannot move."""
+
+
+@since.of(None)
+def since_ever(was: None, started: float, pose: Any) -> None:
+    return None
+
+
+@since.of(Pose)
+def since_last_tick(was: Pose, started: float, pose: Pose) -> Pose:
+    return was if started != 0.0 else pose
+
+
+@by_count
+def before(poses: Any, was: Any, started: float) -> Any:
+    """Poses that all objects had at the last tick."""
+
+
+@before.of(1)
+def one_before(poses: Any, was: Any, started: float) -> Any:
+    return (since(was[0], started, poses[0]),)
+
+
+@before.of(2)
+def several_before(poses: Any, was: Any, started: float) -> Any:
+    return (since(was[0], started, poses[0]),) + before(poses[1:], was[1:], started)  # noqa: RUF005  # see above
+
+
+@by_type
+def standing(pose: Any, rest: Any) -> Any:
+    """Pose in the world; of an object that cannot move (None) the one at rest."""
+
+
+@standing.of(None)
+def standing_at_rest(pose: None, rest: Any) -> Any:
+    return rest
+
+
+@standing.of(Pose)
+def standing_where_it_moved(pose: Pose, rest: Any) -> Pose:
+    return pose
+
+
+@by_type
+def place(body: Any, pose: Any, was: Any) -> Any:
+    """The object where the world has it."""
+
+
+@place.of(Rows)
+def place_of_rows(body: Any, pose: Any, was: Any) -> Any:
+    return body  # what stands in rows does not move
+
+
+@place.of(Object)
+def place_of_object(body: Object, pose: Any, was: Any) -> Object:
+    return Object(
+        shape=body.shape,
+        pose=standing(pose, body.pose),
+        motion=body.motion,
+        material=body.material,
+        number=body.number,
+        effects=body.effects,
+        was=was,
+        texture=body.texture,
+    )
+
+
+@by_count
+def place_all(objects: Any, poses: Any, was: Any) -> Any:
+    """All objects where the world has them; `poses` and `was` are the World's."""
+
+
+@place_all.of(1)
+def place_one(objects: Any, poses: Any, was: Any) -> Any:
+    return (place(objects[0], poses[0], was[0]),)
+
+
+@place_all.of(2)
+def place_several(objects: Any, poses: Any, was: Any) -> Any:
+    return (place(objects[0], poses[0], was[0]),) + place_all(objects[1:], poses[1:], was[1:])  # noqa: RUF005  # see above
+
+
+@by_type
+def bare(body: Any) -> Any:
+    """The object without what its geometry and its normal force do not depend on.
+
+    Kernels that are given no more are compiled once for all scenes whose objects have these shapes, and are kept.
+    """
+
+
+@bare.of(Rows)
+def bare_rows(body: Any) -> Any:
+    return body  # in memory as they are
+
+
+@bare.of(Object)
+def bare_object(body: Object) -> Object:
+    return Object(
+        shape=body.shape,
+        pose=body.pose,
+        motion=body.motion,
+        material=Material(body.material.normal, None, None),
+        number=body.number,
+        effects=(),
+        was=body.was,
+        texture=None,
+    )
+
+
+@by_count
+def all_bare(objects: Any) -> Any:
+    """All of them bare."""
+
+
+@all_bare.of(1)
+def one_bare(objects: Any) -> Any:
+    return (bare(objects[0]),)
+
+
+@all_bare.of(2)
+def several_bare(objects: Any) -> Any:
+    return (bare(objects[0]),) + all_bare(objects[1:])  # noqa: RUF005  # see above

@@ -1,0 +1,87 @@
+"""Writing the contact's part of a record: the layout of `softfinger.proxy.record`, compiled."""
+
+from typing import Any
+
+from softfinger.proxy.kernels.model import NO_OUTCOME, Contact, ContactOutcome, Quaternion, Vec3
+from softfinger.proxy.kernels.native.dispatch import by_count
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.record import AT
+
+
+@jit
+def put3(row: Any, at: int, v: Vec3) -> None:
+    row[at] = v[0]
+    row[at + 1] = v[1]
+    row[at + 2] = v[2]
+
+
+@jit
+def write_contact(
+    row: Any,
+    tick: int,
+    dt: float,
+    position: Vec3,
+    orientation: Quaternion,
+    contact: Contact,
+    force: Vec3,
+    torque: Vec3,
+) -> None:
+    """Fill a record (RECORD_SIZE,) with one tick; the servo's and the device's fields are left as they are."""
+    row[AT.tick] = tick
+    row[AT.dt] = dt
+    put3(row, AT.probe_position, position)
+    row[AT.probe_orientation] = orientation[0]
+    row[AT.probe_orientation + 1] = orientation[1]
+    row[AT.probe_orientation + 2] = orientation[2]
+    row[AT.probe_orientation + 3] = orientation[3]
+    put3(row, AT.probe_velocity, contact.velocity)
+    put3(row, AT.proxy_position, contact.center)
+    row[AT.contact_mode] = contact.mode
+    row[AT.contact_object] = contact.object
+    row[AT.contact_penetration] = contact.penetration
+    put3(row, AT.contact_point, contact.point)
+    put3(row, AT.contact_normal, contact.normal)
+    put3(row, AT.contact_finger_point, contact.finger_point)
+    row[AT.contact_rolled] = contact.rolled
+    row[AT.contact_spin] = contact.spin
+    put3(row, AT.force, force)
+    put3(row, AT.torque, torque)
+    row[AT.contact_cause] = contact.cause
+    row[AT.contact_normal_force] = contact.normal_force
+    row[AT.contact_tangential_force] = contact.tangential_force
+    row[AT.contact_torsion] = contact.torsion
+    row[AT.contact_patch_radius] = contact.patch_radius
+    put3(row, AT.contact_patch_normal, contact.patch_normal)
+    put3(row, AT.contact_patch_stretch, contact.patch_stretch)
+    write_patches(contact.patches, row)
+    row[AT.contact_budget] = contact.budget
+
+
+@by_count
+def write_patches(patches: Any, row: Any) -> Any:
+    """Fill what a record (RECORD_SIZE,) has of each patch of contact."""
+
+
+@write_patches.of(1)
+def write_the_only_patch(patches: Any, row: Any) -> None:
+    write_patch(row, AT.contacts0_object, patches[0])
+    write_patch(row, AT.contacts1_object, NO_OUTCOME)
+    write_patch(row, AT.contacts2_object, NO_OUTCOME)
+
+
+@write_patches.of(2)
+def write_three_patches(patches: Any, row: Any) -> None:
+    write_patch(row, AT.contacts0_object, patches[0])
+    write_patch(row, AT.contacts1_object, patches[1])
+    write_patch(row, AT.contacts2_object, patches[2])
+
+
+@jit
+def write_patch(row: Any, at: int, patch: ContactOutcome) -> None:
+    """One of them, from column `at` on."""
+    row[at] = patch.object
+    put3(row, at + AT.contacts0_point - AT.contacts0_object, patch.point)
+    put3(row, at + AT.contacts0_normal - AT.contacts0_object, patch.normal)
+    put3(row, at + AT.contacts0_force - AT.contacts0_object, patch.force)
+    row[at + AT.contacts0_mode - AT.contacts0_object] = patch.mode
+    row[at + AT.contacts0_spin - AT.contacts0_object] = patch.spin

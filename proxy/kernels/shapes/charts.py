@@ -1,0 +1,104 @@
+"""Coordinates on a surface, for what lies along it.
+
+    chart(shape, fade, x, normal) -> Chart    of the surface point under x
+
+A flat face has the two other coordinates of the shape's frame, in the order x, y, z: the plane and the ends of a
+cylinder x and y, the faces of a box x and y, x and z, or y and z. A cylinder has the arc length round its axis, zero
+towards x, and z. Which face counts is what `normal` says.
+"""
+
+from math import atan2, sqrt
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.model import Box, CappedCylinder, Cylinder, Plane, Vec3
+from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.shapes.protocol import FAN
+
+ENDLESS = 1e300
+"""m to the edge of a surface without one."""
+
+
+class Chart(NamedTuple):
+    """Coordinates of the surface point under x, and how they change with x.
+
+    u, v             m
+    along_u, along_v    (3,) 1    their gradients
+    inside              1      0 at the edge of the face, 1 from `fade` within it on, smooth between
+    inward              (3,) 1/m  gradient of `inside`
+    """
+
+    u: float
+    v: float
+    along_u: Vec3
+    along_v: Vec3
+    inside: float
+    inward: Vec3
+
+
+@by_type
+def chart(shape: Any, fade: float, x: Vec3, normal: Vec3) -> Any: ...
+
+
+@jit
+def ease(margin: float, fade: float) -> tuple[float, float]:
+    """3 s^2 - 2 s^3 of s = margin / fade between 0 and 1, and its derivative, 1/m."""
+    s = min(max(margin / fade, 0.0), 1.0)
+    return s * s * (3.0 - 2.0 * s), 6.0 * s * (1.0 - s) / fade
+
+
+@jit
+def within(margin: float, fade: float, coordinate: float) -> tuple[float, float]:
+    """`ease` of |coordinate| that ends `margin` on, and its derivative by the coordinate."""
+    share, slope = ease(margin, fade)
+    return share, -slope if coordinate > 0.0 else slope
+
+
+@jit
+def flat(fade: float, x: Vec3, normal: Vec3, half: Vec3) -> Chart:
+    """A face at right angles to an axis, |x_i| <= half_i."""
+    a, b, c = abs(normal[0]), abs(normal[1]), abs(normal[2])
+    i, di = within(half[0] - abs(x[0]), fade, x[0])
+    j, dj = within(half[1] - abs(x[1]), fade, x[1])
+    k, dk = within(half[2] - abs(x[2]), fade, x[2])
+    if c >= a and c >= b:
+        return Chart(x[0], x[1], (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), i * j, (di * j, i * dj, 0.0))
+    if b >= a:
+        return Chart(x[0], x[2], (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), i * k, (di * k, 0.0, i * dk))
+    return Chart(x[1], x[2], (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), j * k, (0.0, dj * k, j * dk))
+
+
+@jit
+def round_z(radius: float, x: Vec3, share: float, slope: float) -> Chart:
+    """The side of a cylinder; `share` and `slope` are what ends it along z."""
+    # Nearer to the axis than rounding there is no way round it.
+    away = max(sqrt(x[0] * x[0] + x[1] * x[1]), FAN * radius)
+    turned = radius / (away * away)
+    around = (-turned * x[1], turned * x[0], 0.0)
+    return Chart(radius * atan2(x[1], x[0]), x[2], around, (0.0, 0.0, 1.0), share, (0.0, 0.0, slope))
+
+
+@chart.of(Plane)
+def chart_of_plane(shape: Plane, fade: float, x: Vec3, normal: Vec3) -> Chart:
+    return flat(fade, x, shape.normal, (ENDLESS, ENDLESS, ENDLESS))
+
+
+@chart.of(Box)
+def chart_of_box(shape: Box, fade: float, x: Vec3, normal: Vec3) -> Chart:
+    return flat(fade, x, normal, shape.half_extents)
+
+
+@chart.of(Cylinder)
+def chart_of_cylinder(shape: Cylinder, fade: float, x: Vec3, normal: Vec3) -> Chart:
+    return round_z(shape.radius, x, 1.0, 0.0)
+
+
+@chart.of(CappedCylinder)
+def chart_of_capped_cylinder(shape: CappedCylinder, fade: float, x: Vec3, normal: Vec3) -> Chart:
+    if normal[2] * normal[2] > normal[0] * normal[0] + normal[1] * normal[1]:
+        away = max(sqrt(x[0] * x[0] + x[1] * x[1]), FAN * shape.radius)
+        share, slope = ease(shape.radius - away, fade)
+        inward = (-slope * x[0] / away, -slope * x[1] / away, 0.0)
+        return Chart(x[0], x[1], (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), share, inward)
+    share, slope = within(shape.half_length - abs(x[2]), fade, x[2])
+    return round_z(shape.radius, x, share, slope)

@@ -1,0 +1,242 @@
+"""Where the proxy rests on a surface that may touch the fingertip in several places at once: a height map.
+
+Hills may stand closer than the fingertip is wide, and valleys bend more than it. So the surface that its centre moves
+on has creases, in which it lies on two feet or three, and no single nearest point says where it may go. It is found
+by cutting planes: of each foot the tangent plane, moved out by r; the point nearest to where probe and friction want
+the centre that is behind none of them; there the feet anew, and whether some other place of the map is nearer than r,
+which is a foot then, too. On one foot alone the curvature of the offset surface makes that Newton's
+method. What the tick ends with has been asked of the whole map: the proxy is never inside of it. And no step is longer
+than the fingertip's clearance, so it goes round no ridge.
+
+What a tick asks has a budget, counted as in `nearest`: one for coming to rest, one for the end of a roll, and one for a
+first touch, that of meshes. Where it is used up the proxy stays where it was, outside, and the next tick asks anew.
+"""
+
+from typing import Any, Final, NamedTuple
+
+from softfinger.proxy.kernels.model import Heightmap, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.outlined import outlined
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
+from softfinger.proxy.kernels.numerics.half_spaces import displacement, solve_half_spaces
+from softfinger.proxy.kernels.shapes.heightmap.nearest import above, downhill, gap_within, left_of, nearest_from
+from softfinger.proxy.kernels.shapes.protocol import (
+    ADVANCES,
+    NO_HIT,
+    TOUCHING,
+    curvature,
+    direction,
+    follows,
+    has_creases,
+    meets,
+    raised_clear,
+    rest_on,
+)
+
+INSIDE: Final = 1e-10
+"""Depth, as a share of the fingertip's radius, that is rounding; the same as in `constraints`, as is the next."""
+SETTLED: Final = 1e-13
+"""Step, as a share of the fingertip's radius, below which the proxy is at rest."""
+ROUNDS: Final = 8
+"""Of cutting planes in a tick; on one foot two or three are taken, in a crease some five."""
+SLIDING_ROUND: Final = 1
+"""The round with which a proxy that slides may end: what is left the next tick takes up."""
+STRIDE: Final = 0.9
+"""Share of the radius that the centre goes in one step: nothing is nearer than the radius, so nothing is crossed."""
+SAME: Final = 1e-6
+"""Share of the radius within which two feet are one."""
+ON: Final = 1e-9
+"""Share of the radius, and sine, by which the fingertip's lowest point may miss the surface and still be its foot."""
+REST_BUDGET: Final = 1000
+"""Tiles that are asked for where the proxy rests, all rounds together."""
+ROLL_BUDGET: Final = 300
+"""For whether there is room where a roll ends."""
+END_BUDGET: Final = 200
+"""For whether there is room at the end of a way to a first touch."""
+SHORTEST: Final = 0.25
+"""1 - depth x curvature at the least: Newton's step is four times that in the tangent plane at the most."""
+
+
+class SupportPoints(NamedTuple):
+    """Surface points (3,) m that hold the fingertip, `many` of them."""
+
+    many: int
+    one: Vec3
+    two: Vec3
+    three: Vec3
+
+
+@jit
+def is_support_point(feet: SupportPoints, point: Vec3, within: float) -> bool:
+    """Whether that is one of them, within a distance, m."""
+    if vec3.norm(vec3.sub(point, feet.one)) <= within:
+        return True
+    if feet.many > 1 and vec3.norm(vec3.sub(point, feet.two)) <= within:
+        return True
+    return feet.many > 2 and vec3.norm(vec3.sub(point, feet.three)) <= within
+
+
+@jit
+def with_support_point(feet: SupportPoints, point: Vec3) -> SupportPoints:
+    """With one more; in place of the last, where there are three."""
+    if feet.many == 1:
+        return SupportPoints(2, feet.one, point, point)
+    return SupportPoints(3, feet.one, feet.two, point)
+
+
+@jit
+def along_one(shape: Any, radius: float, goal: Vec3, foot: Vec3, normal: Vec3) -> Vec3:
+    """From one foot the centre (3,) m nearest to `goal`, by Newton's step on the offset surface."""
+    center = vec3.add_scaled(foot, radius, normal)
+    way = vec3.sub(goal, center)
+    depth = max(-vec3.dot(way, normal), 0.0)
+    k1, k2, d1 = curvature(shape, radius, foot, normal)
+    d2 = vec3.cross(normal, d1)
+    first = vec3.dot(way, d1) / max(1.0 - depth * k1, SHORTEST)
+    second = vec3.dot(way, d2) / max(1.0 - depth * k2, SHORTEST)
+    return vec3.add_scaled(vec3.add_scaled(center, first, d1), second, d2)
+
+
+@jit
+def at_most(way: Vec3, longest: float) -> Vec3:
+    length = vec3.norm(way)
+    return vec3.scale(longest / length, way) if length > longest else way
+
+
+@outlined
+def rest_on_support_points(
+    shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, normal: Vec3
+) -> tuple[Vec3, Vec3, float]:
+    """Near `center` the centre nearest to the probe and `lag` (3,) m, in the frame of the shape.
+
+    returns  proxy (3,) m, normal (3,), and 1 if the budget was used up before it was known where there is room
+    """
+    rest, up, slides = center, normal, lag != (0.0, 0.0, 0.0)
+    left, bounded = REST_BUDGET, 0.0
+    feet = SupportPoints(1, vec3.add_scaled(center, -radius, normal), center, center)
+    for turn in range(ROUNDS):
+        _, p1, n1, _, spent = downhill(shape, center, feet.one)
+        left -= spent
+        p2, n2, p3, n3 = p1, n1, p1, n1
+        if feet.many > 1:
+            _, p2, n2, _, spent = downhill(shape, center, feet.two)
+            left -= spent
+            p3, n3 = p2, n2
+        if feet.many > 2:
+            _, p3, n3, _, spent = downhill(shape, center, feet.three)
+            left -= spent
+        feet = SupportPoints(feet.many, p1, p2, p3)
+        clear = True
+        if turn > 0:
+            gap, other, other_normal, _, spent = nearest_from(shape, center, p1, left)
+            left -= spent
+            clear = gap >= radius * (1.0 - INSIDE)
+            if left <= 0 and not clear:
+                bounded = 1.0
+                if vec3.norm(vec3.sub(rest, other)) < radius * (1.0 - SAME):  # it began inside: the way out is up
+                    rest = above(shape, rest, radius)
+                break
+            if not clear and not is_support_point(feet, other, SAME * radius):
+                feet = with_support_point(feet, other)
+                p3, n3 = other, other_normal
+                if feet.many == 2:
+                    p2, n2 = other, other_normal
+        goal = vec3.add(probe, vec3.reject(lag, up))
+        if feet.many == 1:
+            push, then = n1, along_one(shape, radius, goal, p1, n1)
+        else:
+            b1 = vec3.dot(n1, vec3.sub(p1, goal)) + radius
+            b2 = vec3.dot(n2, vec3.sub(p2, goal)) + radius
+            b3 = vec3.dot(n3, vec3.sub(p3, goal)) + radius
+            held = solve_half_spaces(feet.many, n1, n2, n3, b1, b2, b3)
+            push = displacement(held.push, n1, n2, n3)
+            then = vec3.add(goal, displacement(held.place, n1, n2, n3))
+        if turn > 0 and clear:
+            rest = center
+            _, up = direction(push, n1)
+        then = vec3.add(rest, at_most(vec3.sub(then, rest), STRIDE * radius))
+        if feet.many == 1:
+            _, p1, n1, _, spent = downhill(shape, then, p1)
+            left -= spent
+            landed = vec3.add_scaled(p1, radius, n1)
+            if vec3.norm(vec3.sub(landed, rest)) <= radius:
+                then = landed
+        step = vec3.norm(vec3.sub(then, center))
+        if turn > 0 and clear and (step <= SETTLED * radius or (slides and turn >= SLIDING_ROUND)):
+            break
+        center = then
+    return rest, up, bounded
+
+
+@follows.of(Heightmap)
+def follows_over_heightmap(shape: Heightmap, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
+    """On one foot, not too far for a tick, and to a place where the fingertip has room."""
+    foot = vec3.add_scaled(start, -radius, normal)
+    _, point, up, _, _ = downhill(shape, start, foot)
+    if vec3.norm(vec3.sub(point, foot)) > ON * radius or vec3.dot(up, normal) < 1.0 - ON:
+        return False
+    way = vec3.norm(vec3.sub(end, start))
+    if way > STRIDE * radius:
+        return False
+    gap, _, _, _, _ = nearest_from(shape, end, point, ROLL_BUDGET)
+    return gap >= radius * (1.0 - INSIDE)
+
+
+@raised_clear.of(Heightmap)
+def raised_clear_of_heightmap(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
+    return above(shape, x, radius)
+
+
+@meets.of(Heightmap)
+def meets_heightmap(
+    shape: Heightmap, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+) -> tuple[float, float, int]:
+    """As over any shape (`travel`), but for what is farther than the way, which is not asked for.
+
+    What `leaves` a height map is held by what it touches at the end of a short way, as of a mesh. The way may ask half
+    of the budget. Where that is used up the fingertip goes no farther; a short way, which leads through nothing, it
+    goes if there is room at its end.
+    """
+    way = vec3.sub(end, start)
+    length, short = vec3.norm(way), STRIDE * radius
+    if leaves and length <= short:
+        return NO_HIT, 0.0, budget
+    near = gap_within(shape, start, radius + length, budget // 2)
+    left, rest = left_of(budget // 2, near.whole, near.spent), left_of(budget, True, near.spent)
+    clearance, touching, share = near.gap - radius, TOUCHING * radius, 0.0
+    if clearance >= length:
+        return NO_HIT, 0.0, rest
+    begun = min(clearance, 0.0) if leaves else 0.0
+    for _ in range(ADVANCES if clearance > touching else 0):
+        if left < 0:
+            break
+        share += clearance / length
+        if share >= 1.0:
+            return NO_HIT, 0.0, rest
+        near = gap_within(shape, vec3.add_scaled(start, share, way), radius + (1.0 - share) * length, left)
+        left, rest = left_of(left, near.whole, near.spent), left_of(rest, True, near.spent)
+        clearance = near.gap - radius
+        if left >= 0 and clearance <= touching:
+            return share, 0.0, rest
+    if left < 0 and length > short:
+        return share, 0.0, rest
+    # A glancing pass comes ever closer without meeting: it counts only if it ends inside.
+    near = gap_within(shape, end, radius, min(rest, END_BUDGET))
+    return (share if near.gap - radius < begun else NO_HIT), 0.0, left_of(rest, True, near.spent)
+
+
+@has_creases.of(Heightmap)
+def creases_of_heightmap(shape: Heightmap) -> float:
+    return 1.0
+
+
+@rest_on.of(Heightmap)
+def rest_on_heightmap(
+    shape: Heightmap, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, Vec3, float]:
+    pose = body.pose
+    rest, up, bounded = rest_on_support_points(
+        shape, radius, into(pose, probe), into(pose, center), turn_into(pose, deflection), turn_into(pose, normal)
+    )
+    return out_of(pose, rest), turn_out_of(pose, up), bounded

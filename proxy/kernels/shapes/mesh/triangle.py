@@ -1,0 +1,210 @@
+"""One triangle: its point nearest to another, on which of its features that is, and on which side the other one is."""
+
+from typing import NamedTuple
+
+from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.outlined import outlined
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, direction
+
+FACE = 6
+"""Number of the feature that is the triangle itself; 0 to 2 are its edges, 3 to 5 its corners."""
+FAN = 12
+"""Triangles round a corner that are asked on either side."""
+ON_IT = 1e-14
+"""Distance, as a share of the mesh's size, at which a point has no direction of its own from the triangle."""
+
+
+class Corners(NamedTuple):
+    """The three vertices (3,) m of a triangle."""
+
+    a: Vec3
+    b: Vec3
+    c: Vec3
+
+
+class Foot(NamedTuple):
+    """Nearest point of a triangle: (3,) m, the square of its distance, m^2, the feature that it is on, and what each
+    corner counts for in it."""
+
+    point: Vec3
+    square: float
+    feature: int
+    weights: Vec3
+
+
+@jit
+def vertex_of(mesh: Triangles, number: int) -> Vec3:
+    at = 3 * number
+    return (mesh.vertices[at], mesh.vertices[at + 1], mesh.vertices[at + 2])
+
+
+@jit
+def corners_of(mesh: Triangles, number: int) -> Corners:
+    at = 3 * number
+    return Corners(
+        vertex_of(mesh, int(mesh.corners[at])),
+        vertex_of(mesh, int(mesh.corners[at + 1])),
+        vertex_of(mesh, int(mesh.corners[at + 2])),
+    )
+
+
+@jit
+def foot_at(corners: Corners, x: Vec3, feature: int, weights: Vec3) -> Foot:
+    """Measured from the corner that counts most: a sum of all three has the rounding of where the mesh is."""
+    a, b, c = corners
+    if feature == FACE:
+        point = vec3.add_scaled(vec3.add_scaled(a, weights[1], vec3.sub(b, a)), weights[2], vec3.sub(c, a))
+    elif feature == 0:
+        point = vec3.add_scaled(a, weights[1], vec3.sub(b, a))
+    elif feature == 1:
+        point = vec3.add_scaled(b, weights[2], vec3.sub(c, b))
+    elif feature == 2:
+        point = vec3.add_scaled(c, weights[0], vec3.sub(a, c))
+    else:
+        point = a if feature == 3 else (b if feature == 4 else c)
+    apart = vec3.sub(x, point)
+    return Foot(point, vec3.dot(apart, apart), feature, weights)
+
+
+@jit
+def foot_on(corners: Corners, x: Vec3) -> Foot:
+    """By the regions of the plane that are nearest to each corner and edge: Ericson, Real-Time Collision Detection,
+    5.1.5."""
+    a, b, c = corners
+    ab, ac, ax = vec3.sub(b, a), vec3.sub(c, a), vec3.sub(x, a)
+    d1, d2 = vec3.dot(ab, ax), vec3.dot(ac, ax)
+    if d1 <= 0.0 and d2 <= 0.0:
+        return foot_at(corners, x, 3, (1.0, 0.0, 0.0))
+    bx = vec3.sub(x, b)
+    d3, d4 = vec3.dot(ab, bx), vec3.dot(ac, bx)
+    if d3 >= 0.0 and d4 <= d3:
+        return foot_at(corners, x, 4, (0.0, 1.0, 0.0))
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        share = d1 / (d1 - d3) if d1 > d3 else 0.0
+        return foot_at(corners, x, 0, (1.0 - share, share, 0.0))
+    cx = vec3.sub(x, c)
+    d5, d6 = vec3.dot(ab, cx), vec3.dot(ac, cx)
+    if d6 >= 0.0 and d5 <= d6:
+        return foot_at(corners, x, 5, (0.0, 0.0, 1.0))
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        share = d2 / (d2 - d6) if d2 > d6 else 0.0  # of c; from c back to a the rest
+        return foot_at(corners, x, 2, (1.0 - share, 0.0, share))
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 >= d3 and d5 >= d6:
+        whole = (d4 - d3) + (d5 - d6)
+        share = (d4 - d3) / whole if whole > 0.0 else 0.0
+        return foot_at(corners, x, 1, (0.0, 1.0 - share, share))
+    whole = 1.0 / (va + vb + vc)
+    v, w = vb * whole, vc * whole
+    return foot_at(corners, x, FACE, (1.0 - v - w, v, w))
+
+
+@jit
+def face_normal(corners: Corners) -> Vec3:
+    """Unit normal (3,), to the side from which the corners go counter-clockwise."""
+    across = vec3.cross(vec3.sub(corners.b, corners.a), vec3.sub(corners.c, corners.a))
+    _, normal = direction(across, Z_AXIS)
+    return normal
+
+
+@jit
+def outward_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> Vec3:
+    """A direction (3,), not of unit length, that tells outside from inside where the nearest point is on a feature: of
+    an edge the sum of the normals of both faces, of a corner that of all, weighted by their angles (Baerentzen and
+    Aanaes, Signed distance computation using the angle weighted pseudonormal, 2005)."""
+    normal = face_normal(corners)
+    if feature < 3:
+        other = int(mesh.across[3 * number + feature])
+        if other >= 0:
+            normal = vec3.add(normal, face_normal(corners_of(mesh, other)))
+    elif feature < FACE:
+        at = 3 * int(mesh.corners[3 * number + feature - 3])
+        normal = (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2])
+    return normal
+
+
+@jit
+def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, best: float) -> tuple[int, float]:
+    """The nearest of the triangles round the corner `at` of one if its square of the distance from `x` is below `best`,
+    else -1; and that square.
+
+    They are asked one after the other as far as they have edges in common: most of them have just that corner nearest
+    to x, so that its neighbours do not tell which of them is nearer.
+    """
+    vertex, found = mesh.corners[3 * number + at], -1
+    for turn in (0, 2):  # over the edge that begins there, and over the one that ends there
+        here, corner = number, at
+        for _ in range(FAN):
+            here = int(mesh.across[3 * here + (corner + turn) % 3])
+            if here < 0 or here == number:
+                break
+            corner = 0
+            while corner < 2 and mesh.corners[3 * here + corner] != vertex:
+                corner += 1
+            square = foot_on(corners_of(mesh, here), x).square
+            if square < best:
+                found, best = here, square
+        if here == number:
+            break
+    return found, best
+
+
+@outlined
+def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
+    """The triangle beyond the edge, or round the corner, of this one that `x` is nearest to, if it is nearer still;
+    else this one."""
+    mesh, k = whole.row[0], int(number)
+    foot = foot_on(corners_of(mesh, k), x)
+    if foot.feature == FACE:
+        return number
+    best = foot.square * (1.0 - 1e-11)
+    if foot.feature < 3:
+        nearer = int(mesh.across[3 * k + foot.feature])
+        if nearer >= 0 and foot_on(corners_of(mesh, nearer), x).square >= best:
+            nearer = -1
+    else:
+        nearer, _ = nearer_around(mesh, k, foot.feature - 3, x, best)
+    return number if nearer < 0 else float(nearer)
+
+
+@outlined
+def shaded_normal(whole: Mesh, number: float, x: Vec3, normal: Vec3) -> Vec3:
+    """Unit normal (3,) at the point of a triangle nearest to `x` (3,) m, the vertices' counting as they do in it; on
+    the side of `normal`, which is taken where they cancel."""
+    mesh, k = whole.row[0], int(number)
+    foot = foot_on(corners_of(mesh, k), x)
+    total = (0.0, 0.0, 0.0)
+    for i in range(3):
+        at = 3 * int(mesh.corners[3 * k + i])
+        total = vec3.add_scaled(total, foot.weights[i], (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2]))
+    _, smooth = direction(total, normal)
+    return smooth if vec3.dot(smooth, normal) >= 0.0 else vec3.scale(-1.0, smooth)
+
+
+@outlined
+def closest_on_triangle(whole: Mesh, number: float, x: Vec3) -> tuple[float, Vec3, Vec3]:
+    """Signed gap (m) of `x` (3,) m from a triangle, its nearest point (3,) m, and the unit normal (3,) there, to the
+    side where a fingertip may be; of an open mesh to the one where x is."""
+    mesh, k = whole.row[0], int(number)
+    corners = corners_of(mesh, k)
+    foot = foot_on(corners, x)
+    normal = face_normal(corners)
+    apart = vec3.sub(x, foot.point)
+    if foot.feature == FACE:
+        gap = vec3.dot(apart, normal)
+        if mesh.side < 0.0 or (mesh.side == 0.0 and gap < 0.0):
+            return -gap, foot.point, vec3.scale(-1.0, normal)
+        return gap, foot.point, normal
+    distance, outward = direction(apart, normal)
+    if mesh.side == 0.0:
+        return distance, foot.point, outward
+    pseudo = outward_at(mesh, k, corners, foot.feature)
+    if distance <= ON_IT * mesh.size:
+        _, outward = direction(pseudo, normal)
+    elif vec3.dot(outward, pseudo) < 0.0:
+        distance, outward = -distance, vec3.scale(-1.0, outward)
+    return mesh.side * distance, foot.point, vec3.scale(mesh.side, outward)
