@@ -19,7 +19,6 @@ from softfinger.proxy.kernels.native.arrays import ReadOnly
 from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
 from softfinger.proxy.meshes.prepared import Builder, tree_of
-from softfinger.proxy.meshes.tree import Tree, build_tree
 from softfinger.proxy.record import FREE
 from softfinger.proxy.textures import kernel_texture
 
@@ -250,6 +249,8 @@ def _heightmap(thing: schema.Heightmap) -> list[Body]:
 
 @shape_bodies.register
 def _mesh(thing: schema.Mesh) -> list[Body]:
+    from softfinger.proxy.meshes.tree import Tree, build_tree  # its kernels are for scenes with a mesh alone
+
     tree = tree_of(thing, Builder(build_tree, Tree))
     x, y, z = tree.center.tolist()
     side = _side(thing.inside) if tree.closed else 0.0

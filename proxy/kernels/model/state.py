@@ -38,7 +38,7 @@ class ContactState(NamedTuple):
     mode             FREE, ROLLING or SLIDING
     deflection       e: tangential, from the probe to where the patch sticks
     rolled_part      p: the share of e that rolling has wound
-    spin             phi: torsional wind-up, rad; under a contact patch in the unit of `friction.contact_patch.winding_unit`
+    spin             phi: torsional wind-up, rad; under a contact patch in the unit of `contact_patch.winding_unit`
     slip_speed       low-passed plastic slip, m/s
     slip_deflection  |e| at the last tick that slipped, m
     spin_slip_speed  low-passed slip of the torsional anchor, rad/s; 0 while it sticks (soft-finger proxy only)

@@ -1,11 +1,11 @@
-"""Surfaces as the centre of an ellipsoidal fingertip sees them: grown by the fingertip as it is turned.
+"""Minkowski sums: surfaces as the centre of an ellipsoidal fingertip sees them.
 
 An ellipsoid of the semi-axes a_i along the columns of Q has the matrix E = Q diag(a_i^2) Q^T and the support
 h(n) = sqrt(n . E n). Where the object's normal is n, the fingertip touches with its own normal -n, and its centre is
 E n / h(n) beyond the point of contact (`support_vector`). So the centre moves on the border of the Minkowski sum of
-object and ellipsoid, as that of a ball moves on the offset surface. `closest` tells of the surface that lies the MinkowskiSum's
-`radius` behind this border: seen from the centre, it is as if a ball of that radius touched it, and whoever asks for nothing
-but the nearest point need not know what touches.
+object and ellipsoid, as that of a ball moves on the offset surface. `closest` is about the surface that lies `radius`
+behind this border. From the centre it looks as if a ball of that radius touched it, so a query for the nearest point
+needs no case of its own.
 
 No iteration of its own is needed, as the sum is
 

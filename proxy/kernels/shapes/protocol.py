@@ -9,7 +9,7 @@ These two are all that a new shape has to give. What follows has a default, whic
     closest_from(shape, x, start, left)      -> as `closest`, left  for a fingertip that rolls there from a point
     closest_or_bound(shape, x)               -> as `closest`, 1 where a search did not end
     closest_within(shape, x, left)           -> as `closest`, left  with what is left of the tick's budget
-    constraint_at(shape, center, radius, normal, left) -> point, normal, left    where it holds a fingertip as it did before
+    constraint_at(shape, center, radius, n, left)  -> point, n, left  where it holds a fingertip as it did before
     transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v carried to the new normal
     is_hollow(shape)                         -> bool                whether it is touched from inside; default: no
     bend(shape, radius, point, normal)       -> 1/m                 how much it bends round the fingertip
@@ -24,7 +24,8 @@ What takes long to ask has a budget; `left` is what is left of it, below 0 where
 meshes and height maps is counted. Those two have no `closest`: their nearest point comes with the word of whether the
 search for it ended, or not at all.
 
-Defaults stand beside what they are made of: rest_on in contact/rest/alone, ahead and unroll in contact/rolling. A shape that can be touched from inside has `side`, +1 or -1, and calls `may_be_hollow`.
+Defaults stand beside what they are made of: rest_on in contact/rest/alone, ahead and unroll in contact/rolling. A shape
+that can be touched from inside has `side`, +1 or -1, and calls `may_be_hollow`.
 
 All in the frame of the shape, for any x within 1e100 m. `gap` is the signed distance, m, positive where the fingertip
 may be, and `normal` the unit normal that points there. `curvature` is that of the offset surface, a distance `radius`

@@ -1,0 +1,45 @@
+"""A shape is one room: the program works without the folder of any of them, and without its place in the table."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.plain
+
+ROOT = Path(__file__).resolve().parents[2]
+RENDERED = """
+from softfinger import Engine
+touch = Engine("paper-plane").step(position=[0.0, 0.0, 0.0095], orientation=[1.0, 0.0, 0.0, 0.0])
+print(touch.force.tolist())
+"""
+
+
+def rendered(package: Path) -> str:
+    """What the paper's plane does to a probe 0.5 mm deep, by the package in that folder."""
+    environment = os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", RENDERED], capture_output=True, text=True, timeout=120, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("room", ["heightmap", "mesh"])
+def test_the_plane_is_rendered_without_the_room(tmp_path: Path, room: str) -> None:
+    """Its folder and its name in `shapes/__init__.py` are all that has to go."""
+    package = tmp_path / "softfinger"
+    for folder in ("config", "drivers", "proxy", "server", "tools"):
+        shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "config" / "package.py", package / "__init__.py")
+    whole = rendered(package)
+    shapes = package / "proxy" / "kernels" / "shapes"
+    shutil.rmtree(shapes / room)
+    table = (shapes / "__init__.py").read_text("utf-8")
+    (shapes / "__init__.py").write_text(table.replace(f" {room},", "", 1).replace(f'    "{room}",\n', "", 1), "utf-8")
+    assert rendered(package) == whole
