@@ -30,7 +30,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-all coverage test-vm emulators browser vm-packages subscribers lint bench exchange-cost study page-picture \
+.PHONY: help setup run test test-all coverage test-vm emulators browser vm-packages subscribers lint bench exchange-cost study reference figures page-picture \
     docs docs-serve warmup wheel constraints docker-check host-check clean distclean
 
 help: ## This list
@@ -120,6 +120,12 @@ exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that
 
 study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)
+
+reference: $(STAMP) ## Write docs/reference/ anew, from the schema, the record table and the table of commands
+	@exec $(BIN)/python -m softfinger.tools.pages.reference docs/reference
+
+figures: $(STAMP) ## Draw the figures of the model pages anew (docs/figures/model-*.svg)
+	@NUMBA_DISABLE_JIT=1 exec $(BIN)/python -m softfinger.tools.pages.figures docs/figures
 
 page-picture: $(STAMP) ## Draw docs/figures/page.jpg anew, the page in the browser (needs `make browser`)
 	@exec $(BIN)/python tests/page_picture.py

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.arrays.npz import Npz
+from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
 from softfinger.drivers.containers import mcap_messages
@@ -246,9 +246,9 @@ def _read_npz(path: Path) -> Poses:
     columns = []
     try:
         with open_input(path) as file:
-            archive = Npz(file)
+            archive = open_npz(file)
             for name, shape in (("timestamp", ()), ("probe.position", (3,)), ("probe.orientation", (4,))):
-                found = archive.array(name, POSES_MAX * 4 * 8)
+                found = archive[name]
                 if found.dtype.kind not in "fiu" or found.shape[1:] != shape or found.ndim != 1 + len(shape):
                     raise RecordingError(
                         f"{path}, array '{name}': {found.dtype} of shape {found.shape}, "

@@ -1,7 +1,7 @@
 """The record: what one servo tick leaves behind, as a table.
 
 A record is one row of float64. The servo writes it, the ring carries it, telemetry names it,
-results files flatten it, and docs/protocol.md lists it; all of them read this table, so a field
+results files flatten it, and docs/reference/ lists it; all of them read this table, so a field
 is added here and nowhere else, at the end. Integers are exact in float64 up to 2**53.
 """
 
@@ -43,6 +43,10 @@ CAUSE_REVERSE: Final = 5
 CAUSE_RELEASE: Final = 6
 CAUSE_RESTART: Final = 7
 
+UNSEARCHED: Final = 1
+ON_ITS_WAY: Final = 2
+"""Of `contact.budget`, and 0 for neither."""
+
 
 class Offsets(NamedTuple):
     """The table: each field with its number of components, kind, unit, frame and meaning.
@@ -52,14 +56,14 @@ class Offsets(NamedTuple):
 
     timestamp: Annotated[int, 1, "float", "s", "", "time of the tick since the epoch"]
     tick: Annotated[int, 1, "int", "1", "", "ticks since the servo started"]
-    dt: Annotated[int, 1, "float", "s", "", "time step the contact step used"]
+    dt: Annotated[int, 1, "float", "s", "", "time step of the contact step"]
     probe_position: Annotated[int, 3, "float", "m", "world", "measured fingertip centre"]
     probe_orientation: Annotated[int, 4, "float", "1", "fingertip to world", "unit quaternion w, x, y, z"]
     probe_velocity: Annotated[int, 3, "float", "m/s", "world", "filtered probe velocity"]
-    proxy_position: Annotated[int, 3, "float", "m", "world", "fingertip centre kept outside all objects"]
+    proxy_position: Annotated[int, 3, "float", "m", "world", "centre of the fingertip as rendered, outside all objects"]
     contact_mode: Annotated[int, 1, "int", "1", "", "0 free, 1 rolling, 2 sliding"]
     contact_object: Annotated[int, 1, "int", "1", "", "index of the touched object in the scene, -1 none"]
-    contact_penetration: Annotated[int, 1, "float", "m", "", "depth of the probe behind the proxy along the normal"]
+    contact_penetration: Annotated[int, 1, "float", "m", "", "depth of the probe below the proxy along the normal"]
     contact_point: Annotated[int, 3, "float", "m", "world", "contact point on the object"]
     contact_normal: Annotated[int, 3, "float", "1", "world", "outward unit normal of the object at the contact point"]
     contact_finger_point: Annotated[int, 3, "float", "m", "fingertip", "contact point on the fingertip"]
@@ -71,40 +75,40 @@ class Offsets(NamedTuple):
     servo_exec: Annotated[int, 1, "float", "s", "", "time from wake-up until the device write returned"]
     servo_missed: Annotated[int, 1, "int", "1", "", "deadlines missed since the servo started"]
     buttons: Annotated[int, 1, "int", "bits", "", "device buttons, bit 0 the first"]
-    contact_cause: Annotated[int, 1, "int", "1", "", "cause of this tick's mode change, 0 none"]
+    contact_cause: Annotated[int, 1, "int", "1", "", "cause of the mode change in this tick, 0 none"]
     contact_normal_force: Annotated[int, 1, "float", "N", "", "normal force before the guard"]
     contact_tangential_force: Annotated[int, 1, "float", "N", "", "magnitude of the tangential force before the guard"]
     servo_guard: Annotated[int, 1, "int", "bits", "", "what the guard changed in this tick"]
-    servo_busy: Annotated[int, 1, "float", "s", "", "the previous tick from wake-up until it slept again"]
+    servo_busy: Annotated[int, 1, "float", "s", "", "duration of the previous tick, from wake-up to sleep"]
     passivity_energy: Annotated[
-        int, 1, "float", "J", "", "work taken from the hand in this contact, less than 0 if owed"
+        int, 1, "float", "J", "", "work of the hand in this contact; below 0: energy that the rendering generated"
     ]
-    passivity_damping: Annotated[int, 1, "float", "N s/m", "", "damping added because of what is owed"]
+    passivity_damping: Annotated[int, 1, "float", "N s/m", "", "damping added by the passivity controller"]
     servo_device: Annotated[int, 1, "int", "1", "", "status of this tick's device read and write"]
     gripper: Annotated[int, 1, "float", "rad", "", "opening of the device's gripper, 0 without one"]
-    contacts0_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 for none"]
-    contacts0_point: Annotated[int, 3, "float", "m", "world", "where it is on the object"]
-    contacts0_normal: Annotated[int, 3, "float", "1", "world", "the object's outward unit normal there"]
-    contacts0_force: Annotated[int, 3, "float", "N", "world", "its force on the hand, before the guard"]
-    contacts0_mode: Annotated[int, 1, "int", "1", "", "its mode, as contact.mode"]
-    contacts0_spin: Annotated[int, 1, "float", "rad", "", "its torsional wind-up"]
-    contacts1_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 for none"]
-    contacts1_point: Annotated[int, 3, "float", "m", "world", "where it is on the object"]
-    contacts1_normal: Annotated[int, 3, "float", "1", "world", "the object's outward unit normal there"]
-    contacts1_force: Annotated[int, 3, "float", "N", "world", "its force on the hand, before the guard"]
-    contacts1_mode: Annotated[int, 1, "int", "1", "", "its mode, as contact.mode"]
-    contacts1_spin: Annotated[int, 1, "float", "rad", "", "its torsional wind-up"]
-    contacts2_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 for none"]
-    contacts2_point: Annotated[int, 3, "float", "m", "world", "where it is on the object"]
-    contacts2_normal: Annotated[int, 3, "float", "1", "world", "the object's outward unit normal there"]
-    contacts2_force: Annotated[int, 3, "float", "N", "world", "its force on the hand, before the guard"]
-    contacts2_mode: Annotated[int, 1, "int", "1", "", "its mode, as contact.mode"]
-    contacts2_spin: Annotated[int, 1, "float", "rad", "", "its torsional wind-up"]
-    contact_torsion: Annotated[int, 1, "float", "N m", "", "moment about the normal on the hand, before the guard"]
+    contacts0_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 none"]
+    contacts0_point: Annotated[int, 3, "float", "m", "world", "contact point on the object"]
+    contacts0_normal: Annotated[int, 3, "float", "1", "world", "outward unit normal of the object at that point"]
+    contacts0_force: Annotated[int, 3, "float", "N", "world", "force on the hand, before the guard"]
+    contacts0_mode: Annotated[int, 1, "int", "1", "", "mode: 0 free, 1 rolling, 2 sliding"]
+    contacts0_spin: Annotated[int, 1, "float", "rad", "", "torsional wind-up about the normal"]
+    contacts1_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 none"]
+    contacts1_point: Annotated[int, 3, "float", "m", "world", "contact point on the object"]
+    contacts1_normal: Annotated[int, 3, "float", "1", "world", "outward unit normal of the object at that point"]
+    contacts1_force: Annotated[int, 3, "float", "N", "world", "force on the hand, before the guard"]
+    contacts1_mode: Annotated[int, 1, "int", "1", "", "mode: 0 free, 1 rolling, 2 sliding"]
+    contacts1_spin: Annotated[int, 1, "float", "rad", "", "torsional wind-up about the normal"]
+    contacts2_object: Annotated[int, 1, "int", "1", "", "index of its object in the scene, -1 none"]
+    contacts2_point: Annotated[int, 3, "float", "m", "world", "contact point on the object"]
+    contacts2_normal: Annotated[int, 3, "float", "1", "world", "outward unit normal of the object at that point"]
+    contacts2_force: Annotated[int, 3, "float", "N", "world", "force on the hand, before the guard"]
+    contacts2_mode: Annotated[int, 1, "int", "1", "", "mode: 0 free, 1 rolling, 2 sliding"]
+    contacts2_spin: Annotated[int, 1, "float", "rad", "", "torsional wind-up about the normal"]
+    contact_torsion: Annotated[int, 1, "float", "N m", "", "moment on the hand about the normal, before the guard"]
     contact_patch_radius: Annotated[int, 1, "float", "m", "", "radius of the patch, 0 without [fingertip.patch]"]
     contact_patch_normal: Annotated[int, 3, "float", "1", "fingertip", "normal of the object at the patch"]
     contact_patch_stretch: Annotated[
-        int, 3, "float", "m", "fingertip", "displacement of the skin against the fingertip along the surface"
+        int, 3, "float", "m", "fingertip", "displacement of the skin relative to the fingertip, along the surface"
     ]
     contact_budget: Annotated[
         int,
@@ -112,7 +116,10 @@ class Offsets(NamedTuple):
         "int",
         "1",
         "",
-        "1 if a mesh or height map was not searched to the end: the proxy stayed, or a first touch or a gap is unknown",
+        (
+            "1 if a mesh or height map was not searched to the end: the proxy stayed, or a first touch or a gap is "
+            "unknown; 2 if the proxy has yet to come to rest on it: the force is not the sum of `contacts` then"
+        ),
     ]
 
 

@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from softfinger.config import schema
 from softfinger.config.errors import HapticError, RealtimeError
-from softfinger.config.schema import commands_beside
 from softfinger.drivers import base
 from softfinger.proxy.kernels.native.jit import PLAIN
-from softfinger.server.gateway.service import Gateway
 from softfinger.server.loop import realtime, wayout
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.publishing.setup import Shown
 from softfinger.server.services.base import Service, stop_all
-from softfinger.server.services.commands import KEY, Commands, Doing
+from softfinger.server.services.commands import Commands, Doing
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import Notify
 from softfinger.server.services.recordings import Recordings
@@ -27,8 +26,8 @@ from softfinger.server.services.records import Records, Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.services.supervisor import Supervisor
 from softfinger.server.services.telemetry import Telemetry
+from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.endpoint import listen
-from softfinger.server.wire.native.templates import Shown
 from softfinger.server.wire.publisher import Publisher
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
@@ -38,6 +37,8 @@ STUCK_S: Final = 1.0
 """A servo that was told to end because something failed, and has not within this, is stuck in its device: nobody waits
 for it any more."""
 WAIT_POLL_S: Final = 0.25
+PUBLISHER_PRIORITY: Final = 1
+"""The lowest there is: above what has none, and below all that a tick waits for."""
 
 
 class Daemon:
@@ -72,29 +73,26 @@ class Daemon:
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
         self._fingers: Final = fingers
         """Names of several fingers, by which messages tell them apart; a single one needs none."""
-        gateway = Gateway(rig, self._event)
-        opened: list[Callable[[], None]] = [gateway.stop]
-        bound = None
+        doors = doors_of(rig)
+        opened: list[Callable[[], None]] = [doors.close]
         try:
             self.publisher: Final = Publisher(
-                gateway.telemetry, rig.telemetry.every, guard_names=GUARD_NAMES, fingers=fingers
+                doors,
+                rig.telemetry.every,
+                guard_names=GUARD_NAMES,
+                fingers=fingers,
+                priority=0 if rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
             )
             opened.append(self.publisher.close)
             metrics = None
             if rig.metrics.endpoint is not None:
                 metrics = self._metrics(rig.metrics.endpoint)
                 opened.append(metrics.stop)
-            if gateway.commands is not None:
-                beside = rig.commands.endpoint is None and "commands" not in gateway.public
-                # The port that the telemetry got, where the rig leaves it open.
-                place = commands_beside(self.publisher.endpoint) if beside else gateway.commands
-                bound = listen(place, KEY, own=beside)
-                opened.append(bound.files.close)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare)
         except BaseException as error:
             wayout.every(*reversed(opened), first=error)
             raise
-        self.public: Final = gateway.public
+        self.public: Final = doors.public
         """Endpoints that other machines reach, by the name of their table."""
         self.servo: Final = self.rendering.servo
         event = self._event
@@ -103,18 +101,17 @@ class Daemon:
         telemetry = Telemetry(self.publisher, self.servo)
         self.supervisor: Final = Supervisor(self.servo, self.fail, event)
         doing = Doing(
-            self._replace_scene, self.publisher.ring, self.publisher.endpoint, event, self.stop, self.fail,
-            self.recordings,
+            self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
+            self.publisher.reply, event, self.stop, self.fail, self.recordings,
         )  # fmt: skip
-        commands = [] if bound is None else [Commands(bound, self.rendering, doing, scene_name)]
-        self.commands_endpoint: Final = commands[0].endpoint if commands else None
+        self.commands_endpoint: Final = doors.commands
         """Where commands are taken, None where they are off."""
         self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
         """Where Prometheus may look; None: nowhere."""
+        commands = [] if doors.commands is None else [Commands(doors.commands, self.rendering, doing, scene_name)]
         others: list[Commands | Metrics] = [*commands, *([] if metrics is None else [metrics])]
         sinks = [telemetry.sink, self.recordings.sink, *sinks, *(service.sink for service in others)]
         self.services: Final[list[Service]] = [
-            *([gateway] if gateway.public else []),
             telemetry,
             self.recordings,
             Records(self.servo, self.publisher.tap, sinks, self.fail, event),
@@ -223,19 +220,21 @@ class Daemon:
         from softfinger.server.metrics.counts import Counts, Wire
         from softfinger.server.metrics.service import KEY, Metrics
 
-        fanout = self.publisher.fanout
-        counts = Counts(
-            self._fingers,
-            lambda: Wire(fanout.subscribers, fanout.lost, fanout.refused),
-            lambda: self.recordings.written(),
-        )
+        def wire() -> Wire:
+            seen = self.publisher.figures
+            return Wire(seen.subscribers, seen.lost, seen.refused, self.publisher.restarts)
+
+        counts = Counts(self._fingers, wire, lambda: self.recordings.written())
         return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _prepare(self) -> Callable[[], None]:
         wanted = self._rig.servo
         settings = realtime.apply(wanted.realtime, wanted.priority, wanted.cpu)
         if wanted.realtime != "off":
-            settings.settings.append(realtime.lift("supervisor", self.supervisor.native_id, wanted.priority))
+            settings.settings += [
+                realtime.lift("supervisor", self.supervisor.native_id, wanted.priority + 1),
+                realtime.lift("relay", self.publisher.native_id, wanted.priority - 1),
+            ]
         self.recordings.note_settings([setting._asdict() for setting in settings.settings])
         if self._report is not None:
             self._report(settings.settings)

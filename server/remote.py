@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside, telemetry_of
+from softfinger.server.gateway.addresses import Addresses, addresses_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT, Subscription, Window, subscribe
 from softfinger.server.wire.commands import Empty
 from softfinger.server.wire.control import Control, R
@@ -16,9 +17,9 @@ from softfinger.server.wire.protocol import CONTACT
 class Client(Control):
     """A running daemon: every command of docs/protocol.md is a method, and telemetry comes by `subscribe` or `window`.
 
-    telemetry, commands  endpoints as the daemon's first lines say them; where commands are left out, they are sought
-                         where a rig has them that does not say, and the daemon there has to be that with this telemetry
-    telemetry            may also be a socket of commands beside the telemetry, which leads to both
+    telemetry, commands  endpoints as the daemon's first lines say them; where commands are left out, the one leads to
+                         the other, and the daemon there has to be that with this telemetry
+    telemetry            may also be that of the commands
     timeout_s            how long to wait for an answer (None: what the command needs)
 
     Nothing is sent before it is asked for. A command raises CommandRefused where the daemon does not do it, NoAnswer
@@ -37,7 +38,7 @@ class Client(Control):
     def __init__(
         self, telemetry: str = DEFAULT_ENDPOINT, commands: str | None = None, *, timeout_s: float | None = None
     ) -> None:
-        self.telemetry: Final = telemetry_of(telemetry)
+        self.telemetry = telemetry_of(telemetry)
         super().__init__(commands_beside(self.telemetry) if commands is None else commands, timeout_s)
         self._met = commands is not None
         self._opened: Final = list[Subscription | Window]()
@@ -45,8 +46,16 @@ class Client(Control):
     def __repr__(self) -> str:
         return f"<Client: telemetry on {self.telemetry}, commands on {self.endpoint}>"
 
+    def _seek(self) -> Addresses:
+        """Both addresses, of a daemon that may have been started meanwhile."""
+        found = addresses_of(self.telemetry)
+        self.telemetry = found.telemetry
+        return found
+
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
         if not self._met:
+            if (commands := self._seek().commanded()) != self.endpoint:
+                self._move(commands)
             found = super()._ask("describe", Empty(), dict).get("endpoints", {}).get("telemetry", "an unknown endpoint")
             if _place(found) != _place(self.telemetry):
                 raise ConfigError(
@@ -56,15 +65,18 @@ class Client(Control):
             self._met = True
         return super()._ask(method, params, kind)
 
+    def _telemetry(self) -> str:
+        return self.telemetry if self._met else self._seek().telemetry
+
     def subscribe(self, topics: Sequence[str] = (CONTACT,), timeout_s: float | None = None) -> Subscription:
         """Messages of `topics` as they arrive, an iterator; see `softfinger.server.wire.client.subscribe`."""
-        subscription = subscribe(self.telemetry, topics, timeout_s)
+        subscription = subscribe(self._telemetry(), topics, timeout_s)
         self._opened.append(subscription)
         return subscription
 
     def window(self, samples: int = 1000, finger: str = "") -> Window:
         """The newest ticks as arrays by field: call its `update`, then `window["force"]` is (m, 3), m <= samples."""
-        window = Window(self.telemetry, samples, finger)
+        window = Window(self._telemetry(), samples, finger)
         self._opened.append(window)
         return window
 

@@ -32,6 +32,7 @@ from softfinger.proxy.kernels.geometry.mesh.query import BUDGET, nearest
 from softfinger.proxy.kernels.model import Triangles
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.pack import flatten, packed, unpack
+from softfinger.proxy.record import UNSEARCHED
 from softfinger.proxy.scene import build_scene, start_state
 from softfinger.server.loop.clock import stopwatch
 from softfinger.server.offline.cost import time_steps
@@ -159,7 +160,7 @@ def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) 
                 first = begun + int((inside > INSIDE).argmax())
             found["ticks"] += len(records)
             found["touching"] += int((records["contact.mode"] > 0).sum())
-            found["budget"] += int(records["contact.budget"].sum())
+            found["budget"] += int((records["contact.budget"] == UNSEARCHED).sum())
             found["not_finite"] += int(wrong.sum())
             found["inside"] += int((inside > INSIDE).sum())
             found["through"] += sum(goes_through(balls, starts[i], proxies[i], radius) for i in far)

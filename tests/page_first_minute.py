@@ -27,7 +27,6 @@ from typing import Final
 from helpers.browser import Screen, browser, eventually, shown, why_none
 
 from softfinger.server.viewer.nodes.looks import CM
-from softfinger.server.viewer.page import FIRST_CAMERA
 from softfinger.server.wire.client import Sample, subscribe
 from softfinger.tools import measure
 
@@ -101,7 +100,7 @@ class Felt:
         """Where the fingertip is on the screen, pixels."""
         assert self.newest is not None
         x, y, z = self.newest["proxy.position"]
-        return screen.at((CM * x, CM * y, CM * z), FIRST_CAMERA)
+        return screen.at((CM * x, CM * y, CM * z))
 
 
 @contextmanager

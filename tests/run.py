@@ -7,7 +7,7 @@ Parts:
 
     logic       marked `plain`: kernels as plain Python, which takes a scene in a millisecond where a compiler takes
                 seconds; `make test-all` runs the same tests compiled, and they have to agree
-    compiled    all others
+    compiled    all others; one process, so it goes before those that are two
     real time   marked `real_time`: they wait for the clock more than they compute, so they share the processors with
                 the other parts, which give way to them
     put off     of those, the ones that failed while the machine stood still; last, with nothing beside them
@@ -34,6 +34,8 @@ NICE: Final = 19
 """Of the parts that compute: what keeps time runs first when it wakes, and so do the threads of the kernel that hand a
 pseudo terminal's bytes on. Linux weighs sessions against each other before it looks at niceness within one (`autogroup`
 in sched(7)), so each of these parts is a session."""
+LESS_NICE: Final = 10
+"""Of the part that would be alone at the end, on one processor of two."""
 WELL: Final = (0, 5)
 """pytest's exit codes where no test failed; 5: none was asked for."""
 
@@ -57,8 +59,8 @@ class Part(NamedTuple):
 BY_FILE: Final = ("--dist", "loadfile", "-n")
 """Files shared out among so many processes."""
 QUICK: Final = (
-    Part("logic", "plain and not exhaustive", environment=(("NUMBA_DISABLE_JIT", "1"),)),
-    Part("compiled", "not plain and not real_time and not exhaustive"),
+    Part("logic", "plain and not exhaustive", (*BY_FILE, "2"), environment=(("NUMBA_DISABLE_JIT", "1"),)),
+    Part("compiled", "not plain and not real_time and not exhaustive", nice=LESS_NICE),
 )
 REAL_TIME: Final = Part("real time", "real_time and not exhaustive", (*BY_FILE, "2"), nice=0)
 """Beside those and each other. What keeps time waits two thirds of its time, so two processes do it in half of that."""

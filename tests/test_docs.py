@@ -15,6 +15,7 @@ import pytest
 from conftest import paper_mapping
 from helpers.telemetry_records import put, synthetic
 
+from softfinger import run_recording
 from softfinger.config import errors
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
@@ -169,6 +170,22 @@ def test_files_named_in_the_map_exist():
         for name in files or [""]:
             path = ROOT / folder / name if files and folder.endswith("/") else ROOT / folder
             assert path.exists() or (ROOT / name).exists(), path
+
+
+@pytest.mark.plain
+def test_the_worked_walk_is_true(tmp_path):
+    """Each function of docs/how-it-works.md is in the file that it links to; forces are those of the first tick."""
+    rows = table(HOW, "The worked walk")
+    assert 10 <= len(rows) <= 15
+    for _, link, _ in rows:
+        name, target = re.fullmatch(r"\[`(\w+)`\]\(\.\./([\w/.]+)\)", link).groups()
+        assert re.search(rf"^def {name}\(", (ROOT / target).read_text(), re.MULTILINE), f"no {name} in {target}"
+    still = np.column_stack([np.arange(600) * 1e-3, np.tile([0.0, 0.0, 0.0095, 1.0, 0.0, 0.0, 0.0], (600, 1))])
+    np.savetxt(tmp_path / "still.csv", still, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
+    records = run_recording(tmp_path / "still.csv", "paper-plane")
+    # Rounding of a few operations.
+    assert records["force"][[0, -1], 2] == pytest.approx([0.001, 0.5], rel=1e-9)
+    assert records["contact.normal_force"][0] == pytest.approx(0.5, rel=1e-9)
 
 
 def test_scene_in_the_readme_is_valid():

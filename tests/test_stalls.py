@@ -56,6 +56,12 @@ def run(
     return pytester.runpytest_subprocess("-p", "no:cacheprovider")
 
 
+@pytest.fixture(autouse=True)
+def _no_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The runs within take none: importing those that are installed takes longer than the tests."""
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+
+
 def test_repeated_where_the_machine_stood_still(pytester: pytest.Pytester) -> None:
     """And the end of the run says so, with what had failed."""
     result = run(pytester, 0.05)

@@ -37,12 +37,9 @@ PROGRAM: Final = (sys.executable, "-m", "softfinger.server.cli")
 ACCURACY: Final = {
     "paper": report.paper_table,
     "speed": report.speed_table,
-    "orders": report.orders_table,
-    "targets": report.targets_table,
     "sweeps": report.sweep_table,
-    "drift": report.drift_table,
 }
-"""Tables of `softfinger accuracy`."""
+"""Tables of `softfinger accuracy` that the pages show; the others are in figures/accuracy.txt."""
 TABLES: Final = (*ACCURACY, "drags", "extremes", "hostile")
 
 
@@ -104,7 +101,7 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
         plot = figures / f"stability-{name}.svg"
         command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
     found = command("stability", "--extremes", "--garbage", str(hostile))
-    tables["extremes"] = extremes.table([extremes.Finding(**row) for row in found["extremes"]])
+    tables["extremes"] = extremes.summary([extremes.Finding(**row) for row in found["extremes"]])
     tables["hostile"] = extremes.hostile_table(found["hostile"])
     return tables
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import limits
-from softfinger.config.arrays.npz import HEADER_BYTES_MAX, Npz, npy_array
+from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import open_input, read_input
 
@@ -20,7 +20,9 @@ Grid = NDArray[np.float64]
 
 NUMBER_BYTES_MAX: Final = 32
 """Of one number: float64 has 8, its text in full 24 and a comma; no kind of number of numpy has more."""
-BYTES_MAX: Final = int(limits.GRID_VALUES.high) * NUMBER_BYTES_MAX + HEADER_BYTES_MAX
+HEAD_BYTES_MAX: Final = 1 << 16
+"""Of what stands before the numbers; numpy writes 128."""
+BYTES_MAX: Final = int(limits.GRID_VALUES.high) * NUMBER_BYTES_MAX + HEAD_BYTES_MAX
 MAGNITUDE_MAX: Final = 1e100
 """Farther apart than these, two numbers would have no difference in float64."""
 
@@ -73,16 +75,16 @@ def _check(grid: Grid, even: bool) -> None:
 
 
 def _npy(path: str | Path) -> NDArray[Any]:
-    return npy_array(read_input(path, BYTES_MAX), "it")
+    with open_input(path, BYTES_MAX) as file:
+        return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _npz(path: str | Path) -> NDArray[Any]:
     with open_input(path, BYTES_MAX) as file:
-        archive = Npz(file)
-        names = archive.names()
-        if len(names) != 1:
-            raise ValueError(f"has the arrays {', '.join(names) or '(none)'}: must have one; save it alone")
-        return archive.array(names[0], BYTES_MAX)
+        archive = open_npz(file)
+        if len(archive.files) != 1:
+            raise ValueError(f"has the arrays {', '.join(archive.files) or '(none)'}: must have one; save it alone")
+        return np.asarray(archive[archive.files[0]])
 
 
 def _csv(path: str | Path) -> NDArray[Any]:

@@ -52,6 +52,7 @@ from softfinger.config.schema.materials import Friction, Material, Normal, Torsi
 from softfinger.config.schema.motions import Driven, Motion, Sinusoid, Turntable
 from softfinger.config.schema.patch import Patch
 from softfinger.config.schema.rig import (
+    BESIDE,
     Commands,
     DeviceConfig,
     Guard,
@@ -64,7 +65,6 @@ from softfinger.config.schema.rig import (
     Telemetry,
     Tool,
     commands_beside,
-    commands_of,
     endpoint_complaint,
     is_public,
     runtime_folder,
@@ -89,6 +89,7 @@ from softfinger.config.schema.shapes import (
 from softfinger.config.schema.textures import Texture
 
 __all__ = [
+    "BESIDE",
     "Boundary",
     "Box",
     "Capsule",
@@ -156,7 +157,6 @@ __all__ = [
     "Viscosity",
     "add_shape",
     "commands_beside",
-    "commands_of",
     "endpoint_complaint",
     "is_public",
     "known",

@@ -27,15 +27,18 @@ PassivityMode = Literal["observe", "control"]
 
 
 class Form(Table, frozen=True, kw_only=True):
-    """The rigid body that a probe carries: a sphere, or an ellipsoid about the probe."""
+    """A rigid body centred on the probe: a sphere or an ellipsoid."""
 
     radius_m: (
-        Annotated[float, within(limits.LENGTH_M, "radius of the fingertip sphere; needed without radii_m", 0.01)] | None
+        Annotated[
+            float, within(limits.LENGTH_M, "radius of a spherical fingertip; required unless radii_m is given", 0.01)
+        ]
+        | None
     ) = None
     radii_m: (
         Annotated[
             tuple[Length, Length, Length],
-            said("in place of radius_m: half lengths of an ellipsoid along its axes", [0.008, 0.007, 0.012]),
+            said("semi-axes of an ellipsoidal fingertip, in place of radius_m", [0.008, 0.007, 0.012]),
         ]
         | None
     ) = None
@@ -43,8 +46,8 @@ class Form(Table, frozen=True, kw_only=True):
         Annotated[
             tuple[Component, Component, Component, Component],
             said(
-                "of an ellipsoid: quaternion w, x, y, z, its axes to the fingertip's frame; normalised on load; left "
-                "out: along them",
+                "orientation of the ellipsoid's axes in the fingertip frame: quaternion w, x, y, z, normalised on "
+                "load; default: no rotation",
                 [1.0, 0.0, 0.0, 0.0],
             ),
         ]
@@ -88,22 +91,24 @@ class Form(Table, frozen=True, kw_only=True):
 
 
 class Fingertip(Form, frozen=True, kw_only=True):
-    """The rigid body carried by the probe: a sphere, or an ellipsoid."""
+    """The fingertip: a rigid sphere or ellipsoid, centred on the probe."""
 
     patch: Patch | None = None
 
 
 class Rolling(Table, frozen=True, kw_only=True):
-    """Rolling of the fingertip over the object; without this table it does not roll."""
+    """Rolling contact; without this table a rotation of the fingertip moves no contact."""
 
-    method: Annotated[RollingMethod, said("how a rotation between two ticks is turned into a roll", "euler_zxz")]
+    method: Annotated[
+        RollingMethod, said("integration method: turns the rotation between two ticks into a roll", "euler_zxz")
+    ]
     torque_stiffness_n_per_m: (
         Annotated[
             float,
             within(
                 limits.STIFFNESS_N_PER_M,
-                "force per length of roll the hand has not followed (k_tau); at most the coupling stiffness, which is "
-                "its default and its only conservative value",
+                "stiffness against a roll that the hand has not followed (k_tau); at most the coupling stiffness, "
+                "which is the default and the only value that conserves energy",
                 1000.0,
             ),
         ]
@@ -114,7 +119,7 @@ class Rolling(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.ROLL_TOLERANCE,
-                "error of a sub-step relative to the fingertip's radius; montana_rk45 only, which has 1e-9 without it",
+                "montana_rk45 only: error of a sub-step relative to the fingertip radius; default: 1e-9",
                 1e-9,
             ),
         ]
@@ -122,7 +127,10 @@ class Rolling(Table, frozen=True, kw_only=True):
     ) = None
     state_machine: Annotated[
         StateMachine,
-        said("when rolling passes to sliding; paper: the paper's rule to the letter, for study only", "default"),
+        said(
+            "rule that switches between rolling and sliding; paper: the published rule verbatim, for study only",
+            "default",
+        ),
     ] = "default"
 
     def faults(self) -> Iterator[Complaint]:
@@ -135,43 +143,52 @@ class Coupling(Table, frozen=True, kw_only=True):
 
     stiffness_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "tangential stiffness (K_t)", 1000.0)] = 1000.0
     damping_ns_per_m: Annotated[
-        float, within(limits.DAMPING_NS_PER_M, "tangential damping (B), acting while rolling only", 1.0)
+        float, within(limits.DAMPING_NS_PER_M, "tangential damping (B); acts while rolling only", 1.0)
     ] = 1.0
 
 
 class Probe(Table, frozen=True, kw_only=True):
-    """How the measured pose is taken."""
+    """Filtering of the measured pose."""
 
     velocity_time_constant_s: Annotated[
-        float, within(limits.TIME_CONSTANT_S, "low-pass of the probe velocity; 0 is the plain difference", 0.002)
+        float,
+        within(
+            limits.TIME_CONSTANT_S,
+            "time constant of the low-pass filter on the probe velocity; 0: plain difference quotient",
+            0.002,
+        ),
     ] = 0.002
     position_resolution_m: Annotated[
-        float, within(limits.RESOLUTION_M, "step of the device's encoders, below which a motion is noise", 1e-5)
+        float, within(limits.RESOLUTION_M, "position resolution of the device; smaller motions count as noise", 1e-5)
     ] = 0.0
 
 
 class Finger(Form, frozen=True, kw_only=True):
-    """One of several fingertips, with a device of its own; in place of [fingertip]."""
+    """One of several fingertips, each with its own device; replaces [fingertip]."""
 
     name: TopicPart
-    device: Annotated[TopicPart, said("section [devices.NAME] of the rig that moves it; left out: its name")] | None = (
-        None
-    )
+    device: (
+        Annotated[TopicPart, said("rig section [devices.NAME] that moves this finger; default: the finger's name")]
+        | None
+    ) = None
     patch: Patch | None = None
     coupling: Coupling | None = None
     probe: Probe | None = None
 
 
 class Passivity(Table, frozen=True, kw_only=True):
-    """Watch over the energy that the rendering gives to the hand; without this table nobody does."""
+    """Passivity observer and controller; without this table energy is not monitored."""
 
     mode: Annotated[
-        PassivityMode, said("observe: tell it in the telemetry; control: also damp what is owed", "control")
+        PassivityMode,
+        said("observe: report the energy in telemetry; control: also dissipate generated energy", "control"),
     ]
     damping_max_ns_per_m: (
         Annotated[
             float,
-            within(limits.DAMPING_NS_PER_M, "largest damping the controller may add; control only, which has 20", 20.0),
+            within(
+                limits.DAMPING_NS_PER_M, "control only: largest damping that the controller adds; default: 20", 20.0
+            ),
         ]
         | None
     ) = None

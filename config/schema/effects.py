@@ -22,17 +22,17 @@ from softfinger.config.schema.fields import (
 )
 
 Force = Annotated[float, Meta(ge=-limits.EFFECT_FORCE_N.high, le=limits.EFFECT_FORCE_N.high)]
-Middle = Annotated[tuple[Coordinate, Coordinate, Coordinate], said("where its middle is in the world", [0.0, 0.0, 0.0])]
-Edges = Annotated[tuple[Length, Length, Length], said("edges of a box along the axes of the world", [0.2, 0.2, 0.2])]
-BallRadius = Annotated[float, within(limits.LENGTH_M, "radius of a ball in place of the box", 0.1)]
+Middle = Annotated[tuple[Coordinate, Coordinate, Coordinate], said("centre in the world", [0.0, 0.0, 0.0])]
+Edges = Annotated[tuple[Length, Length, Length], said("edge lengths of a box along the world axes", [0.2, 0.2, 0.2])]
+BallRadius = Annotated[float, within(limits.LENGTH_M, "radius of a ball, in place of size_m", 0.1)]
 Direction = Annotated[
-    tuple[Component, Component, Component], said("direction in the world; its length does not count", [0.0, 0.0, 1.0])
+    tuple[Component, Component, Component], said("direction in the world; normalised", [0.0, 0.0, 1.0])
 ]
-EffectDamping = Annotated[float, within(limits.DAMPING_NS_PER_M, "force against the velocity, per speed", 2.0)]
-EffectStiffness = Annotated[float, within(limits.STIFFNESS_N_PER_M, "force per length", 200.0)]
+EffectDamping = Annotated[float, within(limits.DAMPING_NS_PER_M, "damping: force per speed, against the velocity", 2.0)]
+EffectStiffness = Annotated[float, within(limits.STIFFNESS_N_PER_M, "stiffness", 200.0)]
 ForceVector = Annotated[tuple[Force, Force, Force], said("force on the hand in the world", [0.0, 0.0, -1.0])]
 Amplitude = Annotated[float, within(limits.EFFECT_FORCE_N, "amplitude of the force", 0.5)]
-Frequency = Annotated[float, within(limits.FREQUENCY_HZ, "cycles per second", 100.0)]
+Frequency = Annotated[float, within(limits.FREQUENCY_HZ, "frequency", 100.0)]
 
 
 def _extent_faults(size: object, radius: object) -> Iterator[Complaint]:
@@ -41,13 +41,14 @@ def _extent_faults(size: object, radius: object) -> Iterator[Complaint]:
 
 
 class Region(Table, frozen=True, kw_only=True):
-    """Where an effect of the workspace acts; without this table everywhere."""
+    """Region in which a workspace effect acts; without this table it acts everywhere."""
 
     position_m: Middle = (0.0, 0.0, 0.0)
     size_m: Edges | None = None
     radius_m: BallRadius | None = None
     edge_m: Annotated[
-        float, within(limits.EDGE_M, "depth inside the border at which the effect is whole; 0 is a step", 0.005)
+        float,
+        within(limits.EDGE_M, "width of the border over which the effect rises linearly from zero; 0: a step", 0.005),
     ] = 0.0
 
     def faults(self) -> Iterator[Complaint]:
@@ -61,7 +62,7 @@ class EffectBase(Table, frozen=True, kw_only=True):
 
 
 class Viscosity(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="viscosity"):
-    """A thick liquid: a force against the velocity of the probe."""
+    """Viscous drag against the velocity of the probe."""
 
     kind: ClassVar[str] = "viscosity"
     damping_ns_per_m: EffectDamping
@@ -69,7 +70,7 @@ class Viscosity(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vi
 
 
 class ConstantForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="constant_force"):
-    """A force that does not change: a weight, a wind."""
+    """Constant force."""
 
     kind: ClassVar[str] = "constant_force"
     force_n: ForceVector
@@ -77,22 +78,18 @@ class ConstantForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag
 
 
 class Spring(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="spring"):
-    """A spring to a point of the world."""
+    """Spring to a fixed point."""
 
     kind: ClassVar[str] = "spring"
-    position_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("the point it is fixed to, in the world", [0.0, 0.0, 0.05])
-    ]
+    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("anchor in the world", [0.0, 0.0, 0.05])]
     stiffness_n_per_m: EffectStiffness
-    rest_length_m: Annotated[
-        float, within(limits.EDGE_M, "distance at which it neither pulls nor pushes; it pushes when nearer", 0.0)
-    ] = 0.0
-    force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "it never pulls or pushes harder", 3.0)]
+    rest_length_m: Annotated[float, within(limits.EDGE_M, "rest length; a shorter spring pushes", 0.0)] = 0.0
+    force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "largest force", 3.0)]
     region: Region | None = None
 
 
 class Vibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vibration"):
-    """A sinusoidal force, starting at zero."""
+    """Sinusoidal force; the phase starts at zero."""
 
     kind: ClassVar[str] = "vibration"
     amplitude_n: Amplitude
@@ -105,7 +102,7 @@ class Vibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vi
 
 
 class Boundary(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="boundary"):
-    """The end of the workspace: a spring and damper that push the probe's centre back in."""
+    """Workspace limit: spring and damper push the probe centre back inside."""
 
     kind: ClassVar[str] = "boundary"
     position_m: Middle = (0.0, 0.0, 0.0)
@@ -113,7 +110,7 @@ class Boundary(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="bou
     radius_m: BallRadius | None = None
     stiffness_n_per_m: EffectStiffness
     damping_ns_per_m: EffectDamping = 0.0
-    force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "it never pushes harder", 5.0)]
+    force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "largest force", 5.0)]
 
     def faults(self) -> Iterator[Complaint]:
         yield from _extent_faults(self.size_m, self.radius_m)
@@ -124,21 +121,21 @@ Effect = Viscosity | ConstantForce | Spring | Vibration | Boundary
 
 
 class ObjectViscosity(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="viscosity"):
-    """A sticky film: a force against the velocity over the object, while it is touched."""
+    """Viscous drag against the velocity relative to the object, while it is touched."""
 
     kind: ClassVar[str] = "viscosity"
     damping_ns_per_m: EffectDamping
 
 
 class ObjectForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="constant_force"):
-    """A force that does not change, while the object is touched."""
+    """Constant force while the object is touched."""
 
     kind: ClassVar[str] = "constant_force"
     force_n: ForceVector
 
 
 class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vibration"):
-    """A running machine: a sinusoidal force, starting at zero on touch."""
+    """Sinusoidal force while the object is touched; the phase starts at zero on touch."""
 
     kind: ClassVar[str] = "vibration"
     amplitude_n: Amplitude
@@ -146,7 +143,7 @@ class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", t
     direction: (
         Annotated[
             tuple[Component, Component, Component],
-            said("direction in the world; left out: along the normal of the contact", [1.0, 0.0, 0.0]),
+            said("direction in the world, normalised; default: the contact normal", [1.0, 0.0, 0.0]),
         ]
         | None
     ) = None
@@ -156,20 +153,20 @@ class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", t
 
 
 class Magnet(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="magnet"):
-    """Attraction to the nearest point of the object's surface: force * (1 - gap / range)^exponent."""
+    """Attraction to the nearest surface point: force_n (1 - gap / range_m)^exponent."""
 
     kind: ClassVar[str] = "magnet"
-    force_n: Annotated[float, within(limits.EFFECT_FORCE_N, "pull at the surface, and while it is touched", 2.0)]
-    range_m: Annotated[float, within(limits.LENGTH_M, "gap from which on there is no pull", 0.02)]
-    exponent: Annotated[float, within(limits.EXPONENT, "how steeply the pull falls; 1 is a straight line", 2.0)] = 1.0
+    force_n: Annotated[float, within(limits.EFFECT_FORCE_N, "attraction at the surface and in contact", 2.0)]
+    range_m: Annotated[float, within(limits.LENGTH_M, "gap at which the attraction reaches zero", 0.02)]
+    exponent: Annotated[float, within(limits.EXPONENT, "exponent of the decay; 1: linear", 2.0)] = 1.0
 
 
 class StickSlip(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="stick_slip"):
-    """A texture that holds the finger with a spring along the surface and lets go with a jerk."""
+    """Stick-slip texture: a tangential spring to an anchor that jumps to the finger at force_max_n."""
 
     kind: ClassVar[str] = "stick_slip"
     stiffness_n_per_m: EffectStiffness
-    force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "force at which it lets go", 0.5)]
+    force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "spring force at which the anchor jumps", 0.5)]
 
 
 ObjectEffect = ObjectViscosity | ObjectForce | ObjectVibration | Magnet | StickSlip

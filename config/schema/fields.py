@@ -76,7 +76,7 @@ TopicPart = Annotated[
         min_length=int(limits.TOPIC_PART_LENGTH.low),
         max_length=int(limits.TOPIC_PART_LENGTH.high),
         pattern="^[A-Za-z0-9_-]+$",
-        description="name, in letters, digits, - and _, since it is part of a telemetry topic",
+        description="name of letters, digits, - and _; part of a telemetry topic",
         examples=["thumb"],
     ),
 ]

@@ -15,19 +15,19 @@ Scale = Annotated[float, Meta(ge=limits.FRICTION_SCALE.low, le=limits.FRICTION_S
 
 
 class Normal(Table, frozen=True, kw_only=True):
-    """Law of the normal force; without this table it is in proportion to the depth."""
+    """Law of the normal force; without this table the force is proportional to the depth."""
 
     exponent: Annotated[
         float,
         within(
-            limits.NORMAL_EXPONENT, "power of the depth (p): 1 is linear, 1.5 Hertz's, soft fingertips lie above", 1.5
+            limits.NORMAL_EXPONENT, "exponent of the depth (p): 1 linear, 1.5 Hertz, above 1.5 soft fingertips", 1.5
         ),
     ] = 1.0
     depth_m: Annotated[
         float,
         within(
             limits.NORMAL_DEPTH_M,
-            "depth (d) at which stiffness_n_per_m is meant: f_N = stiffness_n_per_m d (depth / d)^p",
+            "reference depth (d): f_N = stiffness_n_per_m d (depth / d)^p",
             0.001,
         ),
     ] = 0.001
@@ -36,7 +36,7 @@ class Normal(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.NORMAL_DAMPING_S_PER_M,
-                "Hunt and Crossley's damping (c) in place of damping_ns_per_m: f_N (1 + c v), v the speed inwards",
+                "Hunt-Crossley damping (c), in place of damping_ns_per_m: f_N (1 + c v), v the penetration speed",
                 0.5,
             ),
         ]
@@ -50,7 +50,7 @@ class Normal(Table, frozen=True, kw_only=True):
 
 
 class Friction(Table, frozen=True, kw_only=True):
-    """Coulomb friction, and what may be added to it; without this table the object is frictionless."""
+    """Coulomb friction with optional extensions; without this table the object is frictionless."""
 
     static: Annotated[float, within(limits.FRICTION, "coefficient of static friction (mu_s)", 0.6)]
     kinetic: Annotated[float, within(limits.FRICTION, "coefficient of kinetic friction (mu_d), at most static", 0.5)]
@@ -59,31 +59,41 @@ class Friction(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.STRIBECK_SPEED_M_PER_S,
-                "slip speed (v_s) over which friction falls from static to kinetic; absent: it falls at once",
+                "Stribeck speed (v_s): friction falls from static to kinetic around it; default: falls at once",
                 0.02,
             ),
         ]
         | None
     ) = None
     viscous_s_per_m: (
-        Annotated[float, within(limits.VISCOUS_S_PER_M, "rise of the coefficient with the slip speed", 0.5)] | None
+        Annotated[
+            float,
+            within(
+                limits.VISCOUS_S_PER_M,
+                "viscous term (c): the coefficient rises by c times the slip speed; default: none",
+                0.5,
+            ),
+        ]
+        | None
     ) = None
     direction_x: (
         Annotated[
             tuple[Component, Component, Component],
             said(
-                "the direction called along, in the object's frame, laid onto the surface; absent: alike in all "
-                "directions",
+                "first principal direction of anisotropic friction, in the object frame, projected onto the surface; "
+                "default: isotropic",
                 [1.0, 0.0, 0.0],
             ),
         ]
         | None
     ) = None
     static_scale: (
-        Annotated[tuple[Scale, Scale], said("factors of static friction along and across", [1.0, 0.5])] | None
+        Annotated[tuple[Scale, Scale], said("factors on static friction along direction_x and across it", [1.0, 0.5])]
+        | None
     ) = None
     kinetic_scale: (
-        Annotated[tuple[Scale, Scale], said("factors of kinetic friction along and across", [1.0, 0.5])] | None
+        Annotated[tuple[Scale, Scale], said("factors on kinetic friction along direction_x and across it", [1.0, 0.5])]
+        | None
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
@@ -111,14 +121,14 @@ class Friction(Table, frozen=True, kw_only=True):
 
 
 class Torsion(Table, frozen=True, kw_only=True):
-    """Moment of a soft finger about the contact normal; without this table there is none."""
+    """Torsional friction about the contact normal; without this table there is no such moment."""
 
     stiffness_nm_per_rad: (
         Annotated[
             float,
             within(
                 limits.TORSION_NM_PER_RAD,
-                "moment per angle of spin (k_z); needed without [fingertip.patch], which takes its place",
+                "torsional stiffness (k_z); required unless the fingertip has a patch, which then determines it",
                 0.05,
             ),
         ]
@@ -129,8 +139,8 @@ class Torsion(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.FRICTION_LENGTH_M,
-                "largest moment per normal force (mu_t), beyond which the contact spins; needed without "
-                "[fingertip.patch], which takes its place",
+                "torsional limit over normal force (mu_t); required unless the fingertip has a patch, which then "
+                "determines the limit",
                 0.004,
             ),
         ]
@@ -141,7 +151,7 @@ class Torsion(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.TORSION_EXPONENT,
-                "growth of the contact patch (gamma): the largest moment is friction_length_m f_N (f_N / 1 N)^gamma",
+                "growth of the limit with the load (gamma): friction_length_m f_N (f_N / 1 N)^gamma; default: 0",
                 0.333,
             ),
         ]
@@ -150,8 +160,8 @@ class Torsion(Table, frozen=True, kw_only=True):
     model: Annotated[
         TorsionModel,
         said(
-            "independent: of the tangential force; limit_surface: both share one limit; soft_finger_proxy: static and "
-            "kinetic torsional friction",
+            "independent: separate limits for force and moment; limit_surface: one common limit; soft_finger_proxy: "
+            "static and kinetic torsional friction",
             "independent",
         ),
     ] = "independent"
@@ -160,7 +170,8 @@ class Torsion(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.FRICTION_LENGTH_M,
-                "the same once it spins, for the model soft_finger_proxy; at most friction_length_m, its default",
+                "soft_finger_proxy only: kinetic torsional limit over normal force; at most friction_length_m, the "
+                "default",
                 0.003,
             ),
         ]
@@ -188,14 +199,15 @@ class Torsion(Table, frozen=True, kw_only=True):
 
 
 class Material(Table, frozen=True, kw_only=True):
-    """What an object feels like."""
+    """Contact properties of an object."""
 
     library: ClassVar[Callable[[], Mapping[str, Mapping[str, Any]]]] = staticmethod(materials.library)
     """Materials that a scene may name; the values of the named one stand wherever it says nothing itself."""
 
     name: (
         Annotated[
-            str, sized(limits.NAME_LENGTH, "a material of the library, whose other keys may be changed", "rubber")
+            str,
+            sized(limits.NAME_LENGTH, "material of the library; keys given beside it override its values", "rubber"),
         ]
         | None
     ) = None
@@ -204,7 +216,7 @@ class Material(Table, frozen=True, kw_only=True):
         float,
         within(
             limits.DAMPING_NS_PER_M,
-            "normal damping (B_n), Kelvin and Voigt's, kept from pulling and from more than doubling the spring",
+            "normal damping (B_n), Kelvin-Voigt; the total normal force stays between 0 and twice the spring force",
             0.0,
         ),
     ] = 0.0
@@ -213,7 +225,7 @@ class Material(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.SHEAR_MODULUS_PA,
-                "shear modulus, which counts for [fingertip.patch]; left out: rigid beside the fingertip",
+                "shear modulus, used with [fingertip.patch]; default: rigid",
                 600e3,
             ),
         ]

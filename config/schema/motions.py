@@ -10,35 +10,36 @@ from softfinger.config.schema.fields import Complaint, Component, Coordinate, Ta
 
 Axis = Annotated[
     tuple[Component, Component, Component],
-    said("axis of the rotation in the object's frame; its length does not count", [0.0, 0.0, 1.0]),
+    said("rotation axis in the object frame; normalised", [0.0, 0.0, 1.0]),
 ]
 
 
 class Sinusoid(Table, frozen=True, kw_only=True, tag_field="kind", tag="sinusoid"):
-    """To and fro about where the object rests, in its own frame."""
+    """Sinusoidal motion about the rest pose, in the object frame."""
 
     kind: ClassVar[str] = "sinusoid"
     translation_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("amplitude of the way, in the object's frame", [0.0, 0.0, 0.01])
+        tuple[Coordinate, Coordinate, Coordinate],
+        said("amplitude of the translation, in the object frame", [0.0, 0.0, 0.01]),
     ] = (0.0, 0.0, 0.0)
-    rotation_rad: Annotated[float, within(limits.ANGLE_RAD, "amplitude of the rotation about the axis", 0.2)] = 0.0
+    rotation_rad: Annotated[float, within(limits.ANGLE_RAD, "amplitude of the rotation about axis", 0.2)] = 0.0
     axis: Axis = (0.0, 0.0, 1.0)
-    frequency_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "cycles per second", 1.0)]
-    phase_rad: Annotated[float, within(limits.ANGLE_RAD, "where in its cycle it starts", 0.0)] = 0.0
+    frequency_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "frequency", 1.0)]
+    phase_rad: Annotated[float, within(limits.ANGLE_RAD, "phase at the start", 0.0)] = 0.0
 
     def faults(self) -> Iterator[Complaint]:
         yield from direction_faults("axis", self.axis)
 
 
 class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntable"):
-    """Turning steadily about an axis of the object."""
+    """Rotation at a constant rate about an axis of the object."""
 
     kind: ClassVar[str] = "turntable"
     rate_rad_per_s: Annotated[float, within(limits.TURN_RATE_RAD_PER_S, "angular velocity, right-handed", 1.0)]
     axis: Axis = (0.0, 0.0, 1.0)
     pivot_m: Annotated[
         tuple[Coordinate, Coordinate, Coordinate],
-        said("a point of the axis, in the object's frame", [0.0, 0.0, 0.0]),
+        said("a point on the axis, in the object frame", [0.0, 0.0, 0.0]),
     ] = (0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
@@ -46,7 +47,7 @@ class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntab
 
 
 class Driven(Table, frozen=True, kw_only=True, tag_field="kind", tag="driven"):
-    """Moved from outside while running, by a command or a script; it rests where its pose says until then."""
+    """Pose set by the command `drive`; the object rests at its initial pose until then."""
 
     kind: ClassVar[str] = "driven"
 

@@ -10,18 +10,18 @@ from softfinger.config.schema.fields import Complaint, Table, known, within
 
 
 class Patch(Table, frozen=True, kw_only=True):
-    """What a soft fingertip touches with; torsion follows from it, and not from the numbers of the material's."""
+    """Contact patch of a soft fingertip; it determines the torsional stiffness and limit in place of the material."""
 
     shear_modulus_pa: Annotated[
         float,
-        within(limits.SHEAR_MODULUS_PA, "shear modulus of the pad (G), which is incompressible", 45e3),
+        within(limits.SHEAR_MODULUS_PA, "shear modulus of the incompressible pad (G)", 45e3),
     ]
     radius_m: (
         Annotated[
             float,
             within(
                 limits.PATCH_RADIUS_M,
-                "its radius under 1 N (c): c (f_N / 1 N)^gamma; left out: Hertz's, (3 f_N r / 16 G)^(1/3)",
+                "patch radius at 1 N (c), in a = c (f_N / 1 N)^gamma; default: Hertz, a = (3 f_N r / 16 G)^(1/3)",
                 0.004,
             ),
         ]
@@ -30,7 +30,7 @@ class Patch(Table, frozen=True, kw_only=True):
     exponent: (
         Annotated[
             float,
-            within(limits.TORSION_EXPONENT, "growth of radius_m with the force (gamma); left out: 1/3, Hertz's", 0.25),
+            within(limits.TORSION_EXPONENT, "exponent of the patch radius (gamma); needs radius_m; default: 1/3", 0.25),
         ]
         | None
     ) = None
@@ -39,8 +39,9 @@ class Patch(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.PRESSURE_EXPONENT,
-                "how even the pressure on a patch of radius_m is (k): (1 - (s / a)^k)^(1/k) at s from its centre; left "
-                "out: 2, Hertz's",
+                "exponent of the pressure distribution (k), p ~ (1 - (s / a)^k)^(1/k) at the distance s from the "
+                "centre; "
+                "needs radius_m; default: 2, Hertz",
                 3.0,
             ),
         ]
@@ -51,8 +52,8 @@ class Patch(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.ROLLING_LOSS,
-                "share of the elastic work that a roll loses (alpha): resists rolling by 3/16 alpha a f_N; left out: "
-                "nothing resists",
+                "fraction of the elastic work lost in rolling (alpha); the rolling resistance is 3/16 alpha a f_N; "
+                "default: none",
                 0.3,
             ),
         ]

@@ -21,13 +21,14 @@ Arm = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)
 
 
 class Tool(Table, frozen=True, kw_only=True):
-    """What the device's handle holds, such as a stylus: its tip is the fingertip."""
+    """Tool mounted on the handle, such as a stylus; its tip is the fingertip."""
 
     offset_m: Annotated[
-        tuple[Arm, Arm, Arm], said("from the handle to the tip, in the handle's frame", [0.0, 0.0, -0.1])
+        tuple[Arm, Arm, Arm], said("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component], said("tip to handle", [1.0, 0.0, 0.0, 0.0])
+        tuple[Component, Component, Component, Component],
+        said("orientation, tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
@@ -36,62 +37,75 @@ class Tool(Table, frozen=True, kw_only=True):
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):
-    """Which driver, and the options it has; the driver checks those with its own struct."""
+    """Driver of the device; the other keys are the driver's own options, on the page of the device."""
 
     gathers: ClassVar[str] = "options"
     """All keys of [device] but those below go into this field."""
 
     driver: Annotated[str, sized(limits.NAME_LENGTH, "name of the driver", "replay")]
-    tool: Annotated[Tool | None, said("what its handle holds; without this table the handle is the fingertip")] = None
+    tool: Annotated[Tool | None, said("mounted tool; without this table the handle is the fingertip")] = None
     options: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
 class Servo(Table, frozen=True, kw_only=True):
-    """The loop and its thread."""
+    """Servo loop and its thread."""
 
     rate_hz: Annotated[float, within(limits.RATE_HZ, "ticks per second", 1000.0)] = 1000.0
     realtime: Annotated[
-        RealtimeMode, said("auto: take what is granted; require: do not start without; off: ask for nothing", "auto")
+        RealtimeMode,
+        said(
+            "real-time settings; auto: use what the system grants; require: refuse to start without; off: request none",
+            "auto",
+        ),
     ] = "auto"
     priority: Annotated[int, within(limits.PRIORITY, "SCHED_FIFO priority of the servo thread", 80)] = 80
-    cpu: Annotated[int, within(limits.CPU, "processor to stay on; absent: any", 1)] | None = None
+    cpu: Annotated[int, within(limits.CPU, "processor to run on; default: any", 1)] | None = None
 
 
 class Guard(Table, frozen=True, kw_only=True):
-    """What stands between the contact step and the hand."""
+    """Limits on every force before it reaches the device."""
 
-    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force; its direction is kept", 12.0)] = 12.0
-    torque_max_nm: Annotated[float, within(limits.TORQUE_MAX_NM, "largest torque; its direction is kept", 0.3)] = 0.3
-    force_slew_n_per_s: Annotated[float, within(limits.FORCE_SLEW_N_PER_S, "fastest change of the force", 2000.0)] = (
-        2000.0
-    )
+    force_max_n: Annotated[
+        float, within(limits.FORCE_MAX_N, "largest norm of the force; the direction is kept", 12.0)
+    ] = 12.0
+    torque_max_nm: Annotated[
+        float, within(limits.TORQUE_MAX_NM, "largest norm of the torque; the direction is kept", 0.3)
+    ] = 0.3
+    force_slew_n_per_s: Annotated[
+        float, within(limits.FORCE_SLEW_N_PER_S, "largest rate of change of the force", 2000.0)
+    ] = 2000.0
     torque_slew_nm_per_s: Annotated[
-        float, within(limits.TORQUE_SLEW_NM_PER_S, "fastest change of the torque", 50.0)
+        float, within(limits.TORQUE_SLEW_NM_PER_S, "largest rate of change of the torque", 50.0)
     ] = 50.0
-    ramp_s: Annotated[float, within(limits.RAMP_S, "time over which force fades in after engaging", 0.5)] = 0.5
+    ramp_s: Annotated[float, within(limits.RAMP_S, "time over which the force fades in after engaging", 0.5)] = 0.5
     speed_max_m_per_s: Annotated[
-        float, within(limits.SPEED_MAX_M_PER_S, "a pose that comes faster is a jump: no force", 10.0)
+        float, within(limits.SPEED_MAX_M_PER_S, "a faster motion counts as a jump and gets no force", 10.0)
     ] = 10.0
     turn_max_rad_per_s: Annotated[
-        float, within(limits.TURN_MAX_RAD_PER_S, "a pose that turns faster is a jump: no force", 100.0)
+        float, within(limits.TURN_MAX_RAD_PER_S, "a faster rotation counts as a jump and gets no force", 100.0)
     ] = 100.0
     frozen_s: Annotated[
-        float, within(limits.FROZEN_S, "no force after a pose has repeated for so long under one; 0: never mind", 5.0)
+        float,
+        within(
+            limits.FROZEN_S,
+            "the force is removed after the pose repeats bit for bit for this long under force; 0: no check",
+            5.0,
+        ),
     ] = 5.0
 
 
 class Telemetry(Table, frozen=True, kw_only=True):
-    """What is published, and where."""
+    """Telemetry publisher."""
 
     endpoint: Annotated[
         str,
         sized(
             limits.ENDPOINT_LENGTH,
-            "ZeroMQ address to bind: ipc, or tcp on a loopback host, or with [security] on any",
+            "ZeroMQ address to bind: ipc, tcp on a loopback host, or with [security] tcp on any host",
             "tcp://127.0.0.1:5555",
         ),
     ] = "tcp://127.0.0.1:5555"
-    every: Annotated[int, within(limits.EVERY, "publish one tick in so many", 1)] = 1
+    every: Annotated[int, within(limits.EVERY, "publish one tick in this many", 1)] = 1
 
     def faults(self) -> Iterator[Complaint]:
         complaint = endpoint_complaint(self.endpoint) if known(self.endpoint) else None
@@ -134,14 +148,6 @@ def commands_beside(telemetry: str) -> str:
     return f"{host}:{int(port) + (1 if int(port) < _PORT_MAX else -1)}"
 
 
-def commands_of(endpoint: str) -> str:
-    """Where to command the daemon of an address, which may be that of its telemetry: the socket beside it, if there is
-    one; otherwise the address itself."""
-    beside = commands_beside(endpoint)
-    path = Path(beside.removeprefix("ipc://"))
-    return beside if beside.startswith("ipc:") and path.is_socket() else endpoint
-
-
 def telemetry_of(endpoint: str) -> str:
     """Where the daemon of an address publishes, which may be that of a socket of commands beside the telemetry;
     otherwise the address itself."""
@@ -172,16 +178,15 @@ OFF: Final = "off"
 
 
 class Commands(Table, frozen=True, kw_only=True):
-    """Where the daemon takes commands, and whether it needs a sign of life."""
+    """Command socket and heartbeat."""
 
     endpoint: (
         Annotated[
             str,
             sized(
                 limits.ENDPOINT_LENGTH,
-                "ZeroMQ address to bind, as in [telemetry]; off: no commands; "
-                "absent: a socket for this user alone, or the port after the telemetry's where that is open to the "
-                "network",
+                "ZeroMQ address to bind, as in [telemetry]; off: no commands; default: a socket for this user alone, "
+                "or the port after the telemetry's if that is open to the network",
                 "tcp://127.0.0.1:5556",
             ),
         ]
@@ -189,13 +194,18 @@ class Commands(Table, frozen=True, kw_only=True):
     ) = None
     heartbeat_s: (
         Annotated[
-            float, within(limits.HEARTBEAT_S, "no force after so long without any command; absent: none is needed", 0.5)
+            float,
+            within(
+                limits.HEARTBEAT_S,
+                "the force is removed after this long without a command; default: no heartbeat required",
+                0.5,
+            ),
         ]
         | None
     ) = None
     ramp_s: Annotated[
         float,
-        within(limits.PARAMETER_RAMP_S, "time over which parameters that act on the force change; 0: at once", 0.1),
+        within(limits.PARAMETER_RAMP_S, "time over which parameter changes take effect on the force; 0: at once", 0.1),
     ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
@@ -208,16 +218,20 @@ class Commands(Table, frozen=True, kw_only=True):
 
 
 class Recording(Table, frozen=True, kw_only=True):
-    """What the daemon records by command."""
+    """Recordings made by command."""
 
     directory: Annotated[
         str,
-        sized(limits.FILE_NAME_LENGTH, "folder that record_start writes below, seen from where run is started", "."),
+        sized(
+            limits.FILE_NAME_LENGTH,
+            "folder below which record_start writes, relative to the working directory of run",
+            ".",
+        ),
     ] = "."
 
 
 class Security(Table, frozen=True, kw_only=True):
-    """Keys, made by `softfinger keys`, without which nothing is open to other machines; paths beside the rig's file."""
+    """Keys for access from other machines, made by `softfinger keys`; paths are relative to the rig file."""
 
     key: Annotated[
         str, sized(limits.FILE_NAME_LENGTH, "file of the server's secret key, mode 600", "keys/rig.key_secret")
@@ -239,14 +253,14 @@ class Security(Table, frozen=True, kw_only=True):
 
 
 class Metrics(Table, frozen=True, kw_only=True):
-    """What Prometheus reads."""
+    """HTTP endpoint for Prometheus."""
 
     endpoint: (
         Annotated[
             str,
             sized(
                 limits.ENDPOINT_LENGTH,
-                "loopback address and port of the figures' HTTP server; absent: there is none",
+                "loopback address and port to serve metrics on; default: off",
                 "127.0.0.1:9464",
             ),
         ]
@@ -263,10 +277,10 @@ class Metrics(Table, frozen=True, kw_only=True):
 
 
 class Rig(Table, frozen=True, kw_only=True):
-    """The device, or one for each finger, and the machine."""
+    """Device or devices, servo loop, safety limits, and interfaces."""
 
     device: DeviceConfig | None = None
-    devices: Annotated[dict[TopicPart, DeviceConfig], said("a device for each finger, by name")] = msgspec.field(
+    devices: Annotated[dict[TopicPart, DeviceConfig], said("one device for each finger, by name")] = msgspec.field(
         default_factory=dict
     )
     servo: Servo = Servo()
@@ -274,7 +288,7 @@ class Rig(Table, frozen=True, kw_only=True):
     telemetry: Telemetry = Telemetry()
     commands: Commands = Commands()
     recording: Recording = Recording()
-    security: Annotated[Security | None, said("what other machines need to read or command")] = None
+    security: Annotated[Security | None, said("keys for access from other machines")] = None
     metrics: Metrics = Metrics()
 
     @property

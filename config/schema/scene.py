@@ -32,16 +32,16 @@ class FingerParts(NamedTuple):
 
 
 class Scene(Table, frozen=True, kw_only=True):
-    """What is touched and which effects are modelled."""
+    """Fingertips, objects and effects."""
 
     fingertip: Fingertip | None = None
-    finger: Annotated[tuple[Finger, ...], sized(limits.FINGERS, "who touches it")] = ()
+    finger: Annotated[tuple[Finger, ...], sized(limits.FINGERS, "several fingertips, in place of [fingertip]")] = ()
     rolling: Rolling | None = None
     coupling: Coupling = Coupling()
     probe: Probe = Probe()
     passivity: Passivity | None = None
-    object: Annotated[tuple[Object, ...], sized(limits.OBJECTS, "what can be touched")]
-    effect: Annotated[tuple[Effect, ...], sized(limits.EFFECTS, "what the workspace does to the hand")] = ()
+    object: Annotated[tuple[Object, ...], sized(limits.OBJECTS, "objects to touch")]
+    effect: Annotated[tuple[Effect, ...], sized(limits.EFFECTS, "effects of the workspace")] = ()
 
     @property
     def fingers(self) -> tuple[FingerParts, ...]:

@@ -30,7 +30,7 @@ CLOSES = 1e-3
 """Share of its width by which a texture round a cylinder may miss itself, since sizes are written with a few digits."""
 
 Shading = Literal["none", "normals"]
-Inside = Annotated[bool, said("touched from inside: a hollow, and the fingertip in it", False)]
+Inside = Annotated[bool, said("true: a cavity, touched from inside", False)]
 
 
 class ObjectBase(Table, frozen=True, kw_only=True):
@@ -42,17 +42,17 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     added: ClassVar[list[type[Struct]]] = []
     """Tables of shapes from other packages, in `add_shape`'s order."""
 
-    name: Annotated[str, sized(limits.NAME_LENGTH, "name of the object, unlike any other in the scene", "table")]
+    name: Annotated[str, sized(limits.NAME_LENGTH, "name, unique in the scene", "table")]
     position_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("origin of the object's frame in the world", [0.0, 0.0, 0.0])
+        tuple[Coordinate, Coordinate, Coordinate], said("origin of the object frame in the world", [0.0, 0.0, 0.0])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         tuple[Component, Component, Component, Component],
-        said("quaternion w, x, y, z, object to world; normalised on load", [1.0, 0.0, 0.0, 0.0]),
+        said("orientation, object to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
     material: Material
-    effect: Annotated[tuple[ObjectEffect, ...], sized(limits.EFFECTS, "what it does to the hand besides")] = ()
-    motion: Annotated[Motion | None, said("how it moves by itself; without this table it stands still")] = None
+    effect: Annotated[tuple[ObjectEffect, ...], sized(limits.EFFECTS, "further forces on the hand")] = ()
+    motion: Annotated[Motion | None, said("motion of the object; without this table it stands still")] = None
 
     def __post_init__(self) -> None:
         normalise_orientation(self)
@@ -77,7 +77,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
 class Textured(ObjectBase, frozen=True, kw_only=True):
     """A shape with coordinates on its surface, along which a texture may lie."""
 
-    texture: Annotated[Texture | None, said("what is fine about its surface; without this table it is even")] = None
+    texture: Annotated[Texture | None, said("surface texture; without this table the surface is even")] = None
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
@@ -88,7 +88,7 @@ class Textured(ObjectBase, frozen=True, kw_only=True):
 
 
 class Plane(Textured, frozen=True, kw_only=True, tag_field="shape", tag="plane"):
-    """A half-space: the plane through the object's origin, outward normal its z axis."""
+    """Half-space below the plane z = 0 of the object frame."""
 
     shape: ClassVar[str] = "plane"
     unrolls: ClassVar[bool] = True
@@ -99,7 +99,7 @@ class Plane(Textured, frozen=True, kw_only=True, tag_field="shape", tag="plane")
 
 
 class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphere"):
-    """A sphere about the object's origin."""
+    """Sphere about the origin."""
 
     shape: ClassVar[str] = "sphere"
     unrolls: ClassVar[bool] = True
@@ -116,12 +116,12 @@ class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphe
 
 
 class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cylinder"):
-    """A cylinder about the object's z axis, centred on its origin, with flat ends or without ends."""
+    """Cylinder about the z axis, centred on the origin, with flat ends or infinite."""
 
     shape: ClassVar[str] = "cylinder"
     unrolls: ClassVar[bool] = True
     radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the cylinder", 0.05)]
-    length_m: Annotated[float, within(limits.LENGTH_M, "from end to end; absent: no ends", 0.2)] | None = None
+    length_m: Annotated[float, within(limits.LENGTH_M, "length; default: infinite", 0.2)] | None = None
     inside: Inside = False
 
     @property
@@ -152,12 +152,12 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
 
 
 class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="capsule"):
-    """A cylinder about the object's z axis with round ends, centred on its origin."""
+    """Capsule about the z axis, centred on the origin."""
 
     shape: ClassVar[str] = "capsule"
     unrolls: ClassVar[bool] = True
-    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the cylinder and of its ends", 0.02)]
-    length_m: Annotated[float, within(limits.LENGTH_M, "between the centres of the ends", 0.1)]
+    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of barrel and caps", 0.02)]
+    length_m: Annotated[float, within(limits.LENGTH_M, "distance between the centres of the caps", 0.1)]
     inside: Inside = False
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
@@ -166,11 +166,11 @@ class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cap
 
 
 class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
-    """A box along the object's axes, centred on its origin."""
+    """Box along the axes, centred on the origin."""
 
     shape: ClassVar[str] = "box"
     unrolls: ClassVar[bool] = True
-    size_m: Annotated[tuple[Length, Length, Length], said("full lengths of the edges along x, y, z", [0.1, 0.1, 0.04])]
+    size_m: Annotated[tuple[Length, Length, Length], said("edge lengths along x, y, z", [0.1, 0.1, 0.04])]
     inside: Inside = False
 
     @property
@@ -183,10 +183,10 @@ class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
 
 
 class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="ellipsoid"):
-    """An ellipsoid along the object's axes, centred on its origin."""
+    """Ellipsoid along the axes, centred on the origin."""
 
     shape: ClassVar[str] = "ellipsoid"
-    semi_axes_m: Annotated[tuple[Length, Length, Length], said("half lengths along x, y, z", [0.06, 0.04, 0.03])]
+    semi_axes_m: Annotated[tuple[Length, Length, Length], said("semi-axes along x, y, z", [0.06, 0.04, 0.03])]
     inside: Inside = False
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
@@ -199,10 +199,10 @@ class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="e
 
 
 class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus"):
-    """A ring about the object's z axis, centred on its origin."""
+    """Torus about the z axis, centred on the origin."""
 
     shape: ClassVar[str] = "torus"
-    major_radius_m: Annotated[float, within(limits.LENGTH_M, "from the centre to the middle of the tube", 0.06)]
+    major_radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the centre circle of the tube", 0.06)]
     minor_radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the tube; below major_radius_m", 0.02)]
     inside: Inside = False
 
@@ -225,26 +225,26 @@ class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus
 
 
 class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="heightmap"):
-    """A solid below heights over the object's x and y axes, from a file; level beyond its rim."""
+    """Solid below a height field over the x and y axes, read from a file; level beyond the rim."""
 
     shape: ClassVar[str] = "heightmap"
     file: Annotated[
         str,
         sized(
             limits.FILE_NAME_LENGTH,
-            "grey picture as .png (8 or 16 bits) or .pgm, white the highest, or array as .npy, .npz or .csv, columns "
-            "along x and rows along y; where its name has no root, in the scene's folder",
+            "grey picture (.png of 8 or 16 bits, .pgm; white is high) or array (.npy, .npz, .csv); columns along x, "
+            "rows along y; a relative path starts at the scene's folder",
             "hills.npy",
         ),
     ]
-    pitch_m: Annotated[float, within(limits.HEIGHT_PITCH_M, "from one pixel to the next", 0.001)]
+    pitch_m: Annotated[float, within(limits.HEIGHT_PITCH_M, "distance between neighbouring pixels", 0.001)]
     level_m: Annotated[
-        float, within(limits.HEIGHT_LEVEL_M, "height of one level of the file; 1 for an array in metres", 1.0)
+        float, within(limits.HEIGHT_LEVEL_M, "height of one unit of the file; 1 for an array in metres", 1.0)
     ]
 
 
 class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh"):
-    """The triangles of a file, in the object's frame. One with holes is a sheet, felt from both sides."""
+    """Triangle mesh of a file, in the object frame. A mesh with holes is a sheet, felt from both sides."""
 
     shape: ClassVar[str] = "mesh"
     unrolls: ClassVar[bool] = True  # in one triangle's plane after the other
@@ -253,14 +253,14 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
         str,
         sized(
             limits.FILE_NAME_LENGTH,
-            "triangles as .ply, .stl, .obj or .glb; where its name has no root, in the scene's folder",
+            ".ply, .stl, .obj or .glb; a relative path starts at the scene's folder",
             "part.ply",
         ),
     ]
-    scale: Annotated[float, within(limits.MESH_SCALE, "metres that a unit of the file has: 0.001 for mm", 0.001)] = 1.0
+    scale: Annotated[float, within(limits.MESH_SCALE, "metres per unit of the file; 0.001 for mm", 0.001)] = 1.0
     inside: Inside = False
     shading: Annotated[
-        Shading, said("none: every triangle is flat; normals: the force turns smoothly from one to the next", "none")
+        Shading, said("none: flat triangles; normals: force direction interpolated between vertex normals", "none")
     ] = "none"
 
     def faults(self) -> Iterator[Complaint]:

@@ -15,34 +15,34 @@ Border = Literal["period", "clamp"]
 
 
 class Texture(Table, frozen=True, kw_only=True):
-    """Height and friction of a surface from the numbers of a file, the lowest to the highest."""
+    """Height and friction of a plane, cylinder or box, varied by an array; its smallest value maps to 0, its largest to
+    1."""
 
     file: Annotated[
         str,
         sized(
             limits.FILE_NAME_LENGTH,
-            "array as .npy, .npz or .csv, or grey picture as .pgm; where its name has no root, in the scene's folder",
+            "array (.npy, .npz, .csv) or grey picture (.pgm); a relative path starts at the scene's folder",
             "ribs.csv",
         ),
     ]
     size_m: Annotated[
-        tuple[Length, Length], said("extent of the array on the surface, along its columns and rows", [0.02, 0.02])
+        tuple[Length, Length], said("size of the array on the surface, along its columns and rows", [0.02, 0.02])
     ]
     border: Annotated[
-        Border, said("period: the array is laid side by side; clamp: its border goes on; around a cylinder period only")
+        Border, said("period: the array repeats; clamp: the border value continues; around a cylinder period only")
     ] = "period"
     height_m: (
         Annotated[
-            float, within(limits.TEXTURE_HEIGHT_M, "from the lowest value to the highest, which is the surface", 1e-4)
+            float, within(limits.TEXTURE_HEIGHT_M, "height from value 0 to value 1; value 1 lies on the surface", 1e-4)
         ]
         | None
     ) = None
-    friction_scale: (
-        Annotated[tuple[Scale, Scale], said("factors of friction at the lowest and at the highest value", [0.5, 1.5])]
-        | None
-    ) = None
+    friction_scale: Annotated[tuple[Scale, Scale], said("factors on friction at values 0 and 1", [0.5, 1.5])] | None = (
+        None
+    )
     speed_m_per_s: Annotated[
-        float, within(limits.STROKE_M_PER_S, "fastest stroke that 1 kHz is to carry; what is too fine is removed", 0.1)
+        float, within(limits.STROKE_M_PER_S, "fastest stroke to render at 1 kHz; finer detail is filtered out", 0.1)
     ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:

@@ -4,7 +4,12 @@ import json
 import math
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+
+from softfinger.server.pytest_plugin import SoftfingerDaemon
+
+Start = Callable[..., SoftfingerDaemon]
 
 POSES = Path(__file__).parent / "press.csv"
 RIG = Path(__file__).parent / "rig.toml"
@@ -12,7 +17,7 @@ SCENE = "frictionless-plane"
 STIFFNESS_N_PER_M = 1000.0  # of that scene's plane: 1 mm of depth gives 1 N
 
 
-def test_pressing_pushes_back(softfinger_daemon):
+def test_pressing_pushes_back(softfinger_daemon: Start) -> None:
     """The plane answers 1 mm of depth with 1 N along its normal."""
     daemon = softfinger_daemon(scene=SCENE, recording=POSES)
     strongest = 0.0
@@ -26,14 +31,14 @@ def test_pressing_pushes_back(softfinger_daemon):
     assert strongest > 0.99
 
 
-def test_a_softer_plane(softfinger_daemon):
+def test_a_softer_plane(softfinger_daemon: Start) -> None:
     """Parameters change while it runs."""
     daemon = softfinger_daemon(scene=SCENE, recording=POSES)
     changed = daemon.control.set_params({"object.ice.material.stiffness_n_per_m": 500.0}).changed
     assert changed["object.ice.material.stiffness_n_per_m"].before == STIFFNESS_N_PER_M
 
 
-def test_my_rig_keeps_its_limit(softfinger_daemon):
+def test_my_rig_keeps_its_limit(softfinger_daemon: Start) -> None:
     """However the rig's hand presses, rolls and drags in ten seconds, no force is above the limit, which is reached."""
     daemon = softfinger_daemon(scene="paper-plane", rig=RIG)
     strongest = 0.0
@@ -44,7 +49,7 @@ def test_my_rig_keeps_its_limit(softfinger_daemon):
     assert 0.399 < strongest < 0.4 + 1e-9
 
 
-def test_nothing_has_changed(softfinger_daemon, tmp_path):
+def test_nothing_has_changed(softfinger_daemon: Start, tmp_path: Path) -> None:
     """A run is recorded, and the code of now gives the forces that were recorded: keep such a file, and find out
     with the next version."""
     recording = tmp_path / "press.mcap"

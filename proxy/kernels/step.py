@@ -56,7 +56,16 @@ from softfinger.proxy.kernels.model import (
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.tuples import same_for
-from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, CAUSE_TOUCH, FREE, SLIDING
+from softfinger.proxy.record import (
+    CAUSE_NONE,
+    CAUSE_RELEASE,
+    CAUSE_RESTART,
+    CAUSE_TOUCH,
+    FREE,
+    ON_ITS_WAY,
+    SLIDING,
+    UNSEARCHED,
+)
 
 
 @jit
@@ -312,7 +321,8 @@ def among_several_objects(
     shown = beside(shapes, radius, center, tangent_to_all(active, lag), held_by(active), left)
     against = velocity_against(carry(shapes, active.first), probe.velocity, state.probe.position, dt)
     extra, states, unknown = all_effects(scene, radius, objects, state, active, probe, against, dt)
-    if late and any_wide(shapes):
+    moving = late and any_wide(shapes)
+    if moving:
         extra = vec3.add(extra, drawn_after(shapes, active, vec3.sub(center, position)))
     cause = one.cause
     if cause == CAUSE_NONE and touches:
@@ -327,7 +337,9 @@ def among_several_objects(
         stuck=stuck + 1.0 if late and center == before else 0.0,
         effects=states,
     )
-    unsearched = 1.0 if late and left < 0 else unknown
+    budget = float(UNSEARCHED) if unknown != 0.0 or (late and left < 0) else 0.0
+    if moving and budget == 0.0:
+        budget = float(ON_ITS_WAY)
     to_fingertip = rotations.conjugate(probe.orientation)
     inward = rotations.rotate(to_fingertip, normal)
     contact = Contact(
@@ -355,7 +367,7 @@ def among_several_objects(
             outcome_of(shapes, two, finger, probe.orientation, shown),
             outcome_of(shapes, three, finger, probe.orientation, shown),
         ),
-        budget=unsearched,
+        budget=budget,
     )
     return after, contact
 

@@ -82,7 +82,7 @@ def _scene(path: str | Path, data: bytes) -> Any:
         def __init__(self) -> None: ...
 
         def get(self, key: str) -> bytes:
-            raise ValueError(f"leads to another file, {key[:80]!r}: export it as one file")
+            raise ValueError(f"has its numbers in another file, {key[:80]!r}: export it as one file")
 
         def write(self, name: str, data: Any) -> None: ...
 
@@ -132,7 +132,7 @@ def _joined(scene: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 def _check(vertices: NDArray[np.float64], triangles: NDArray[np.int64], promised: int) -> None:
     if len(triangles) == 0:
-        raise ValueError("has no triangles: points alone have no surface; mesh them first")
+        raise ValueError("has no triangles: it is damaged, or has points alone, which have no surface; mesh them first")
     if len(triangles) > limits.MESH_TRIANGLES.high:
         raise ValueError(f"has {len(triangles):,} triangles, {limits.MESH_TRIANGLES.high:,} are the most: decimate it")
     if promised > len(triangles):

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import Scene, telemetry_of
+from softfinger.config.schema import Scene
 from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.recording.verbs.live import Live, Taker, Taking, begin, go_on, subscribed
 from softfinger.server.recording.writer import scene_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
@@ -30,7 +31,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", nargs="?", metavar="FILE", help="a recording for Rerun, in place of a daemon")
     parser.add_argument(
         "--endpoint",
-        type=telemetry_of,
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
@@ -80,7 +80,9 @@ def to_foxglove(args: argparse.Namespace) -> int:
 def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], Taker]) -> int:
     """Hand on what the daemon sends until an end of one of many kinds."""
     stop: list[bool] = []
-    live = Live(args.endpoint, args.commands, keys.of_options(args), args.duration, args.timeout, lambda: bool(stop))
+    lock = keys.of_options(args)
+    found = addresses_of(args.endpoint, lock, args.commands)
+    live = Live(found, lock, args.duration, args.timeout, lambda: bool(stop))
     with signals.asked(lambda: stop.append(True)), subscribed(live) as wire:
         early, fingers, about = begin(wire, live)
         taking = Taking(show(fingers, scene_of(about)), fingers)

@@ -108,12 +108,9 @@ class Allowed:
             log.warning("%s", text)
 
 
-def key_options(security: Security) -> list[str]:
-    """The options of `softfinger forward` for a rig's keys; ConfigError for what of them cannot be used."""
+def key_folders(security: Security) -> tuple[str, str]:
+    """The folders of a rig's readers and commanders, '' for none; ConfigError for what of its keys cannot be used."""
     read_pair(security.key)
-    words = ["--keys", security.key]
-    for name, folder in (("--readers", security.readers), ("--commanders", security.commanders)):
-        if folder is not None:
-            Allowed(folder)
-            words += [name, folder]
-    return words
+    for folder in filter(None, (security.readers, security.commanders)):
+        Allowed(folder)
+    return security.readers or "", security.commanders or ""

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import resource
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -15,23 +12,17 @@ import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.gateway.front import Front, Gate, Lock
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.gateway.requests import Commanders
-from softfinger.server.gateway.streams import Readers, Stream
+from softfinger.server.gateway.streams import QUEUE, Stream
 from softfinger.server.keys import ClientKeys
+from softfinger.server.publishing.front import Front, Gate, Lock, bound_resources
+from softfinger.server.publishing.readers import Readers
 from softfinger.server.wire.endpoint import Bound
 
 LOOK_S: Final = 1.0
 """How often the folders of keys are looked at, and connections counted."""
 POLL_MS: Final = 100
-LAST_MS: Final = 200
-"""Where nothing more has come for so long, the server that has ended has said all."""
-FILES_MAX: Final = 256
-"""File descriptors, and so connections: libzmq has no bound of its own, and leaves those in the system's queue that it
-has none for."""
-MEMORY_MAX: Final = 1 << 30
-"""Bytes that the process may write to: a peer with a key can have libzmq keep more and more. Then this process ends."""
 
 
 class Source(NamedTuple):
@@ -73,13 +64,14 @@ class Forward:
         self.outlets: Final = outlets
         self._fronts: list[Front] = []
         try:
-            gate = Gate(self._context, ThreadAuthenticator(self._context))
-            gate.authenticator.start()
-            self._files.callback(gate.authenticator.stop)
+            authenticator = ThreadAuthenticator(self._context)
+            authenticator.start()
+            self._files.callback(authenticator.stop)
+            gate = Gate(self._context, authenticator)
             if stream is not None:
                 self.stream = Stream(self._context, *stream)
             if self.stream is not None and readers is not None:
-                self.readers = Readers(gate, *readers)
+                self.readers = Readers(gate, *readers, QUEUE)
                 self.stream.takers.append(self.readers.send)
                 self._open(self.readers.front)
             if self.stream is not None and outlets is not None:
@@ -99,37 +91,30 @@ class Forward:
         self._fronts.append(front)
         self._files.callback(front.close)
 
-    def run(
-        self, ended: Callable[[], bool], show: Callable[[str], None] | None = None, watched: int | None = None
-    ) -> None:
-        """Hand on until `ended` says so, or the file descriptor `watched` is at its end."""
+    def run(self, ended: Callable[[], bool], show: Callable[[str], None] | None = None) -> None:
+        """Hand on until `ended` says so."""
         bound_resources()
         due = 0.0
         while not ended():
             ways = dict(self._ways())
             poller = zmq.Poller()
-            for socket in [*ways, *([] if watched is None else [watched])]:
+            for socket in ways:
                 poller.register(socket, zmq.POLLIN)
-            changed = False
+            changed, renewed = False, self._renewed()
             while not (changed or ended()):
                 for socket, _ in poller.poll(POLL_MS):
-                    if isinstance(socket, int):
-                        if not os.read(socket, 1024):
-                            self._drain()
-                            return
-                    else:
-                        changed |= bool(ways[socket]())
+                    changed |= bool(ways[socket]())
                 if (now := time.monotonic()) >= due:
                     due = now + LOOK_S
-                    changed |= self._look()
+                    for front in self._fronts:
+                        front.look()
+                        front.look_at_keys()
                     if show is not None:
                         show(self.line())
+                changed |= self._renewed() != renewed
 
-    def _drain(self) -> None:
-        """Hand on what the server, which has ended, had to say last."""
-        # libzmq's own thread may not have read yet what the server sent before it ended.
-        while self.stream is not None and self.stream.socket.poll(LAST_MS):
-            self.stream.take()
+    def _renewed(self) -> int:
+        return sum(front.renewed for front in self._fronts)
 
     def _ways(self) -> Iterator[tuple[Any, Callable[[], Any]]]:
         """Sockets, and what is done when something has come; it is True where the sockets are others now."""
@@ -141,15 +126,6 @@ class Forward:
             yield self.commanders.front.socket, self.commanders.take
             for behind in self.commanders.sockets:
                 yield behind, partial(self.commanders.answer, behind)
-
-    def _look(self) -> bool:
-        renewed = False
-        for front in self._fronts:
-            front.look()
-            if front.lock is not None and front.lock.allowed.refresh():
-                front.renew()
-                renewed = True
-        return renewed
 
     def statistics(self) -> dict[str, Any]:
         """What was handed on so far."""
@@ -194,11 +170,3 @@ class Forward:
     def close(self) -> None:
         """Disconnect all. Any number of times."""
         self._files.close()
-
-
-def bound_resources() -> None:
-    """What peers can take of this process has an end, whatever libzmq keeps for them."""
-    for kind, most in ((resource.RLIMIT_NOFILE, FILES_MAX), (resource.RLIMIT_DATA, MEMORY_MAX)):
-        with contextlib.suppress(ValueError, OSError):
-            soft, hard = resource.getrlimit(kind)
-            resource.setrlimit(kind, (most if soft < 0 else min(soft, most), hard))

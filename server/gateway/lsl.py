@@ -38,9 +38,8 @@ class Outlets:
         """Of the streams."""
         return [stream_name(finger) for finger in self._outlets]
 
-    def send(self, frames: list[bytes]) -> None:
+    def send(self, topic: bytes, body: bytes) -> None:
         """A message; those that are no tick are none of a stream's."""
-        topic, body = frames
         finger = finger_of(topic.decode("ascii", "replace"))
         if finger is None:
             return

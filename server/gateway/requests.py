@@ -8,16 +8,15 @@ from typing import Final
 
 import zmq
 
-from softfinger.server.gateway.front import Front, Gate, Lock
 from softfinger.server.keys import ClientKeys
+from softfinger.server.publishing.front import Front, Gate, Lock
+from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import Bound
-from softfinger.server.wire.zmtp import REQUEST_MAX
 
 CLIENTS_MAX: Final = 16
 """Clients at a time, half of the server's own; one more takes the place of the one that asked nothing for longest."""
 WAITING_MAX: Final = 64
 """Requests of a client, or answers to it, that wait; more are dropped."""
-ANSWER_MAX: Final = 1 << 22
 
 
 class Commanders:

@@ -112,14 +112,16 @@ def apply(mode: Mode, priority: int, cpu: int | None) -> Applied:
 
 
 def lift(name: str, thread: int | None, priority: int) -> Setting:
-    """Put another thread of this process, given by its native id, above `priority`: it must run when that one hangs.
+    """Give another thread of this process, by its native id, a priority of its own: the supervisor must run when the
+    servo hangs, and the relay wake readers of ticks where the processor is busy with something else.
 
     Nothing to undo: it ends with the thread.
     """
     setting = f"sched_fifo_{name}"
     if sys.platform != "linux" or thread is None:
         return Setting(setting, False, "made with Linux calls", "run on Linux, or say --realtime off to stop asking")
-    wanted = min(priority + 1, os.sched_get_priority_max(os.SCHED_FIFO))
+    lowest, highest = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
+    wanted = max(lowest, min(priority, highest))
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(wanted))
     except OSError as error:
@@ -224,7 +226,7 @@ def _give_back() -> None:
 def _bring_in() -> None:
     """Bring in this thread's stack, and every mapping but the large ones.
 
-    Those are the compiler, which no tick calls, the backlog of telemetry and the stacks of other threads, which no tick
+    Those are the compiler, which no tick calls, and the stacks of other threads, which no tick
     writes, and arrays: what a tick writes, whoever makes it has written before.
     """
     for each in _mappings():

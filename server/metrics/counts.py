@@ -51,11 +51,12 @@ _COLUMNS: Final = [
 
 
 class Wire(NamedTuple):
-    """Of the publisher: subscribers now, messages they were too slow for and connections refused so far."""
+    """Of the publisher: subscribers now; messages they were too slow for, connections refused and restarts so far."""
 
     subscribers: int
     lost: int
     refused: int
+    restarts: int
 
 
 class Histogram:
@@ -140,11 +141,12 @@ class Counts(Collector):
         with self._lock:
             self._count()
             found = [*self._of_servo(), *self._of_fingers()]
-        subscribers, lost, refused = self._wire()
+        subscribers, lost, refused, restarts = self._wire()
         yield from found
         yield GaugeMetricFamily("softfinger_subscribers", "Connections that subscribe to something", subscribers)
         yield _counter("softfinger_messages_lost", "Messages that subscribers were too slow to take", lost)
         yield _counter("softfinger_connections_refused", "Connections refused or cut off for what they did", refused)
+        yield _counter("softfinger_publisher_restarts", "Times the publisher was started again", restarts)
         yield from _of_recordings(self._written())
         yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.proxy.kernels.contact.fingertip import seen_by
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_to
+from softfinger.proxy.kernels.geometry.bodies import closest_to_within
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.native.jit import entry
 from softfinger.proxy.kernels.native.pack import Packed, flatten, pack, packed, unpack
@@ -95,7 +96,7 @@ def follow_surface(scene: Any, values: Array, points: Array, height: float) -> N
     objects = seen_by(finger.form, finger.radius, parameters.objects, (1.0, 0.0, 0.0, 0.0))
     for i in range(points.shape[0]):
         x = (points[i, 0], points[i, 1], points[i, 2])
-        _, foot, normal = closest_to(objects, 0.0, x)
+        _, foot, normal, _ = closest_to_within(objects, 0.0, x, BUDGET)
         at = vec3.add_scaled(foot, height, normal)
         points[i, 0], points[i, 1], points[i, 2] = at
 

@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.arrays.npz import Npz
+from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import followed, new_file, open_input, open_output
 from softfinger.drivers.poses import LINE_MAX
@@ -237,7 +237,7 @@ def _add_array(archive: ZipFile, name: str, shape: tuple[int, ...], blocks: Iter
 def _read_npz(path: Path, finger: str) -> Array:
     try:
         with open_input(path) as file:
-            records = np.array(Npz(file).array(_of(finger) + "records", RESULTS_MAX * RECORD_SIZE * 8))
+            records = open_npz(file)[_of(finger) + "records"]
     except OSError:
         raise
     except Exception as error:  # zip and npy decoders fail in many ways on damaged bytes

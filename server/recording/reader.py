@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
-from softfinger.drivers.containers import mcap_records, within_limit
+from softfinger.drivers.containers import mcap_records
 from softfinger.proxy.record import FIELDS
 from softfinger.server.recording.layout import Layout
 from softfinger.server.recording.schemas import class_of, event_of
@@ -129,7 +129,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | Note | En
 
     schemas: dict[int, Any] = {}
     channels: dict[int, _Channel] = {}
-    described = notes = 0
+    notes = 0
     cut = "it ends without an index: its writer was ended, or the disk was full"
     try:
         for outer in mcap_records(file):
@@ -140,7 +140,6 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | Note | En
                 elif isinstance(record, Message):
                     found.setdefault(record.channel_id, []).append(record.data)
                 elif isinstance(record, Schema):
-                    described = within_limit(described, record)
                     schemas[record.id] = record
                 elif isinstance(record, Channel):
                     known = schemas.get(record.schema_id)

@@ -1,4 +1,5 @@
-"""Commands as a service: what each method does to the daemon. A thread at normal priority answers; it never waits long.
+"""Commands as a service: what each method does to the daemon. The thread that looks after the publisher answers; it
+never waits long.
 
 `set_scene` is answered from another thread, when it is done; everything else is answered at once, meanwhile too.
 """
@@ -22,7 +23,6 @@ from softfinger.drivers.simulated.lead import Wanted, hand_of
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import wayout
-from softfinger.server.services.base import Worker
 from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
 from softfinger.server.services.description import described
 from softfinger.server.services.recordings import Recordings
@@ -30,16 +30,13 @@ from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering, Replacing
 from softfinger.server.wire import commands as wire
 from softfinger.server.wire.commands import Declined, Request
-from softfinger.server.wire.endpoint import Bound
+from softfinger.server.wire.link import Answering
 from softfinger.server.wire.protocol import encode, wire_schema
-from softfinger.server.wire.router import Router
 
 log: Final = logging.getLogger(__name__)
 
-KEY: Final = "[commands] endpoint"
-
 EVENT_BYTES_MAX: Final = 1024
-"""Most that a request puts into an event: the publisher keeps 40 000 messages, none of them longer than its own."""
+"""Most that a request puts into an event: the publisher keeps 40 000 messages for whoever is slow."""
 
 LOG_PERIOD_S: Final = 10.0
 
@@ -54,6 +51,8 @@ class Doing(NamedTuple):
     replace     puts a scene in under a name, and returns the first tick with it
     ring        where local readers find every tick, as `describe` has it
     telemetry   endpoint that it is published on
+    serve       has requests answered, or by nobody any more
+    reply       answers a client later than at once
     event       publishes an event
     stop        ends the run in order
     fail        ends the run with an error
@@ -63,52 +62,39 @@ class Doing(NamedTuple):
     replace: Callable[[schema.Scene, str], int]
     ring: Callable[[], dict[str, Any]]
     telemetry: str
+    serve: Callable[[Answering | None], None]
+    reply: Callable[[bytes, bytes], None]
     event: Callable[..., None]
     stop: Callable[[], None]
     fail: Callable[[HapticError], None]
     recordings: Recordings
 
 
-class Commands(Worker):
-    """Answers on an endpoint that is bound already, and frees it in the end.
+class Commands:
+    """Answers what comes in on an endpoint.
 
     scene_name  what the scene of the beginning is called
     """
 
-    def __init__(self, bound: Bound, rendering: Rendering, doing: Doing, scene_name: str) -> None:
-        super().__init__("commands")
-        self.endpoint: Final = bound.endpoint
-        self._files, self._rendering, self._doing, self._scene_name = bound.files, rendering, doing, scene_name
+    def __init__(self, endpoint: str, rendering: Rendering, doing: Doing, scene_name: str) -> None:
+        self.endpoint: Final = endpoint
+        self._rendering, self._doing, self._scene_name = rendering, doing, scene_name
         self._heartbeat_s = rendering.rig.commands.heartbeat_s
         self._heard_s = 0.0
         self._logged_s = -LOG_PERIOD_S
         self._newest: NDArray[np.float64] | None = None
         self._led: Final = set[int]()
         """Fingers whose hands a program leads."""
-        self._router = Router(bound.listener, self._answer, self._each_period)
         self._scenes = SceneChanges(doing.replace)
         self.sink: Final = Sink("commands", self._keep)
 
     def start(self) -> None:
         self._scenes.start()
-        super().start()
-
-    def work(self) -> None:
         self._heard_s = time.monotonic()
-        try:
-            self._router.run(self.closing)
-        finally:
-            self._router.close()
-
-    def failed(self, error: Exception) -> None:
-        """Nobody can command. That ends the run where a heartbeat is needed, for nobody would miss it any more."""
-        self._doing.event("fault", "commands", message=str(error))
-        if self._heartbeat_s is not None:
-            self._doing.fail(SafetyStop(f"commands cannot be taken: {error}; nobody would see the heartbeat end"))
+        self._doing.serve(Answering(self._answer, self._each_period))
 
     def stop(self) -> None:
-        never_started = [self._router.close] if self._thread.ident is None and not self.closing.is_set() else []
-        failed = wayout.every(self._scenes.stop, super().stop, *never_started, self._files.close)
+        failed = wayout.every(self._scenes.stop, lambda: self._doing.serve(None))
         if failed is not None:
             raise failed
 
@@ -117,7 +103,7 @@ class Commands(Worker):
 
     # --- what comes in --------------------------------------------------------------------------------
 
-    def _answer(self, peer: int, body: bytes | None, too_much: bool) -> bytes | None:
+    def _answer(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
         command_id = ""
         try:
             request = wire.parse(body)
@@ -126,7 +112,7 @@ class Commands(Worker):
                 raise Declined("busy", "too many requests from this client: ask more slowly")
             self._heard_s = time.monotonic()
             if request.method == "set_scene":
-                self._set_scene(peer, request)
+                self._set_scene(client, request)
                 return None
             return wire.answered(command_id, getattr(self, f"_{request.method}")(request))
         except Exception as error:
@@ -153,6 +139,20 @@ class Commands(Worker):
         return Declined("failed", f"{type(error).__name__}: {error}"[:500])
 
     def _each_period(self) -> None:
+        try:
+            self._look_after()
+        except Exception as error:
+            self._failed(error)
+
+    def _failed(self, error: Exception) -> None:
+        """Nobody can command. That ends the run where a heartbeat is needed, for nobody would miss it any more."""
+        log.exception("commands failed")
+        self._doing.serve(None)
+        self._doing.event("fault", "commands", message=str(error))
+        if self._heartbeat_s is not None:
+            self._doing.fail(SafetyStop(f"commands cannot be taken: {error}; nobody would see the heartbeat end"))
+
+    def _look_after(self) -> None:
         self._rendering.advance()
         silent_s = time.monotonic() - self._heard_s
         if self._heartbeat_s is not None and silent_s > self._heartbeat_s and not self._rendering.disarmed_for(_SILENT):
@@ -190,7 +190,7 @@ class Commands(Worker):
             self._tell("set_params", request.command_id, changed)
         return wire.Changed(changed, tick, self._rendering.rig.commands.ramp_s)
 
-    def _set_scene(self, peer: int, request: Request) -> None:
+    def _set_scene(self, client: bytes, request: Request) -> None:
         asked: wire.SetScene = request.params
         if isinstance(asked.scene, str):
             if asked.scene not in shipped(schema.Scene):
@@ -209,11 +209,11 @@ class Commands(Worker):
 
         def done(outcome: int | Exception) -> None:
             if isinstance(outcome, Exception):
-                self._router.reply(peer, wire.declined(self._declined(outcome), request.command_id))
+                self._doing.reply(client, wire.declined(self._declined(outcome), request.command_id))
                 return
             self._scene_name = name
             self._tell("set_scene", request.command_id, {"scene": name, "tick": outcome})
-            self._router.reply(peer, wire.answered(request.command_id, wire.SceneSet(name, outcome)))
+            self._doing.reply(client, wire.answered(request.command_id, wire.SceneSet(name, outcome)))
 
         self._scenes.ask(Change(scene, name, done))
 

@@ -1,4 +1,4 @@
-"""Records from the sender to whoever takes them in Python: one thread, which hands each batch to every sink."""
+"""Records from the relay to whoever takes them in Python: one thread, which hands each batch to every sink."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from softfinger.config.errors import HapticError, SafetyStop
 from softfinger.server.loop import wayout
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
-from softfinger.server.wire.native.sender import Tap
+from softfinger.server.wire.native.relay import Tap
 
 log: Final = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ class Sink(NamedTuple):
 
 
 class Records(Worker):
-    """Reads what the sender hands on, from the servo's start to the last record after its end.
+    """Reads what the relay hands on, from the servo's start to the last record after its end.
 
     tap    where it is read
     sinks  in the order in which they are given each batch; a sink that failed gets no more
@@ -75,7 +75,7 @@ class Records(Worker):
             while (count := self._tap.take(batch)) > 0:
                 self._hand_on(batch[:count], self._servo.drops + self._tap.lost)
         if self._tap.failed:
-            raise RuntimeError("the thread that sends has ended")
+            raise RuntimeError("the thread that hands ticks on has ended")
 
     def _hand_on(self, records: NDArray[np.float64], drops: int) -> None:
         for sink in list(self._sinks):

@@ -81,9 +81,9 @@ def examine_file(file: str) -> Finding:
             summary = scene_summary(config)
         else:
             if config.security is not None:
-                from softfinger.server.gateway.allowed import key_options
+                from softfinger.server.gateway.allowed import key_folders
 
-                key_options(config.security)
+                key_folders(config.security)
             for table, device in config.tables.items():
                 _check_driver(device, table, file)
                 _check_recording(device, table, file)

@@ -12,11 +12,12 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import read_toml
-from softfinger.config.schema import commands_of
 from softfinger.config.words import near, shown
 from softfinger.server import keys
 from softfinger.server.arguments import duration
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.progress import progress
+from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.commands import METHODS, table
 from softfinger.server.wire.control import Control
 
@@ -41,7 +42,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "params", nargs="*", metavar="key=value", help="its parameters: values of TOML or JSON, else texts"
     )
-    parser.add_argument("--endpoint", help="of the daemon: its telemetry or its commands (default: your own daemon's)")
+    parser.add_argument(
+        "--endpoint", default=DEFAULT_ENDPOINT, help="of the daemon: its telemetry or its commands (%(default)s)"
+    )
     keys.add_options(parser)
     parser.add_argument("--timeout", type=duration, metavar="S", help="wait so long (default: what the method needs)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -58,8 +61,9 @@ def run(args: argparse.Namespace) -> int:
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
     waiting = f"{args.method}: the daemon compiles the scene, or loads what is kept of it"
     shown_wait = progress(waiting if args.method == "set_scene" else f"{args.method}: waiting for the daemon")
-    endpoint = args.endpoint and commands_of(args.endpoint)
-    with Control(endpoint, args.timeout, keys.of_options(args)) as daemon, shown_wait:
+    lock = keys.of_options(args)
+    found = addresses_of(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT)
+    with Control(found.commanded(), args.timeout, lock) as daemon, shown_wait:
         result = msgspec.to_builtins(daemon.ask(args.method, params))
     if args.json:
         print(json.dumps(result))

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import telemetry_of
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, silence, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, finger_of
 
@@ -45,7 +45,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Show what a running server renders: contact mode, forces, lateness, events."
     parser.add_argument(
         "--endpoint",
-        type=telemetry_of,
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
@@ -157,15 +156,17 @@ def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: fl
     end = started + (args.duration or math.inf)
     next_show = started + period_s
     topics = CONTACT, EVENT, HEALTH, FINGERS
-    with subscribe(args.endpoint, topics, keys=keys.of_options(args)) as subscription:
-        board = Board(args.endpoint)
+    lock = keys.of_options(args)
+    endpoint = addresses_of(args.endpoint, lock).telemetry
+    with subscribe(endpoint, topics, keys=lock) as subscription:
+        board = Board(endpoint)
         while True:
             sample = subscription.receive(max(0.0, min(_DASHBOARD_PERIOD_S, end - time.monotonic())))
             if sample is not None:
                 board.take(sample)
             now = time.monotonic()
             if not board.messages and now >= min(end, started + args.timeout):
-                raise NoTelemetry(silence(args.endpoint, min(args.timeout, args.duration or math.inf)))
+                raise NoTelemetry(silence(endpoint, min(args.timeout, args.duration or math.inf)))
             if args.once:
                 if board.messages and (now >= min(end, started + _ONCE_WAIT_S) or (board.fingers and board.health)):
                     show(board)

@@ -21,10 +21,10 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import open_output
-from softfinger.config.schema import telemetry_of
 from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, POSE_COLUMNS, rate_of
 from softfinger.server import keys, signals
 from softfinger.server.arguments import by_finger
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.offline.results import McapResults
 from softfinger.server.progress import counter
 from softfinger.server.recording.verbs.live import Live, record_live
@@ -63,7 +63,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--endpoint",
-        type=telemetry_of,
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
@@ -85,17 +84,16 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record takes a FILE, or --poses FILE: give one of them")
-    stop = Stop()
+    stop, lock = Stop(), keys.of_options(args)
+    found = addresses_of(args.endpoint, lock, args.commands)
     if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
-        live = Live(
-            args.endpoint, args.commands, keys.of_options(args), args.duration, args.timeout, lambda: stop.asked
-        )
+        live = Live(found, lock, args.duration, args.timeout, lambda: stop.asked)
         with signals.asked(stop.ask):
             log.info("%s", record_live(live, Path(args.file)))
         return signals.code_of_stop()
     files = {name: Path(file) for name, file in by_finger(args.poses or [args.file], "--poses").items()}
     topics = CONTACT, FINGERS, EVENT
-    with subscribe(args.endpoint, topics, keys=keys.of_options(args)) as samples, signals.asked(stop.ask):
+    with subscribe(found.telemetry, topics, keys=lock) as samples, signals.asked(stop.ask):
         recorded = record(samples, files, args.duration, args.timeout, stop)
     for name, kept in recorded.items():
         log.info("%s: %s", files[name], kept)

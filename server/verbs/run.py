@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import argparse
 import logging
-import shlex
-import shutil
-import subprocess
 import sys
 import time
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
@@ -24,8 +19,8 @@ from softfinger.server.arguments import duration
 from softfinger.server.loop import wayout
 from softfinger.server.loop.realtime import Setting
 from softfinger.server.progress import counter, making
+from softfinger.server.viewer.door.process import Shown, check_viewer, shown_by
 from softfinger.server.watcher import Watcher
-from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
 
@@ -47,9 +42,6 @@ OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
     ("--commands", "commands.endpoint", str, "URL", "where commands are taken; off: none are"),
     ("--metrics", "metrics.endpoint", "127.0.0.1:{}".format, "PORT", "figures for Prometheus; 0: a free port"),
 )
-
-PAGE_END_S: Final = 10.0
-"""Time that the page has to end; by itself it takes a tenth of a second."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -89,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
     page = None
     try:
         if args.view:
-            page = Shown(daemon, ["-q"] if args.quiet else ["-v"] if args.verbose else [])
+            loudness = ["-q"] if args.quiet else ["-v"] if args.verbose else []
+            page = Shown(daemon.publisher.endpoint, daemon.commands_endpoint, loudness)
         if args.record is not None:
             daemon.recordings.record(args.record, args.scene)
         if args.watcher:
@@ -125,67 +118,6 @@ def run(args: argparse.Namespace) -> int:
         if failed is not None and failed is not first:
             raise failed
     return signals.code_of_stop()
-
-
-def shown_by(endpoint: str) -> str:
-    """The command that shows what is published on an endpoint, as a shell would find this program."""
-    return f"{program()} monitor" + ("" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}")
-
-
-def program() -> str:
-    """This program, as a shell would find it."""
-    called = Path(sys.argv[0])
-    return str(called) if called.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
-
-
-def check_viewer() -> None:
-    """Raise ConfigError where a page cannot be shown."""
-    if find_spec("viser") is None:
-        raise ConfigError("--view: the page needs viser: pip install 'softfinger[viewer]'")
-
-
-class Shown:
-    """`softfinger view` of a daemon, a process of its own: nothing that goes wrong there stops the servo.
-
-    Says where the page is, and waits for that; ConfigError where the daemon takes no commands. `loudness` is the option
-    for what it logs.
-    """
-
-    def __init__(self, daemon: Daemon, loudness: list[str]) -> None:
-        if daemon.commands_endpoint is None:
-            raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
-        self._words = ["view", "--endpoint", daemon.publisher.endpoint, "--commands", daemon.commands_endpoint]
-        command = [sys.executable, "-m", "softfinger.server.cli", *self._words, *loudness, "--print-address"]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self._over = False
-        assert self._process.stdout is not None
-        try:
-            with self._process.stdout as said:
-                address = said.readline().strip()
-            if address:
-                log.info("the page is %s; to stop it: Ctrl-C", address)
-            else:
-                self._process.wait()
-                self.look()
-        except BaseException:
-            self.close()
-            raise
-
-    def look(self) -> None:
-        """Say so, once, when the page has ended."""
-        if not self._over and (code := self._process.poll()) is not None:
-            self._over = True
-            again = f"{program()} {shlex.join(self._words)}"
-            log.warning("the page has ended, with exit code %d; the servo goes on; to see it again: %s", code, again)
-
-    def close(self) -> None:
-        """End it; by force where it does not."""
-        self._process.terminate()
-        try:
-            self._process.wait(PAGE_END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
 
 
 def report_settings(settings: list[Setting]) -> None:

@@ -23,6 +23,7 @@ KINDS: Final = ("scene", "rig", "telemetry", "commands")
 _STRUCTS: Final[dict[str, type[msgspec.Struct]]] = {"scene": Scene, "rig": Rig}
 _EITHER: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
 """Keys of which a file has exactly one."""
+_SELECTS: Final = "selects the other keys"
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -105,22 +106,41 @@ def _as_toml(key: str, value: dict[str, Any]) -> None:
 
 
 def markdown(kind: str) -> str:
-    """As Markdown tables; those of scene and rig are in docs/operate/scenes.md, of commands in docs/protocol.md."""
+    """Tables of the keys as Markdown, for docs/reference; tables with the same keys are listed once."""
     if kind == "commands":
         rows = [[f"`{name}`", *words] for name, words in commands.table().items()]
-        return _grid(["method", "params", "result", "meaning"], rows)
+        return grid(["method", "params", "result", "meaning"], rows)
     if kind == "telemetry":
         names = [field.name for field in dataclasses.fields(FIELDS[0])]
-        return _grid(names, [[str(getattr(field, name)) for name in names] for field in FIELDS])
-    parts = []
-    for table in tables(_STRUCTS[kind]):
-        cells = [[f"`{row.key}`", row.unit, row.allowed, row.default, row.meaning] for row in table.rows]
-        grid = _grid(["key", "unit", "allowed", "default", "meaning"], cells)
-        parts.append(f"### `{table.name}`\n\n{table.meaning}\n\n{grid}")
-    return "\n\n".join(parts)
+        return grid(names, [[str(getattr(field, name)) for name in names] for field in FIELDS])
+    names_of: dict[str, list[str]] = {}
+    for heading, meaning, keys in _sections(tables(_STRUCTS[kind])):
+        cells = [[f"`{row.key}`", row.unit, row.allowed, row.default, row.meaning] for row in keys]
+        body = "\n\n".join(
+            [meaning, *([grid(["key", "unit", "allowed", "default", "meaning"], cells)] if cells else [])]
+        )
+        names_of.setdefault(body, []).append(heading)
+    return "\n\n".join(f"### {', '.join(names)}\n\n{body}" for body, names in names_of.items())
 
 
-def _grid(head: list[str], lines: list[list[str]]) -> str:
+def _sections(listed: list[TableRows]) -> Iterator[tuple[str, str, list[Row]]]:
+    """Heading, meaning and rows: a table of several kinds has first the keys of all of them, then those of each."""
+    kinds: dict[str, list[TableRows]] = {}
+    for table in listed:
+        kinds.setdefault(table.name, []).append(table)
+    for table in listed:
+        same = kinds[table.name]
+        shared = [row for row in table.rows if len(same) > 1 and all(row in other.rows for other in same)]
+        if shared and table is same[0]:
+            yield f"`{table.name}`", f"Keys that every {table.rows[0].key} has.", shared
+        tag = [row for row in table.rows if row.meaning == _SELECTS]
+        own = [row for row in table.rows if row not in shared and row not in tag]
+        kind = "".join(f" with `{row.key} = {row.allowed.strip('`')}`" for row in tag)
+        yield f"`{table.name}`{kind}", table.meaning, own
+
+
+def grid(head: list[str], lines: list[list[str]]) -> str:
+    """A Markdown table."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *lines])
 
 
@@ -137,7 +157,7 @@ def tables(struct_type: type[msgspec.Struct]) -> list[TableRows]:
 def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
     rows = []
     if info.tag_field is not None:
-        rows.append(Row(info.tag_field, "", f'`"{info.tag}"`', "required", "selects what the other keys may be"))
+        rows.append(Row(info.tag_field, "", f'`"{info.tag}"`', "required", _SELECTS))
     inner = []
     for field in info.fields:
         structs = list(_structs(field.type))
@@ -162,8 +182,10 @@ def _path(name: str, field: inspect.Field) -> tuple[str, bool]:
 def _row(field: inspect.Field) -> Row:
     kind, extra = _bare(field.type)
     allowed = re.sub(r"'([^']*)'", r'`"\1"`', expected(kind, "").removeprefix("one of "))
+    allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
+    allowed = re.sub(r"^a (whole )?number from", lambda found: "integer," if found[1] else "", allowed).strip()
     if field.required or field.default is None:
-        default = "required" if field.required else "left out"
+        default = "required" if field.required else "optional"
     else:
         default = f"`{toml(field.default)}`"
     return Row(field.encode_name, unit(field.encode_name), allowed, default, extra.get("description", ""))

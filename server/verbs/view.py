@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import logging
 import os
-import webbrowser
+import sys
+import threading
+from contextlib import nullcontext
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside, telemetry_of
 from softfinger.server import keys, signals
 from softfinger.server.arguments import duration
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
@@ -31,7 +33,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
     parser.add_argument(
         "--endpoint",
-        type=telemetry_of,
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
@@ -49,6 +50,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--print-address", action="store_true", help="the address alone on standard output, for programs"
     )
+    # For `run --view`. Standard input begins with the token, or an empty line for a new one; the page ends with it.
+    parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
     parser.add_argument("--duration", type=duration, metavar="S", help="leave after S seconds (default: stay)")
 
@@ -63,16 +66,24 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("the page needs viser: pip install 'softfinger[viewer]'") from None
     if not 0 <= args.port < 65536:
         raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
-    from softfinger.server.viewer.live import Daemon, LivePage
+    from softfinger.server.viewer.door.opening import in_browser
+    from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.playback import RecordedPage, load
 
     recording = None if args.recording is None else load(args.recording, args.scene)
     if args.host == HOST:  # beside a servo, most likely, and one that may have no priority
         os.nice(NICE)
-    daemon = Daemon(args.endpoint, args.commands or commands_beside(args.endpoint), keys.of_options(args))
-    page, asked = Page(args.host, args.port, tuple(args.allow_host)), list[bool]()
+    lock = keys.of_options(args)
+    asked = list[bool]()
+    token = sys.stdin.readline().strip() or None if args.until_eof else None
+    if args.until_eof:
+        threading.Thread(target=_until_eof, args=(asked,), daemon=True).start()
+    page = Page(args.host, args.port, tuple(args.allow_host), token)
     try:
-        fed = LivePage(page, daemon) if recording is None else RecordedPage(page, recording, args.tick)
+        if recording is None:
+            fed: LivePage | RecordedPage = LivePage(page, addresses_of(args.endpoint, lock, args.commands), lock)
+        else:
+            fed = RecordedPage(page, recording, args.tick)
         try:
             if args.print_address:
                 print(page.address, flush=True)
@@ -81,15 +92,20 @@ def run(args: argparse.Namespace) -> int:
                 log.info("the page is %s; to stop it: Ctrl-C", page.address)
             if args.host != HOST:
                 log.warning("whoever has this address may command the daemon, and it crosses the network in plain text")
-            if not args.no_open and _can_open():
-                webbrowser.open(page.address)
-            with signals.asked(lambda: asked.append(True)):
+            shown = nullcontext() if args.no_open or not _can_open() else in_browser(page.address)
+            with signals.asked(lambda: asked.append(True)), shown:
                 each_frame(fed.step, asked, args.duration)
         finally:
             fed.close()
     finally:
         page.close()
     return signals.code_of_stop()
+
+
+def _until_eof(asked: list[bool]) -> None:
+    while os.read(sys.stdin.fileno(), 64):
+        pass
+    asked.append(True)
 
 
 def _can_open() -> bool:

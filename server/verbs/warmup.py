@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.progress import making
 from softfinger.server.services.compilation import compile_loop
-from softfinger.server.wire.native.sender import Sender
+from softfinger.server.wire.native.relay import Relay
 
 RATE_HZ: Final = 1000.0
 """Nothing is compiled for a rate."""
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
             simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
             compiled(tuning.scene)
         print(f"{name}: ready after {time.monotonic() - begun:.1f} s")
-    Sender([""], 1, topics=1, retained=0, messages=1).close()
+    Relay(1).close()
     if (problem := KEPT.problem()) is not None:
         raise ConfigError(f"compiled kernels are not kept: {problem}")
     print(f"kernels are in {CACHE_DIR}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from math import asin, atan2, degrees, radians
 from typing import Any, Final, NamedTuple
@@ -17,6 +18,8 @@ from softfinger.server.viewer.nodes.looks import CM
 
 Array = NDArray[np.float64]
 
+FOLLOWS_S: Final = 0.2
+"""How often the sliders follow a finger that something else leads."""
 GRAZING: Final = 0.05
 """Of the sine of the angle between a look and a plane: below it, a pixel would be a long way."""
 HELP: Final = (
@@ -119,6 +122,7 @@ class Hand:
         self._targets: dict[str, Target] = {}
         self._seen: dict[str, Target] = {}
         self._begun: dict[str, tuple[Target, Array]] = {}
+        self._placed = 0.0
         self._help = gui.add_markdown(HELP)
         self._how = gui.add_dropdown("a drag", tuple(HOW))
         self._finger = gui.add_dropdown("finger", ("",), visible=False)
@@ -158,13 +162,15 @@ class Hand:
             ball.on_drag("left", modifier=modifier)(dragged)
 
     def see(self, finger: str, row: Array) -> None:
-        """Where the fingertip is (RECORD_SIZE,): where it is led from, until it is."""
+        """Where the fingertip is (RECORD_SIZE,): where it is led from, and what the sliders show, until it is."""
         at = AT.probe_orientation
         w, x, y, z = row[at : at + 4].tolist()
         first = finger not in self._seen
         self._seen[finger] = Target(row[AT.probe_position : AT.probe_position + 3], (w, x, y, z))
-        if first:
+        now = time.monotonic()
+        if first or (finger not in self._targets and finger == self._chosen() and now - self._placed > FOLLOWS_S):
             self._show()
+            self._placed = now
 
     def nudge(self, nudge: Nudge) -> None:
         """Go a piece of a way further with the finger that is chosen."""
@@ -243,7 +249,9 @@ class Hand:
         if target is not None:
             angles = (degrees(angle) for angle in to_angles(target.orientation))
             for slider, value in zip(self._sliders, (*(1000.0 * target.position), *angles), strict=True):
-                slider.value = min(max(round(float(value), 1), slider.min), slider.max)
+                shown = min(max(round(float(value), 1), slider.min), slider.max)
+                if slider.value != shown:  # each is sent to every page
+                    slider.value = shown
 
     def _place_handles(self) -> None:
         target = self._target(self._chosen())

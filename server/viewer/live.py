@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
+from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.driven import Handles, drive_of, resting
 from softfinger.server.viewer.hand import Hand, Led, Target
@@ -31,22 +32,15 @@ ASK_AGAIN_S: Final = 1.0
 POSE: Final = ("position_m", "orientation_wxyz")
 
 
-class Daemon(NamedTuple):
-    """Where a daemon publishes and takes commands, and the keys that it wants."""
-
-    telemetry: str
-    commands: str
-    keys: ClientKeys | None = None
-
-
 class LivePage:
-    """Feeds a page from a daemon, whether or not it runs yet; call `step` for each frame."""
+    """Feeds a page from the daemon at two addresses, whether or not it runs yet; call `step` for each frame."""
 
-    def __init__(self, page: Page, daemon: Daemon) -> None:
+    def __init__(self, page: Page, daemon: Addresses, keys: ClientKeys | None = None) -> None:
+        commands = daemon.commanded()
         self._page = page
-        self._live = Live(daemon.telemetry, daemon.keys)
-        self._asker = Asker(daemon.commands, daemon.keys)
-        self._slow = Asker(daemon.commands, daemon.keys)  # a scene is compiled while the hand goes on
+        self._live = Live(daemon.telemetry, keys)
+        self._asker = Asker(commands, keys)
+        self._slow = Asker(commands, keys)  # a scene is compiled while the hand goes on
         self._described: dict[str, Any] | None = None
         self._fresh = threading.Event()
         self._sent = deque[tuple[int, int, Triangles]]()

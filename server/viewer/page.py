@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import io
 import logging
 import time
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import viser
@@ -16,13 +17,14 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.access import Access
 from softfinger.server.viewer.controls import on_slider
+from softfinger.server.viewer.door.access import Access
 from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server.viewer.nodes.camera import Camera, camera_of
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.looks import Looks
 from softfinger.server.viewer.nodes.meshes import Mesh
-from softfinger.server.viewer.nodes.states import State
+from softfinger.server.viewer.nodes.states import COLOURS, State
 from softfinger.server.viewer.plots import Plots
 
 Array = NDArray[np.float64]
@@ -31,34 +33,19 @@ FRAME_S: Final = 1.0 / 30.0
 TEXT_S: Final = 0.2
 PLOT_S: Final = 0.33
 TITLE: Final = "softfinger"
+READ: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
+GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
 PANEL: Final = 380
 """Width of the controls, pixels."""
 
 
-class Camera(NamedTuple):
-    """Where a scene is looked at from at first, in the page's units, and the angle from top to bottom, rad."""
-
-    position: tuple[float, float, float]
-    look_at: tuple[float, float, float]
-    fov: float
-
-
-FIRST_CAMERA: Final = Camera((4.5, -8.5, 5.5), (0.0, 0.0, 0.6), 0.75)
-FRONT_CAMERA: Final = Camera((0.0, -10.5, 5.0), (0.0, 0.0, 0.6), 0.75)
-"""Across the x axis: of fingers on both sides of an object neither is hidden by it."""
-
-
-def camera_of(scene: schema.Scene) -> Camera:
-    """Where a scene is looked at from at first."""
-    return FIRST_CAMERA if len(scene.fingers) == 1 else FRONT_CAMERA
-
-
 class Page:
     """A page on `host`:`port`, or the next port that is free, for whoever has its `address`; `allowed` are more names
-    of its host. What feeds it calls `change`, `show` and `say`."""
+    of its host, `token` is its secret where that is to be that of a page before. What feeds it calls `change`, `show`
+    and `say`."""
 
-    def __init__(self, host: str, port: int, allowed: tuple[str, ...] = ()) -> None:
-        access = Access(host, allowed, TITLE)
+    def __init__(self, host: str, port: int, allowed: tuple[str, ...] = (), token: str | None = None) -> None:
+        access = Access(host, allowed, TITLE, token)
         logging.getLogger("websockets").setLevel(logging.WARNING)  # it tells of every page that is opened
         with access.guarding(), contextlib.redirect_stdout(io.StringIO()):  # it draws a box with its address
             self.server: Final = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
@@ -67,8 +54,9 @@ class Page:
         self.server.scene.configure_environment_map(None)
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=2.2)
-        self._camera = FIRST_CAMERA
-        self._look_from(FIRST_CAMERA)
+        self._camera: Camera | None = None
+        self._scene: schema.Scene | None = None
+        self._drawn: Final[dict[int, Array]] = {}
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
         self._bodies: Bodies | None = None
@@ -79,7 +67,7 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL)
         self._said = gui.add_markdown("")
-        self._state = gui.add_markdown("waiting for the first tick")
+        self._state = gui.add_html(READ.format("waiting for the first tick"))
         self._paused = gui.add_checkbox("pause the picture", False)
         self.tabs: Final = gui.add_tab_group()
 
@@ -114,11 +102,15 @@ class Page:
             self._newest.clear()
             for finger in scene.fingers:
                 self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self._bodies)
-        if camera_of(scene) != self._camera:
-            self._look_from(camera_of(scene))
+        self._scene = scene
+        self._drawn.clear()
+        self._look()
 
-    def _look_from(self, camera: Camera) -> None:
-        """Set the camera for pages that will be opened, and in every page that is open."""
+    def _look(self) -> None:
+        """Set the camera for pages that will be opened, and in each that is open, where the scene wants another."""
+        camera = camera_of(self._scene, self._drawn) if self._scene is not None else None
+        if camera is None or camera == self._camera:
+            return
         self._camera = camera
         views = [client.camera for client in self.server.get_clients().values()]
         for view in (self.server.initial_camera, *views):
@@ -134,6 +126,8 @@ class Page:
         """The triangles of an object of the scene that is made of a file."""
         if self._bodies is not None:
             self._bodies.draw(number, mesh)
+            self._drawn[number] = mesh.vertices
+            self._look()
 
     def show(self, ticks: dict[str, Array]) -> None:
         """Ticks (n, RECORD_SIZE) of each finger since the last time."""
@@ -169,7 +163,7 @@ class Page:
         now = time.monotonic()
         if now - self._told > TEXT_S and self._newest and not self._paused.value:
             self._told = now
-            self._state.content = "\n\n".join(
+            self._state.content = "".join(
                 told(name, row, self.fingers[name].state, self.fingers[name].cm_per_newton)
                 for name, row in self._newest.items()
             )
@@ -186,22 +180,28 @@ class Page:
 def _bound(control: Any, looks: Looks, name: str) -> None:
     """What a control says, as a look: a checkbox, or a slider within its ends."""
 
-    def told(event: Any) -> None:
+    def seen(event: Any) -> None:
         if not hasattr(control, "max") or on_slider(control):
             setattr(looks, name, control.value)
 
-    control.on_update(told)
+    control.on_update(seen)
 
 
 def told(name: str, row: Array, state: State, cm_per_newton: float) -> str:
-    """A tick in words, with the scale of the force's arrow."""
+    """A tick in words and figures, with the scale of the force's arrow, as HTML."""
     row = np.round(row, 9) + 0.0  # no minus before a zero
-    return (
-        f"{name + ': ' if name else ''}**{state}** · normal {row[AT.contact_normal_force]:.2f} N · "
-        f"tangential {row[AT.contact_tangential_force]:.2f} N · depth {1e3 * row[AT.contact_penetration]:.2f} mm · "
-        f"torsion {1e3 * row[AT.contact_torsion]:.2f} mN m · spin {np.degrees(row[AT.contact_spin]):.1f}° · "
-        f"rolled {np.degrees(row[AT.contact_rolled]):.1f}° · arrow {cm_per_newton:g} cm/N · tick {row[AT.tick]:.0f}"
+    figures = (
+        ("normal", f"{row[AT.contact_normal_force]:.2f} N"),
+        ("tangential", f"{row[AT.contact_tangential_force]:.2f} N"),
+        ("depth", f"{1e3 * row[AT.contact_penetration]:.2f} mm"),
+        ("torsion", f"{1e3 * row[AT.contact_torsion]:.2f} mN m"),
+        ("spin", f"{np.degrees(row[AT.contact_spin]):.1f}°"),
+        ("rolled", f"{np.degrees(row[AT.contact_rolled]):.1f}°"),
     )
+    cells = "".join(f'<span style="opacity: 0.6">{word}</span><span>{figure}</span>' for word, figure in figures)
+    colour = f"rgb{COLOURS[state]}"
+    head = f'<b style="color: {colour}">{state}</b> · tick {row[AT.tick]:.0f} · arrow {cm_per_newton:g} cm/N'
+    return READ.format(f'{html.escape(name + ": ") if name else ""}{head}<div style="{GRID}">{cells}</div>')
 
 
 def began_of(described: dict[str, Any]) -> Began:

@@ -21,12 +21,14 @@ from softfinger.server.viewer.driven import Drives
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.page import Page, began_of
+from softfinger.server.viewer.timeline import Events, band, pointer
 
 Array = NDArray[np.float64]
 
 BEFORE: Final = 2000
 """Ticks whose trace is drawn where one has jumped to."""
 SPEEDS: Final = ("0.1", "0.25", "0.5", "1", "2")
+EVENTS: Final = ("the one before", "the next")
 DEFAULT_SCENE: Final = "paper-plane"
 
 
@@ -100,29 +102,43 @@ def _mcap(path: Path) -> tuple[dict[str, Array], dict[str, Any], tuple[dict[str,
 
 
 class Player:
-    """Play, pause and scrub: which ticks are to be shown next."""
+    """Play, pause, scrub, and jump from event to event: which ticks are to be shown next."""
 
     def __init__(self, gui: Any, recording: Recording, tick: int) -> None:
         self._fingers, self._rate_hz = recording.fingers, recording.rate_hz
         self._count = len(next(iter(self._fingers.values())))
         self._shown, self._place = -BEFORE, float(min(max(tick, 0), self._count - 1))
-        self._slider = gui.add_slider("tick", 0, self._count - 1, 1, int(self._place))
+        self._events = Events(recording.fingers, recording.events, recording.rate_hz)
+        end = (self._count - 1) / self._rate_hz
+        self._slider = gui.add_slider("time, s", 0.0, max(end, 1e-9), 1.0 / self._rate_hz, self._place / self._rate_hz)
         self._slider.on_update(self._scrubbed)
         self._time = gui.add_markdown("")
         self._play = gui.add_checkbox("play", False)
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+        self._pointer = gui.add_html(pointer(0.0))
+        gui.add_html(band(recording.fingers, _radii(recording)))
+        gui.add_button_group("event", EVENTS).on_click(self._jumped)
+        self._told = gui.add_html("")
 
     def _scrubbed(self, event: Any) -> None:
         if event.client is not None and on_slider(self._slider):
-            self._place = float(self._slider.value)
+            self._place = float(min(round(self._slider.value * self._rate_hz), self._count - 1))
+
+    def _jumped(self, event: Any) -> None:
+        find = self._events.before if event.target.value == EVENTS[0] else self._events.after
+        row = find(int(self._place))
+        if row is not None:
+            self._go(float(row))
+
+    def _go(self, place: float) -> None:
+        self._place = place
+        self._slider.value = int(place) / self._rate_hz
 
     def advance(self, dt: float) -> None:
         """`dt` s have gone by."""
         if self._play.value:
-            self._place += dt * self._rate_hz * float(self._speed.value if on_list(self._speed) else 1.0)
-            if self._place > self._count - 1:
-                self._place = 0.0
-            self._slider.value = int(self._place)
+            place = self._place + dt * self._rate_hz * float(self._speed.value if on_list(self._speed) else 1.0)
+            self._go(place if place <= self._count - 1 else 0.0)
 
     def take(self) -> tuple[dict[str, Array], bool]:
         """Records of each finger to be shown, none where nothing has changed; and whether one has jumped there."""
@@ -133,7 +149,15 @@ class Player:
         first = max(0, here - BEFORE) if jumped else self._shown + 1
         self._shown = here
         self._time.content = f"{here / self._rate_hz:.3f} s of {(self._count - 1) / self._rate_hz:.3f} s"
+        self._pointer.content = pointer(here / max(self._count - 1, 1))
+        self._told.content = self._events.told(here)
         return {name: rows[first : here + 1] for name, rows in self._fingers.items()}, jumped
+
+
+def _radii(recording: Recording) -> dict[str, float]:
+    """The largest radius of each finger by the name that its records have, m."""
+    radii = {finger.name: max(finger.radii_m or (finger.radius_m,)) for finger in recording.scene.fingers}
+    return radii if len(radii) > 1 else dict.fromkeys(recording.fingers, next(iter(radii.values())))
 
 
 class RecordedPage:

@@ -1,7 +1,7 @@
 """Commands on the wire: the envelope, and a table of every method with what it takes and gives.
 
 A request is `[empty, msgpack map]` with `command_id`, `method` and `params`, the answer `[empty, msgpack map]` with
-`command_id`, `success`, `result` and `error`: hapticore's envelope. Parsing, `softfinger schema`, docs/protocol.md,
+`command_id`, `success`, `result` and `error`: hapticore's envelope. Parsing, `softfinger schema`, the reference page,
 the clients and the help of `softfinger ctl` all go by the table METHODS. The text of an error begins with its name.
 """
 
@@ -30,13 +30,13 @@ ERROR_MAX: Final = 4096
 ErrorName = Literal["malformed", "unknown_method", "bad_params", "refused", "busy", "superseded", "failed"]
 
 ERRORS: Final[dict[ErrorName, str]] = {
-    "malformed": "the message is not the envelope",
-    "unknown_method": "there is no such method",
+    "malformed": "the message does not have the envelope of a request",
+    "unknown_method": "the method does not exist",
     "bad_params": "a parameter is missing, unknown, of another type or out of range",
-    "refused": "the daemon cannot do this as things are",
-    "busy": "too many requests, or the rendering is being replaced: ask again later",
-    "superseded": "a later set_scene came before this one was compiled",
-    "failed": "a defect of the daemon, which says more in its log",
+    "refused": "the daemon cannot do this in its present state",
+    "busy": "too many requests, or a scene is being replaced: ask again later",
+    "superseded": "a later set_scene arrived before this one was compiled",
+    "failed": "a defect of the daemon; its log has details",
 }
 """Every name that an error may begin with."""
 
@@ -50,7 +50,7 @@ class Declined(Exception):
 
 
 class Empty(Struct, frozen=True, forbid_unknown_fields=True):
-    """No parameters, or nothing to say."""
+    """No parameters."""
 
 
 Name = Annotated[str, Meta(min_length=1, max_length=256)]
@@ -59,8 +59,8 @@ Quaternion = tuple[float, float, float, float]
 
 
 class State(Struct, frozen=True):
-    """The newest tick, of several fingers that of the first, as hapticore has it: s (CLOCK_MONOTONIC), ticks, m, m/s,
-    N in the world frame."""
+    """The newest tick of the first finger. `timestamp` is in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and
+    force (N) are in the world frame; `field_state` has `mode`, `object` and `penetration`."""
 
     timestamp: float
     sequence: int
@@ -72,25 +72,29 @@ class State(Struct, frozen=True):
 
 
 class Alive(Struct, frozen=True):
-    """Within how many ms the next command has to come; 0: none has to."""
+    """Time within which the next command must come, ms; 0: no heartbeat is required."""
 
     timeout_ms: int
 
 
-Values = Annotated[dict[Name, Any], Meta(min_length=1, max_length=1024)]
-"""Values by dotted key of the scene; an object or a finger is named by its number or its name."""
+VALUES: Final = (
+    "New values by dotted key, as in the scene file: `object.0.material.friction.static`. An object or finger is "
+    "named by "
+    "its index or its name: `object.table.material.friction.static`, `finger.thumb.radius_m`."
+)
+Values = Annotated[dict[Name, Any], Meta(min_length=1, max_length=1024, description=VALUES)]
 
 
 class Change(Struct, frozen=True, rename={"before": "from", "after": "to"}):
-    """A value before and after."""
+    """A value before and after the change."""
 
     before: Any
     after: Any
 
 
 class Changed(Struct, frozen=True):
-    """What has changed, by dotted key, how many ticks had begun without it at the least, and in how many seconds from
-    then on what acts on the force is there."""
+    """`changed` has `from` and `to` of each key that has a new value. Parameters that act on the force reach it
+    `ramp_s` after `tick`."""
 
     changed: dict[str, Change]
     tick: int
@@ -98,7 +102,8 @@ class Changed(Struct, frozen=True):
 
 
 class SetScene(Struct, frozen=True, forbid_unknown_fields=True):
-    """The name of a shipped scene, or the scene as its file holds it; values in place of its own; what to call it."""
+    """`scene` is the name of a shipped scene, or the map that a scene file holds. `overrides` are values as in
+    `set_params`; `name` becomes `active_field`."""
 
     scene: Name | dict[str, Any]
     overrides: dict[Name, Any] = {}
@@ -106,14 +111,15 @@ class SetScene(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SceneSet(Struct, frozen=True):
-    """The scene that is rendered now, and the first tick with it."""
+    """The new scene, and the first tick that renders it."""
 
     active_field: str
     tick: int
 
 
 class Drive(Struct, frozen=True, forbid_unknown_fields=True):
-    """An object whose motion is driven, by name or number, and its pose in the world; its orientation may stay."""
+    """`object` is the name or index of an object with `motion = { kind = "driven" }`; the pose is in the world. Without
+    `orientation_wxyz` the orientation stays."""
 
     object: Name | Annotated[int, Meta(ge=0)]
     position_m: Vector
@@ -121,8 +127,8 @@ class Drive(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Hand(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a hand that is computed is to hold the fingertip, and how turned; of which of several fingers; or
-    `release`, back to what it does by itself."""
+    """Goal pose of the fingertip in the world; without `orientation_wxyz` the orientation stays. `finger` is a name or
+    an index. `release` returns the hand to the motion of its rig."""
 
     position_m: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType = msgspec.UNSET
     orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
@@ -131,19 +137,20 @@ class Hand(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Applied(Struct, frozen=True):
-    """How many ticks had begun without it at the least."""
+    """At least `tick` ticks had begun without the change; the second tick after it has the change."""
 
     tick: int
 
 
 class Armed(Struct, frozen=True):
-    """Whether force is given, or fades in."""
+    """Whether the force is on or fading in."""
 
     armed: bool
 
 
 class Zero(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the probe is to be now; of which of several fingers, by name or number; or `reset`, no offset any more."""
+    """`position_m` is the new position of the probe in the world; `reset` removes the offset. `finger` is a name or an
+    index."""
 
     position_m: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
     finger: Name | Annotated[int, Meta(ge=0)] | msgspec.UnsetType = msgspec.UNSET
@@ -151,35 +158,37 @@ class Zero(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Zeroed(Struct, frozen=True):
-    """What is added to the position that the device says, m, and how many ticks had begun without it at the least."""
+    """`offset_m` is added to the position that the device reports."""
 
     offset_m: Vector
     tick: int
 
 
 class Mark(Struct, frozen=True, forbid_unknown_fields=True):
-    """A label, and what belongs to it."""
+    """A label, and data to store with it."""
 
     label: Annotated[str, Meta(min_length=1, max_length=256)]
     data: dict[str, Any] = {}
 
 
 class RecordStart(Struct, frozen=True, forbid_unknown_fields=True):
-    """A new file, below the daemon's folder of recordings."""
+    """A new file that ends in `.mcap`, in an existing folder below `[recording] directory` of the rig; no absolute
+    path, no `..`, no link."""
 
     file: Name
 
 
 class RecordStarted(Struct, frozen=True):
-    """The file, and the tick from which on all are in it."""
+    """The file, and the tick from which on it is complete."""
 
     file: str
     tick: int
 
 
 class RecordStopped(Struct, frozen=True):
-    """The file; ticks that it has, and those that the disk was too slow for; what ended it early; whether all is
-    written; events that the disk was too slow for, and the longest that a write took."""
+    """`ticks` are written; `dropped` ticks and `events_dropped` events were lost because the disk was too slow. `error`
+    says why the recording ended early. `whole` is false while the disk is still being waited for. `worst_write_s` is
+    the longest write."""
 
     file: str
     ticks: int
@@ -192,14 +201,15 @@ class RecordStopped(Struct, frozen=True):
 
 
 class OfObject(Struct, frozen=True, forbid_unknown_fields=True):
-    """An object, by name or number."""
+    """Name or index of an object of shape `mesh` or `heightmap`."""
 
     object: Name | Annotated[int, Meta(ge=0)]
 
 
 class Triangles(Struct, frozen=True):
-    """A mesh or a height map in the frame of its object, for pictures: x, y, z of each vertex as float32, m, and three
-    vertices of each triangle as uint32, little-endian; how many triangles there are where none is left out."""
+    """`vertices` are x, y, z of each vertex in the object frame (m, float32), `triangles` three vertex indices each
+    (uint32, counter-clockwise seen from outside), both little-endian. At most 50000 triangles are sent; `of` is their
+    number in the file."""
 
     vertices: bytes
     triangles: bytes
@@ -207,7 +217,7 @@ class Triangles(Struct, frozen=True):
 
 
 class Stopping(Struct, frozen=True):
-    """The daemon ends."""
+    """The daemon is shutting down."""
 
     shutting_down: bool
 
@@ -221,21 +231,21 @@ class Method(NamedTuple):
 
 
 METHODS: Final = {
-    "get_state": Method(Empty, State, "the newest tick, of several fingers that of the first"),
-    "heartbeat": Method(Empty, Alive, "a sign of life; gives the force back that was taken for want of one"),
-    "set_params": Method(Values, Changed, "parameters of the scene, all of them between the same two ticks, or none"),
-    "set_scene": Method(SetScene, SceneSet, "another scene: compiled, then put in from zero force"),
-    "drive": Method(Drive, Applied, "the pose of a driven object"),
-    "hand": Method(Hand, Applied, "where the hand on a simulated device wants to be"),
-    "arm": Method(Empty, Armed, "the force fades in"),
-    "disarm": Method(Empty, Armed, "the force fades out, and stays out"),
-    "zero": Method(Zero, Zeroed, "the probe is at a position now; without force only"),
-    "mark": Method(Mark, Applied, "an event with a label, into the telemetry"),
-    "record_start": Method(RecordStart, RecordStarted, "every tick and event into a new MCAP file of the daemon's"),
-    "record_stop": Method(Empty, RecordStopped, "the end of that"),
-    "describe": Method(Empty, dict[str, Any], "wire, rig, scene, fingers, versions, and what was compiled"),
-    "mesh": Method(OfObject, Triangles, "the triangles of an object that is a mesh or a height map, for a picture"),
-    "stop": Method(Empty, Stopping, "the daemon ends in order"),
+    "get_state": Method(Empty, State, "Return the newest tick of the first finger."),
+    "heartbeat": Method(Empty, Alive, "Send a sign of life; restores the force that a missed heartbeat removed."),
+    "set_params": Method(Values, Changed, "Change parameters of the scene, all between the same two ticks or none."),
+    "set_scene": Method(SetScene, SceneSet, "Compile another scene, then switch to it at zero force."),
+    "drive": Method(Drive, Applied, "Set the pose of a driven object."),
+    "hand": Method(Hand, Applied, "Set the goal of the hand on a simulated device."),
+    "arm": Method(Empty, Armed, "Fade the force in."),
+    "disarm": Method(Empty, Armed, "Fade the force out and keep it off."),
+    "zero": Method(Zero, Zeroed, "Define the present position of the probe; only while disarmed."),
+    "mark": Method(Mark, Applied, "Publish an event with a label."),
+    "record_start": Method(RecordStart, RecordStarted, "Record every tick and event into a new MCAP file."),
+    "record_stop": Method(Empty, RecordStopped, "End the recording."),
+    "describe": Method(Empty, dict[str, Any], "Return protocol, rig, scene, fingers, versions and compiled features."),
+    "mesh": Method(OfObject, Triangles, "Return the triangles of a mesh or height map, for display."),
+    "stop": Method(Empty, Stopping, "End the daemon in order."),
 }
 """Every method."""
 

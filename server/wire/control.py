@@ -141,6 +141,12 @@ class Control(Closing):
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
         _connected(self._socket, self.endpoint, keys)
 
+    def _move(self, endpoint: str) -> None:
+        """Command what is at another endpoint."""
+        self._socket.close()
+        self.endpoint, self._socket = endpoint, zmq.Context.instance().socket(zmq.DEALER)
+        _connected(self._socket, endpoint, None)
+
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: commands on {self.endpoint}>"
 

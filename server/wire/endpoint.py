@@ -1,15 +1,11 @@
-"""Endpoints that this program binds: checked, bound, guarded against a second server, and freed; and the connections
-that come to them, of peers that nobody has checked."""
+"""Endpoints that this program binds: checked, bound, guarded against a second server, and freed."""
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import fcntl
 import ipaddress
 import os
-import resource
-import select
 import socket
 import stat
 from contextlib import ExitStack
@@ -22,13 +18,6 @@ from softfinger.config.schema import runtime_folder
 
 LISTEN_BACKLOG: Final = 128
 """Connections that the system keeps until they are accepted."""
-READ_BYTES: Final = 4096
-SEND_BUFFER_BYTES: Final = 262144
-"""Of the system, for each peer; without a limit it grows to megabytes, which is latency for a subscriber."""
-HANDSHAKE_S: Final = 2.0
-"""A peer that has not said within this what it is is disconnected; it takes a program a millisecond."""
-LOG_PERIOD_S: Final = 10.0
-"""How seldom refused peers are told: a peer must not fill the log."""
 
 
 class Bound(NamedTuple):
@@ -37,6 +26,11 @@ class Bound(NamedTuple):
     listener: socket.socket
     files: ExitStack
     endpoint: str
+
+    @property
+    def fd(self) -> int:
+        """Of the socket."""
+        return self.listener.fileno()
 
 
 def check_endpoint(endpoint: str, key: str, public: bool = False) -> None:
@@ -191,43 +185,3 @@ def _in_use(endpoint: str, key: str) -> AddressInUse:
     return AddressInUse(
         f"{key} {endpoint} is in use: stop the softfinger or other program that holds it, or set {key} to {free}"
     )
-
-
-def watch(listener: socket.socket) -> tuple[select.epoll, int]:
-    """What waits for a listener, and for an event file that wakes it; both are the caller's to close."""
-    listener.setblocking(False)
-    poll, wake = select.epoll(), os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
-    poll.register(wake, select.EPOLLIN)
-    poll.register(listener, select.EPOLLIN)
-    return poll, wake
-
-
-def room_for(most: int, share: int) -> int:
-    """So many connections, or a `share`-th of the files that the process may open, if that is fewer."""
-    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return most if files < 0 else max(1, min(most, files // share))
-
-
-def welcome(connection: socket.socket) -> None:
-    """Never wait for it, keep little for it, and send at once."""
-    connection.setblocking(False)
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-    if connection.family != socket.AF_UNIX:
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-
-def said(connection: socket.socket) -> bytes | None:
-    """What has come, READ_BYTES at most: None for nothing, no bytes for the end."""
-    try:
-        return connection.recv(READ_BYTES)
-    except BlockingIOError:
-        return None
-    except OSError:
-        return b""
-
-
-def part(connection: socket.socket) -> None:
-    """End it, which takes it out of every poll as well."""
-    with contextlib.suppress(OSError):
-        connection.shutdown(socket.SHUT_WR)
-    connection.close()

@@ -2,7 +2,7 @@
 
 A message is exactly two frames, `[topic, msgpack map]`. The keys of `contact`, and of the topic of each of several
 fingers, come from the record table in proxy/record.py; the keys of `event` and `health` are the tables below.
-docs/protocol.md describes the same keys for readers, and a test compares the two.
+docs/reference/telemetry.md is made of them, and docs/protocol.md explains them.
 """
 
 from __future__ import annotations
@@ -28,8 +28,6 @@ STATE: Final = "state"
 SCHEMA_TOPIC: Final = "schema"
 TOPICS: Final = (CONTACT, EVENT, HEALTH, STATE, SCHEMA_TOPIC)
 """Of a server with a single finger."""
-RETAINED: Final = (CONTACT, HEALTH, STATE)
-"""Topics whose newest message a new subscriber is sent at once; those of several fingers too."""
 FINGERS: Final = poses.FINGERS
 """Of several fingers each has a topic of its own in place of `contact`: this and its name."""
 
@@ -57,7 +55,7 @@ class Key(NamedTuple):
 
 
 _SCHEMA_KEY: Final = Key("schema", "int", "1", "", "version of this protocol")
-_TICK_KEY: Final = Key("tick", "int", "1", "", "tick the message belongs to, -1 before the first")
+_TICK_KEY: Final = Key("tick", "int", "1", "", "tick of the message, -1 before the first")
 
 _LISTS: Final = [f"contacts{i}" for i in range(PATCHES)]
 """Fields of a record that a message has as maps in the list `contacts`, those of a patch that there is."""
@@ -85,11 +83,17 @@ EVENT_KEYS: Final = (
 )
 """Keys every event has."""
 
-_FINGER_KEY: Final = Key("finger", "str", "", "", "name of the finger, empty where there is but one")
+_FINGER_KEY: Final = Key("finger", "str", "", "", "name of the finger, empty for a single one")
 
 EVENT_EXTRA_KEYS: Final = {
     "contact": (
-        Key("cause", "str", "", "", "why the mode changed: touch, drag, theta_max, stop, reverse, release or restart"),
+        Key(
+            "cause",
+            "str",
+            "",
+            "",
+            "cause of the mode change: touch, drag, theta_max, stop, reverse, release or restart",
+        ),
         Key("from", "int", "1", "", "contact mode before"),
         Key("to", "int", "1", "", "contact mode after"),
         Key("object", "int", "1", "", "index of the object touched or released"),
@@ -99,27 +103,27 @@ EVENT_EXTRA_KEYS: Final = {
         Key("point", "float[3]", "m", "world", "contact point on the object"),
         _FINGER_KEY,
     ),
-    "guard": (Key("count", "int", "1", "", "times it set in since the last event of this name"), _FINGER_KEY),
+    "guard": (Key("count", "int", "1", "", "interventions since the last event of this name"), _FINGER_KEY),
     "servo": (
         Key("count", "int", "1", "", "deadlines missed since the last event of this name"),
         Key("total", "int", "1", "", "deadlines missed since the servo started"),
     ),
     "device": (
-        Key("device", "str", "", "", "its name, as the system has it"),
-        Key("bus", "str", "", "", "hid for a hidraw node, serial for a serial port, usb for a device on the bus"),
-        Key("ids", "str", "", "", "vendor and product in hexadecimal digits, such as 046d:c626"),
+        Key("device", "str", "", "", "name, from the system"),
+        Key("bus", "str", "", "", "hid (hidraw node), serial (port) or usb (device on the bus)"),
+        Key("ids", "str", "", "", "vendor and product ids, hexadecimal, such as 046d:c626"),
         Key("serial", "str", "", "", "serial number, empty if it has none"),
         Key("node", "str", "", "", "node that a driver opens, empty if there is none"),
         Key("driver", "str", "", "", "driver that claims it, empty if none does"),
     ),
     "command": (
-        Key("command_id", "str", "", "", "of the request, empty if there was none"),
-        Key("what", "map", "", "", "what changed; of set_params from and to for each key"),
+        Key("command_id", "str", "", "", "id of the request, empty if there was none"),
+        Key("what", "map", "", "", "what changed; for set_params `from` and `to` of each key"),
     ),
     "mark": (
-        Key("command_id", "str", "", "", "of the request"),
-        Key("label", "str", "", "", "as it was given"),
-        Key("data", "map", "", "", "as it was given"),
+        Key("command_id", "str", "", "", "id of the request"),
+        Key("label", "str", "", "", "as given"),
+        Key("data", "map", "", "", "as given"),
     ),
 }
 """Keys that events of a kind add; kinds not listed here add what the event needs."""
@@ -128,18 +132,18 @@ _QUANTILES: Final = (("p50", "median"), ("p99", "99th percentile"), ("p999", "99
 
 HEALTH_KEYS: Final = (
     _SCHEMA_KEY,
-    Key("timestamp", "float", "s", "", "time of the last tick counted, since the epoch"),
+    Key("timestamp", "float", "s", "", "time of the last tick, since the epoch"),
     _TICK_KEY,
     Key("rate", "float", "1/s", "", "ticks a second"),
     *(Key(f"late.{q}", "float", "s", "", f"{words} of servo.late") for q, words in _QUANTILES),
     *(Key(f"exec.{q}", "float", "s", "", f"{words} of servo.exec") for q, words in _QUANTILES),
     Key("missed", "int", "1", "", "deadlines missed since the servo started"),
-    Key("drops", "int", "1", "", "ticks the publisher was too slow to take, since the servo started"),
+    Key("drops", "int", "1", "", "ticks that the publisher lost, since the servo started"),
     Key("guarded", "int", "1", "", "ticks in which the guard changed the output"),
-    Key("energy", "float", "J", "", "work the hand did on the virtual object"),
+    Key("energy", "float", "J", "", "work of the hand on the virtual objects"),
     Key("energy_total", "float", "J", "", "the same, since the servo started"),
-    Key("passivity.owed", "float", "J", "", "most energy the rendering gave beyond what it took in a contact"),
-    Key("passivity.damped", "int", "1", "", "ticks in which damping was added because of that"),
+    Key("passivity.owed", "float", "J", "", "largest energy that the rendering generated in a contact"),
+    Key("passivity.damped", "int", "1", "", "ticks in which the passivity controller added damping"),
     Key("modes.free", "int", "1", "", "ticks in mode free"),
     Key("modes.rolling", "int", "1", "", "ticks in mode rolling"),
     Key("modes.sliding", "int", "1", "", "ticks in mode sliding"),
@@ -149,14 +153,15 @@ HEALTH_KEYS: Final = (
         "int",
         "1",
         "",
-        "messages that subscribers were too slow to take, all together, since the server started",
+        "messages that subscribers were too slow to take, at least, since the server started",
     ),
     Key("refused", "int", "1", "", "connections refused or cut off for what they did, since the server started"),
+    Key("restarts", "int", "1", "", "times the publisher ended and was started again, since the server started"),
 )
 
 STATE_KEYS: Final = (
     Key("timestamp", "float", "s", "", "time of the tick on CLOCK_MONOTONIC"),
-    Key("sequence", "int", "1", "", "its tick"),
+    Key("sequence", "int", "1", "", "tick"),
     Key("position", "float[3]", "m", "world", "measured fingertip centre"),
     Key("velocity", "float[3]", "m/s", "world", "filtered probe velocity"),
     Key("force", "float[3]", "N", "world", "force on the hand as commanded, after the guard"),
@@ -170,8 +175,9 @@ STATE_KEYS: Final = (
 SCHEMA_KEYS: Final = (
     _SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "when the server was started, since the epoch"),
-    Key("topics", "str[]", "", "", "every topic there is"),
-    Key("messages", "map", "", "", "of each kind of message its keys: name, type, unit, frame and meaning"),
+    Key("topics", "str[]", "", "", "all topics"),
+    Key("commands", "str", "", "", "endpoint where commands are taken, empty where none are"),
+    Key("messages", "map", "", "", "keys of each kind of message: name, type, unit, frame, meaning"),
 )
 
 _TYPES: Final[dict[str, Any]] = {"int": int, "float": float, "str": str}

@@ -1,110 +1,185 @@
-"""The publisher: records in, ZeroMQ messages out, never waiting for a subscriber."""
+"""The publisher as the daemon has it: records in, ZeroMQ messages out by a process beside it, never waiting."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.schema import commands_beside
 from softfinger.proxy.record import RECORD_SIZE, columns
 from softfinger.server.closing import Closing
-from softfinger.server.wire.endpoint import listen
+from softfinger.server.publishing.setup import Figures, Kind, Setup, Shown, Ticks
+from softfinger.server.wire.doors import Doors, door
 from softfinger.server.wire.events import RecordEvents
-from softfinger.server.wire.fanout import Fanout
 from softfinger.server.wire.health import Health, together
-from softfinger.server.wire.native.backlog import CHUNK_BYTES, TICK, broadcast, octets
+from softfinger.server.wire.link import Answering, Link
 from softfinger.server.wire.native.memory import LAYOUT
-from softfinger.server.wire.native.sender import Sender, Source
-from softfinger.server.wire.native.templates import Shown
+from softfinger.server.wire.native.relay import Relay, Source
 from softfinger.server.wire.protocol import (
     EVENT,
     HEALTH,
-    RETAINED,
+    MAX_BYTES,
     SCHEMA,
     SCHEMA_TOPIC,
     STATE,
+    STATE_HZ,
     contact_topic,
     encode,
-    finger_of,
     wire_schema,
 )
-from softfinger.server.wire.zmtp import message
 
 log: Final = logging.getLogger(__name__)
 
 Records = NDArray[np.float64]
 
 BACKLOG: Final = 40960
-"""Messages kept for subscribers that stall: 5 s at 8 kHz, 41 s at 1 kHz, some 60 MB, once for all of them."""
-
-KEY: Final = "[telemetry] endpoint"
+"""Messages kept for a subscriber that stalls: 5 s at 8 kHz, 41 s at 1 kHz, some 60 MB."""
 
 LINGER_S: Final = 0.2
 """How long closing waits for the last messages (the event that says why) to leave."""
 
 
 class Publisher(Closing):
-    """ZeroMQ publisher bound to `endpoint`; sends one tick in `every`, of several `fingers` each under its name.
+    """ZeroMQ publisher on `doors`, which it closes, or on an endpoint of its own; sends one tick in `every`, of several
+    `fingers` each under its name.
 
-    Ticks come from a servo (`attach`), and a thread without Python sends them; what follows from them is told by
-    whoever feeds `observe` with the records of `tap`. `observe` and `publish` belong to one thread; `event` may be
-    called from any, but not from a signal handler. After `close` they do nothing. Raises AddressInUse if another
-    process holds the endpoint, ConfigError if the endpoint cannot or may not be bound.
+    Ticks come from a servo (`attach`), and a thread without Python hands them on to the process that sends them; what
+    follows from them is told by whoever feeds `observe` with the records of `tap`. `observe` and `publish` belong to
+    one thread; `event` may be called from any, but not from a signal handler. After `close` they do nothing. Raises
+    AddressInUse if another process holds the endpoint, ConfigError if the endpoint cannot or may not be bound.
+
+    backlog   messages kept for a subscriber that stalls
+    priority  of SCHED_FIFO that the process asks for; 0: for none
     """
 
     def __init__(
         self,
-        endpoint: str,
+        doors: Doors | str,
         every: int = 1,
         *,
         guard_names: Sequence[str] = (),
         fingers: Sequence[str] = ("",),
+        commands: str | None = None,
         backlog: int = BACKLOG,
+        priority: int = 0,
     ) -> None:
         if every < 1:
             raise ConfigError(f"[telemetry] every = {every} is below 1: 1 publishes each tick, 10 one in ten")
         self._lock = threading.Lock()
-        self._topics = (*map(contact_topic, fingers), STATE, EVENT, HEALTH, SCHEMA_TOPIC)
+        self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, SCHEMA_TOPIC]
+        self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
+        self._backlog, self._priority, self._shown, self._health_body = backlog, priority, Shown(), b""
         self._events = [RecordEvents(guard_names, finger, place == 0) for place, finger in enumerate(fingers)]
         self._health = [Health() for _ in fingers]
         self._closed = False
-        listener, self._files, self.endpoint = listen(endpoint, KEY)
-        retained = sum(1 << i for i, topic in enumerate(self._topics) if topic in RETAINED or finger_of(topic))
-        self._sender = Sender(fingers, every, len(self._topics), retained, backlog)
-        self.tap: Final = self._sender.tap
-        """The records that were sent, for one thread of this process."""
-        schema = wire_schema()
-        content = {"schema": SCHEMA, "timestamp": time.time(), "topics": self._topics, "messages": schema["messages"]}
-        greeting = message(SCHEMA_TOPIC.encode(), encode(content))
-        topics = [topic.encode() for topic in self._topics]
-        self.fanout = Fanout(listener, topics, {SCHEMA_TOPIC.encode(): greeting}, self._sender.backlog)
+        self._doors: Final = door(doors) if isinstance(doors, str) else doors
+        self.endpoint: Final = self._doors.telemetry
+        alone = isinstance(doors, str)
+        content = {
+            "schema": SCHEMA,
+            "timestamp": time.time(),
+            "topics": self._topics,
+            "commands": commands_beside(self.endpoint) if alone else self._doors.commands_told,
+            "messages": wire_schema()["messages"],
+        }
+        self._greeting = encode(content)
+        self._starts = 0
+        with ExitStack() as undo:
+            undo.callback(self._doors.close)
+            self._relay: Final = Relay(len(fingers))
+            undo.callback(self._relay.close)
+            files = [self._relay.file, self._relay.bell, *(entrance.fd for entrance in self._doors.entrances)]
+            self._link: Final = Link(self._setup, self._last, files, self._restarted)
+            undo.pop_all()
+        self.tap: Final = self._relay.tap
+        """The records that were handed on, for one thread of this process."""
+
+    def _setup(self) -> Setup:
+        # The first one misses none; who was connected to another that has ended has missed what came meanwhile.
+        begin = self._relay.rows if self._starts else 0
+        self._starts += 1
+        return Setup(
+            self._relay.file,
+            begin,
+            self._relay.bell,
+            self._backlog,
+            self._priority,
+            self._ticks,
+            self._shown,
+            self._doors.entrances,
+        )
+
+    def _last(self, say: Callable[[Kind, bytes, bytes], object]) -> None:
+        say(Kind.GREETING, SCHEMA_TOPIC.encode(), self._greeting)
+        if self._health_body:
+            say(Kind.GREETING, HEALTH.encode(), self._health_body)
+
+    def _restarted(self, said: str) -> None:
+        self.event("fault", "publisher", message=said)
 
     def ring(self) -> dict[str, Any]:
         """Where programs of this user find every tick as memory, for `describe`."""
         fingers = len(self._events)
-        return {"name": self._sender.memory, "layout": LAYOUT, "columns": columns(), "records_in_a_row": fingers}
+        return {"name": self._relay.memory, "layout": LAYOUT, "columns": columns(), "records_in_a_row": fingers}
+
+    @property
+    def native_id(self) -> int | None:
+        """Of the thread that hands ticks on."""
+        return self._relay.native_id
+
+    @property
+    def pid(self) -> int:
+        """Of the process that sends."""
+        return self._link.pid
+
+    @property
+    def figures(self) -> Figures:
+        """What is known of peers."""
+        return self._link.figures
+
+    @property
+    def subscribers(self) -> int:
+        """Connections that subscribe to something."""
+        return self._link.figures.subscribers
+
+    @property
+    def restarts(self) -> int:
+        """How often the process was started again."""
+        return self._link.restarts
 
     def attach(self, source: Source) -> None:
         """Send what a servo does from here on, until it has ended. Once."""
-        self._sender.attach(source)
+        self._relay.attach(source)
+
+    def serve(self, answering: Answering | None) -> None:
+        """Have commands answered by somebody from here on; None: by nobody."""
+        self._link.serve(answering)
+
+    def reply(self, client: bytes, body: bytes) -> None:
+        """Answer a command later than at once; from any thread."""
+        self._link.reply(client, body)
 
     def show(self, shown: Shown) -> None:
         """What `state` is to say beside the tick."""
         with self._lock:
+            self._shown = shown
             if not self._closed:
-                self._sender.show(shown)
+                self._link.say(Kind.SHOWN, body=msgspec.msgpack.encode(shown))
 
     def publish(self, records: Records, drops: int = 0) -> None:
         """Send records that come from no servo, shape (n, fingers x RECORD_SIZE), and what follows from them."""
         with self._lock:
             if not self._closed:
-                self._sender.send(records)
+                self._relay.send(records)
         self.observe(records, drops)
 
     def observe(self, records: Records, drops: int = 0) -> None:
@@ -119,21 +194,24 @@ class Publisher(Closing):
             events = [event for seen, each in zip(self._events, fingers, strict=True) for event in seen.observe(each)]
             for event in sorted(events, key=_tick_of):
                 self._send(EVENT, event)
+            figures = self._link.figures
+            drops += figures.missed
             healths = [sums.add(each, drops) for sums, each in zip(self._health, fingers, strict=True)]
             for health in map(together, zip(*healths, strict=True)):
-                health["subscribers"] = self.fanout.subscribers
-                health["lost"] = self.fanout.lost
-                health["refused"] = self.fanout.refused
+                health["subscribers"] = figures.subscribers
+                health["lost"] = figures.lost
+                health["refused"] = figures.refused
+                health["restarts"] = self._link.restarts
                 self._send(HEALTH, health)
-            if self.fanout.failed or self.tap.failed:
-                raise RuntimeError("the thread that sends, or that takes subscribers in, has ended")
+            if self._link.failed or self.tap.failed:
+                raise RuntimeError("the process that sends, or the thread that hands on, has ended")
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
         """Send an event at once; `fields` are further keys, of types msgpack knows."""
         with self._lock:
             if self._closed:
                 return
-            tick = int(self._sender.backlog.words[TICK])
+            tick = self._relay.tick
             self._send(
                 EVENT, fields | {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
             )
@@ -144,16 +222,18 @@ class Publisher(Closing):
             if self._closed:
                 return
             self._closed = True
-            self.fanout.close(LINGER_S)
-            self._sender.close()
-            self._files.close()
+        self._link.close(LINGER_S)
+        self._relay.close()
+        self._doors.close()
 
     def _send(self, topic: str, content: dict[str, Any]) -> None:
-        wire = message(topic.encode(), encode(content))
-        if len(wire) > CHUNK_BYTES:
-            log.warning("telemetry: a message of %d bytes to %s is longer than any client takes", len(wire), topic)
+        body = encode(content)
+        if len(body) > MAX_BYTES:
+            log.warning("telemetry: a message of %d bytes to %s is longer than any client takes", len(body), topic)
             return
-        broadcast(self._sender.backlog, self._topics.index(topic), octets(wire))
+        if topic == HEALTH:
+            self._health_body = body
+        self._link.say(Kind.RETAINED if topic == HEALTH else Kind.MESSAGE, topic.encode(), body)
 
 
 def _tick_of(event: dict[str, Any]) -> int:

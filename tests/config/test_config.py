@@ -807,17 +807,9 @@ def test_every_key_has_a_meaning_and_every_default_its_range() -> None:
     build(Rig, describe(Rig(device=schema.DeviceConfig(driver="x"))), "defaults")
 
 
-@pytest.mark.parametrize("kind", ["scene", "rig"])
-def test_reference_page_lists_every_key(kind: str) -> None:
-    """docs/operate/scenes.md holds the table of every key with unit, range, default and meaning, word for word."""
+def test_the_page_shows_a_true_error() -> None:
+    """The example of an error in docs/operate/scenes.md is what the program says."""
     page = (ROOT / "docs" / "operate" / "scenes.md").read_text("utf-8")
-    assert schema_verb.markdown(kind) in page, f"run `softfinger schema {kind} --markdown` and put it into the page"
-
-
-def test_reference_page_names_the_shipped_files_and_shows_a_true_error() -> None:
-    """The page lists exactly the shipped names, and its example of an error is what the program says."""
-    page = (ROOT / "docs" / "operate" / "scenes.md").read_text("utf-8")
-    assert set(re.findall(r"^\| `([\w-]+)` \| (?:scene|rig):", page, re.M)) == {*shipped(Scene), *shipped(Rig)}
     bad = {"device": {"driver": "replay"}, "servo": {"rate_hertz": 500}, "guard": {"torque_max_nm": 3.0}}
     with pytest.raises(ConfigError) as caught:
         build(Rig, bad, "bench.toml")

@@ -155,29 +155,10 @@ def lz4_zeros(known: bool) -> bytes:
     return begun + b"".join(made.compress(bytes(1 << 20)) for _ in range(LARGE >> 20)) + made.flush()
 
 
-def npz_of_zeros(path: Path) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in ("timestamp", "probe.position", "probe.orientation", "records"):
-            with archive.open(f"{name}.npy", "w") as member:
-                np.lib.format.write_array_header_1_0(
-                    member, {"descr": "<f8", "fortran_order": False, "shape": (LARGE // 8,)}
-                )
-                if name == "timestamp":
-                    for _ in range(LARGE >> 20):
-                        member.write(bytes(1 << 20))
-
-
 def npz_of_claims(path: Path) -> None:
     """A small file whose header says to be followed by more than there is memory."""
     with zipfile.ZipFile(path, "w") as archive, archive.open("timestamp.npy", "w") as member:
         np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (1 << 45,)})
-
-
-def npz_of_names(path: Path) -> None:
-    """A list of arrays that is larger than any array, to be read before the first one."""
-    with zipfile.ZipFile(path, "w") as archive:
-        for number in range(40_000):
-            archive.writestr(f"{number}.npy", b"")
 
 
 def csv_without_lines(path: Path) -> None:
@@ -187,13 +168,9 @@ def csv_without_lines(path: Path) -> None:
 
 BOMBS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "zstd": (".mcap", lambda path: path.write_bytes(mcap_of("zstd", zstd_zeros(True), LARGE))),
-    "zstd that lies": (".mcap", lambda path: path.write_bytes(mcap_of("zstd", zstd_zeros(True), 1000))),
     "zstd of unknown size": (".mcap", lambda path: path.write_bytes(mcap_of("zstd", zstd_zeros(False), LARGE))),
     "lz4": (".mcap", lambda path: path.write_bytes(mcap_of("lz4", lz4_zeros(True), LARGE))),
-    "lz4 that lies": (".mcap", lambda path: path.write_bytes(mcap_of("lz4", lz4_zeros(False), 1000))),
-    "npz": (".npz", npz_of_zeros),
     "npz header": (".npz", npz_of_claims),
-    "npz directory": (".npz", npz_of_names),
     "csv line": (".csv", csv_without_lines),
 }
 
@@ -251,15 +228,6 @@ def test_more_rows_than_the_limit_are_refused(tmp_path: Path, monkeypatch: pytes
             read(path)
     monkeypatch.setattr(results, "RESULTS_MAX", 5)
     assert len(read_results(path)) == 5
-
-
-def test_an_archive_of_any_other_compression_is_refused(tmp_path: Path) -> None:
-    """Some of them take as much memory as the file says, which numpy never writes."""
-    path = tmp_path / "o.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
-        archive.writestr("timestamp.npy", bytes(100))
-    with pytest.raises(RecordingError, match="numpy does not write"):
-        load_poses(path)
 
 
 # --- planted links ---------------------------------------------------------------------------------

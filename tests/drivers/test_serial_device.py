@@ -331,7 +331,7 @@ def test_a_blocked_port_stops_no_tick() -> None:
         device = opened(cable)
         servo = Servo(device)
         fresh(servo)
-        cable.deaf.set()
+        cable.hear(False)
         assert fill(device) > 1000
         forces = len(cable.board.sent)
         while (status := servo.read()[0]) >= 0:
@@ -339,7 +339,7 @@ def test_a_blocked_port_stops_no_tick() -> None:
             time.sleep(0.002)
         assert status == TIMEOUT
         device.close()
-        cable.deaf.clear()
+        cable.hear(True)
         time.sleep(0.05)
         assert all(not any(words[:3]) for words in cable.board.sent[forces:])
 

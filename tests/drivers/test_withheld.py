@@ -53,7 +53,7 @@ def serial() -> Iterator[Line]:
     with Cable(Board(lambda _: PLACE)) as cable, opened(cable, quiet_s=QUIET_S, timeout_s=2.0) as device:
 
         def stall(now: bool) -> None:
-            cable.deaf.set() if now else cable.deaf.clear()
+            cable.hear(not now)
 
         def late(by_s: float) -> None:
             def slowly(frame: bytes) -> bytes:

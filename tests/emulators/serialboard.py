@@ -80,8 +80,7 @@ class Cable:
         self.path = os.ttyname(self._near)
         self.mute = threading.Event()
         """Set: the board hears, and says nothing."""
-        self.deaf = threading.Event()
-        """Set: the board reads nothing."""
+        self._deaf, self._reading = False, threading.Lock()
         self.spoil: Callable[[bytes], bytes] = bytes
         """What the line does to an answer."""
         self.heard = 0
@@ -94,16 +93,23 @@ class Cable:
         poll, rest = select.poll(), b""
         poll.register(self._far, select.POLLIN)
         while not self._pulled.is_set():
-            if self.deaf.is_set() or not poll.poll(5):
+            if self._deaf or not poll.poll(5):
                 time.sleep(0.0002)
                 continue
-            rest += os.read(self._far, 4096)
+            with self._reading:
+                if not self._deaf:
+                    rest += os.read(self._far, 4096)
             while b"\n" in rest:
                 line, rest = rest[: rest.index(b"\n") + 1], rest[rest.index(b"\n") + 1 :]
                 answer = self.board.answer(line)
                 if not self.mute.is_set():
                     self.say(self.spoil(answer))
                 self.heard += len(line)
+
+    def hear(self, now: bool) -> None:
+        """Whether the board reads; it reads nothing more once this has returned."""
+        with self._reading:
+            self._deaf = not now
 
     def say(self, data: bytes) -> None:
         """Send bytes to the host as they are; what has no room because nobody reads is lost."""

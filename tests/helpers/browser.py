@@ -20,6 +20,15 @@ SIZE = (840, 520)
 """Of the window, pixels: small, since each is painted by a processor."""
 
 
+CAMERA = """() => {
+    const page = window.__viserMutable, world = page.nodeRefFromName["/objects"];
+    world.updateWorldMatrix(true, false);
+    page.camera.updateMatrixWorld();
+    return [world.matrixWorld, page.camera.matrixWorldInverse, page.camera.projectionMatrix].map(each => each.elements);
+}"""
+"""Matrices, column by column: the page's world, the camera's view of that, and its picture."""
+
+
 def why_none() -> str:
     """Why there is no browser here; empty where there is one."""
     if shutil.which("chromium") is None:
@@ -64,17 +73,12 @@ class Screen:
         x, y, w, h = (round(box[key]) for key in ("x", "y", "width", "height"))
         return np.array(image.crop((x, y, x + w, y + h))).astype(np.int64)
 
-    def at(self, point: tuple[float, float, float], camera: Any) -> tuple[float, float]:
-        """Where a point of the page's world is on the screen, seen by a `Camera` of the viewer."""
+    def at(self, point: tuple[float, float, float]) -> tuple[float, float]:
+        """Where a point of the page's world is on the screen, as the page's own camera sees it now."""
         box = self.page.locator("canvas").first.bounding_box()
-        look = np.asarray(camera.look_at) - np.asarray(camera.position)
-        look /= np.linalg.norm(look)
-        right = np.cross(look, (0.0, 0.0, 1.0))
-        right /= np.linalg.norm(right)
-        way = np.asarray(point) - np.asarray(camera.position)
-        scale = 0.5 * box["height"] / np.tan(0.5 * camera.fov) / (way @ look)
-        x, y = scale * (way @ right), scale * (way @ np.cross(right, look))
-        return box["x"] + 0.5 * box["width"] + x, box["y"] + 0.5 * box["height"] - y
+        world, view, projection = (np.reshape(each, (4, 4)).T for each in self.page.evaluate(CAMERA))
+        x, y, _, w = projection @ view @ world @ (*point, 1.0)
+        return box["x"] + 0.5 * box["width"] * (1.0 + x / w), box["y"] + 0.5 * box["height"] * (1.0 - y / w)
 
     def drag(self, start: tuple[float, float], way: tuple[float, float], key: str | None = None) -> None:
         """Take hold there and go so far, in steps, with a key held or none."""

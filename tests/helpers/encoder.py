@@ -1,4 +1,4 @@
-"""Messages of ticks encoded in Python, key by key from the record's table: what the server's templates must equal."""
+"""Messages of ticks encoded in Python, key by key from the record's table: what the publisher's must equal."""
 
 import numpy as np
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import textwrap
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -429,8 +429,8 @@ def page() -> str:
 
 def test_the_example_of_the_page_is_a_scene() -> None:
     """The file that docs/model/effects.md shows loads as it stands, with its effects, motion and material."""
-    example = "\n".join(line for line in page().splitlines() if line.startswith("    "))
-    scene = build(Scene, tomllib.loads(textwrap.dedent(example)), "docs/model/effects.md")
+    (example,) = re.findall(r"```toml\n(.*?)```", page(), re.DOTALL)
+    scene = build(Scene, tomllib.loads(example), "docs/model/effects.md")
     kernels = build_scene(scene)
     assert [type(effect) for effect in kernels.effects] == [model.Viscosity, model.SphereBoundary]
     assert [type(effect) for effect in kernels.objects[0].effects] == [model.Magnet]

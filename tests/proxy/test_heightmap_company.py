@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from references.brute_force import balls_of, brute_distances
 
 from softfinger.proxy.heightmaps import kernel_heightmap
+from softfinger.proxy.record import ON_ITS_WAY, UNSEARCHED
 
 Array = NDArray[np.float64]
 
@@ -100,7 +101,7 @@ def touched_safely(folder: Path, kind: str, names: list[str], count: int, **keys
             depth = np.linalg.norm(records["proxy.position"] - records["probe.position"], axis=1)
             force = np.linalg.norm(records["force"], axis=1)
             assert (force <= 3.0 * STIFFNESS * depth * (1.0 + 1e-9) + 1e-12).all(), name
-        assert set(np.unique(records["contact.budget"])) <= {0.0, 1.0}
+        assert set(np.unique(records["contact.budget"])) <= {0, UNSEARCHED, ON_ITS_WAY}
 
 
 BESIDE: Final = {"plane": (2, 6), "ball": (3, 7), "mesh": (0, 5), "map": (4, 1)}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import kernel_heightmap
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.surfaces import closest
+from softfinger.proxy.kernels.geometry.surfaces import closest_or_bound
 from softfinger.proxy.kernels.geometry.surfaces.footing import BUDGET, LOOK, gap_within, nearest_from
 from softfinger.proxy.kernels.geometry.surfaces.heightmap import LOOKS
 from softfinger.proxy.kernels.geometry.surfaces.tiles import LEVELS
@@ -32,12 +32,12 @@ LAST: Final = LOOK * (5 + 2 * LOOKS) + 4 * LEVELS
 
 @entry
 def ask(shape: Any, points: Any, radius: float, found: Any) -> None:
-    """Into `found` (n, 4): what the nearest point asked, what a limited gap did; both answers of `closest`."""
+    """Into `found` (n, 4): what the nearest point asked, what a limited gap did; both answers of the nearest point."""
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
         found[k, 0] = nearest_from(shape, x, x, BUDGET).spent
         found[k, 1] = gap_within(shape, x, radius, BUDGET).spent
-        gap, point, normal = closest(shape, x)
+        gap, point, normal, _ = closest_or_bound(shape, x)
         found[k, 2] = gap
         off = vec3.sub(vec3.add_scaled(point, gap, normal), x)
         found[k, 3] = vec3.norm(off)

@@ -95,18 +95,16 @@ from softfinger.drivers.poses import decoded_messages
 from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
 from softfinger.server.cli import main
 from softfinger.server.offline.results import read_results, write_results
+from softfinger.server.publishing.messages import Messages
+from softfinger.server.publishing.setup import Shown, Ticks
 from softfinger.server.wire.client import record_of
-from softfinger.server.wire.native.templates import Shown, make_plan, write_message
 from softfinger.server.wire.protocol import CONTACT, decode
 
 assert FIELDS[-1] is NAMED["fault.level"] and AT.fault_level == RECORD_SIZE - 2
 records = np.zeros((3, RECORD_SIZE))
 records[:, AT.fault_level :] = (0.25, -0.5)
 
-plan = make_plan(("",), 1, Shown())
-sent = np.zeros(plan.sizes[7], np.uint8)
-write_message(plan, 7, records, 0, 0, sent, 0)
-body = sent[2 + len(CONTACT) + 9 :].tobytes()
+_, body = next(Messages(Ticks(1, 1, [CONTACT], "state", 200.0), Shown()).of(tuple(records[0].tolist())))
 assert decode(CONTACT.encode(), body).fault.level == (0.25, -0.5)
 
 for ending in ("csv", "npz", "mcap"):
@@ -129,9 +127,9 @@ def test_new_field_is_everywhere(tree):
 
 
 def test_new_field_is_asked_of_the_page(tree):
-    """The page that lists the keys no longer agrees, and the failure shows the line to add."""
-    page = "tests/server/test_protocol_doc.py::test_table_is_the_codes_table"
+    """The pages that list the keys no longer agree, and the failure says what makes them again."""
+    page = "tests/tools/test_reference.py::test_a_page_is_what_the_program_makes"
     done = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "| `fault.level` | float[2] | V | rotor | a field that a test has added |" in done.stdout
-    assert "1 failed" in done.stdout
+    assert "run `make reference`" in done.stdout
+    assert "2 failed" in done.stdout  # the record and the telemetry

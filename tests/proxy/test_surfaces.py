@@ -497,3 +497,10 @@ def test_compiled_is_what_python_computes(shape: Any) -> None:
         _, point, normal = found
         assert curvature(shape, 0.1, point, normal) == compiled_curvature(shape, 0.1, point, normal)
         assert transport(shape, v, (0.0, 0.6, 0.8), normal) == compiled_transport(shape, v, (0.0, 0.6, 0.8), normal)
+
+
+@pytest.mark.parametrize("searched", [model.Mesh, model.Heightmap])
+def test_a_search_that_may_not_end_has_no_answer_without_saying_so(searched: Any) -> None:
+    """`closest` of a mesh or a height map would lose that flag, so neither has it."""
+    with pytest.raises(TypeError, match="closest is not defined"):
+        closest(searched(*searched._fields), (0.0, 0.0, 0.0))

@@ -169,7 +169,7 @@ def test_every_sink_takes_every_record_and_one_that_fails_is_left_out():
         Daemon(rig, load_scene("paper-plane"), 1500, sinks=sinks) as running,
         subscribed(running.publisher.endpoint, "event") as socket,
     ):
-        assert eventually(lambda: running.publisher.fanout.subscribers == 1)
+        assert eventually(lambda: running.publisher.subscribers == 1)
         running.start()
         assert running.wait(60.0)
         running.close()
@@ -324,7 +324,7 @@ def test_a_stop_that_fails_is_told_and_skips_nothing(faulty, caplog):
         running.wait(60.0)
     assert [act for act, *_ in faulty.device.acts] == ["arm", "stop", "close", "stop"]
     assert not faulty.device.wrenches[-1].any() and faulty.device.wrenches.any()
-    assert running.publisher.fanout._listener.fileno() == -1
+    assert not Path(f"/proc/{running.publisher.pid}").exists()
     assert not running.servo.running and running.servo._wake_fd == -1
     assert "could not be closed" in caplog.text
 
@@ -434,14 +434,14 @@ def test_failing_publisher_stops_the_servo(faulty):
     """If telemetry cannot be published, the servo stops with zero force instead of running unseen."""
     with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
-        running.publisher.fanout.failed = True  # as when the thread that sends has broken
+        running.publisher._link.failed = True  # as when the thread that looks after the publisher has broken
         with pytest.raises(SafetyStop, match="telemetry"):
             running.wait(60.0)
     assert not faulty.device.wrenches[-1].any()
 
 
-def test_failing_sender_stops_the_servo(faulty, monkeypatch):
-    """If the thread that sends fails, so that nobody has records any more, the servo stops with zero force."""
+def test_failing_relay_stops_the_servo(faulty, monkeypatch):
+    """If the thread that hands ticks on fails, so that nobody has records any more, the servo stops with zero force."""
     monkeypatch.setattr(Servo, "feeds", lambda self: iter([None]))  # nothing that it could take records from
     with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
         running.start()

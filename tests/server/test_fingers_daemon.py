@@ -175,7 +175,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
         socket.connect(running.publisher.endpoint)
         recorder = threading.Thread(target=take, args=(running.publisher.endpoint,))
         recorder.start()
-        until(lambda: running.publisher.fanout.subscribers == 2)
+        until(lambda: running.publisher.subscribers == 2)
         running.start()
         assert running.wait(WAIT_S)
         played = [device.samples for device in running.devices]  # type: ignore[attr-defined]
@@ -228,7 +228,7 @@ def test_clients_tell_fingers_apart() -> None:
             plain.linger = 0
             plain.subscribe("event")
             plain.connect(publisher.endpoint)
-            until(lambda: publisher.fanout.subscribers == 3)
+            until(lambda: publisher.subscribers == 3)
             join(publisher, plain)
             publisher.publish(two_records(1001))
             publisher.publish(two_records(10, 1011))

@@ -1,4 +1,4 @@
-"""The gateway: a daemon for other machines, by key, as its clients see it, and those who are none."""
+"""A daemon for other machines, by key, as its clients see it, and those who are none; and what is forwarded by hand."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from zmq.utils.monitor import recv_monitor_message
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
-from softfinger.server.gateway.streams import SUBSCRIPTIONS_PER_S
 from softfinger.server.keys import ClientKeys, client_keys, make_pair
+from softfinger.server.publishing.readers import SUBSCRIPTIONS_PER_S
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.publisher import Publisher
 
@@ -125,10 +125,6 @@ def serving(ring: Ring) -> Iterator[tuple[Daemon, zmq.Context]]:
             context.destroy(0)
 
 
-def gateway_of(daemon: Daemon) -> subprocess.Popen:
-    return daemon.services[0]._process
-
-
 def test_without_a_key_nothing_is_read_and_nothing_commanded(ring: Ring) -> None:
     """A reader reads, a commander commands; neither does the other's, nor a stranger or one without a key anything. A
     key that is taken out of the folder is cut off, the others stay; and what the daemon says last arrives."""
@@ -166,37 +162,39 @@ def test_without_a_key_nothing_is_read_and_nothing_commanded(ring: Ring) -> None
         assert second.look().messages == heard
         daemon.stop()
         assert daemon.wait(60.0)
-        process = gateway_of(daemon)
         daemon.close()
-        assert process.returncode == 0
         assert eventually(lambda: [event for event in reader.look().events if event["name"] == "stopped"])
         assert any(event["kind"] == "mark" for event in reader.events)
 
 
-def test_the_end_of_the_gateway_is_told_and_ends_nothing_else(ring: Ring) -> None:
-    """Killed, it is gone: an event on the daemon's own stream, and ticks go on; nobody else listens on its ports."""
+def test_keys_are_asked_for_by_the_next_publisher_too(ring: Ring) -> None:
+    """Killed, it is started again on the same ports: an event on the daemon's own stream, the reader reads on, and a
+    stranger still does not."""
     with serving(ring) as (daemon, context):
         own = Listener(context, daemon.publisher.endpoint)
-        assert eventually(lambda: own.look().messages > 10)
-        gateway_of(daemon).kill()
-        assert eventually(lambda: [event for event in own.look().events if event["name"] == "gateway"])
-        ticks = daemon.servo.ticks
-        assert eventually(lambda: daemon.servo.ticks > ticks + 100)
-        Publisher(daemon.public["telemetry"].replace("0.0.0.0", "127.0.0.1")).close()
+        reader = Listener(context, daemon.public["telemetry"], ring.of("reader"))
+        assert eventually(lambda: own.look().messages > 10 and reader.look().messages > 10)
+        os.kill(daemon.publisher.pid, signal.SIGKILL)
+        assert eventually(lambda: daemon.publisher.restarts == 1)
+        heard = reader.look().messages
+        assert eventually(lambda: reader.look().messages > heard + 500)
+        stranger = Listener(context, daemon.public["telemetry"], ring.of("stranger"))
+        assert eventually(lambda: stranger.look().away) and not stranger.messages
+        assert eventually(lambda: own.look().let_in == 2)
 
 
-def test_the_gateway_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
+def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
     """SIGKILL of the daemon: the process beside it leaves by itself."""
     words = [*COMMAND, "run", "--rig", str(ring.rig)]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as daemon:
         try:
-            assert next(line for line in daemon.stderr if "telemetry forwarded on" in line)
+            assert next(line for line in daemon.stderr if "telemetry for other machines on" in line)
             children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
-            gateway = next(child for child in children if b"forward" in Path(f"/proc/{child}/cmdline").read_bytes())
+            its = next(each for each in children if b"publishing" in Path(f"/proc/{each}/cmdline").read_bytes())
         finally:
             daemon.kill()
         daemon.stderr.close()
-    assert eventually(lambda: not Path(f"/proc/{gateway}/cmdline").exists())
+    assert eventually(lambda: not Path(f"/proc/{its}/cmdline").exists())
 
 
 @contextlib.contextmanager
@@ -248,7 +246,7 @@ def test_what_is_forwarded_is_what_was_published() -> None:
                 while not socket.poll(10):
                     publisher.event("mark", "mark", label="are you there")
             publisher.publish(records)
-            assert publisher.fanout.subscribers == 1
+            assert eventually(lambda: publisher.subscribers == 1)
             for socket in subscribers:
                 frames = [socket.recv_multipart()]
                 while len(contacts := [body for topic, body in frames if topic == b"contact"]) < len(records):

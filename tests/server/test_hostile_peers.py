@@ -1,7 +1,8 @@
 """Peers that mean harm, each a process of its own that speaks raw bytes, against a publisher in another.
 
-The publisher sends ticks at 1 kHz for as long as the peer attacks. Afterwards its own memory is read from the
-system, a healthy subscriber has missed nothing, and the publisher ends in time.
+What they may reach is the publisher's process, which libzmq ends where they take more than it may have. What stands
+beside the daemon, here a program that publishes ticks at 1 kHz, has another process in its place, counts that, grows by
+nothing, and its ticks in shared memory have no gap; a subscriber is served again; and the end comes in time.
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from softfinger.proxy.record import AT
+from softfinger.server.publishing.front import FILES_MAX, MEMORY_MAX
 from softfinger.server.wire.client import Subscription
-from softfinger.server.wire.endpoint import READ_BYTES
-from softfinger.server.wire.fanout import FRAMES_PER_S
-from softfinger.server.wire.native.backlog import CHUNK_BYTES, PEERS_MAX
-from softfinger.server.wire.publisher import BACKLOG, Publisher
-from softfinger.server.wire.zmtp import FRAME_MAX, TOPICS_MAX
+from softfinger.server.wire.native.memory import Local
+from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
 
@@ -39,20 +40,18 @@ from softfinger.server.wire.publisher import Publisher
 
 ended = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.readline(), ended.set()), daemon=True).start()
-publisher = Publisher(sys.argv[1])
-print(json.dumps(publisher.endpoint), flush=True)
-record, tick, longest = synthetic(10), 0, 0.0
+publisher = Publisher(sys.argv[1], backlog=int(sys.argv[4]), priority=1)
+print(json.dumps([publisher.endpoint, publisher.ring()["name"], publisher.pid]), flush=True)
+record, tick = synthetic(10), 0
 due = time.monotonic()
 while not ended.is_set():
     put(record, "tick", range(tick, tick + 10))
     tick += 10
-    begun = time.monotonic()
     publisher.publish(record)
-    longest = max(longest, time.monotonic() - begun)
     due += float(sys.argv[3])
     time.sleep(max(0.0, due - time.monotonic()))
-fanout = publisher.fanout
-found = {"ticks": tick, "longest": longest, "lost": fanout.lost, "refused": fanout.refused}
+figures = publisher.figures
+found = {"ticks": tick, "lost": figures.lost, "refused": figures.refused, "restarts": publisher.restarts}
 begun = time.monotonic()
 publisher.close()
 print(json.dumps(found | {"close": time.monotonic() - begun}), flush=True)
@@ -81,6 +80,12 @@ GREETING = b"\\xff" + bytes(8) + b"\\x7f\\x03\\0NULL" + bytes(48)
 def greeted():
     made = dial()
     made.sendall(GREETING + READY)
+    heard = b""
+    while b"XPUB" not in heard:  # libzmq turns away whoever goes on before it has said what it is
+        more = made.recv(100)
+        if not more:
+            raise OSError("turned away")
+        heard += more
     return made
 
 def subscriptions(size):
@@ -180,10 +185,12 @@ SECONDS = 2.0
 ALONE_S = 4.0
 """An attack fills gigabytes in this where nothing stops it."""
 
-LONGEST_MESSAGE = 1408
-"""A finger's message with three patches has 1.32 kB at the most, its frames and the object that holds them 0.08 kB."""
-MEMORY_BYTES = 1.25 * (BACKLOG * LONGEST_MESSAGE + PEERS_MAX * (CHUNK_BYTES + 2 * READ_BYTES + TOPICS_MAX * FRAME_MAX))
-"""What `fanout` promises. The allocator leaves holes between messages of different lengths: a quarter."""
+GROWN_BYTES = 32e6
+"""Of the program beside: what its interpreter and its allocator take at once, and nothing of what peers send."""
+BACKLOG = 8192
+"""Messages that the publisher of these tests keeps for a subscriber."""
+MESSAGE_BYTES = 2 * 64 + 1536
+"""Two of libzmq's messages, 64 bytes each, and what they have in common for all subscribers."""
 
 
 def memory_bytes(pid: int, field: str) -> int:
@@ -200,10 +207,13 @@ def answer(process: subprocess.Popen[str]) -> Any:
 
 
 @contextmanager
-def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A process that publishes ten ticks a period until it is told to end, and its endpoint."""
+def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subprocess.Popen[str], list[Any]]]:
+    """A process that publishes ten ticks a period until it is told to end; its endpoint, its ticks in memory, and the
+    process that sends them."""
     words = [sys.executable, "-W", "error", "-c", SERVER, endpoint, str(Path(__file__).parents[1]), str(period_s)]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [*words, str(BACKLOG)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
         try:
             yield process, answer(process)
         finally:
@@ -219,15 +229,20 @@ def told_to_end(process: subprocess.Popen[str]) -> Any:
     return found
 
 
-def read_on(healthy: Subscription, seconds: float) -> int:
-    """Read for so long; the number of ticks, of which none may be missing."""
-    ticks, end = 0, time.monotonic() + seconds
+def read_on(local: Local, healthy: Subscription, seconds: float) -> int:
+    """Read for so long: of the ticks in memory none may be missing; returns how many the subscriber did not get."""
+    missing, end = 0, time.monotonic() + seconds
+    before: float | None = None
     while time.monotonic() < end:
-        sample = healthy.receive(5.0)
-        assert sample is not None, "a healthy subscriber is starved"
-        assert sample.lost == 0
-        ticks += 1
-    return ticks
+        rows = local.take(5.0)
+        assert len(rows), "no ticks come"
+        ticks = rows[:, AT.tick]
+        assert (np.diff(ticks) == 1.0).all() and (before is None or ticks[0] == before + 1.0)
+        before = float(ticks[-1])
+        while (sample := healthy.receive(0.0)) is not None:
+            missing += sample.lost
+    assert local.lost == 0
+    return missing
 
 
 def endpoint_of(transport: str, folder: Path) -> str:
@@ -248,6 +263,16 @@ TOGETHER = {
     "by coming and going": ("connect and go",),
 }
 """Every attack, those beside each other that leave room for each other: what is promised is promised against all."""
+WITHSTOOD = (
+    "a megabyte of topic",
+    "a frame that claims 2**63 bytes",
+    "no ZMTP",
+    "connections that say nothing",
+    "subscribers to nothing",
+    "a handshake byte by byte",
+    "subscribers who never read",
+)
+"""Of these libzmq itself takes no harm: a healthy subscriber misses nothing, and the publisher goes on."""
 assert sorted(name for names in TOGETHER.values() for name in names) == sorted(ATTACKS)
 
 # What a peer sends is read alike from both; how connections come and go is the transport's.
@@ -255,9 +280,9 @@ OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and 
 
 
 @pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
-def test_hostile_peers_cost_nobody_anything(names: tuple[str, ...]) -> None:
-    """Memory stays within what is promised, a healthy subscriber loses nothing, a new one is served, and the end is
-    quick, while peers attack and afterwards."""
+def test_hostile_peers_cost_the_daemon_nothing(names: tuple[str, ...]) -> None:
+    """Its memory stays as it is, its ticks have no gap, a subscriber is served again, and the end is quick, while peers
+    attack and afterwards."""
     attacked(names, "tcp://127.0.0.1:*", SECONDS)
 
 
@@ -265,17 +290,17 @@ def test_hostile_peers_cost_nobody_anything(names: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("name", "transport"), [*((name, "tcp") for name in ATTACKS), *((name, "ipc") for name in OVER_IPC)]
 )
-def test_a_hostile_peer_costs_nobody_anything(name: str, transport: str, tmp_path: Path) -> None:
-    """Nor does each alone, for longer, over either transport; and it is turned away."""
+def test_a_hostile_peer_costs_the_daemon_nothing(name: str, transport: str, tmp_path: Path) -> None:
+    """Nor does each alone, for longer, over either transport; and of most a subscriber does not notice."""
     found = attacked((name,), endpoint_of(transport, tmp_path), ALONE_S)
-    if name not in ("connect and go", "subscribers who never read"):
-        assert found["refused"] > 0
+    if name in WITHSTOOD:
+        assert (found["missing"], found["restarts"]) == (0, 0)
 
 
 def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
-    """Attack a publisher for so long, in these ways; returns what it said in the end."""
-    with publishing(endpoint) as (process, bound):
-        with Subscription(bound, ("contact",)) as healthy:
+    """Attack a publisher for so long, in these ways; returns what it said in the end, and what a subscriber missed."""
+    with publishing(endpoint) as (process, (bound, ring, pid)):
+        with Subscription(bound, ("contact",)) as healthy, Local(ring) as local:
             assert healthy.receive(60.0) is not None  # the kernels may have to be compiled
             before = memory_bytes(process.pid, "VmHWM")
             with ExitStack() as ends:
@@ -284,19 +309,22 @@ def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
                     peers.append(subprocess.Popen([sys.executable, "-c", PEER + ATTACKS[name], bound, "120"]))
                     ends.callback(peers[-1].wait)
                     ends.callback(peers[-1].kill)
-                assert read_on(healthy, seconds) > 0
-                if "connect and go" not in names:  # who connects without end may keep others from connecting
-                    assert served(bound)
-                assert read_on(healthy, 0.2) > 0
+                local.take(0.0)
+                missing = read_on(local, healthy, seconds)
                 assert all(peer.poll() is None for peer in peers), "an attack was over"
+                with contextlib.suppress(FileNotFoundError):  # it has ended
+                    assert memory_bytes(pid, "VmHWM") < 1.5 * MEMORY_MAX
+            missing += read_on(local, healthy, 0.2)
             assert served(bound)
+            while healthy.receive(60.0) is None:
+                raise AssertionError("a healthy subscriber is not served again")
             grown = memory_bytes(process.pid, "VmHWM") - before
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
         found = told_to_end(process)
-    assert grown < MEMORY_BYTES
-    assert files < PEERS_MAX + 32  # the interpreter's own, the listener, and those of peers
+    assert grown < GROWN_BYTES
+    assert files < 64  # the interpreter's own and the listener
     assert found["close"] < 2.0
-    return found
+    return found | {"missing": missing}
 
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\0NULL" + bytes(48)
@@ -316,6 +344,13 @@ def cut_off(peer: socket.socket) -> None:
             pass
 
 
+def eventually(what: Callable[[], bool]) -> bool:
+    until = time.monotonic() + CUT_S
+    while not (done := what()) and time.monotonic() < until:
+        time.sleep(0.005)
+    return done
+
+
 def test_who_does_not_finish_a_handshake_is_cut_off_and_who_does_may_wait() -> None:
     """Silent, in the middle of a greeting, or after it: each for itself; one that has said that it subscribes stays."""
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
@@ -327,22 +362,34 @@ def test_who_does_not_finish_a_handshake_is_cut_off_and_who_does_may_wait() -> N
             peer.sendall(sent)
         for peer in unfinished:
             cut_off(peer)
-        assert publisher.fanout.refused == 3
+        assert eventually(lambda: publisher.figures.refused == 3)
         patient.sendall(SUBSCRIBE)
-        until = time.monotonic() + CUT_S
-        while publisher.fanout.subscribers != 1:
-            assert time.monotonic() < until
-            time.sleep(0.005)
+        assert eventually(lambda: publisher.subscribers == 1)
 
 
-def test_who_subscribes_without_end_is_cut_off() -> None:
-    """For more frames in a second than a subscriber needs, however few bytes and topics they are."""
-    with Publisher("tcp://127.0.0.1:*") as publisher:
+def test_there_are_no_more_connections_than_files() -> None:
+    """Whoever comes beyond waits in the system's queue, and comes in when another goes."""
+    with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
         address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
-        with socket.create_connection(address) as peer:
-            peer.sendall(GREETING + READY + SUBSCRIBE * (FRAMES_PER_S + 1))
-            cut_off(peer)
-        assert publisher.fanout.refused == 1
+        for _ in range(FILES_MAX):
+            peer = peers.enter_context(socket.create_connection(address))
+            peer.sendall(GREETING + READY)
+            peer.settimeout(1.0)
+            heard = b""
+            with contextlib.suppress(TimeoutError):
+                while b"XPUB" not in heard and (more := peer.recv(100)):
+                    heard += more
+            if b"XPUB" not in heard:
+                break
+            peer.sendall(SUBSCRIBE)
+        assert eventually(lambda: publisher.subscribers > FILES_MAX // 2)
+        time.sleep(0.5)  # for those that might come in, and do not
+        assert publisher.subscribers < FILES_MAX
+        peers.close()
+        assert eventually(lambda: publisher.subscribers == 0)
+        with Subscription(publisher.endpoint, ("schema",)) as late:
+            assert late.receive(60.0) is not None
+        assert publisher.restarts == 0
 
 
 STOPPED = """
@@ -363,8 +410,8 @@ def served(endpoint: str) -> bool:
 @pytest.mark.parametrize("transport", ["tcp", pytest.param("ipc", marks=pytest.mark.exhaustive)])
 def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Path) -> None:
     """With 40 connections that never read and a subscriber that was stopped (SIGSTOP), while more than the backlog is
-    published as fast as can be: memory is bounded, what they lose is counted, and the end does not wait for them."""
-    with publishing(endpoint_of(transport, tmp_path), period_s=0.0) as (process, bound):
+    published: memory is bounded, that they lose something is counted, and the end does not wait for them."""
+    with publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)):
         words = [sys.executable, "-c", STOPPED, bound]
         never_read = [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"]
         with (
@@ -374,21 +421,18 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
         ):
             try:
                 assert stopped.stdout is not None
-                first = int(stopped.stdout.readline())
+                assert stopped.stdout.readline()
                 stopped.send_signal(signal.SIGSTOP)
-                before = memory_bytes(process.pid, "VmRSS")
-                tick = first
-                while tick < first + BACKLOG + BACKLOG // 4:
-                    sample = watching.receive(60.0)  # with gaps, for nobody reads that fast: how far it is
-                    assert sample is not None
-                    tick = sample.tick
-                grown = memory_bytes(process.pid, "VmHWM") - before
+                before = memory_bytes(pid, "VmRSS")
+                for _ in range(BACKLOG + 4096):  # what is more is in the system's buffers
+                    assert watching.receive(60.0) is not None
+                grown = memory_bytes(pid, "VmHWM") - before
                 found = told_to_end(process)
             finally:
                 stopped.kill()
                 silent.kill()
-    assert found["lost"] > 0
-    assert grown < MEMORY_BYTES
+    assert found["lost"] > 0 and found["restarts"] == 0
+    assert grown < 1.5 * BACKLOG * (41 * 2 * 64 + MESSAGE_BYTES)
     assert found["close"] < 2.0
 
 

@@ -21,7 +21,7 @@ from softfinger.server.app import Daemon
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.memory import Local, make_memory, remove
-from softfinger.server.wire.native.sender import HANDED_ON
+from softfinger.server.wire.native.relay import HANDED_ON
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time

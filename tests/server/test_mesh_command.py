@@ -20,10 +20,11 @@ from softfinger.config import schema
 from softfinger.config.errors import CommandRefused
 from softfinger.config.load import build, load_rig
 from softfinger.server.app import Daemon
-from softfinger.server.services.commands import KEY, Commands
+from softfinger.server.services.commands import Commands
 from softfinger.server.wire.commands import Triangles
 from softfinger.server.wire.control import AsyncControl, Control
-from softfinger.server.wire.endpoint import listen
+from softfinger.server.wire.doors import doors_of
+from softfinger.server.wire.publisher import Publisher
 
 ENDS = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 WAIT_S = 120.0
@@ -58,11 +59,13 @@ def commands(folder: Path) -> Iterator[str]:
         {"name": "table", "shape": "plane"},
     )
     rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", ENDS), scene=scene, advance=lambda: None))
-    doing = cast(Any, SimpleNamespace(replace=None))
-    service = Commands(listen(ENDS["commands.endpoint"], KEY), rendering, doing, "meshes")
-    service.start()
-    yield service.endpoint
-    service.stop()
+    doors = doors_of(rendering.rig)
+    with Publisher(doors) as publisher:
+        doing = cast(Any, SimpleNamespace(replace=None, serve=publisher.serve, reply=publisher.reply))
+        service = Commands(str(doors.commands), rendering, doing, "meshes")
+        service.start()
+        yield service.endpoint
+        service.stop()
 
 
 @pytest.fixture

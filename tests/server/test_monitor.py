@@ -50,7 +50,7 @@ def endpoint():
     def publish(publisher):
         first = 0
         while not stop.wait(0.02):
-            if not publisher.fanout.subscribers:  # its first health comes a second of ticks, and events, after
+            if not publisher.subscribers:  # its first health comes a second of ticks, and events, after
                 continue
             records = synthetic(20, first_tick=first, start_s=time.time() - first / 1000.0)
             put(records, "contact.mode", 2)

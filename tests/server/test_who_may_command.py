@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +18,9 @@ from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import commands_beside
 from softfinger.server.app import Daemon
-from softfinger.server.cli import main, make_parser
+from softfinger.server.cli import main
+from softfinger.server.gateway.addresses import addresses_of
+from softfinger.server.recording.reader import Note, contents
 from softfinger.server.remote import Client
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.endpoint import listen
@@ -25,6 +29,7 @@ WAIT_S = 60.0
 NOBODY = 65534
 KEY = "[commands] endpoint"
 TELEMETRY = "tcp://127.0.0.1:5555"
+ENDPOINTS = ("telemetry.endpoint", "commands.endpoint")
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user")
 
@@ -84,21 +89,82 @@ def test_readers_take_either_address(folder: Path, daemons: list[Daemon], capsys
     assert told == [daemons[0].publisher.endpoint] * 2
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["monitor", "--endpoint"],
-        ["record", "some.csv", "--endpoint"],
-        ["view", "--endpoint"],
-        ["bridge", "foxglove", "--endpoint"],
-        ["forward", "--from"],
-    ],
-)
-def test_every_reader_finds_the_telemetry(words: list[str], folder: Path) -> None:
-    """Whichever of a daemon's two addresses it is given."""
-    asked = make_parser([words[0]]).parse_args([*words, f"ipc://{folder}/5601.commands"])
-    assert "tcp://127.0.0.1:5601" in vars(asked).values()
-    assert "tcp://10.0.0.1:5555" in vars(make_parser([words[0]]).parse_args([*words, "tcp://10.0.0.1:5555"])).values()
+@pytest.fixture
+def named() -> Iterator[Daemon]:
+    """One whose rig says where commands are taken: by tcp, on a port that has nothing to do with the telemetry's."""
+    rig = load_rig("replay", dict.fromkeys(ENDPOINTS, "tcp://127.0.0.1:*") | {"servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        daemon.start()
+        yield daemon
+
+
+@pytest.mark.real_time
+def test_a_daemon_that_names_its_commands_is_found_from_either_address(
+    folder: Path, named: Daemon, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By every client: the telemetry says where commands are, and the commands where telemetry is."""
+    both = (named.publisher.endpoint, str(named.commands_endpoint))
+    for number, endpoint in enumerate(both):
+        for to_command in (False, True):
+            assert addresses_of(endpoint, to_command=to_command) == both
+        assert main(["ctl", "describe", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
+        assert json.loads(capsys.readouterr().out)["endpoints"] == {"telemetry": both[0], "commands": both[1]}
+        assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
+        assert '"tick"' in capsys.readouterr().out
+        folder.mkdir(mode=0o700, exist_ok=True)
+        kept = folder / f"{number}.mcap"
+        assert main(["record", str(kept), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
+        assert any(isinstance(part, Note) and part.name == "scene" for part in contents(kept))  # the daemon said it
+        with Client(endpoint, timeout_s=WAIT_S) as client:
+            assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
+            assert client.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
+
+
+@pytest.mark.real_time
+def test_the_page_and_the_gateway_find_commands_that_the_rig_names(folder: Path, named: Daemon) -> None:
+    """From the telemetry alone: the page shows the scene, and what is forwarded is answered."""
+    from softfinger.server.viewer.live import LivePage
+    from softfinger.server.viewer.page import Page
+
+    page = Page("127.0.0.1", 0)
+    try:
+        fed = LivePage(page, addresses_of(named.publisher.endpoint))
+        try:
+            until = time.monotonic() + WAIT_S
+            while not page.fingers and time.monotonic() < until:
+                fed.step(0.05)
+                time.sleep(0.01)
+            assert page.fingers
+        finally:
+            fed.close()
+    finally:
+        page.close()
+    words = ["forward", "--from", named.publisher.endpoint, "--commands-to", f"ipc://{folder.parent}/there"]
+    with subprocess.Popen([sys.executable, "-m", "softfinger.server.cli", *words, "--until-eof"], stdin=-1) as gateway:
+        with Control(f"ipc://{folder.parent}/there", WAIT_S) as control:
+            assert control.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
+        gateway.communicate()
+
+
+@pytest.mark.real_time
+def test_a_daemon_without_commands_says_so(folder: Path) -> None:
+    """To whoever asks it to do something, and at once; its ticks are there all the same."""
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off"})
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        daemon.start()
+        assert addresses_of(daemon.publisher.endpoint).commands is None
+        with Client(daemon.publisher.endpoint) as client:
+            assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
+            with pytest.raises(ConfigError, match="takes no commands"):
+                client.arm()
+
+
+def test_nobody_is_asked_where_the_addresses_follow_from_each_other(folder: Path) -> None:
+    """A socket of commands leads to its telemetry, an address that other machines reach to the port behind it."""
+    beside = f"ipc://{folder}/5601.commands"
+    assert addresses_of(beside) == ("tcp://127.0.0.1:5601", beside)
+    assert addresses_of("tcp://10.0.0.1:5555") == ("tcp://10.0.0.1:5555", "tcp://10.0.0.1:5556")
+    assert addresses_of("tcp://10.0.0.1:5556", to_command=True).commands == "tcp://10.0.0.1:5556"
 
 
 CONNECT = """

@@ -16,6 +16,7 @@ from softfinger.tools.bench.view import Turn, summary
 pytestmark = pytest.mark.real_time
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_bench_measures_every_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Ticks went on in all; a viewer has used a processor, a page has drawn; a figure is there."""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import platform
-import tomllib
-from pathlib import Path
 from typing import Final
 
 import pytest
@@ -16,7 +14,6 @@ from softfinger.tools.doctor.questions import ANSWERS, answered, questions
 
 pytestmark = pytest.mark.plain
 
-ROOT = Path(__file__).resolve().parents[2]
 USER: Final = "zaphodb"
 
 
@@ -85,13 +82,3 @@ def test_what_was_measured_answers_its_question() -> None:
     assert answers == {
         "frame": "move it up: +z", "force-sign": "force along +x: -x", "buttons": "masks 0, 4 were seen"
     }  # fmt: skip
-
-
-def test_the_table_in_the_docs_is_the_file() -> None:
-    """docs/devices/overview.md lists every question with its drivers and how to answer it, in the file's order."""
-    text = (ROOT / "docs" / "devices" / "overview.md").read_text(encoding="utf-8")
-    part = text.split("## What only hardware can show\n", 1)[1].split("\n## ", 1)[0]
-    rows = [line.strip("|").split("|") for line in part.splitlines() if line.startswith("|")][2:]
-    table = [tuple(cell.strip() for cell in row) for row in rows]
-    file = tomllib.loads((ROOT / "tools" / "doctor" / "questions.toml").read_text(encoding="utf-8"))["question"]
-    assert table == [(f"`{q['id']}`", ", ".join(q["drivers"]), q["question"], q["how"]) for q in file]

@@ -14,7 +14,7 @@ from softfinger.server.driver_contract import RATE_HZ, pulling
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.verbs.warmup import prune
-from softfinger.server.wire.native.sender import Sender
+from softfinger.server.wire.native.relay import Relay
 
 SCENES = ("paper-plane", "frictionless-plane")
 
@@ -28,7 +28,7 @@ def main() -> None:
             servo.compile()
             servo.close()
     compiled(make_tuning(load_scene(SCENES[0]), rig.guard).scene)
-    Sender([""], 1, topics=1, retained=0, messages=1).close()
+    Relay(1).close()
 
 
 if __name__ == "__main__":

@@ -132,27 +132,6 @@ def drift_table(result: dict[str, Any]) -> Any:
     return table("drift off the surface, m", ("surface", "steps", *methods), rows, 1)
 
 
-def targets_table(result: dict[str, Any]) -> Any:
-    """The cheapest method for each error, at the rate of the recommendations; `-` where none reaches it.
-
-    Of errors that ask for the same methods on every surface only the smallest has a column.
-    """
-    picked: dict[tuple[str, float], dict[str, str]] = {}
-    for (motion, below), group in grouped(at_advised_rate(result), "motion", "error_below_m"):
-        picked[motion, below] = {
-            row["surface"]: f"{row['method']} {row['ns_per_step']:.0f}" if row["method"] else "-" for row in group
-        }
-    columns = [
-        (motion, below)
-        for motion, below in picked
-        if not any(m == motion and b < below and picked[m, b] == picked[motion, below] for m, b in picked)
-    ]
-    surfaces = list(dict.fromkeys(surface for column in picked.values() for surface in column))
-    rows = [(surface, *(picked[column].get(surface, "") for column in columns)) for surface in surfaces]
-    head = ("surface", *(f"{motion}: {below:g} m" for motion, below in columns))
-    return table("cheapest method below an error, ns a step", head, rows, 1)
-
-
 def at_advised_rate(result: dict[str, Any]) -> list[dict[str, Any]]:
     """The recommendations for RATE_HZ."""
     rates = {row["rate_hz"] for row in result["recommendations"]}

@@ -43,14 +43,16 @@ def run(args: argparse.Namespace) -> int:
     if ticks < TICKS_MIN:
         raise ConfigError(f"--ticks {ticks}: too few to tell: {TICKS_MIN} or more")
     taken: dict[str, list[tuple[float, float]]] = {ending: [] for ending in ENDINGS}
-    with tempfile.TemporaryDirectory(dir=args.folder) as made, progress("simulating", rounds * len(ENDINGS)) as done:
+    with tempfile.TemporaryDirectory(dir=args.folder) as made:
         poses = Path(made, "poses.csv")
-        poses.write_bytes(",".join(POSE_COLUMNS).encode() + b"\n" + csv_lines(motion(args.poses, ticks)))
-        simulate(args.scene, poses, Path(made, "warm.npz"))  # compiles, if need be
-        for turn in range(rounds):
-            for place, ending in enumerate(ENDINGS):
-                taken[ending].append(simulate(args.scene, poses, Path(made, f"results{ending}")))
-                done(turn * len(ENDINGS) + place + 1)
+        with progress("a run before, which compiles what is not kept"):
+            poses.write_bytes(",".join(POSE_COLUMNS).encode() + b"\n" + csv_lines(motion(args.poses, ticks)))
+            simulate(args.scene, poses, Path(made, "warm.npz"))
+        with progress("simulating", rounds * len(ENDINGS)) as done:
+            for turn in range(rounds):
+                for place, ending in enumerate(ENDINGS):
+                    taken[ending].append(simulate(args.scene, poses, Path(made, f"results{ending}")))
+                    done(turn * len(ENDINGS) + place + 1)
     rows = [{"format": ending[1:]} | told(turns, ticks) for ending, turns in taken.items()]
     lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
     lines += [

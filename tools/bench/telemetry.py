@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import tempfile
@@ -24,12 +25,14 @@ import numpy as np
 import zmq
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.record import AT
+from softfinger.proxy.record import AT, NAMED, PATCHES, RECORD_SIZE
 from softfinger.server.keys import client_keys, make_pair
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
+from softfinger.server.publishing.messages import Messages
+from softfinger.server.publishing.setup import Shown, Ticks
 from softfinger.server.wire.client import NoTelemetry
-from softfinger.server.wire.protocol import CONTACT
+from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
 from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
 
 START_S: Final = 180.0
@@ -37,6 +40,8 @@ START_S: Final = 180.0
 
 TURN_S: Final = 10.0
 SOURCE: Final = Path(__file__).with_name("reference_sender.c")
+_EIGHT_BYTES: Final = 2**50 + 1
+"""A tick that a message has as eight bytes, as many as the sender in C puts in; no `state` goes with it."""
 
 SPINNING: Final = """
 import sys, threading
@@ -145,15 +150,13 @@ def compile_reference(folder: Path) -> list[str] | None:
 
 def body(folder: Path) -> list[str]:
     """A file with the map of a message in free space, and where in it the time and the tick are."""
-    # Here, for it brings numba with it: a subscriber, which this module is too, starts without.
-    from softfinger.server.wire.native.templates import Shown, make_plan
-
-    plan, path = make_plan(("",), 1, Shown()), folder / "body"
-    frames = plan.templates[0, : plan.sizes[0]].tobytes()
-    headers = 2 + len(CONTACT) + 9
-    path.write_bytes(frames[headers:])
-    places = {column: at - headers for at, column, _ in plan.spots[0, : plan.counts[0]].tolist()}
-    return [str(path), str(places[AT.timestamp]), str(places[AT.tick])]
+    record, path = [0.0] * RECORD_SIZE, folder / "body"
+    for i in range(PATCHES):
+        record[NAMED[f"contacts{i}.object"].at] = -1.0
+    record[AT.timestamp], record[AT.tick] = 1.5, float(_EIGHT_BYTES)
+    ((_, made),) = Messages(Ticks(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), Shown(rate_hz=1e9)).of(tuple(record))
+    path.write_bytes(made)
+    return [str(path), *(str(made.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES)))]
 
 
 def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> Turn:
@@ -169,9 +172,11 @@ def measure(name: str, words: list[str], args: argparse.Namespace, seconds: floa
 
 
 def processor_s(pid: int) -> float:
-    """Time that a process has had of processors."""
+    """Time that a process and its children have had of processors."""
     fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    children = " ".join(each.read_text("ascii") for each in Path(f"/proc/{pid}/task").glob("*/children")).split()
+    own = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return own + sum(processor_s(int(child)) for child in children)
 
 
 @contextmanager
@@ -219,7 +224,7 @@ def await_messages(endpoint: str) -> None:
         socket.linger = 0
         socket.subscribe(b"contact")
         socket.connect(endpoint)
-        with progress("waiting for the first message"):
+        with progress("the daemon starts, and compiles what is not kept"):
             if not socket.poll(int(START_S * 1000)):
                 raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
 

@@ -57,19 +57,6 @@ def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
 
 
 @jit
-def closest_to(objects: Any, index: float, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """`closest` of the object with that place."""
-    gap, point, normal = 0.0, x, (0.0, 0.0, 1.0)
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if has(entry, at, index):
-            body = member(entry, index - at)
-            gap, point, normal = closest_on(body, x)
-        at += places(entry)
-    return gap, point, normal
-
-
-@jit
 def closest_to_within(objects: Any, index: float, x: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
     """`closest_within` of the object with that place."""
     gap, point, normal = 0.0, x, (0.0, 0.0, 1.0)

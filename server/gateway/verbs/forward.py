@@ -1,24 +1,24 @@
 """`forward`: what a daemon publishes to more subscribers, to other machines by key, or to Lab Streaming Layer; and
-commands back to it. The daemon starts this verb itself for a rig whose endpoints are open to the network."""
+commands back to it."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import logging
-import socket
 import threading
 from contextlib import ExitStack
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside, is_public, telemetry_of
+from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
+from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.gateway.allowed import Allowed
 from softfinger.server.gateway.forward import Forward, Source, Way
-from softfinger.server.gateway.front import Lock
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.progress import counter
+from softfinger.server.publishing.front import Lock
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.endpoint import Bound, listen
 
@@ -35,7 +35,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--from",
         dest="source",
         metavar="URL",
-        type=telemetry_of,
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
@@ -53,10 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--readers", metavar="DIR", help="public keys of those who may subscribe")
     parser.add_argument("--commanders", metavar="DIR", help="public keys of those who may command")
     parser.add_argument("--server-key", metavar="FILE", help="public key of the daemon's end, where that wants keys")
-    parser.add_argument("--until-eof", action="store_true", help="end with standard input, so with who started this")
     parser.add_argument("--json", action="store_true", help="print what was handed on as JSON")
-    for flag in ("--to-fd", "--commands-to-fd"):  # of a socket that the daemon listens on already
-        parser.add_argument(flag, type=int, help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,25 +60,26 @@ def run(args: argparse.Namespace) -> int:
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: give --to, --commands-to or --lsl")
     upstream = None if args.server_key is None else keys.of_options(args)
+    origin = addresses_of(args.source, upstream, args.commands_from)
     stop = threading.Event()
     with ExitStack() as stack:
         to, commands = None, None
         if args.to:
             lock = lock_of(args.to, "--to", args.keys, args.readers)
-            to = (bound(args.to, "--to", args.to_fd, stack), lock)
+            to = (bound(args.to, "--to", stack), lock)
         if args.commands_to:
             lock = lock_of(args.commands_to, "--commands-to", args.keys, args.commanders)
-            opened = bound(args.commands_to, "--commands-to", args.commands_to_fd, stack)
-            commands = Way(Source(args.commands_from or commands_beside(args.source), upstream), opened, lock)
-        stream = Source(args.source, upstream) if to or args.lsl else None
-        forward = Forward(stream, to, commands, Outlets(args.source) if args.lsl else None)
+            opened = bound(args.commands_to, "--commands-to", stack)
+            commands = Way(Source(origin.commanded(), upstream), opened, lock)
+        stream = Source(origin.telemetry, upstream) if to or args.lsl else None
+        forward = Forward(stream, to, commands, Outlets(origin.telemetry) if args.lsl else None)
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
                 who = "who has a key" if part.front.lock else "everybody who reaches it"
                 log.info("%s forwarded on %s, to %s", name, part.front.endpoint, who)
         with signals.asked(stop.set), counter() as show:
-            forward.run(stop.is_set, show, 0 if args.until_eof else None)
+            forward.run(stop.is_set, show)
         found, line = forward.statistics(), forward.line()
     print(json.dumps(found) if args.json else f"{line}; {found['seconds']:.1f} s", flush=True)
     return signals.code_of_stop()
@@ -103,11 +100,8 @@ def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lo
     return None
 
 
-def bound(endpoint: str, flag: str, fd: int | None, stack: ExitStack) -> Bound:
-    """The endpoint, bound here or by whoever started this; `stack` frees it."""
-    if fd is None:
-        made = listen(endpoint, flag, public=True)
-        stack.enter_context(made.files)
-        return made
-    listener = stack.enter_context(socket.socket(fileno=fd))
-    return Bound(listener, stack.enter_context(ExitStack()), endpoint)
+def bound(endpoint: str, flag: str, stack: ExitStack) -> Bound:
+    """The endpoint, bound here; `stack` frees it."""
+    made = listen(endpoint, flag, public=True)
+    stack.enter_context(made.files)
+    return made

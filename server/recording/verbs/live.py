@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, RecordingError
 from softfinger.config.files import open_recording
-from softfinger.config.schema import commands_beside
+from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
 from softfinger.server.recording.recorder import Recorded, Recorder
@@ -36,16 +36,14 @@ _NOT_KEPT: Final = ("wire", "commands", "endpoints")
 class Live(NamedTuple):
     """What to record, and until when.
 
-    endpoint    of the telemetry
-    commands    where the daemon describes itself; None for what goes with the telemetry's endpoint
+    at          where it is published, and where the daemon describes itself
     duration_s  of ticks; None until the server's end
     keys        of a client, where the daemon wants some
     timeout_s   of silence, that ends it
     asked       whether somebody asks for the end
     """
 
-    endpoint: str
-    commands: str | None
+    at: Addresses
     keys: ClientKeys | None
     duration_s: float | None
     timeout_s: float
@@ -191,7 +189,7 @@ def _over(sample: Sample, live: Live, taking: Taking) -> bool:
 
 def subscribed(live: Live) -> Subscription:
     """A client of all that is taken."""
-    return subscribe(live.endpoint, (CONTACT, FINGERS, EVENT), keys=live.keys)
+    return subscribe(live.at.telemetry, (CONTACT, FINGERS, EVENT), keys=live.keys)
 
 
 def begin(wire: Subscription, live: Live) -> tuple[list[Sample], list[str], dict[str, Any]]:
@@ -219,13 +217,13 @@ def _early(wire: Subscription, live: Live) -> list[Sample]:
             # Those of a tick come one after the other: with the third of one, all others have come.
             if ticks[sample.topic] == 3:
                 return samples
-    raise NoTelemetry(silence(live.endpoint, live.timeout_s))
+    raise NoTelemetry(silence(live.at.telemetry, live.timeout_s))
 
 
 def _description(live: Live) -> dict[str, Any]:
     """What the daemon says of itself; empty where it takes no commands."""
     try:
-        with Control(live.commands or commands_beside(live.endpoint), DESCRIBE_S, keys=live.keys) as control:
+        with Control(live.at.commanded(), DESCRIBE_S, keys=live.keys) as control:
             return {key: value for key, value in control.describe().items() if key not in _NOT_KEPT}
     except HapticError as error:
         log.warning("it is not known which rig and scene this is: %s", error)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
-from softfinger.config.arrays.npz import Npz
+from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import ConfigError, Different, RecordingError
 from softfinger.config.files import open_input, read_input
 from softfinger.config.load import build, load_rig, load_scene
@@ -143,12 +143,11 @@ def _forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
     try:
         if path.suffix.lower() == ".npz":
             with open_input(path) as file:
-                archive = Npz(file)
-                if "read" not in archive.names():
+                archive = open_npz(file)
+                if "read" not in archive.files:
                     return None
-                size = FORCES_BYTES_MAX
-                reads = archive.array("read", size).astype(np.float64)
-                wrenches = np.column_stack([archive.array("force", size), archive.array("torque", size)])
+                reads = archive["read"].astype(np.float64)
+                wrenches = np.column_stack([archive["force"], archive["torque"]])
         elif path.suffix.lower() == ".csv":
             with open_input(path) as file:
                 if file.readline(len(",".join(FORCE_COLUMNS)) + 2).decode("ascii", "replace").strip() != ",".join(

@@ -17,6 +17,7 @@ from softfinger.server.viewer.nodes.board import add_board
 from softfinger.server.viewer.nodes.glyphs import Quaternion, rotated
 from softfinger.server.viewer.nodes.looks import CM, MAP, OBJECTS, Colour
 from softfinger.server.viewer.nodes.meshes import PLANE_M, Mesh, mesh_of
+from softfinger.server.viewer.nodes.relief import add_relief
 
 SQUARES: Final = 13
 """Of a side of a plane's board, a centimetre each."""
@@ -71,8 +72,7 @@ class Bodies:
         """The triangles of an object that is made of a file have come."""
         thing = self._scene.object[number]
         if len(mesh.faces):  # of crumbs alone nothing may be left
-            flat = isinstance(thing, schema.Mesh)  # a map is smooth
-            _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=flat), _colour(number, thing))
+            _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=True), _colour(number, thing))
 
     def show(self, row: NDArray[np.float64]) -> None:
         """Put those that move by themselves where they are in a tick (RECORD_SIZE,)."""
@@ -129,6 +129,9 @@ def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None
 
 
 def _put_surface(api: Any, node: str, thing: Any, mesh: Mesh, colour: tuple[int, int, int]) -> None:
+    if isinstance(thing, schema.Heightmap):
+        add_relief(api, f"{node}/surface", mesh, colour)
+        return
     inside = getattr(thing, "inside", False)
     api.add_mesh_simple(
         f"{node}/surface",

@@ -1,4 +1,4 @@
-"""What sends every tick without the interpreter: messages as templates, the newest of them, the peers' sockets.
+"""What hands every tick on without the interpreter: the thread that does, and the memory in which it does.
 
-Nothing here reads a byte of a peer: who it is, and what it may ask for, is `fanout.py`'s.
+No sockets, and nothing that a peer could reach.
 """

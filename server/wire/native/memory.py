@@ -1,7 +1,7 @@
 """The broadcast of every tick as memory that other programs of the same user may read.
 
 A file in /dev/shm of mode 600: a page of words, then the rows. Readers map it without the right to write, so none can
-do anything to it, or to whoever writes; they sleep on a counter as a futex, which the sender raises and wakes after it
+do anything to it, or to whoever writes; they sleep on a counter as a futex, which the relay raises and wakes after it
 has written. `softfinger_ring.h` says the same in C.
 """
 
@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.native.atomics import load_acquire, load_relaxed, 
 from softfinger.proxy.kernels.native.jit import entry, jit
 from softfinger.proxy.kernels.native.memory import address_of
 from softfinger.server.closing import Closing
-from softfinger.server.loop.shared.broadcast import Broadcast, make_broadcast, make_place, read_rows
+from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows
 
 log: Final = logging.getLogger(__name__)
 
@@ -70,38 +70,47 @@ class Memory(NamedTuple):
     """A broadcast that other programs may read.
 
     broadcast  what is written
-    words      (n,) int64 of all of it; empty where this process alone has it
-    name       in /dev/shm, '' for none
-    fd         its file, locked as long as somebody writes; -1 for none
+    words      (n,) int64 of all of it
+    name       in /dev/shm, '' where only the publisher can read it
+    fd         its file, locked as long as somebody writes
+    reading    the same, without the right to write
     """
 
     broadcast: Broadcast
     words: NDArray[np.int64]
     name: str
     fd: int
+    reading: int
 
 
 def make_memory(capacity: int, width: int) -> Memory:
-    """A broadcast for other programs of this user; where the system has no such memory, one for this process."""
+    """A broadcast for other programs of this user; where the system has no such memory, for the publisher alone."""
+    size = PAGE_BYTES + 8 * capacity * width
     try:
         if _FUTEX < 0:
             raise OSError(errno.ENOSYS, f"there is no futex known for {platform.machine()}")
         clear_away()
         fd, name = _claimed()
         try:
-            # Now, for what the system has no room for would be missing when it is written to.
-            os.posix_fallocate(fd, 0, PAGE_BYTES + 8 * capacity * width)
-            words = _mapped(fd, PAGE_BYTES + 8 * capacity * width)
+            words = _made(fd, size)
         except BaseException:
             (FOLDER / name).unlink(missing_ok=True)
             os.close(fd)
             raise
     except OSError as error:
         log.warning("telemetry: local readers cannot have the ticks as memory: %s: %s", FOLDER, error.strerror)
-        return Memory(make_broadcast(capacity, width), np.zeros(0, np.int64), "", -1)
+        fd, name = os.memfd_create("softfinger"), ""
+        words = _made(fd, size)
     words[_LAYOUT], words[_CAPACITY], words[_WIDTH] = LAYOUT, capacity, width
     words[_MAGIC] = MAGIC
-    return Memory(_broadcast(words), words, name, fd)
+    return Memory(_broadcast(words), words, name, fd, os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC))
+
+
+def _made(fd: int, size: int) -> NDArray[np.int64]:
+    """So many bytes of a new file, as words."""
+    # Now, for what the system has no room for would be missing when it is written to.
+    os.posix_fallocate(fd, 0, size)
+    return _mapped(fd, size)
 
 
 def _claimed() -> tuple[int, str]:
@@ -133,11 +142,12 @@ def _broadcast(words: NDArray[np.int64]) -> Broadcast:
 
 def remove(memory: Memory) -> None:
     """Tell readers that nothing more comes, and take the name away; who has it mapped keeps what is there."""
-    if memory.fd >= 0:
-        memory.words[_ENDED] = 1
-        ring_readers(memory.broadcast)
+    memory.words[_ENDED] = 1
+    ring_readers(memory.broadcast)
+    if memory.name:
         (FOLDER / memory.name).unlink(missing_ok=True)
-        os.close(memory.fd)
+    os.close(memory.fd)
+    os.close(memory.reading)
 
 
 def clear_away() -> None:

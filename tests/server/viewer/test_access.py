@@ -21,8 +21,9 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.viewer.access import Access
-from softfinger.server.viewer.live import Daemon, LivePage
+from softfinger.server.gateway.addresses import Addresses
+from softfinger.server.viewer.door.access import Access
+from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.page import Page
 
 pytestmark = pytest.mark.real_time
@@ -199,7 +200,7 @@ def say(stream: ClientConnection, control: Any, value: Any) -> None:
 
 def test_a_control_is_held_to_the_limits_that_it_shows(page: Page, endpoints: tuple[str, str]) -> None:
     """A stiffness far beyond its slider, none at all and a scene that is not on the list go back, and are not sent."""
-    live = LivePage(page, Daemon(*endpoints))
+    live = LivePage(page, Addresses(*endpoints))
     try:
         slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._choice
         fed(live, lambda: page.fingers and slider.value == 1000.0)

@@ -15,7 +15,6 @@ from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
-from softfinger.server.viewer.page import FIRST_CAMERA
 
 pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
@@ -31,7 +30,7 @@ def test_a_roll_a_spin_and_a_slide_are_told_apart_by_their_colours(tmp_path: Pat
     with served(str(file)) as screen:
         assert eventually(lambda: screen.shows("tick 0"))
         for tick in (ROLL, SPIN, SLIDE):
-            screen.fill("tick", str(tick))
+            screen.fill("time, s", str(tick / 1000.0))
             assert eventually(lambda tick=tick: screen.shows(f"tick {tick}"))
             wanted = {ROLL: "blue", SPIN: "orange", SLIDE: "red"}[tick]
             seen[tick] = eventually(lambda w=wanted: (found := coloured(screen.picture()))[w] > 100 and found)
@@ -67,7 +66,7 @@ def test_a_drag_of_the_mouse_is_felt_by_the_daemon(screen: Screen, client: Clien
 
     def ball() -> tuple[float, float]:
         x, y, z = client.get_state().position
-        return screen.at((CM * x, CM * y, CM * z), FIRST_CAMERA)
+        return screen.at((CM * x, CM * y, CM * z))
 
     def pressed() -> bool:
         screen.drag(ball(), (0.0, 30.0), "Shift")

@@ -62,10 +62,10 @@ def test_a_recording_has_a_driven_object_where_it_was(tmp_path: Path) -> None:
 
         assert eventually(lambda: screen.shows("tick 0"))
         for tick in (1500, 500, 499, 1500, 0):
-            screen.fill("tick", str(tick))
+            screen.fill("time, s", str(tick / 1000.0))
             assert eventually(lambda tick=tick: stands(places[tick])), tick
         screen.choose("speed", "0.25")
-        screen.fill("tick", "850")
+        screen.fill("time, s", "0.85")
         assert eventually(lambda: stands(moves[500]))
         screen.page.get_by_label("play", exact=True).click()
         assert eventually(lambda: stands(moves[900]))

@@ -16,7 +16,6 @@ from softfinger.config.load import build, load_rig
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
-from softfinger.server.viewer.page import FIRST_CAMERA
 
 pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
@@ -55,7 +54,7 @@ def drawn(screen: Screen) -> float:
 def colour(screen: Screen, point: tuple[float, float, float]) -> Any:
     """Of the picture where a point (m, world) is seen: the mean over a few pixels."""
     box = screen.page.locator("canvas").first.bounding_box()
-    x, y = screen.at((CM * point[0], CM * point[1], CM * point[2]), FIRST_CAMERA)
+    x, y = screen.at((CM * point[0], CM * point[1], CM * point[2]))
     row, column = round(y - box["y"]), round(x - box["x"])
     return screen.picture()[row - 2 : row + 3, column - 2 : column + 3].mean(axis=(0, 1))
 

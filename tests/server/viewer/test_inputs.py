@@ -18,7 +18,6 @@ from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.inputs import KEYS, SPEED, SPIN_RAD_S, Nudge, speed_of
 from softfinger.server.viewer.nodes.looks import CM
-from softfinger.server.viewer.page import FIRST_CAMERA
 from softfinger.server.viewer.tuning import NO_ROLLING
 
 pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
@@ -66,7 +65,7 @@ def test_a_finger_on_the_touch_screen_leads_the_hand(screen: Screen, client: Cli
 
     def ball() -> tuple[float, float]:
         x, y, z = place(client)
-        return screen.at((CM * x, CM * y, CM * z), FIRST_CAMERA)
+        return screen.at((CM * x, CM * y, CM * z))
 
     start = place(client)
 

@@ -14,7 +14,6 @@ from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.driven import HANDLE_CM
 from softfinger.server.viewer.nodes.looks import CM
-from softfinger.server.viewer.page import FRONT_CAMERA
 
 pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
@@ -78,7 +77,7 @@ def lid(client: Client) -> list[float]:
 def pull(screen: Screen, client: Client) -> None:
     """Drag the lid's arrow along the world's x axis."""
     x, y, z = (CM * part for part in lid(client))
-    screen.drag(screen.at((x + 0.7 * HANDLE_CM, y, z), FRONT_CAMERA), (40.0, 0.0))
+    screen.drag(screen.at((x + 0.7 * HANDLE_CM, y, z)), (40.0, 0.0))
 
 
 def test_handles_drive_an_object(screen: Screen, client: Client) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -18,13 +16,16 @@ from helpers.pressed import pressed_scene
 
 from softfinger.config.errors import RecordingError
 from softfinger.config.load import load_rig, load_scene
-from softfinger.proxy.record import AT
+from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon as Servant
 from softfinger.server.cli import main
+from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.viewer.driven import Handles
-from softfinger.server.viewer.live import Daemon, LivePage
+from softfinger.server.viewer.hand import Hand, Led
+from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import BEFORE, Player, load
@@ -72,34 +73,6 @@ def test_without_viser_one_line_says_what_to_install(words: list[str]) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_run_says_where_its_page_is_and_when_it_has_ended() -> None:
-    """The address first, before all else; once the page is killed one line, with what brings it back; ticks go on."""
-    ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*"]
-    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off", *ends]
-    with subprocess.Popen([*command, "--view"], stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            first = next(line for line in process.stderr if not line.startswith("compiling"))
-            assert "the page is http://localhost:" in first
-            (child,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-            os.kill(int(child), signal.SIGKILL)
-            ended = next(line for line in process.stderr if "the page has ended" in line)
-            assert "exit code -9" in ended and "softfinger view --endpoint tcp://127.0.0.1:" in ended
-            process.send_signal(signal.SIGINT)
-            rest = process.stderr.read()
-            assert "force is zero" in rest and "the page has ended" not in rest
-        finally:
-            process.kill()
-
-
-def test_run_without_a_page_names_the_option() -> None:
-    """Among its first lines."""
-    ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--realtime", "off"]
-    command = [sys.executable, "-m", "softfinger.server.cli", "run", *ends, "--duration", "0.01"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
-    assert "run it with --view" in done.stderr
-
-
 @pytest.fixture
 def page() -> Iterator[Page]:
     """A page that no browser has opened."""
@@ -142,7 +115,7 @@ def fed(live: LivePage, until: Any) -> bool:
 
 def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> None:
     """It draws the described scene, hears what others change, and says why something is not done."""
-    live = LivePage(page, Daemon(*endpoints))
+    live = LivePage(page, Addresses(*endpoints))
     try:
         assert fed(live, lambda: page.fingers)
         knob = live._tuning._knobs["stiffness"].slider
@@ -184,7 +157,7 @@ def test_a_moment_too_small_for_an_arc_has_no_tip_either(page: Page) -> None:
 
 def test_ticks_of_a_scene_before_are_not_drawn_in_this_one(page: Page, endpoints: tuple[str, str]) -> None:
     """They are told from those of this one by its first tick."""
-    live = LivePage(page, Daemon(*endpoints))
+    live = LivePage(page, Addresses(*endpoints))
     try:
         assert fed(live, lambda: page._newest)
         live._first = 10**9
@@ -232,7 +205,7 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
     scene = pressed_scene(name="lid", position_m=(0.0, 0.0, 0.01))
     with Servant(load_rig("replay", ends | {"servo.realtime": "off"}), scene, scene_name="lid") as running:
         running.start()
-        live = LivePage(page, Daemon(running.publisher.endpoint, str(running.commands_endpoint)))
+        live = LivePage(page, Addresses(running.publisher.endpoint, str(running.commands_endpoint)))
         try:
             assert fed(live, lambda: page.fingers)
             handles = live._handles
@@ -250,3 +223,21 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
             assert page.fingers[""] is nodes and handles._nodes[0].position.tolist() == [0.0, 0.0, 2.0]
         finally:
             live.close()
+
+
+def test_sliders_follow_a_finger_that_something_else_leads(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until the page leads it: then they show where it is asked to be, though the contact holds it elsewhere."""
+    monkeypatch.setattr("softfinger.server.viewer.hand.FOLLOWS_S", -1.0)
+    asked = []
+    hand = Hand(page.server.gui, page.server.scene, lambda finger, target: asked.append(target))
+    hand.change([Led("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
+    row = np.zeros(RECORD_SIZE)
+    row[AT.probe_orientation] = 1.0
+    for height in (0.02, 0.012):
+        row[AT.probe_position + 2] = height
+        hand.see("", row)
+        assert hand._sliders[2].value == pytest.approx(1e3 * height)
+    hand.nudge(Nudge(z=-0.004))
+    hand.see("", row)
+    assert hand._sliders[2].value == pytest.approx(8.0)
+    assert [target.position[2] for target in asked] == pytest.approx([0.008])

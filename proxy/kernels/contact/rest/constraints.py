@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.contact.rest.half_spaces import FACING, Push
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import closest_to, material_of
+from softfinger.proxy.kernels.geometry.bodies import Deepest, closest_to_within, material_of
 from softfinger.proxy.kernels.geometry.surfaces.contract import direction
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import jit
@@ -75,12 +75,16 @@ def with_another(active: Constraints, index: float, normal: Vec3) -> Constraints
 
 
 @jit
-def with_touched(objects: Any, radius: float, center: Vec3, active: Constraints, gap: float, at: float) -> Constraints:
-    """And the object nearest to the proxy, `at` with that gap, if it touches it and there is room for one more."""
+def with_touched(
+    objects: Any, radius: float, center: Vec3, active: Constraints, near: Deepest
+) -> tuple[Constraints, int]:
+    """And the object nearest to the proxy, if it touches it and there is room for one more; and what is left of the
+    budget."""
+    gap, at, left = near
     if gap > radius * (1.0 + INSIDE) or active.third >= 0.0 or at == active.first or at == active.second:
-        return active
-    _, _, normal = closest_to(objects, at, center)
-    return with_another(active, at, normal)
+        return active, left
+    _, _, normal, left = closest_to_within(objects, at, center, left)
+    return with_another(active, at, normal), left
 
 
 @jit

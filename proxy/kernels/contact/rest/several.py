@@ -173,8 +173,8 @@ def settle_for(
     center = goal
     if not wide:
         # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
-        gap, at, left = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active), left)
-        active = with_touched(objects, radius, goal, active, gap, at)
+        near = deepest(objects, goal, radius * (1.0 + INSIDE), held_by(active), left)
+        active, left = with_touched(objects, radius, goal, active, near)
     found, lift, budget = False, 0.0, left
     for attempt in range(ATTEMPTS_ON_MANY if wide else ATTEMPTS):
         center, active, left = relaxed(objects, radius + lift, probe, center, active, rounds, left)

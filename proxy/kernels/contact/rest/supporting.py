@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.rest.constraints import INSIDE, NONE, Constraints, held_by, leaves_no_room
 from softfinger.proxy.kernels.contact.rest.half_spaces import Push, displacement, hold
 from softfinger.proxy.kernels.geometry import vec3
-from softfinger.proxy.kernels.geometry.bodies import beside_on, closest_to, deepest
+from softfinger.proxy.kernels.geometry.bodies import beside_on, closest_to_within, deepest
 from softfinger.proxy.kernels.geometry.kinds import faceted_on
 from softfinger.proxy.kernels.geometry.mesh.contact import SPENT, STRIDE
+from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined
@@ -76,11 +77,11 @@ class Stand(NamedTuple):
 @outlined
 def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x: Vec3) -> Plane:
     """The tangent plane of an object, a radius away, nearest to `x` (3,) m if the anchor is in front of it; else that
-    nearest to the anchor, which is."""
-    _, point, normal = closest_to(objects, index, x)
+    nearest to the anchor, which is. The object is a triangle or of a shape without a search: nothing is counted."""
+    _, point, normal, _ = closest_to_within(objects, index, x, BUDGET)
     normal = towards(objects, index, normal, vec3.sub(anchor, point))
     if vec3.dot(normal, vec3.sub(anchor, point)) < radius * (1.0 - INSIDE) and x != anchor:
-        _, point, normal = closest_to(objects, index, anchor)
+        _, point, normal, _ = closest_to_within(objects, index, anchor, BUDGET)
         normal = towards(objects, index, normal, vec3.sub(anchor, point))
     return Plane(index, normal, vec3.dot(normal, point) + radius)
 
@@ -199,7 +200,7 @@ def touches(objects: Any, index: float, push: float, radius: float, center: Vec3
     """Whether an object that pushes a proxy touches it there."""
     if index < 0.0 or push <= 0.0:
         return True
-    _, point, _ = closest_to(objects, index, center)
+    _, point, _, _ = closest_to_within(objects, index, center, BUDGET)
     return vec3.norm(vec3.sub(center, point)) <= radius * (1.0 + 3.0 * NEARLY)
 
 

@@ -119,12 +119,6 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
     return 0.0, 0.0, any_tangent(normal)
 
 
-@closest.of(Mesh)
-def closest_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    gap, point, normal, _ = closest_known_on_mesh(shape, x)
-    return gap, point, normal
-
-
 @closest_or_bound.of(Mesh)
 def closest_known_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     """Of the whole mesh: for an effect that draws to the surface."""

@@ -21,7 +21,8 @@ These two are all that a new shape has to give. What follows has a default, whic
     unroll(shape, radius, center, ...)                              rolling in closed form, without a default
 
 What takes long to ask has a budget; `left` is what is left of it, below 0 where it was used up. Only what is asked of
-meshes and height maps is counted.
+meshes and height maps is counted. Those two have no `closest`: their nearest point comes with the word of whether the
+search for it ended, or not at all.
 
 Defaults stand beside what they are made of: travel in geometry/sweep, rest_on in contact/rest/single, ahead and unroll
 in contact/rolling. A shape that can be touched from inside has `side`, +1 or -1, and calls `may_be_hollow`.

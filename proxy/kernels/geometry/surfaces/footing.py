@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.surfaces.contract import (
-    closest,
     closest_from,
     closest_or_bound,
     closest_within,
@@ -235,12 +234,6 @@ def as_asked(x: Vec3, near: Touched) -> tuple[float, Vec3, Vec3]:
         return near.gap, near.point, near.normal
     _, up = direction(vec3.sub(x, near.point), near.normal)
     return near.gap, vec3.add_scaled(x, -near.gap, up), up
-
-
-@closest.of(Heightmap)
-def closest_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Where several points are nearest, any one of them."""
-    return as_asked(x, nearest_from(shape, x, x, BUDGET))
 
 
 @closest_or_bound.of(Heightmap)

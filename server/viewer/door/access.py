@@ -40,11 +40,19 @@ NAMED: Final = b"<title>Viser</title>"
 Answer = Callable[[ServerConnection, Request], Response | None]
 
 
-class Access:
-    """What a request to a page on `host` has to say; `allowed` are more hosts, NAME or NAME:PORT, behind a tunnel."""
+def new_token() -> str:
+    """One that nobody guesses."""
+    return secrets.token_urlsafe(TOKEN_BYTES)
 
-    def __init__(self, host: str, allowed: tuple[str, ...] = (), title: str = "softfinger") -> None:
-        self.token: Final = secrets.token_urlsafe(TOKEN_BYTES)
+
+class Access:
+    """What a request to a page on `host` has to say; `allowed` are more hosts, NAME or NAME:PORT, behind a tunnel.
+    Its `token` is a new one unless it is given."""
+
+    def __init__(
+        self, host: str, allowed: tuple[str, ...] = (), title: str = "softfinger", token: str | None = None
+    ) -> None:
+        self.token: Final = new_token() if token is None else token
         self._host, self._allowed, self._title = host, allowed, title
 
     def address(self, port: int) -> str:

@@ -1,6 +1,8 @@
-"""The sender without Python: its bytes against an encoder in Python, late subscribers, and a held interpreter lock."""
+"""The publisher: its messages against an encoder of the tests, late subscribers, and a held interpreter lock."""
 
 import dataclasses
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -15,12 +17,18 @@ from helpers.hapticore_client import Client, HapticState
 from helpers.plotjuggler import complaints, prefix_complaints
 from helpers.telemetry_records import join, put, synthetic
 
+from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.record import PATCHES
+from softfinger.proxy.record import AT, PATCHES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.shared.broadcast import make_broadcast, make_place, read_rows, write_row
-from softfinger.server.wire.native.templates import Shown
+from softfinger.server.publishing.process import QUIET_S
+from softfinger.server.publishing.setup import Shown
+from softfinger.server.recording.summary import summary
+from softfinger.server.wire import link
+from softfinger.server.wire.control import Control
+from softfinger.server.wire.native.memory import Local
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
@@ -121,6 +129,8 @@ def test_state_keeps_its_rate_and_says_the_scenes_name(sockets):
         join(publisher, socket)
         for name, first in (("a", 0), ("b" * 300, 400)):
             publisher.show(Shown(name, 8000.0))
+            publisher.event("test", "shown")
+            until_event(socket, "shown")
             publisher.publish(synthetic(400, first_tick=first))
             publisher.event("test", name)
             states = [msgpack.unpackb(body) for topic, body in until_event(socket, name) if topic == b"state"]
@@ -131,9 +141,13 @@ def test_state_keeps_its_rate_and_says_the_scenes_name(sockets):
 def test_a_late_subscriber_gets_schema_and_last_state_at_once(sockets):
     """Without another message being sent; and again for a topic that is asked for later, or anew. No event comes."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
+        early = sockets(publisher.endpoint, b"event")
+        join(publisher, early)
         records = synthetic(1103)
         publisher.publish(records)
         publisher.event("test", "before")
+        until_event(early, "before")
+        time.sleep(2.0 * QUIET_S)
         socket = sockets(publisher.endpoint, b"")
         found = {topic: msgpack.unpackb(body) for topic, body in (socket.recv_multipart() for _ in range(4))}
         assert found.keys() == {b"schema", b"contact", b"state", b"health"}
@@ -153,26 +167,40 @@ def test_a_late_subscriber_gets_schema_and_last_state_at_once(sockets):
             assert later.recv_multipart()[0] == b"health"
             later.unsubscribe(b"health")
         publisher.event("test", "after")
-        assert [topic for topic, _ in until_event(socket, "after")] == []
+        # Who has subscribed to all of it is sent it once more, and nothing else.
+        again = [topic for topic, _ in until_event(socket, "after")]
+        assert sorted(again) == [b"health", b"health", b"schema", b"state", b"state"]
 
 
-def test_what_is_no_longer_kept_is_not_sent_late(sockets):
-    """The newest health of long ago is not in the backlog any more; the newest tick is."""
-    with Publisher("tcp://127.0.0.1:*", backlog=100) as publisher:
-        publisher.publish(synthetic(1500))
-        socket = sockets(publisher.endpoint, b"health", b"contact")
-        topic, body = socket.recv_multipart()
-        assert (topic, msgpack.unpackb(body)["tick"]) == (b"contact", 1499)
+def test_the_schema_comes_where_nothing_else_has(sockets):
+    """To the first subscriber of a publisher that has sent nothing."""
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        assert sockets(publisher.endpoint, b"schema").recv_multipart()[0] == b"schema"
+
+
+def test_while_ticks_come_nobody_is_sent_one_twice(sockets):
+    """However many subscribe meanwhile: each of 2000 ticks once, in order, to who was there before."""
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        socket = sockets(publisher.endpoint, b"contact", b"event")
+        join(publisher, socket)
+        for tick in range(2000):
+            publisher.publish(synthetic(1, first_tick=tick))
+            if tick % 100 == 50:
+                sockets(publisher.endpoint, b"contact")
+            time.sleep(0.0005)
+        publisher.event("test", "end")
+        ticks = [msgpack.unpackb(body)["tick"] for topic, body in until_event(socket, "end") if topic == b"contact"]
+    assert ticks == list(range(2000))
 
 
 def test_plotjugglers_rules_hold_for_every_topic(sockets):
     """Each message of each topic; and the checker finds what breaks each rule."""
     with Publisher("tcp://127.0.0.1:*", fingers=FINGERS) as publisher:
+        publisher.show(Shown(epoch_s=1.69e9))
         socket = sockets(publisher.endpoint, b"")
         join(publisher, socket)
         records = [with_every_set_of_patches(synthetic(1200, seed=seed)) for seed in range(2)]
         put(records[0][700:701], "contact.cause", 1)
-        publisher.show(Shown(epoch_s=1.69e9))
         publisher.publish(np.hstack(records))
         publisher.event("command", "set_params", command_id="1", what={"a": {"from": 1.0, "to": 2.0}})
         publisher.event("test", "end")
@@ -230,6 +258,7 @@ def test_hapticores_client_reads_state_and_commands(sockets):
 
 HELD = """
 import ctypes, sys, time
+from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
@@ -269,6 +298,54 @@ def test_a_thread_that_keeps_the_interpreter_does_not_hold_up_ticks(sockets):
     held = [topic for topic, at in times if begun < at < ended]
     # 900 and 180 were sent; a machine that stands still for a while delivers fewer within that time
     assert held.count(b"contact") > 100 and held.count(b"state") > 20
+
+
+def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
+    """Subscriber and client connect anew by themselves, it is told and counted, and neither a recording nor a reader
+    of the ticks in memory has a gap."""
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
+        daemon.recordings.record(tmp_path / "all.mcap", "paper-plane")
+        publisher = daemon.publisher
+        socket = sockets(publisher.endpoint, b"contact", b"event", b"health")
+        socket.rcvtimeo = 120_000
+        local = Local(publisher.ring()["name"])
+        rows, found = [], []
+        daemon.start()
+        with Control(daemon.commands_endpoint, 120.0) as control:
+            control.heartbeat()
+            assert socket.recv_multipart()
+            for killed in (1, 2):
+                os.kill(publisher.pid, signal.SIGKILL)
+                while not (publisher.restarts == killed and publisher.subscribers == 1):
+                    rows.append(local.take(1.0).copy())
+                    while socket.poll(0):  # one that does not read does not subscribe anew either
+                        found.append(socket.recv_multipart())
+                assert control.mark("again").tick > 0
+            named, restarts = set(), 0
+            while not {"publisher", "mark"} <= named or restarts != 2:
+                topic, body = found.pop(0) if found else socket.recv_multipart()
+                message = msgpack.unpackb(body)
+                named |= {message["name"]} if topic == b"event" else set()
+                restarts = message["restarts"] if topic == b"health" else restarts
+        daemon.stop()
+        assert daemon.wait(60.0)
+        ticks = daemon.servo.ticks
+        while len(taken := local.take(1.0)):
+            rows.append(taken.copy())
+        local.close()
+    assert np.concatenate(rows)[:, AT.tick].tolist() == list(range(ticks))
+    assert summary(tmp_path / "all.mcap")["ticks"] == ticks
+
+
+def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
+    """It is not tried again and again where nobody has ever heard of it."""
+    monkeypatch.setattr(link, "MODULE", "softfinger.server.no_such_module")
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        daemon.start()
+        with pytest.raises(SafetyStop, match="nobody can see what is rendered"):
+            daemon.wait(60.0)
 
 
 @entry

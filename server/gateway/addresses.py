@@ -1,0 +1,100 @@
+"""Where a daemon publishes and where it takes commands, found from either of its two addresses."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.schema import BESIDE, commands_beside, is_public, telemetry_of
+from softfinger.server.keys import ClientKeys
+from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.control import Control
+from softfinger.server.wire.protocol import SCHEMA_TOPIC
+
+EXPECTED_S: Final = 0.5
+"""Time that an address has to be what it is expected to be. A daemon answers within milliseconds, unless it is busy."""
+OTHER_S: Final = 2.0
+"""Time that it then has to be the other."""
+
+
+class Addresses(NamedTuple):
+    """Endpoints of one daemon; `commands` is None where it takes none."""
+
+    telemetry: str
+    commands: str | None
+
+    def commanded(self) -> str:
+        """Where to command it; ConfigError where it takes no commands."""
+        if self.commands is None:
+            raise ConfigError(f"the daemon that publishes on {self.telemetry} takes no commands: its rig has them off")
+        return self.commands
+
+
+def addresses_of(
+    endpoint: str, keys: ClientKeys | None = None, commands: str | None = None, *, to_command: bool = False
+) -> Addresses:
+    """Both addresses of the daemon of which `endpoint` is one.
+
+    commands    where it takes them, if that is known: nothing is sought then
+    to_command  whether `endpoint` is more likely that of commands
+
+    Where the rig does not say, commands are beside the telemetry (`commands_beside`), and so they are for an address
+    that other machines reach. Else the daemon is asked. One that does not answer, since it is not there yet, has the
+    commands where a rig has them that does not say.
+    """
+    if commands is not None:
+        return Addresses(telemetry_of(endpoint), commands)
+    if endpoint.startswith("ipc://") and endpoint.endswith(BESIDE):
+        return _if_there(_commanded, endpoint, keys) or Addresses(telemetry_of(endpoint), endpoint)
+    beside = commands_beside(endpoint)
+    if beside.startswith("ipc://") and Path(beside.removeprefix("ipc://")).is_socket():
+        return Addresses(endpoint, beside)
+    likely = Addresses(endpoint, endpoint if to_command else beside)
+    if is_public(endpoint):
+        return likely
+    first, second = (_commanded, _published) if to_command else (_published, _commanded)
+    return first(endpoint, keys, EXPECTED_S) or _if_there(second, endpoint, keys) or likely
+
+
+def _if_there(
+    ask: Callable[[str, ClientKeys | None, float], Addresses | None], endpoint: str, keys: ClientKeys | None
+) -> Addresses | None:
+    """What one of the two below finds, where anything listens at all."""
+    return ask(endpoint, keys, OTHER_S) if _listens(endpoint) else None
+
+
+def _published(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
+    """Both, where an endpoint is that of the telemetry: its first message says where the commands are."""
+    with suppress(HapticError), subscribe(endpoint, (SCHEMA_TOPIC,), keys=keys) as samples:
+        if (sample := samples.receive(wait_s)) is not None:
+            return Addresses(endpoint, sample.data.get("commands", commands_beside(endpoint)) or None)
+    return None
+
+
+def _commanded(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
+    """Both, where an endpoint is that of commands: the daemon describes itself."""
+    with suppress(HapticError), Control(endpoint, wait_s, keys) as control:
+        described: dict[str, Any] = control.describe()
+        return Addresses(described["endpoints"]["telemetry"], endpoint)
+    return None
+
+
+def _listens(endpoint: str) -> bool:
+    """Whether anything does, at an address of this machine; True where that cannot be told."""
+    scheme, _, address = endpoint.partition("://")
+    host, _, port = address.rpartition(":")
+    try:
+        if scheme == "ipc":
+            with socket.socket(socket.AF_UNIX) as peer:
+                peer.connect(address)
+        else:
+            socket.create_connection((host.strip("[]"), int(port)), EXPECTED_S).close()
+    except (ConnectionError, FileNotFoundError):
+        return False
+    except (OSError, ValueError, OverflowError):
+        return True
+    return True

@@ -1,0 +1,103 @@
+"""The messages of a tick: a row of the record as the maps that docs/protocol.md has, encoded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import msgspec
+
+from softfinger.proxy.record import FIELDS, NAMED, PATCHES, RECORD_SIZE, Field
+from softfinger.server.publishing.setup import Shown, Ticks
+
+_WORD: Final = 2.0**63
+_TICK: Final = NAMED["tick"].at
+_LISTS: Final = [f"contacts{i}" for i in range(PATCHES)]
+
+
+def whole(value: float) -> int:
+    """The integer of a field; 0 for what is none, such as a nan that a device reports as its buttons."""
+    return int(value) if -_WORD <= value < _WORD else 0
+
+
+class _Map:
+    """A map that is made once, and filled from row after row.
+
+    fields  with their dotted names in it
+    """
+
+    def __init__(self, content: dict[str, Any], fields: list[tuple[str, Field]]) -> None:
+        self.content = content
+        self._whole: list[tuple[dict[str, Any], str, int]] = []
+        self._numbers: list[tuple[dict[str, Any], str, int]] = []
+        self._vectors: list[tuple[dict[str, Any], str, int, int]] = []
+        for name, field in fields:
+            parent, _, key = name.rpartition(".")
+            inside = content.setdefault(parent, {}) if parent else content
+            inside[key] = 0
+            if field.kind == "int":
+                self._whole.append((inside, key, field.at))
+            elif field.size == 1:
+                self._numbers.append((inside, key, field.at))
+            else:
+                self._vectors.append((inside, key, field.at, field.at + field.size))
+
+    def fill(self, row: tuple[float, ...]) -> dict[str, Any]:
+        """The map of a record (RECORD_SIZE,); the next call changes it."""
+        for inside, key, at in self._whole:
+            inside[key] = whole(row[at])
+        for inside, key, at in self._numbers:
+            inside[key] = row[at]
+        for inside, key, begin, end in self._vectors:
+            inside[key] = row[begin:end]
+        return self.content
+
+
+class Messages:
+    """Encodes rows (fingers x RECORD_SIZE,)."""
+
+    def __init__(self, ticks: Ticks, shown: Shown) -> None:
+        self._topics, self._every = [topic.encode() for topic in ticks.topics], ticks.every
+        self._state_topic, self._state_hz = ticks.state.encode(), ticks.state_hz
+        self._encode = msgspec.msgpack.Encoder().encode
+        in_lists = {name: [f for f in FIELDS if f.name.startswith(f"{name}.")] for name in _LISTS}
+        listed = {f.name for fields in in_lists.values() for f in fields}
+        head = {"schema": ticks.schema, "every": ticks.every}
+        self._contact = _Map(head, [(f.name, f) for f in FIELDS if f.name not in listed])
+        self._patches = [
+            (NAMED[f"{name}.object"].at, _Map({}, [(f.name.partition(".")[2], f) for f in fields]))
+            for name, fields in in_lists.items()
+        ]
+        own = {
+            "position": "probe.position",
+            "velocity": "probe.velocity",
+            "force": "force",
+            "field_state.mode": "contact.mode",
+            "field_state.object": "contact.object",
+            "field_state.penetration": "contact.penetration",
+        }
+        content = {"timestamp": 0.0, "sequence": 0}
+        self._state = _Map(content, [(key, NAMED[name]) for key, name in own.items()])
+        self.show(shown)
+
+    def show(self, shown: Shown) -> None:
+        """What `state` is to say beside the tick."""
+        self._state_every = max(1, round(shown.rate_hz / self._state_hz))
+        self._epoch_s = shown.epoch_s
+        self._state.content["active_field"] = shown.scene
+
+    def of(self, row: tuple[float, ...]) -> Iterator[tuple[bytes, bytes]]:
+        """Topic and body of each message of a tick."""
+        tick = whole(row[_TICK])
+        if tick % self._every == 0:
+            for place, topic in enumerate(self._topics):
+                yield topic, self._of_finger(row[place * RECORD_SIZE : (place + 1) * RECORD_SIZE])
+        if tick % self._state_every == 0:
+            state = self._state.fill(row)
+            state["timestamp"], state["sequence"] = row[NAMED["timestamp"].at] - self._epoch_s, tick
+            yield self._state_topic, self._encode(state)
+
+    def _of_finger(self, record: tuple[float, ...]) -> bytes:
+        content = self._contact.fill(record)
+        content["contacts"] = [patch.fill(record) for at, patch in self._patches if whole(record[at]) >= 0]
+        return self._encode(content)

@@ -1,0 +1,93 @@
+"""Whoever subscribes: libzmq's XPUB, what subscribers are too slow for, and what they ask for."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Final
+
+import zmq
+
+from softfinger.server.publishing.front import Front, Gate, Lock, Open
+
+log: Final = logging.getLogger(__name__)
+
+SUBSCRIPTION_MAX: Final = 512
+"""Longest frame of a subscriber, bytes."""
+SUBSCRIPTIONS_PER_S: Final = 256
+"""Of one key, new topics: above, the key is barred. A program has one or two for each connection."""
+AT_ONCE: Final = 256
+
+
+class Readers:
+    """Whoever subscribes on one endpoint.
+
+    queue  messages that wait for a slow subscriber; then libzmq drops the newest, for that one
+    asked  called with each topic, or beginning of topics, that somebody subscribes to
+    """
+
+    def __init__(
+        self, gate: Gate, bound: Open, lock: Lock | None, queue: int, asked: Callable[[bytes], None] | None = None
+    ) -> None:
+        options = {"sndhwm": queue, "maxmsgsize": SUBSCRIPTION_MAX, "xpub_verboser": 1, "xpub_nodrop": 1}
+        self.front: Final = Front(gate, zmq.XPUB, bound, lock, options)
+        self.lost = 0
+        """Messages at which a subscriber was found to be too slow; what it lost after them libzmq does not tell."""
+        self._asked = asked
+        self._topics = self._renewed = 0
+        """Subscriptions that there are, since all were cut off for the last time."""
+        self._new: Counter[bytes] = Counter()
+        self._since_s = 0.0
+
+    @property
+    def subscribers(self) -> int:
+        """Connections that subscribe to something: libzmq does not say whose a subscription is."""
+        return min(self.front.peers, self._topics) if self._renewed == self.front.renewed else 0
+
+    def send(self, topic: bytes, body: bytes) -> None:
+        """To everybody who has subscribed to it; waits for nobody."""
+        socket = self.front.socket
+        try:
+            socket.send(topic, zmq.SNDMORE | zmq.NOBLOCK)
+        except zmq.Again:  # it was given to nobody: now to all who have room
+            self.lost += 1
+            socket.xpub_nodrop = 0
+            socket.send(topic, zmq.SNDMORE | zmq.NOBLOCK)
+            socket.xpub_nodrop = 1
+        socket.send(body, zmq.NOBLOCK)
+
+    def take(self) -> None:
+        """Read the subscriptions that have come; where a key is barred for their number, all are cut off."""
+        now = time.monotonic()
+        if now - self._since_s >= 1.0:
+            self._since_s, self._new = now, Counter()
+        if self._renewed != self.front.renewed:
+            self._renewed, self._topics = self.front.renewed, 0
+        for _ in range(AT_ONCE):
+            if not self.front.has_come:
+                return
+            frame = self.front.socket.recv(zmq.NOBLOCK, copy=False)
+            said = frame.bytes
+            self._topics += {b"\1": 1, b"\0": -1}.get(said[:1], 0)
+            if said[:1] == b"\1" and self._asked is not None:
+                self._asked(said[1:])
+            if self.front.lock is not None and self._floods(frame):
+                return
+
+    def _floods(self, frame: zmq.Frame) -> bool:
+        lock = self.front.lock
+        assert lock is not None
+        try:
+            key = str(frame.get("User-Id")).encode()
+        except zmq.ZMQError:  # of a peer that has gone
+            return False
+        self._new[key] += 1
+        if self._new[key] <= SUBSCRIPTIONS_PER_S:
+            return False
+        log.warning("key %s is barred: more than %d topics in 1 s", lock.allowed.name(key), SUBSCRIPTIONS_PER_S)
+        lock.allowed.bar(key)
+        lock.allowed.refresh()
+        self.front.renew()
+        return True

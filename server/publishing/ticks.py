@@ -1,0 +1,54 @@
+"""Ticks as other programs of this user read them: rows of a file in memory, without numpy.
+
+docs/protocol.md has the layout, `softfinger_ring.h` the same reader in C.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+from collections.abc import Iterator
+from typing import Final
+
+_CAPACITY: Final = 2
+_WIDTH: Final = 3
+_HEAD: Final = 8
+_PAGE_BYTES: Final = 4096
+
+
+class Rows:
+    """A reader that begins with row `begin`; takes over the file. `bell` is an eventfd that is rung after each row."""
+
+    def __init__(self, file: int, begin: int, bell: int) -> None:
+        self._memory = mmap.mmap(file, 0, prot=mmap.PROT_READ)
+        os.close(file)
+        self._words = memoryview(self._memory).cast("q")
+        self._capacity, width = self._words[_CAPACITY], self._words[_WIDTH]
+        self._row = struct.Struct(f"{width}d")
+        self._next, self.bell = begin, bell
+        self.lost = 0
+        """Rows that were overwritten before they were read."""
+
+    def heard(self) -> None:
+        """Take back the ring of the bell, once it has rung."""
+        # The call orders this reader's loads behind what was written before the bell was rung.
+        os.eventfd_read(self.bell)
+
+    def take(self) -> Iterator[tuple[float, ...]]:
+        """Every row that is there, oldest first; whoever is a whole ring behind goes on from half of it."""
+        head = self._words[_HEAD]
+        while self._next < head:
+            if head - self._next >= self._capacity:
+                self._skip(head)
+            slot = self._next & (self._capacity - 1)
+            row = self._row.unpack_from(self._memory, _PAGE_BYTES + slot * self._row.size)
+            head = self._words[_HEAD]
+            if head - self._next < self._capacity:  # it was not overwritten meanwhile
+                self._next += 1
+                yield row
+
+    def _skip(self, head: int) -> None:
+        to = head - self._capacity // 2
+        self.lost += to - self._next
+        self._next = to

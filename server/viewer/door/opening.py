@@ -1,0 +1,51 @@
+"""A browser that is opened at the page's secret address, by a file.
+
+The words that a program is started with are for every user of the machine to read.
+"""
+
+from __future__ import annotations
+
+import html
+import logging
+import os
+import secrets
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.schema import runtime_folder
+from softfinger.server.wire.endpoint import make_runtime_folder
+
+log: Final = logging.getLogger(__name__)
+
+LEADS: Final = """<!doctype html>
+<meta charset="utf-8"><meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0; url={address}">
+<title>softfinger</title>
+<a href="{address}">the page</a>
+"""
+
+
+@contextmanager
+def in_browser(address: str) -> Iterator[None]:
+    """Open a browser at an address that others must not see; for as long as this lasts the browser may come back.
+
+    It opens a file in this user's runtime folder, mode 600, which leads on to the address.
+    """
+    try:
+        make_runtime_folder()
+        path = runtime_folder() / f"page-{secrets.token_hex(8)}.html"
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    except (ConfigError, OSError) as error:
+        log.warning("no browser is opened: %s; open the page's address", error)
+        yield
+        return
+    try:
+        with os.fdopen(file, "w") as out:
+            out.write(LEADS.format(address=html.escape(address, quote=True)))
+        webbrowser.open(path.as_uri())
+        yield
+    finally:
+        path.unlink(missing_ok=True)

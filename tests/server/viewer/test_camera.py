@@ -1,0 +1,94 @@
+"""Where a scene is looked at from at first: all that is touched is in the picture, and large enough."""
+
+from __future__ import annotations
+
+from math import sin, tan
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.config.load import load_scene, shipped
+from softfinger.config.schema import Scene
+from softfinger.server.viewer.nodes.camera import Camera, camera_of
+from softfinger.server.viewer.nodes.glyphs import rotated
+from softfinger.server.viewer.nodes.looks import CM, MAP
+from softfinger.server.viewer.nodes.meshes import Mesh
+from softfinger.server.viewer.nodes.relief import LIGHT, tints
+
+pytestmark = pytest.mark.plain
+
+RADIUS = 0.01
+
+
+def seen(camera: Camera, point: Any) -> tuple[float, float]:
+    """How far a point (3,) m is from the middle of the picture, across and up: at its edge 1."""
+    look = np.subtract(camera.look_at, camera.position)
+    depth = look / np.linalg.norm(look)
+    right = np.cross(depth, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    way = CM * np.asarray(point) - camera.position
+    scale = tan(0.5 * camera.fov) * float(way @ depth)
+    return float(way @ right) / scale, float(way @ np.cross(right, depth)) / scale
+
+
+@pytest.mark.parametrize("name", shipped(Scene))
+def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> None:
+    """Of every shipped scene: where the first object is touched from above, a fingertip lies within a square picture
+    and takes a twentieth of its height."""
+    scene = load_scene(name)
+    camera, thing = camera_of(scene), scene.object[0]
+    half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(thing.shape, 0.0)
+    up = np.array([0.0, 0.0, 1.0])
+    middle = np.array(thing.position_m) + (half + RADIUS) * up
+    for end in (-RADIUS, 0.0, RADIUS):
+        for way in np.eye(3):
+            assert max(map(abs, seen(camera, middle + end * way))) < 1.0
+    height = seen(camera, middle + RADIUS * up)[1] - seen(camera, middle - RADIUS * up)[1]
+    assert height > 0.1  # of 2
+
+
+def test_walls_are_looked_at_from_in_front() -> None:
+    """The camera of the corner is on the side of each plane where the fingertip is."""
+    scene = load_scene("corner")
+    position = np.array(camera_of(scene).position)
+    for wall in scene.object:
+        normal = rotated(wall.orientation_wxyz, np.array([0.0, 0.0, 1.0]))
+        assert normal @ (position - CM * np.array(wall.position_m)) > 0.0
+
+
+def test_of_two_fingers_neither_is_hidden() -> None:
+    """The pinch is looked at across the line between its fingers, and both are in the picture."""
+    camera = camera_of(load_scene("pinch"))
+    assert camera.position[0] == pytest.approx(camera.look_at[0], abs=1.0)  # the fingers differ in size, by 2 mm
+    for x in (-0.02 - 2.0 * RADIUS, 0.02 + 2.0 * RADIUS):
+        assert max(map(abs, seen(camera, (x, 0.0, 0.0)))) < 1.0
+
+
+def test_an_object_of_a_file_is_looked_at_once_it_is_drawn() -> None:
+    """A ball of 60 mm that is drawn is farther from the camera than what is not known yet."""
+    scene = load_scene("heightmap")
+    flat = np.array([(x, y, 0.0) for x in (-0.1, 0.0, 0.1) for y in (-0.1, 0.0, 0.1)])
+    hill = np.array([(0.0, 0.0, 0.06)])
+    near, far = camera_of(scene, {0: flat}), camera_of(scene, {0: np.concatenate([flat, hill])})
+
+    def distance(camera: Camera) -> float:
+        return float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
+
+    assert distance(far) > distance(near) >= distance(camera_of(scene))
+    assert distance(far) * sin(0.5 * far.fov) >= CM * 0.03  # half the hill fits
+
+
+def test_a_slope_to_the_light_is_lighter_than_one_away_from_it() -> None:
+    """And of two level places the higher is; the highest level has the map's own colour, in linear light."""
+    steep = np.array([(x, 0.1 * y, abs(x)) for x in (-1.0, 0.0, 1.0) for y in (0.0, 1.0)])
+    faces = np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)], np.uint32)
+    valley = tints(Mesh(steep, faces), MAP)[:, :3].astype(int)
+    assert LIGHT[0] < 0.0  # from the left: the right side of a valley faces it
+    assert (valley[4] > valley[0]).all() and (valley[5] > valley[1]).all()
+    level = np.array(
+        [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)]
+    )
+    low, high = tints(Mesh(level, np.array([(0, 1, 2), (3, 4, 5)], np.uint32)), MAP)[[0, 3], :3].astype(int)
+    assert (high > low).all()
+    np.testing.assert_allclose(high, 255.0 * ((np.array(MAP) / 255.0 + 0.055) / 1.055) ** 2.4, atol=1.0)  # rounded down

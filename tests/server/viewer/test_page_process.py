@@ -1,0 +1,156 @@
+"""The page as a program: where it is said to be, who sees its secret, and what becomes of it when it ends."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from urllib.error import URLError
+from urllib.parse import urlsplit
+from urllib.request import urlopen
+
+import pytest
+from helpers.browser import browser, eventually, shown, why_none
+
+from softfinger.server.viewer.door.process import RESTARTS
+
+pytestmark = pytest.mark.real_time
+
+
+def child_of(process: subprocess.Popen[str]) -> int:
+    """The page's process, once it is there."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while not (found := children.read_text().split()):
+        time.sleep(0.01)
+    return int(found[0])
+
+
+@contextmanager
+def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`run --view`, and the address of its page."""
+    ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*"]
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off", *ends, "--view", *more]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            first = next(line for line in process.stderr if not line.startswith("compiling"))
+            assert "the page is http://localhost:" in first
+            yield process, first.split()[4].rstrip(";")
+        finally:
+            process.kill()
+
+
+def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
+    """The address first, before all else. A page that is killed is said and comes back, three times in all, its secret
+    in no list of processes; in the end one line has what brings it back, and ticks go on."""
+    with run_with_page() as (process, address):
+        assert process.stderr is not None
+        secret = urlsplit(address).path.strip("/")
+        for restart in range(RESTARTS):
+            page = child_of(process)
+            assert secret not in Path(f"/proc/{page}/cmdline").read_text()
+            os.kill(page, signal.SIGKILL)
+            ended = next(line for line in process.stderr if "the page has ended" in line)
+            assert f"exit code -9; the servo goes on; it is started again, {restart + 1} of {RESTARTS} times" in ended
+            assert served(address) == 200
+        os.kill(child_of(process), signal.SIGKILL)
+        ended = next(line for line in process.stderr if "the page has ended" in line)
+        assert "exit code -9" in ended and "softfinger view --endpoint tcp://127.0.0.1:" in ended
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+        assert "force is zero" in rest and "the page has ended" not in rest
+
+
+def served(address: str) -> int:
+    """The status of a page's answer, once anything answers there."""
+    while True:
+        try:
+            with urlopen(address, timeout=60.0) as answer:
+                return int(answer.status)
+        except URLError:
+            time.sleep(0.02)
+
+
+def test_a_page_that_is_ended_stays_away() -> None:
+    """By whom a signal asked for it: that is said, and it is not started again."""
+    with run_with_page() as (process, _):
+        assert process.stderr is not None
+        os.kill(child_of(process), signal.SIGTERM)
+        ended = next(line for line in process.stderr if "the page has ended" in line)
+        assert "to see it again: " in ended
+
+
+def test_a_page_ends_with_its_daemon() -> None:
+    """One that is killed takes no leave of it."""
+    with run_with_page() as (process, _):
+        page = Path(f"/proc/{child_of(process)}")
+        process.kill()
+        with suppress(OSError):  # it is gone
+            while "State:\tZ" not in (page / "status").read_text():  # a zombie, where nobody reaps
+                time.sleep(0.01)
+
+
+BROWSER = """#!/bin/sh
+printf '%s\\n' "$@" > {seen}/words.new
+cp -p "${{1#file://}}" {seen}/leads.html
+mv {seen}/words.new {seen}/words
+"""
+
+
+def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The words of its command, which every user can read, have no secret; the file has, which this user alone reads,
+    and it goes with the page."""
+    program = tmp_path / "browser"
+    program.write_text(BROWSER.format(seen=tmp_path))
+    program.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{program} %s")
+    monkeypatch.setenv("DISPLAY", ":0")
+    command = [sys.executable, "-m", "softfinger.server.cli", "view", "tap", "--port", "8320"]
+    with subprocess.Popen([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        while not (tmp_path / "words").exists():
+            assert process.poll() is None
+            time.sleep(0.01)
+        (word,) = (tmp_path / "words").read_text().split()
+        file = Path(word.removeprefix("file://"))
+        assert urlsplit(address).path.strip("/") not in word
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600 and stat.S_IMODE(file.parent.stat().st_mode) == 0o700
+        assert address in (tmp_path / "leads.html").read_text()
+        process.send_signal(signal.SIGINT)
+        process.wait()
+        assert not file.exists()
+
+
+def test_run_without_a_page_names_the_option() -> None:
+    """Among its first lines."""
+    ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--realtime", "off"]
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", *ends, "--duration", "0.01"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    assert "run it with --view" in done.stderr
+
+
+@pytest.mark.exhaustive
+@pytest.mark.skipif(bool(why_none()), reason=why_none())
+def test_an_open_browser_goes_on_when_its_page_was_killed() -> None:
+    """Without being opened again: it shows ticks of after the page's death, which the new one alone can know."""
+    with run_with_page() as (process, address), browser() as page:
+        threading.Thread(target=process.communicate, daemon=True).start()  # reads what it says, lest it wait
+        screen = shown(page, address)
+
+        def tick() -> int:
+            found = re.search(r"tick (\d+)", screen.page.inner_text("body"))
+            return int(found[1]) if found else -1
+
+        assert eventually(lambda: tick() > 0)
+        os.kill(child_of(process), signal.SIGKILL)
+        before = tick()
+        assert eventually(lambda: tick() > before + 2000)  # ticks that come as fast as in time: two seconds

@@ -1,0 +1,51 @@
+"""The pages of docs/model/: their beginnings, and their worked examples run as printed."""
+
+from __future__ import annotations
+
+import re
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from numba import config
+
+from softfinger.tools.pages import figures
+
+pytestmark = pytest.mark.plain
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PAGES = sorted((DOCS / "model").glob("*.md"))
+SVG_MAX = 40_000
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_begins_with_three_sentences_and_a_picture(page: Path) -> None:
+    """A title, a paragraph of three sentences, and a figure that a command draws, small and undated."""
+    _, sentences, picture, *_ = page.read_text("utf-8").split("\n\n")
+    assert len(re.findall(r"[.?!](?=\s|$)", sentences)) == 3, sentences
+    found = re.fullmatch(r"!\[[^]]+\]\(\.\./figures/([\w-]+)\.svg\)", picture)
+    assert found and found[1] in {f"model-{name}" for name in figures.FIGURES} | {"patches"}
+    drawn = (DOCS / "figures" / f"{found[1]}.svg").read_text("utf-8")
+    assert len(drawn) < SVG_MAX and "dc:date" not in drawn
+
+
+@pytest.mark.skipif(not config.DISABLE_JIT, reason="would compile a scene for each page; `make test` runs them")
+@pytest.mark.parametrize("page", [each for each in PAGES if each.stem != "conventions"], ids=lambda page: page.stem)
+def test_a_worked_example_gives_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its program prints the lines below it. The conventions have a table, whose rows tests/test_docs.py runs."""
+    example = page.read_text("utf-8").split("\n## Worked example\n", 1)[1].split("\n## ", 1)[0]
+    (program,) = re.findall(r"```python\n(.*?)```", example, re.DOTALL)
+    (printed,) = re.findall(r"```text\n(.*?)```", example, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    with redirect_stdout(StringIO()) as said:
+        exec(compile(program, page.name, "exec"), {})
+    assert said.getvalue() == printed
+
+
+@pytest.mark.skipif(not config.DISABLE_JIT, reason="would compile a scene for each figure; `make test` draws them")
+def test_every_figure_is_drawn(tmp_path: Path) -> None:
+    """The command of `make figures` draws all that the pages show."""
+    pytest.importorskip("matplotlib", reason="an extra")
+    assert figures.main([str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in (DOCS / "figures").glob("model-*.svg")}

@@ -1,0 +1,25 @@
+"""The reference pages of docs/ are what the program makes of its own tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from softfinger.tools.pages import reference
+
+pytestmark = pytest.mark.plain
+
+FOLDER = Path(__file__).resolve().parents[2] / "docs" / "reference"
+
+
+@pytest.mark.parametrize("name", reference.PAGES)
+def test_a_page_is_what_the_program_makes(name: str) -> None:
+    """Word for word, so a key, a default or a docstring that changes changes the page."""
+    assert (FOLDER / name).read_text("utf-8") == reference.PAGES[name](), "run `make reference`"
+
+
+def test_the_folder_has_these_pages_alone(tmp_path: Path) -> None:
+    """The program writes every page of the folder."""
+    assert reference.main([str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in FOLDER.iterdir()}

@@ -1,0 +1,179 @@
+"""The figure at the head of each model page, drawn from the equations or computed by the engine: `make figures`.
+
+    python -m softfinger.tools.pages.figures docs/figures
+
+With `NUMBA_DISABLE_JIT=1`, as the target has it, the engine compiles nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.server.offline.figures import figure, save
+from softfinger.tools.pages import sketches
+
+Array = NDArray[np.float64]
+
+RADIUS_M: Final = 0.01
+STIFFNESS_N_PER_M: Final = 1000.0
+GRIP: Final = {"stiffness_n_per_m": STIFFNESS_N_PER_M, "friction": {"static": 0.6, "kinetic": 0.5}}
+"""The paper's fingertip and material."""
+
+
+def poses(*corners: tuple[float, float, float], ticks: int = 200) -> Array:
+    """Upright poses (n, 7) along straight lines from corner to corner, m."""
+    lines = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
+    points = np.vstack([*lines, corners[-1]])
+    return np.hstack([points, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))])
+
+
+def run(objects: list[dict[str, Any]], path: Array, **tables: Any) -> Any:
+    """Records of a spherical fingertip along the poses."""
+    mapping = {"fingertip": {"radius_m": RADIUS_M}, "object": objects, **tables}
+    return Engine(build(Scene, mapping, "a figure")).run(path)
+
+
+def plane(**material: Any) -> dict[str, Any]:
+    """The plane z = 0."""
+    return {"name": "plane", "shape": "plane", "material": GRIP | material}
+
+
+def normal(axes: Any) -> None:
+    """Laws of the normal force over the depth, and the loop of Hunt and Crossley's damping."""
+    axes = axes[0]
+    depth = np.linspace(0.0, 2e-3, 81)
+    for exponent, name in ((1.0, "linear, p = 1"), (1.5, "Hertz, p = 1.5"), (2.5, "soft, p = 2.5")):
+        axes.plot(1e3 * depth, depth_force(depth, exponent), label=name)
+    phase = np.linspace(0.0, np.pi, 81)
+    speed = 0.002 * np.pi * np.cos(phase) * 20.0
+    loop = 2e-3 * np.sin(phase)
+    axes.plot(
+        1e3 * loop,
+        np.maximum(depth_force(loop, 1.5) * (1.0 + 2.0 * speed), 0.0),
+        "--",
+        label="p = 1.5 with Hunt-Crossley damping, a press of 50 ms",
+    )
+    axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
+
+
+def depth_force(depth: Array, exponent: float) -> Array:
+    """K d (depth / d)^p, N, with 1000 N/m at 1 mm."""
+    force: Array = STIFFNESS_N_PER_M * 1e-3 * (depth / 1e-3) ** exponent
+    return force
+
+
+def friction(axes: Any) -> None:
+    """A drag to and fro: tangential force over the probe's position."""
+    axes = axes[0]
+    z = RADIUS_M - 1e-3
+    path = poses((0.0, 0.0, z), (0.002, 0.0, z), (0.0, 0.0, z))
+    records = run([plane()], path, rolling={"method": "midpoint"}, coupling={"damping_ns_per_m": 0.0})
+    x, force, slides = 1e3 * path[:, 0], records["force"][:, 0], records["contact.mode"] == 2
+    axes.plot(x, np.where(slides, np.nan, force), label="sticking (mode rolling)")
+    axes.plot(x, np.where(slides, force, np.nan), label="sliding")
+    for limit, name, above in ((0.6, "$\\mu_s f_N$", -10), (0.5, "$\\mu_d f_N$", 4)):
+        axes.axhline(-limit, linewidth=0.6, linestyle=":", color="0.4")
+        axes.annotate(name, (1.2, -limit), xytext=(0, above), textcoords="offset points", fontsize="small")
+    axes.set_ylim(-0.72, 0.72)
+    axes.set(xlabel="position of the probe [mm]", ylabel="tangential force [N]")
+
+
+def patch(axes: Any) -> None:
+    """Radius and torsional limit of a patch over the load."""
+    load = np.linspace(0.0, 4.0, 81)
+    hertz = (3.0 * load * RADIUS_M / (16.0 * 45e3)) ** (1.0 / 3.0)
+    for radius, name in ((hertz, "Hertz, G = 45 kPa"), (0.004 * load**0.25, "a = 4 mm at 1 N, $\\gamma$ = 0.25")):
+        axes[0].plot(load, 1e3 * radius, label=name)
+        axes[1].plot(load, 1e3 * 0.6 * 3.0 * np.pi / 16.0 * radius * load, label=name)
+    axes[0].set(xlabel="normal force [N]", ylabel="patch radius [mm]")
+    axes[1].set(xlabel="normal force [N]", ylabel="torsional limit [N mm]")
+
+
+def effects(axes: Any) -> None:
+    """A plane with a magnet, approached and pressed: the force of the contact and of the effect."""
+    axes = axes[0]
+    path = poses((0.0, 0.0, 0.035), (0.0, 0.0, 0.007))
+    magnet = {"kind": "magnet", "force_n": 1.5, "range_m": 0.02}
+    for exponent in (1.0, 3.0):
+        records = run([plane(friction=None) | {"effect": [magnet | {"exponent": exponent}]}], path)
+        axes.plot(1e3 * (path[:, 2] - RADIUS_M), records["force"][:, 2], label=f"magnet, exponent {exponent:g}")
+    axes.axhline(0.0, linewidth=0.6, color="0.4")
+    axes.set(xlabel="height of the fingertip above the plane [mm]", ylabel="force on the hand [N]")
+
+
+def texture(axes: Any) -> None:
+    """A stroke over the shipped ribs: height under the probe and the force on the hand."""
+    z = RADIUS_M - 5e-4
+    path = poses((0.0, 0.0, z), (0.008, 0.0, z), ticks=160)
+    records = Engine("ribbed-plane").run(path)
+    x = 1e3 * path[:, 0]
+    axes[0].plot(x, records["contact.normal_force"])
+    axes[1].plot(x, records["force"][:, 0])
+    axes[0].set(xlabel="position [mm]", ylabel="normal force [N]")
+    axes[1].set(xlabel="position [mm]", ylabel="force along the stroke [N]")
+
+
+def passivity(axes: Any) -> None:
+    """Energy that the hand has put in, over presses of several lengths."""
+    axes = axes[0]
+    z, deep = RADIUS_M, RADIUS_M - 1e-3
+    for ticks in (10, 20, 50):
+        path = poses(*[(0.0, 0.0, height) for height in (z, deep) * 4 + (z,)], ticks=ticks)
+        force = run([plane(friction=None)], path)["force"]
+        work = -np.cumsum(np.sum(force[:-1] * np.diff(path[:, :3], axis=0), axis=1))
+        axes.plot(np.linspace(0.0, 4.0, len(work)), 1e3 * work, label=f"press of {ticks} ticks")
+    axes.axhline(0.0, linewidth=0.6, color="0.4")
+    axes.set(xlabel="presses", ylabel="energy E [mJ]")
+
+
+FIGURES: Final[Mapping[str, tuple[Callable[[Any], None], int]]] = {
+    "contact": (sketches.contact, 1),
+    "conventions": (sketches.conventions, 2),
+    "normal": (normal, 1),
+    "rolling": (sketches.rolling, 1),
+    "friction": (friction, 1),
+    "patch": (patch, 2),
+    "ellipsoid": (sketches.ellipsoid, 1),
+    "effects": (effects, 1),
+    "texture": (texture, 2),
+    "heightmap": (sketches.heightmap, 1),
+    "mesh": (sketches.mesh, 1),
+    "passivity": (passivity, 1),
+}
+"""What draws the figure of each page, and on how many axes; the page on several patches has one of the study."""
+
+
+def draw(name: str, path: Path) -> None:
+    """Draw one figure and save it."""
+    drawn, count = FIGURES[name]
+    drawing = figure(3.6 * count + 1.8 * (count == 1), 2.8)
+    axes = np.atleast_1d(drawing.subplots(1, count))
+    drawn(axes)
+    for each in axes:
+        if each.get_legend_handles_labels()[0]:
+            each.legend(frameon=False, fontsize="small")
+    save(drawing, path)
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="figures", description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the figures go")
+    folder = parser.parse_args(argv).folder
+    for name in FIGURES:
+        draw(name, folder / f"model-{name}.svg")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

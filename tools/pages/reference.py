@@ -1,0 +1,163 @@
+"""The reference pages of docs/, made from the schema, the record table and the table of commands: `make reference`.
+
+python -m softfinger.tools.pages.reference docs/reference
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
+from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.verbs import schema, shipped
+from softfinger.server.wire import commands, protocol
+from softfinger.server.wire.protocol import Key
+
+WIDTH: Final = 120
+MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
+
+_KEYS: Final = """\
+Units are SI and stand at the end of each key. Ranges are fixed: neither a file nor a flag widens them.
+*optional* marks a key without a default value; its meaning says what applies without it. `[[name]]` is a table
+that may stand several times."""
+
+
+def scenes() -> str:
+    """Every key of a scene, and the shipped scenes."""
+    head = f"""\
+# Scenes: every key
+
+A scene file (TOML) describes the fingertips, the objects and the effects. [Write a scene](../operate/scenes.md)
+shows how to make one; the command `softfinger schema scene` prints the same tables as JSON Schema for an
+editor. {_KEYS}"""
+    return _page(head, "## Shipped scenes", _listed("scenes"), "## Keys", schema.markdown("scene"))
+
+
+def rigs() -> str:
+    """Every key of a rig, and the shipped rigs."""
+    head = f"""\
+# Rigs: every key
+
+A rig file (TOML) names the device and sets the servo loop, the safety limits and the interfaces. [Write a
+rig](../operate/scenes.md#write-a-rig) shows how to make one; the command `softfinger schema rig` prints the
+same tables as JSON Schema. {_KEYS}"""
+    return _page(head, "## Shipped rigs", _listed("rigs"), "## Keys", schema.markdown("rig"))
+
+
+def record() -> str:
+    """The record of a tick."""
+    head = """\
+# The record of a tick
+
+Every tick of the servo loop writes one record. Results files, recordings and `Engine.run` have its fields as
+columns, in this order; a field of several components has the columns `name[0]`, `name[1]`, ...
+[Telemetry](telemetry.md) publishes the same fields. `contacts0` is the contact with the largest
+load; `contacts1` and `contacts2` are further ones, with the same fields. The object of an unused one is -1."""
+    numbered = [
+        ("`contact.mode`", enumerate(MODE_NAMES)),
+        ("`contact.cause`", enumerate(CAUSE_NAMES)),
+        ("bits of `servo.guard`", ((1 << bit, name) for bit, name in enumerate(GUARD_NAMES))),
+    ]
+    numbers = "\n".join(f"- {what}: {_numbers(values)}." for what, values in numbered)
+    rows = [Key(each.name, _kind(each), each.unit, each.frame, each.meaning) for each in FIELDS]
+    once = [row for row in rows if not row.name.startswith(("contacts1", "contacts2"))]
+    return _page(head, keys_table(once), "## Numbers", numbers)
+
+
+def telemetry() -> str:
+    """Every key of every message."""
+    head = f"""\
+# Telemetry: every key
+
+Each message has two frames, a topic and a msgpack map. `schema` is {protocol.SCHEMA}. A dot in a key stands for
+a map within a map, `[]` for a list of maps. [The protocol](../protocol.md) explains sockets, topics, losses and
+when each event is sent. A scene with several fingers has the topic `finger/NAME` for each, with the keys of
+`contact`."""
+    tables = {
+        "## `contact`": protocol.CONTACT_KEYS,
+        "## `state`": protocol.STATE_KEYS,
+        "## `event`": protocol.EVENT_KEYS,
+        **{f"### Kind `{kind}`": keys for kind, keys in protocol.EVENT_EXTRA_KEYS.items()},
+        "## `health`": protocol.HEALTH_KEYS,
+        "## `schema`": protocol.SCHEMA_KEYS,
+    }
+    parts = [part for heading, keys in tables.items() for part in (heading, keys_table(keys))]
+    return _page(head, *parts)
+
+
+def commands_page() -> str:
+    """Every method with its parameters and its result, and every error."""
+    head = """\
+# Commands: every method
+
+Requests to a running daemon. [Commands to a running daemon](../operate/commands.md) shows their use from the
+shell and from Python, [the protocol](../protocol.md#commands) the messages. A parameter in brackets may be left
+out; units are SI."""
+    parts = []
+    for name, (params, result, meaning) in commands.table().items():
+        method = commands.METHODS[name]
+        rows = [
+            ["params", params or "none", _said(method.params) if params else ""],
+            ["result", result, _said(method.result)],
+        ]
+        parts += [f"### `{name}`", meaning, schema.grid(["", "keys", "meaning"], rows)]
+    errors = schema.grid(["name", "meaning"], [[f"`{name}`", meaning] for name, meaning in commands.ERRORS.items()])
+    return _page(head, "## Methods", *parts, "## Errors", "The text of an error begins with its name.", errors)
+
+
+PAGES: Final[Mapping[str, Callable[[], str]]] = {
+    "scenes.md": scenes,
+    "rigs.md": rigs,
+    "record.md": record,
+    "telemetry.md": telemetry,
+    "commands.md": commands_page,
+}
+
+
+def keys_table(keys: Iterable[Key]) -> str:
+    """Keys of a message as a Markdown table."""
+    rows = [[f"`{key.name}`", key.type, key.unit, key.frame, key.meaning] for key in keys]
+    return schema.grid(["key", "type", "unit", "frame", "meaning"], rows)
+
+
+def _said(kind: Any) -> str:
+    """What a type of the table of commands says about itself, on one line."""
+    text = commands.VALUES if kind is commands.Values else kind.__doc__ if isinstance(kind, type) else ""
+    return " ".join((text or "").split())
+
+
+def _kind(field: Field) -> str:
+    return f"{field.kind}[{field.size}]" if field.size > 1 else field.kind
+
+
+def _numbers(values: Iterable[tuple[int, str]]) -> str:
+    return ", ".join(f"{value} `{name}`" for value, name in values)
+
+
+def _listed(verb: str) -> str:
+    rows = [[f"`{each['name']}`", each["description"]] for each in shipped.shipped_in(verb)]
+    return schema.grid(["name", "what it is"], rows)
+
+
+def _page(head: str, *parts: str) -> str:
+    title, _, text = head.partition("\n\n")
+    text = textwrap.fill(" ".join(text.split()), WIDTH, break_long_words=False, break_on_hyphens=False)
+    return "\n\n".join([title, MADE, text, *parts]) + "\n"
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="reference", description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the pages go")
+    folder = parser.parse_args(argv).folder
+    for name, made in PAGES.items():
+        (folder / name).write_text(made(), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
