@@ -99,13 +99,16 @@ def test_an_edit_moves_what_is_kept_of_those_kernels_that_it_concerns(tmp_path: 
         command = [sys.executable, "-S", "-c", SHOW, str(package), *names]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
 
+    before = kept()
+    assert kept() == before
+
     def moved_by(file: str) -> list[bool]:
-        before = kept()
+        nonlocal before
         with (package / file).open("a") as text:
             text.write("\nTWICE = 2.0\n")
-        return [one != other for one, other in zip(before, kept(), strict=True)]
+        last, before = before, kept()
+        return [one != other for one, other in zip(last, before, strict=True)]
 
-    assert kept() == kept()
     assert moved_by("proxy/kernels/friction/torsion.py") == [True, False, False, False]
     assert moved_by("server/loop/guard.py") == [True, False, False, False]
     assert moved_by("drivers/block.py") == [True, False, False, False]
