@@ -21,9 +21,9 @@ class Doing:
 
     def __str__(self) -> str:
         """`compiling kernel 2`, the second of this process; `loading kept kernels`; or nothing."""
-        if self._loading:
-            return "loading kept kernels"
-        return f"compiling kernel {self._compiled}" if self._depth else ""
+        if self._depth:  # others that it calls may be loaded meanwhile
+            return f"compiling kernel {self._compiled}"
+        return "loading kept kernels" if self._loading else ""
 
     def begin(self) -> None:
         """A kernel begins to be compiled; one that it calls, while it is, counts as part of it."""
