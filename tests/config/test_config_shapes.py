@@ -268,7 +268,7 @@ def test_the_reference_has_the_dimensions_of_every_shape() -> None:
     """The generated tables give each dimension with its unit, under the shape's name."""
     text = schema_verb.markdown("scene")
     for shape, keys in SHAPES.items():
-        at = text.index(f'| `shape` |  | `"{shape}"` |')
-        table = text[at:].split("\n\n")[0]
+        at = text.index(f'`[[object]]` with `shape = "{shape}"`')
+        table = text[at:].split("\n###")[0]
         assert all(f"| `{key}` | {'' if shape in UNSIZED else 'm'} |" in table for key in keys)
         assert ("`inside`" in table) == (shape != "plane")
