@@ -37,6 +37,8 @@ STUCK_S: Final = 1.0
 """A servo that was told to end because something failed, and has not within this, is stuck in its device: nobody waits
 for it any more."""
 WAIT_POLL_S: Final = 0.25
+PUBLISHER_PRIORITY: Final = 1
+"""The lowest there is: above what has none, and below all that a tick waits for."""
 
 
 class Daemon:
@@ -74,7 +76,13 @@ class Daemon:
         doors = doors_of(rig)
         opened: list[Callable[[], None]] = [doors.close]
         try:
-            self.publisher: Final = Publisher(doors, rig.telemetry.every, guard_names=GUARD_NAMES, fingers=fingers)
+            self.publisher: Final = Publisher(
+                doors,
+                rig.telemetry.every,
+                guard_names=GUARD_NAMES,
+                fingers=fingers,
+                priority=0 if rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
+            )
             opened.append(self.publisher.close)
             metrics = None
             if rig.metrics.endpoint is not None:

@@ -5,11 +5,13 @@ It ends with the daemon, when it is told to, and by libzmq's own hand where a pe
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import logging
 import os
+import resource
 import select
-import struct
+import signal
 import time
 from contextlib import ExitStack
 from typing import Any, Final
@@ -25,14 +27,16 @@ from softfinger.server.publishing.readers import Readers
 from softfinger.server.publishing.setup import PERIOD_S, Entrance, Figures, Kind, Setup, Shown
 from softfinger.server.publishing.ticks import Rows
 
+log: Final = logging.getLogger(__name__)
+
 OUT_MAX: Final = 32
 """Requests that the daemon has and has not answered; more wait in libzmq, so many for each client."""
 QUIET_S: Final = 0.1
 """Where a tick comes sooner than this, whoever subscribes waits for the next: libzmq would send the newest to all."""
 LOOK_S: Final = 1.0
 """How often the folders of keys are looked at."""
-SLICE_NS: Final = 100_000
-_SCHED_ATTR: Final = struct.Struct("=IIQiIQQQ")
+ALONE_US: Final = 50_000
+KILLED_US: Final = 1_000_000
 RETRY_S: Final = 0.005
 """How soon a daemon that does not read is tried again."""
 
@@ -82,7 +86,7 @@ class Publishing:
         self._hear()  # what came with the setup
         while not self._ended:
             timeout_s = RETRY_S if self._channel.waits else PERIOD_S
-            happened = [number for number, _ in poll.poll(timeout_s * 1000.0)]
+            happened = {number for number, _ in poll.poll(timeout_s * 1000.0)}
             if bell in happened:
                 self._rows.heard()
             self._send_ticks()
@@ -90,6 +94,9 @@ class Publishing:
                 self._hear()
             self._channel.flush()
             self._attend()
+            if happened - {bell, self._channel.fileno()}:
+                for front in self._fronts:  # soon: libzmq's thread waits where nobody takes note of a thousand of them
+                    front.look()
             now = time.monotonic()
             if now >= look_s:
                 look_s = now + PERIOD_S
@@ -207,29 +214,43 @@ class _ToDaemon(logging.Handler):
         self._channel.say(Kind.SAID, body=self.format(record).encode()[:1024])
 
 
-def run_promptly() -> None:
-    """Ask for short turns on a processor, and so for sooner ones beside whoever takes long turns (Linux 6.12).
+def run_promptly(priority: int) -> bool:
+    """Ask for a real-time priority, with which a busy processor holds up no tick; threads that are made later have it,
+    too. Whether it was granted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:  # for the reason that the servo is told
+        return False
+    return True
 
-    The thread of libzmq, which is made later, has the same.
-    """
-    import ctypes
 
-    attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, 0, 0, 0, 0, SLICE_NS, 0, 0)
-    number = {"x86_64": 314, "aarch64": 274}.get(os.uname().machine)
-    if number is not None:
-        ctypes.CDLL(None).syscall(number, 0, attributes, 0)
+def give_way_when_busy() -> None:
+    """Where a thread keeps a processor for ALONE_US, as when peers flood it, all go on without a priority; after
+    KILLED_US the process is ended."""
+    threads = [int(each) for each in os.listdir("/proc/self/task")]  # now: later peers may have all files
+
+    def give_way(*_: object) -> None:
+        for thread in threads:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+        log.warning("telemetry: the publisher is too busy to have a priority, and goes on without")
+
+    signal.signal(signal.SIGXCPU, give_way)
+    resource.setrlimit(resource.RLIMIT_RTTIME, (ALONE_US, KILLED_US))
 
 
 def publish(channel: Channel) -> None:
     """Be the publisher of the daemon at the other end, until either ends."""
-    run_promptly()
     logging.getLogger().addHandler(_ToDaemon(channel))
     setup = _setup(channel)
     if setup is None:
         return
+    prompt = setup.priority > 0 and run_promptly(setup.priority)
     with ExitStack() as files:
         publishing = Publishing(channel, setup, files)
         bound_resources()
+        if prompt:
+            give_way_when_busy()
         channel.say(Kind.READY)
         # What is made for a tick goes with it; what is kept was made before.
         gc.freeze()

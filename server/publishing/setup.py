@@ -94,12 +94,14 @@ class Setup(Struct, frozen=True):
     memory   file of the ticks; begin: the row to begin with
     bell     eventfd that is rung when there is a new one
     backlog  messages kept for a subscriber that falls behind
+    priority of SCHED_FIFO that it asks for; 0: for none
     """
 
     memory: int
     begin: int
     bell: int
     backlog: int
+    priority: int
     ticks: Ticks
     shown: Shown
     entrances: list[Entrance]

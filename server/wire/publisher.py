@@ -44,6 +44,8 @@ Records = NDArray[np.float64]
 BACKLOG: Final = 40960
 """Messages kept for a subscriber that stalls: 5 s at 8 kHz, 41 s at 1 kHz, some 60 MB."""
 
+READY_S: Final = 10.0
+"""How long the start waits for the publisher, which takes a tenth of a second where the machine is not busy."""
 LINGER_S: Final = 0.2
 """How long closing waits for the last messages (the event that says why) to leave."""
 
@@ -56,6 +58,9 @@ class Publisher(Closing):
     follows from them is told by whoever feeds `observe` with the records of `tap`. `observe` and `publish` belong to
     one thread; `event` may be called from any, but not from a signal handler. After `close` they do nothing. Raises
     AddressInUse if another process holds the endpoint, ConfigError if the endpoint cannot or may not be bound.
+
+    backlog   messages kept for a subscriber that stalls
+    priority  of SCHED_FIFO that the process asks for; 0: for none
     """
 
     def __init__(
@@ -67,13 +72,14 @@ class Publisher(Closing):
         fingers: Sequence[str] = ("",),
         commands: str | None = None,
         backlog: int = BACKLOG,
+        priority: int = 0,
     ) -> None:
         if every < 1:
             raise ConfigError(f"[telemetry] every = {every} is below 1: 1 publishes each tick, 10 one in ten")
         self._lock = threading.Lock()
         self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, SCHEMA_TOPIC]
         self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
-        self._backlog, self._shown, self._health_body = backlog, Shown(), b""
+        self._backlog, self._priority, self._shown, self._health_body = backlog, priority, Shown(), b""
         self._events = [RecordEvents(guard_names, finger, place == 0) for place, finger in enumerate(fingers)]
         self._health = [Health() for _ in fingers]
         self._closed = False
@@ -104,7 +110,14 @@ class Publisher(Closing):
         begin = self._relay.rows if self._starts else 0
         self._starts += 1
         return Setup(
-            self._relay.file, begin, self._relay.bell, self._backlog, self._ticks, self._shown, self._doors.entrances
+            self._relay.file,
+            begin,
+            self._relay.bell,
+            self._backlog,
+            self._priority,
+            self._ticks,
+            self._shown,
+            self._doors.entrances,
         )
 
     def _last(self, say: Callable[[Kind, bytes, bytes], object]) -> None:
@@ -146,7 +159,8 @@ class Publisher(Closing):
         return self._link.restarts
 
     def attach(self, source: Source) -> None:
-        """Send what a servo does from here on, until it has ended. Once."""
+        """Send what a servo does from here on, until it has ended; as soon as there is somebody who sends. Once."""
+        self._link.await_ready(READY_S)
         self._relay.attach(source)
 
     def serve(self, answering: Answering | None) -> None:
