@@ -32,12 +32,13 @@ LEAST = 1e-300
 
 
 @jit
-def faded(a: Vec3) -> Vec3:
-    """`a` with 0 below LEAST. What falls by a share in each tick would end as a denormal number, for good."""
+def faded(s: float, a: Vec3) -> Vec3:
+    """s a, and 0 for what of `a` is below LEAST: what falls by a share in each tick would end as a denormal number, for
+    good. The number of before is compared, beside the product and not after it: ticks wait for this one."""
     return (
-        0.0 if abs(a[0]) < LEAST else a[0],
-        0.0 if abs(a[1]) < LEAST else a[1],
-        0.0 if abs(a[2]) < LEAST else a[2],
+        0.0 if abs(a[0]) < LEAST else s * a[0],
+        0.0 if abs(a[1]) < LEAST else s * a[1],
+        0.0 if abs(a[2]) < LEAST else s * a[2],
     )
 
 
