@@ -214,24 +214,29 @@ class _ToDaemon(logging.Handler):
         self._channel.say(Kind.SAID, body=self.format(record).encode()[:1024])
 
 
-def run_promptly(priority: int) -> None:
-    """Ask for a real-time priority, with which a busy processor holds up no tick, and which libzmq's thread takes over.
-
-    Whoever keeps a processor for ALONE_US, as where peers flood it, goes on without; for KILLED_US, is ended.
-    """
+def run_promptly(priority: int) -> bool:
+    """Ask for a real-time priority, with which a busy processor holds up no tick; threads that are made later have it,
+    too. Whether it was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:  # as the servo would have been told, too
-        return
-    signal.signal(signal.SIGXCPU, _give_way)
+    except OSError:  # for the reason that the servo is told
+        return False
+    return True
+
+
+def give_way_when_busy() -> None:
+    """Where a thread keeps a processor for ALONE_US, as when peers flood it, all go on without a priority; after
+    KILLED_US the process is ended."""
+    threads = [int(each) for each in os.listdir("/proc/self/task")]  # now: later peers may have all files
+
+    def give_way(*_: object) -> None:
+        for thread in threads:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+        log.warning("telemetry: the publisher is too busy to have a priority, and goes on without")
+
+    signal.signal(signal.SIGXCPU, give_way)
     resource.setrlimit(resource.RLIMIT_RTTIME, (ALONE_US, KILLED_US))
-
-
-def _give_way(*_: object) -> None:
-    for thread in os.listdir("/proc/self/task"):
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
-    log.warning("telemetry: the publisher is too busy to have a priority, and goes on without")
 
 
 def publish(channel: Channel) -> None:
@@ -240,11 +245,12 @@ def publish(channel: Channel) -> None:
     setup = _setup(channel)
     if setup is None:
         return
-    if setup.priority:
-        run_promptly(setup.priority)
+    prompt = setup.priority > 0 and run_promptly(setup.priority)
     with ExitStack() as files:
         publishing = Publishing(channel, setup, files)
         bound_resources()
+        if prompt:
+            give_way_when_busy()
         channel.say(Kind.READY)
         # What is made for a tick goes with it; what is kept was made before.
         gc.freeze()

@@ -74,7 +74,7 @@ class Link:
         self._logged, self._logged_s = Figures(), -LOG_PERIOD_S
         self._since_s = 0.0
         self._pause_s = 0.0
-        self._ready = False
+        self._ready = threading.Event()
         self.restarts = 0
         """How often it was started again."""
         self.failed = False
@@ -92,6 +92,10 @@ class Link:
         """Say something to the process, from any thread; False where it is left out."""
         with self._replacing:
             return self._channel.say(kind, key, body)
+
+    def await_ready(self, timeout_s: float) -> None:
+        """Wait until the process can be heard by peers, once, at the start."""
+        self._ready.wait(timeout_s)
 
     def reply(self, client: bytes, body: bytes) -> None:
         """Answer a client later than at once; from any thread. One that has gone gets nothing."""
@@ -136,7 +140,7 @@ class Link:
             pass_fds=[its.fileno(), *self._files],
         )
         its.close()
-        self._ready, self._since_s = False, time.monotonic()
+        self._since_s = time.monotonic()
         channel = Channel(ours)
         channel.say(Kind.SETUP, body=msgspec.msgpack.encode(self._setup()))
         self._last(channel.say)
@@ -179,7 +183,7 @@ class Link:
         """Do what the process says; whether it was a request."""
         match said.kind:
             case Kind.READY:
-                self._ready = True
+                self._ready.set()
             case Kind.FIGURES:
                 self._now = msgspec.msgpack.decode(said.body, type=Figures)
             case Kind.SAID:
@@ -203,9 +207,10 @@ class Link:
         code = self._process.wait()
         if self._ending():
             return False
-        if not self._ready:
+        if not self._ready.is_set():
             log.error("telemetry: the publisher has ended with code %d before it was ready", code)
             self.failed = True
+            self._ready.set()  # nobody is to wait for it
             return False
         sound = time.monotonic() - self._since_s > SOUND_S
         self._pause_s = 0.0 if sound else min(2.0 * self._pause_s or PAUSE_S, PAUSE_MAX_S)
