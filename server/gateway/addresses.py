@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -16,9 +18,9 @@ from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import SCHEMA_TOPIC
 
 EXPECTED_S: Final = 0.5
-"""Time that an address has to be what it is expected to be. A daemon answers within milliseconds, unless it is busy."""
-OTHER_S: Final = 2.0
-"""Time that it then has to be the other."""
+"""Time of a turn to ask, first for what an address is expected to be. A daemon answers within milliseconds."""
+BUSY_S: Final = 10.0
+"""Time that it has to be either, where anything listens there at all: the machine may be busy."""
 
 
 class Addresses(NamedTuple):
@@ -49,22 +51,27 @@ def addresses_of(
     if commands is not None:
         return Addresses(telemetry_of(endpoint), commands)
     if endpoint.startswith("ipc://") and endpoint.endswith(BESIDE):
-        return _if_there(_commanded, endpoint, keys) or Addresses(telemetry_of(endpoint), endpoint)
+        return _answered([_commanded], endpoint, keys) or Addresses(telemetry_of(endpoint), endpoint)
     beside = commands_beside(endpoint)
     if beside.startswith("ipc://") and Path(beside.removeprefix("ipc://")).is_socket():
         return Addresses(endpoint, beside)
     likely = Addresses(endpoint, endpoint if to_command else beside)
     if is_public(endpoint):
         return likely
-    first, second = (_commanded, _published) if to_command else (_published, _commanded)
-    return first(endpoint, keys, EXPECTED_S) or _if_there(second, endpoint, keys) or likely
+    return _answered([_commanded, _published] if to_command else [_published, _commanded], endpoint, keys) or likely
 
 
-def _if_there(
-    ask: Callable[[str, ClientKeys | None, float], Addresses | None], endpoint: str, keys: ClientKeys | None
+def _answered(
+    asks: list[Callable[[str, ClientKeys | None, float], Addresses | None]], endpoint: str, keys: ClientKeys | None
 ) -> Addresses | None:
-    """What one of the two below finds, where anything listens at all."""
-    return ask(endpoint, keys, OTHER_S) if _listens(endpoint) else None
+    """What the first of the ways to ask finds that has an answer; each has its turns while anything listens."""
+    until = time.monotonic() + BUSY_S
+    for ask in cycle(asks):
+        if (found := ask(endpoint, keys, EXPECTED_S)) is not None:
+            return found
+        if time.monotonic() > until or not _listens(endpoint):
+            return None
+    return None
 
 
 def _published(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:

@@ -108,7 +108,7 @@ class Board:
             self.event_count += 1
             if sample.kind == "lifecycle":
                 self.stopped = sample.name == "stopped"
-        else:
+        elif sample.topic == HEALTH:
             self.health = sample
 
     @property

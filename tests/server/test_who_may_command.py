@@ -139,11 +139,14 @@ def test_the_page_and_the_gateway_find_commands_that_the_rig_names(folder: Path,
             fed.close()
     finally:
         page.close()
-    words = ["forward", "--from", named.publisher.endpoint, "--commands-to", f"ipc://{folder.parent}/there"]
-    with subprocess.Popen([sys.executable, "-m", "softfinger.server.cli", *words, "--until-eof"], stdin=-1) as gateway:
-        with Control(f"ipc://{folder.parent}/there", WAIT_S) as control:
-            assert control.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
-        gateway.communicate()
+    there = f"ipc://{folder.parent}/there"
+    words = ["forward", "--from", named.publisher.endpoint, "--commands-to", there]
+    with subprocess.Popen([sys.executable, "-m", "softfinger.server.cli", *words]) as gateway:
+        try:
+            with Control(there, WAIT_S) as control:
+                assert control.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
+        finally:
+            gateway.terminate()
 
 
 @pytest.mark.real_time
