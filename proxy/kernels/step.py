@@ -37,7 +37,7 @@ from softfinger.proxy.kernels.geometry import rotations, vec3
 from softfinger.proxy.kernels.geometry.bodies import closest_to_within, deepest, number_of, pose_of
 from softfinger.proxy.kernels.geometry.kinds import any_wide
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
-from softfinger.proxy.kernels.geometry.world import advance, place_all
+from softfinger.proxy.kernels.geometry.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.model import (
     NO_PATCH,
     NO_PATCH_CONTACT,
@@ -125,28 +125,28 @@ def touch_or_stay(
 def on_the_only_object(
     patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
-    position, form = probe.position, finger.form
+    position, form, shapes = probe.position, finger.form, all_bare(objects)
     touches = state.mode == FREE
     if not touches:
-        comes = stay(scene, finger, objects, state, probe, dt)
+        comes = stay(scene, finger, shapes, state, probe, dt)
         touches = has_ended(comes.active)
     if touches:  # what is met in the tick in which the last contact ended is another one
         state = parted(state)
-        comes = touch(finger, objects, state, probe, dt)
+        comes = touch(finger, shapes, state, probe, dt)
     if comes.active.first < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
 
     rough = roughened(objects, comes.active, comes.center)
     material, last = rough[0].material, state.patches[0]
     felt = embossed(objects, comes.active, position)
-    moves, since = carry(objects, 0.0), 0.0 if touches else dt
+    moves, since = carry(shapes, 0.0), 0.0 if touches else dt
     against = velocity_at(form, comes.against, moves, probe, state.probe, comes.active.n1, since)
     normal_force = press(material.normal, felt.push.first, vec3.dot(against, felt.n1))
     round_by = roundness(form, finger.radius, probe.orientation, comes.active.n1)
     area = footprint(finger.patch, round_by, material.compliance, normal_force)
     torsion, unit = torsion_under(material.torsion, area), winding_unit(material.torsion, area, 1.0)
     kept = react(
-        turned(material.friction, pose_of(objects, 0.0).orientation),
+        turned(material.friction, pose_of(shapes, 0.0).orientation),
         torsion,
         finger.coupling,
         finger.torque_stiffness,
@@ -172,7 +172,7 @@ def on_the_only_object(
     # Where friction lets go the proxy follows, and the forces are those at its new place.
     slips = kept.mode == SLIDING or kept.deflection != comes.deflection or comes.strays
     center, rests, bounded = settle_on_one(
-        objects, finger.radius, position, comes.center, kept.deflection, comes.active, slips
+        shapes, finger.radius, position, comes.center, kept.deflection, comes.active, slips
     )
     normal = rests.n1
     felt = embossed(objects, rests, position)
@@ -180,7 +180,7 @@ def on_the_only_object(
     load = press(material.normal, felt.push.first, vec3.dot(against, felt.n1))
     tangential, moment = vec3.reject(kept.force, normal), kept.moment
     bent = Bent(0.0, comes.active.n1, 1.0, carried_direction(moves, last.bend), touches)
-    bend, bending = resist(finger.patch, objects, bent, probe, state.probe, area)
+    bend, bending = resist(finger.patch, shapes, bent, probe, state.probe, area)
     if normal_force > load:
         # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
         ease = load / normal_force
@@ -222,7 +222,7 @@ def on_the_only_object(
     )
     cause = kept.cause if kept.cause != CAUSE_NONE else comes.cause
     to_fingertip = rotations.conjugate(probe.orientation)
-    inward, number = rotations.rotate(to_fingertip, normal), number_of(objects, 0.0)
+    inward, number = rotations.rotate(to_fingertip, normal), number_of(shapes, 0.0)
     touched = PatchContact(object=number, point=point, normal=normal, force=force, mode=kept.mode, spin=kept.spin)
     contact = Contact(
         mode=kept.mode,
@@ -273,24 +273,24 @@ def beside(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, le
 def among_several_objects(
     patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
-    radius, position = finger.radius, probe.position
+    radius, position, shapes = finger.radius, probe.position, all_bare(objects)
     start, center, left = state.center, state.center, BUDGET
     active = one_constraint(NONE, (0.0, 0.0, 1.0))
     touches, stuck = state.mode == FREE, state.stuck
-    if stuck >= STUCK_TICKS and is_clear(objects, radius, position):
+    if stuck >= STUCK_TICKS and is_clear(shapes, radius, position):
         return out_of_contact(scene, finger, objects, state, probe, dt, left)
     if not touches:
-        center, active = again(objects, radius, state, position)
+        center, active = again(shapes, radius, state, position)
         touches = has_ended(active)
     before = center
     if touches:  # what is met in the tick in which the last contact ended is another one
         state = parted(state)
-        start, center, active, left = meet(finger, objects, state, position)
+        start, center, active, left = meet(finger, shapes, state, position)
     if active.first < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, left)
 
-    center, active, late, left = settle_among_several(objects, radius, position, start, center, active, left)
-    last = carried_patches(objects, state.patches)
+    center, active, late, left = settle_among_several(shapes, radius, position, start, center, active, left)
+    last = carried_patches(shapes, state.patches)
     held = hand_on(objects, last, active)
     way = aside(last, held)
     motion = Motion(
@@ -308,9 +308,9 @@ def among_several_objects(
         touches=touches,
     )
     rough = roughened(objects, active, center)
-    one = wrench_of(scene, finger, rough, held[0], motion)
-    two = wrench_of(scene, finger, rough, held[1], motion)
-    three = wrench_of(scene, finger, rough, held[2], motion)
+    one = wrench_of(scene.rolling, finger, rough, held[0], motion)
+    two = wrench_of(scene.rolling, finger, rough, held[1], motion)
+    three = wrench_of(scene.rolling, finger, rough, held[2], motion)
 
     normal, rolled, mode = active.n1, state.rolled + one.theta, one.after.mode
     pressing = vec3.add(vec3.add(one.normal_force, two.normal_force), three.normal_force)
@@ -318,12 +318,12 @@ def among_several_objects(
     lag = vec3.scale(one.after.share, one.after.deflection)
     lag = vec3.add_scaled(lag, two.after.share, two.after.deflection)
     lag = vec3.add_scaled(lag, three.after.share, three.after.deflection)
-    shown = beside(objects, radius, center, tangent_to_all(active, lag), held_by(active), left)
-    against = velocity_against(carry(objects, active.first), probe.velocity, state.probe.position, dt)
+    shown = beside(shapes, radius, center, tangent_to_all(active, lag), held_by(active), left)
+    against = velocity_against(carry(shapes, active.first), probe.velocity, state.probe.position, dt)
     extra, states, unknown = all_effects(scene, radius, objects, state, active, probe, against, dt)
-    moving = late and any_wide(objects)
+    moving = late and any_wide(shapes)
     if moving:
-        extra = vec3.add(extra, drawn_after(objects, active, vec3.sub(center, position)))
+        extra = vec3.add(extra, drawn_after(shapes, active, vec3.sub(center, position)))
     cause = one.cause
     if cause == CAUSE_NONE and touches:
         cause = float(CAUSE_TOUCH)
@@ -344,7 +344,7 @@ def among_several_objects(
     inward = rotations.rotate(to_fingertip, normal)
     contact = Contact(
         mode=mode,
-        object=number_of(objects, active.first),
+        object=number_of(shapes, active.first),
         cause=cause,
         velocity=probe.velocity,
         center=shown,
@@ -363,9 +363,9 @@ def among_several_objects(
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(one.after.deflection, normal)),
         patches=(
-            outcome_of(objects, one, finger, probe.orientation, shown),
-            outcome_of(objects, two, finger, probe.orientation, shown),
-            outcome_of(objects, three, finger, probe.orientation, shown),
+            outcome_of(shapes, one, finger, probe.orientation, shown),
+            outcome_of(shapes, two, finger, probe.orientation, shown),
+            outcome_of(shapes, three, finger, probe.orientation, shown),
         ),
         budget=budget,
     )

@@ -14,16 +14,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numba
 import pytest
-from helpers.compiled_code import functions
 
 from softfinger.proxy.kernels.model import Plane
 from softfinger.proxy.kernels.native import jit
-from softfinger.proxy.kernels.native.compiler.parts import Part
-from softfinger.proxy.kernels.native.kept import MAGIC, Folder, Unsound, _kinds, make_private
+from softfinger.proxy.kernels.native.kept import MAGIC, Folder, Unsound, kinds_in, make_private
 from softfinger.proxy.kernels.native.rows import Rows
 
 STRANGER = 54321
@@ -101,7 +98,8 @@ def start(
 
 
 def kernels(cache: Path) -> list[Path]:
-    return sorted(cache.rglob("*.kernel"))
+    """What is kept, but for the kernel that the others inline."""
+    return sorted(path for path in cache.rglob("*.kernel") if not path.name.startswith("scaled-"))
 
 
 def test_a_kernel_is_kept_and_loaded_again(scripts: Path, tmp_path: Path) -> None:
@@ -249,7 +247,8 @@ def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
     running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
     assert [process.communicate(timeout=300)[0].split()[0] for process in running] == ["4.0"] * 4
-    assert [path.suffix for path in cache.rglob("*") if path.is_file()] == [".kernel"]
+    assert {path.suffix for path in cache.rglob("*") if path.is_file()} == {".kernel"}
+    assert len(kernels(cache)) == 1
     assert start(scripts / "outer.py", cache) == ("4.0 1", "")
 
 
@@ -390,7 +389,7 @@ def test_a_class_is_seen_wherever_a_signature_has_it() -> None:
     plane = Plane((0.0, 0.0, 1.0), 0.0)
     for given in (plane, (1.0, plane), Rows([plane, plane])):
         kind = numba.typeof(given)
-        assert Plane in _kinds((kind,)) and Plane in _kinds((numba.types.TypeRef(kind),))
+        assert Plane in kinds_in((kind,)) and Plane in kinds_in((numba.types.TypeRef(kind),))
 
 
 def test_a_c_function_on_demand_waits_until_its_address_is_asked_for(tmp_path: Path) -> None:
@@ -399,32 +398,3 @@ def test_a_c_function_on_demand_waits_until_its_address_is_asked_for(tmp_path: P
     script.write_text(ON_DEMAND)
     assert start(script, cache) == ("None True 42", "")
     assert len(kernels(cache)) == 1
-
-
-def test_kernels_for_kernels_wait_for_who_calls_them() -> None:
-    """They have no address of their own, and one that two others call is in the outermost's module once."""
-
-    @jit.jit
-    def lowest(x: float) -> float:
-        return x * x
-
-    @jit.jit
-    def left(x: float) -> float:
-        return lowest(x) + 1.0
-
-    @jit.jit
-    def right(x: float) -> float:
-        return lowest(x) - 1.0
-
-    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: left(x) * right(x))
-    assert outermost(3.0) == 80.0  # whole numbers: exact
-    for kernel in (lowest, left, right):
-        (made,) = kernel.overloads.values()  # type: ignore[attr-defined]
-        assert isinstance(made.library, Part)
-        assert made.library.get_pointer_to_function(made.fndesc.mangled_name) == 0
-    (shared,) = {each.library for each in lowest.overloads.values()}  # type: ignore[attr-defined]
-    both = [each.library._get_module_for_linking() for k in (left, right) for each in k.overloads.values()]  # type: ignore[attr-defined]
-    name = next(each.name for each in shared._final_module.functions if not each.is_declaration)
-    assert all(not module.get_function(name).is_declaration for module in both)
-    (ir,) = outermost.inspect_llvm().values()
-    assert list(functions(ir)) == [next(iter(outermost.overloads.values())).fndesc.mangled_name]

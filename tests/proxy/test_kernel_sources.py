@@ -17,7 +17,9 @@ from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("config", "drivers", "proxy", "server", "tools")
 OURS = "softfinger."
-KERNEL = re.compile(r"(jit|entry|outlined|by_type|c_function\(.*|\w+\.of\(.*|\w+\.otherwise)$", re.DOTALL)
+KERNEL = re.compile(
+    r"(jit|entry|outlined|outlined_where\(.*|by_\w+|c_function\(.*|\w+\.of\(.*|\w+\.otherwise)$", re.DOTALL
+)
 """Decorators of kernels, and of what kernels are chosen by."""
 
 
@@ -78,8 +80,8 @@ SHOW = r"""
 import sys
 from pathlib import Path
 from softfinger.proxy.kernels.native.jit import CACHE_DIR
-from softfinger.proxy.kernels.native.kept import _sources
-print(CACHE_DIR, *(_sources(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]), sep="\n")
+from softfinger.proxy.kernels.native.kept import sources_of
+print(CACHE_DIR, *(sources_of(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]), sep="\n")
 """
 
 
@@ -97,13 +99,16 @@ def test_an_edit_moves_what_is_kept_of_those_kernels_that_it_concerns(tmp_path: 
         command = [sys.executable, "-S", "-c", SHOW, str(package), *names]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
 
+    before = kept()
+    assert kept() == before
+
     def moved_by(file: str) -> list[bool]:
-        before = kept()
+        nonlocal before
         with (package / file).open("a") as text:
             text.write("\nTWICE = 2.0\n")
-        return [one != other for one, other in zip(before, kept(), strict=True)]
+        last, before = before, kept()
+        return [one != other for one, other in zip(last, before, strict=True)]
 
-    assert kept() == kept()
     assert moved_by("proxy/kernels/friction/torsion.py") == [True, False, False, False]
     assert moved_by("server/loop/guard.py") == [True, False, False, False]
     assert moved_by("drivers/block.py") == [True, False, False, False]

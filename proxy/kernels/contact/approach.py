@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.geometry.bodies import (
     swings_on,
     transport_on,
 )
-from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged
+from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged, has_wide
 from softfinger.proxy.kernels.geometry.mesh.contact import SPENT
 from softfinger.proxy.kernels.geometry.mesh.lanes import ROOM
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
@@ -43,6 +43,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.native.dispatch import by_count, by_type
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.outlined import outlined_where
 from softfinger.proxy.kernels.tuples import same_for
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ROLLING
 
@@ -129,7 +130,7 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     return left >= 0 and gap >= radius
 
 
-@jit
+@outlined_where(has_wide)
 def meet(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Meeting:
     """First contact on the way of the last proxy, in free space the last probe, to the probe, as each object sees it.
 

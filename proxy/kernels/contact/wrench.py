@@ -11,6 +11,7 @@ from softfinger.proxy.kernels.friction.machine import react
 from softfinger.proxy.kernels.friction.torsion import share_of
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.bodies import material_of, number_of, pose_of
+from softfinger.proxy.kernels.geometry.kinds import has_wide
 from softfinger.proxy.kernels.model import (
     NO_PATCH,
     NO_PATCH_CONTACT,
@@ -19,10 +20,10 @@ from softfinger.proxy.kernels.model import (
     PatchContact,
     PatchState,
     Quaternion,
-    Scene,
     Vec3,
 )
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.outlined import outlined_where
 from softfinger.proxy.record import CAUSE_NONE
 
 
@@ -48,8 +49,8 @@ class Wrench(NamedTuple):
     radius: float
 
 
-@jit
-def wrench_of(scene: Scene, finger: Finger, objects: Any, patch: PatchState, motion: Motion) -> Wrench:
+@outlined_where(has_wide)
+def wrench_of(rolling: Any, finger: Finger, objects: Any, patch: PatchState, motion: Motion) -> Wrench:
     """Friction and torsion of one of several patches: with its own load, its own law, and its share of the springs."""
     zero = (0.0, 0.0, 0.0)
     if patch.body < 0.0:
@@ -63,7 +64,7 @@ def wrench_of(scene: Scene, finger: Finger, objects: Any, patch: PatchState, mot
     round_by = roundness(finger.form, finger.radius, orientation, normal)
     area = footprint(finger.patch, round_by, material.compliance, load.size)
     unit = winding_unit(material.torsion, area, share)
-    seen, theta = sheared(scene.rolling, objects, patch, motion, load.size, unit)
+    seen, theta = sheared(rolling, objects, patch, motion, load.size, unit)
     kept = react(
         turned(material.friction, pose_of(objects, patch.body).orientation),
         torsion_under(share_of(material.torsion, share), area),

@@ -1,14 +1,41 @@
 """Which objects may be touched in many places: what a scene without any leaves out, known when it is compiled."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Final
 
 from numba import literal_unroll
 
 from softfinger.proxy.kernels.geometry.entries import has, places
 from softfinger.proxy.kernels.model import Heightmap, Mesh
-from softfinger.proxy.kernels.native.dispatch import by_type
+from softfinger.proxy.kernels.native.dispatch import by_type, chosen_by
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.kept import kinds_in
 from softfinger.proxy.kernels.native.rows import Rows
+
+
+def has_wide(*given: Any) -> bool:
+    """Whether there is a mesh or a height map among arguments of those types: what is asked of one is large, and takes
+    long enough for a call by address not to count."""
+    return not {Mesh, Heightmap}.isdisjoint(kinds_in(given))
+
+
+SMOOTH: Final = "smooth"
+FACETED: Final = "faceted"
+RUGGED: Final = "rugged"
+
+
+def _roughest(kinds: Any) -> str:
+    return RUGGED if Heightmap in kinds else FACETED if Mesh in kinds else SMOOTH
+
+
+def by_roughness(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel chosen by what there is in a tuple of objects: `.of(RUGGED)` a height map, `.of(FACETED)` a mesh
+    and no height map, `.of(SMOOTH)` neither. Of the others nothing is compiled."""
+
+    def sort(objects: Any) -> str:
+        return _roughest({type((entry[0] if isinstance(entry, Rows) else entry).shape) for entry in objects})
+
+    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _roughest(kinds_in(tuple(objects))))
 
 
 @by_type

@@ -8,7 +8,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.geometry.entries import member
 from softfinger.proxy.kernels.geometry.motion import moving_pose, pose_at
-from softfinger.proxy.kernels.model import Object, Pose, World
+from softfinger.proxy.kernels.model import Material, Object, Pose, World
 from softfinger.proxy.kernels.native.dispatch import by_count, by_type
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.rows import Rows
@@ -123,3 +123,45 @@ def place_one(objects: Any, poses: Any, was: Any) -> Any:
 @place_all.of(2)
 def place_several(objects: Any, poses: Any, was: Any) -> Any:
     return (place(objects[0], poses[0], was[0]),) + place_all(objects[1:], poses[1:], was[1:])  # noqa: RUF005  # see above
+
+
+@by_type
+def bare(body: Any) -> Any:
+    """The object without what its geometry and its normal force do not depend on.
+
+    Kernels that are given no more are compiled once for all scenes whose objects have these shapes, and are kept.
+    """
+
+
+@bare.of(Rows)
+def bare_rows(body: Any) -> Any:
+    return body  # in memory as they are
+
+
+@bare.of(Object)
+def bare_object(body: Object) -> Object:
+    return Object(
+        shape=body.shape,
+        pose=body.pose,
+        motion=body.motion,
+        material=Material(body.material.normal, None, None),
+        number=body.number,
+        effects=(),
+        was=body.was,
+        texture=None,
+    )
+
+
+@by_count
+def all_bare(objects: Any) -> Any:
+    """All of them bare."""
+
+
+@all_bare.of(1)
+def one_bare(objects: Any) -> Any:
+    return (bare(objects[0]),)
+
+
+@all_bare.of(2)
+def several_bare(objects: Any) -> Any:
+    return (bare(objects[0]),) + all_bare(objects[1:])  # noqa: RUF005  # see above

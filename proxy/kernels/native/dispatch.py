@@ -7,15 +7,14 @@ scene runs only the code of the parts it has.
 """
 
 import functools
-import inspect
 from collections.abc import Callable
 from typing import Any, Final
 
 from numba import types
-from numba.extending import overload
 
-from softfinger.proxy.kernels.native.jit import INLINED, jit
+from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.kept import written_in
+from softfinger.proxy.kernels.native.numba_internals import Choice
 
 _OTHERS: Final = object()
 
@@ -27,29 +26,20 @@ def _kind_of(numba_type: types.Type) -> type | None:
     return getattr(numba_type, "instance_class", None) or type(numba_type)
 
 
-def _bare_signature(function: Callable[..., Any]) -> inspect.Signature:
-    # numba insists that a kernel has the signature of its declaration, annotations included; those differ.
-    plain = [
-        parameter.replace(annotation=inspect.Parameter.empty)
-        for parameter in inspect.signature(function).parameters.values()
-    ]
-    return inspect.Signature(plain)
-
-
 def by_type(declaration: Callable[..., Any]) -> Any:
     """Declare a kernel that each kind of node implements with `.of(Kind)`, or all others with `.otherwise`.
 
     A kind is known by its class, wherever that is defined: a package of its own adds kinds by `.of(Kind)` alone.
     """
-    return _declare(declaration, type, lambda kind: None if kind is type(None) else kind, _kind_of)
+    return chosen_by(declaration, type, lambda kind: None if kind is type(None) else kind, _kind_of)
 
 
 def by_count(declaration: Callable[..., Any]) -> Any:
     """Declare a kernel chosen by the length of a tuple: `.of(1)` for exactly one, `.of(2)` for two and more."""
-    return _declare(declaration, len, lambda count: min(count, 2), lambda nodes: min(len(nodes), 2))
+    return chosen_by(declaration, len, lambda count: min(count, 2), lambda nodes: min(len(nodes), 2))
 
 
-def _declare(
+def chosen_by(
     declaration: Callable[..., Any],
     sort: Callable[[Any], Any],
     kind_of: Callable[[Any], Any],
@@ -66,7 +56,6 @@ def _declare(
     def kernel_for(kind: Any) -> Callable[..., Any] | None:
         return kernels.get(kind) if kind is None or kind in kernels else kernels.get(_OTHERS)
 
-    @functools.wraps(declaration)
     def call(node: Any, *rest: Any) -> Any:
         return kernel_for_sort(sort(node))(node, *rest)
 
@@ -79,20 +68,15 @@ def _declare(
 
     def of(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
-            kernels[kind] = kernel
+            compiled: Callable[..., Any] = jit(kernel)
+            kernels[kind] = compiled
             kernel_for_sort.cache_clear()
             written_in(kind, kernel.__code__.co_filename)
-            kernel.__signature__ = _bare_signature(kernel)  # type: ignore[attr-defined]
-            compiled: Callable[..., Any] = jit(kernel)
             return compiled
 
         return register
 
-    def choose(node: types.Type, *rest: types.Type) -> Callable[..., Any] | None:
-        return kernel_for(compiled_kind(node))
-
-    choose.__signature__ = _bare_signature(declaration)  # type: ignore[attr-defined]
-    overload(call, jit_options=INLINED)(choose)
-    call.of = of  # type: ignore[attr-defined]
-    call.otherwise = of(_OTHERS)  # type: ignore[attr-defined]
-    return call
+    choice: Any = Choice(declaration, lambda node, *rest: kernel_for(compiled_kind(node)), call)
+    choice.of = of
+    choice.otherwise = of(_OTHERS)
+    return choice

@@ -13,6 +13,7 @@ rather than an exception, which would end the loop.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import sys
@@ -22,13 +23,18 @@ from typing import Any, Final, TypeVar, cast
 
 import llvmlite.binding as llvm
 import numba
-from numba.core import event, sigutils
-from numba.core.ccallback import CFunc
-from numba.core.registry import CPUDispatcher
+from numba.core import event
 
-from softfinger.proxy.kernels.native.compiler.doing import DOING
-from softfinger.proxy.kernels.native.compiler.pipeline import KernelCompiler, PartCompiler
-from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS, Folder, KernelCache
+from softfinger.proxy.kernels.native.doing import DOING
+from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS, Folder
+from softfinger.proxy.kernels.native.numba_internals import (
+    FOR_KERNELS,
+    WITHOUT_ALLOCATOR,
+    WITHOUT_WRAPPERS,
+    CFunction,
+    Inlined,
+    KernelCache,
+)
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -81,52 +87,48 @@ CACHE_DIR: Final = None if _ROOT is None else _ROOT / _fingerprint()
 
 KEPT: Final = Folder(CACHE_DIR)
 
-OPTIONS: Final = {
-    "error_model": "numpy",
-    "nogil": True,
-    "_nrt": False,
-    "no_cfunc_wrapper": True,
-    "pipeline_class": KernelCompiler,
-}
-"""Without numba's runtime (`_nrt`) there is no allocator and no reference count: a kernel that would
-allocate does not compile. There are no C wrappers: `c_function` makes those that are called."""
+OPTIONS: Final = {"error_model": "numpy", "nogil": True} | WITHOUT_ALLOCATOR | WITHOUT_WRAPPERS
+"""There is no allocator and no reference count: a kernel that would allocate does not compile. There are no C wrappers:
+`c_function` makes those that are called."""
 
-
-INLINED: Final = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True, "pipeline_class": PartCompiler}
-"""Options of a kernel that only kernels call: it has no wrapper for Python, and no machine code of its own."""
+INLINED: Final = OPTIONS | FOR_KERNELS
+"""Options of a kernel that only kernels call: it has no wrapper for Python, and is compiled into its callers."""
 
 
 class _Told(event.Listener):  # type: ignore[misc]
-    """numba says when it begins to compile a function, and when it has ended."""
+    """numba says when it begins to compile a function, and when it has ended.
+
+    Until the outermost has ended Python does not look for cycles: numba makes millions of objects that live as long as
+    it compiles, and looking at them again and again takes a seventh of the time.
+    """
+
+    def __init__(self) -> None:
+        self._depth, self._collects = 0, False
 
     def on_start(self, event: Any) -> None:
+        if self._depth == 0:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
         DOING.begin()
 
     def on_end(self, event: Any) -> None:
         DOING.end()
+        self._depth -= 1
+        if self._depth == 0 and self._collects:
+            gc.enable()
 
 
 event.register("numba:compile", _Told())
 
 
-class _OnCall(CPUDispatcher):  # type: ignore[misc]
-    """A kernel for other kernels. Called from Python it is compiled once more, with a wrapper for that, and kept."""
-
-    def __call__(self, *args: Any) -> Any:
-        if "_from_python" not in self.__dict__:
-            self._from_python = entry(self.py_func)
-        return self._from_python(*args)
-
-
-def on_call(compiled: Any) -> Any:
-    """A kernel compiled without a wrapper for Python, made one that Python may call all the same."""
-    compiled.__class__ = _OnCall
-    return compiled
-
-
 def jit(function: Kernel) -> Kernel:
     """Compile a kernel into its callers; `outlined` is for what is too large for that."""
-    return function if PLAIN else cast(Kernel, on_call(numba.njit(**INLINED)(function)))
+    if PLAIN:
+        return function
+    compiled: Any = Inlined(function, INLINED, entry)
+    compiled._cache = KernelCache(function, KEPT, "inlined")
+    return cast(Kernel, compiled)
 
 
 def entry(function: Kernel) -> Kernel:
@@ -138,36 +140,14 @@ def entry(function: Kernel) -> Kernel:
     return cast(Kernel, compiled)
 
 
-class _CFunction(CFunc):
-    """A kernel with a C address, which is compiled when that is first asked for."""
-
-    @property
-    def address(self) -> int | None:
-        if super().address is None:
-            self.compile()
-        return super().address
-
-    def _compile_uncached(self) -> Any:
-        """numba says nothing of these."""
-        DOING.begin()
-        try:
-            return super()._compile_uncached()  # type: ignore[misc]
-        finally:
-            DOING.end()
-
-
 def c_function(signature: Any, on_demand: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """Compile a kernel with a C address (`.address`), and keep the result on disk.
 
     on_demand  not before the address is asked for: where few who import a driver need it, and all before the first tick
     """
-    wanted = sigutils.normalize_signature(signature)
 
     def decorate(function: Callable[..., Any]) -> Any:
-        # What numba.cfunc does, which offers no other cache than its own.
-        options = {"error_model": "numpy"}
-        compiled: Any = _CFunction(function, wanted, locals={}, options=options, pipeline_class=KernelCompiler)
-        compiled._cache = KernelCache(function, KEPT)
+        compiled: Any = CFunction(function, signature, KernelCache(function, KEPT, "c"))
         if not on_demand and not PLAIN:
             compiled.compile()
         return compiled

@@ -14,22 +14,15 @@ import contextlib
 import hashlib
 import logging
 import os
-import pickle
 import secrets
 import stat
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import IO, Any, Final
 
-import llvmlite.binding as llvm
 from numba import types
-from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
-from numba.core.serialize import dumps
-
-from softfinger.proxy.kernels.native.compiler.doing import DOING
 
 MAGIC: Final = b"softfinger kernel 1\n"
 LINKS_MAX: Final = 40
@@ -181,84 +174,8 @@ def _reason(error: Exception) -> str:
     return str(error.strerror if isinstance(error, OSError) and error.strerror else error)
 
 
-class KernelCache(NullCache):  # type: ignore[misc]
-    """What numba asks for a kernel's machine code: one file for each kernel and signature."""
-
-    def __init__(self, function: Callable[..., Any], folder: Folder) -> None:
-        self._function, self._folder = function, folder
-        self._own = _sources(Path(function.__code__.co_filename))
-
-    @property
-    def cache_path(self) -> str:
-        return str(self._folder.path)
-
-    def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """The compiled kernel, or None.
-
-        numba's own cache first makes numba ready to compile, which imports half of it, and SciPy where that is
-        installed. Machine code needs none of that but the addresses it calls; `compile` makes itself ready.
-        """
-        with DOING.loading():
-            return self._loaded(signature, target_context)
-
-    def _loaded(self, signature: Any, target_context: Any) -> Any:
-        key = self._key(signature, target_context.codegen())
-        body = None if key is None else self._folder.read(self._name(key))
-        if key is None or body is None:
-            return None
-        try:
-            kept, calls, reduced = pickle.loads(body)
-            if kept != key:
-                return None
-            if not _known(calls):  # what numba's runtime offers
-                target_context.refresh()
-            return CompileResult._rebuild(target_context, *reduced)
-        except Exception as error:  # what another version of a library made of it
-            self._folder.reject(self._name(key), error)
-            return None
-
-    def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep a compiled kernel, if that can be."""
-        key = self._key(signature, compiled.codegen)
-        if key is None:
-            return
-        if compiled.lifted or compiled.library.has_dynamic_globals:
-            log.warning("%s is compiled at every start: it holds addresses of this process", self._function)
-            return
-        self._folder.write(self._name(key), dumps((key, _calls(compiled.library), compiled._reduce())))
-
-    def _key(self, signature: Any, codegen: Any) -> tuple[Any, ...] | None:
-        """What the kernel was made of; None if that is not all known."""
-        files = [sorted(_WRITTEN.get(kind, {}).items()) for kind in _kinds(signature)]
-        sources = [self._own, *(content for each in files for _, content in each)]
-        if None in sources:
-            return None
-        cells = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
-        code = self._function.__code__
-        made = hashlib.sha256(code.co_code + (dumps(cells) if cells else b"")).hexdigest()
-        place = f"{self._function.__module__}.{self._function.__qualname__}:{code.co_firstlineno}"
-        return place, signature, codegen.magic_tuple(), made, sources
-
-    def _name(self, key: tuple[Any, ...]) -> str:
-        # Without the sources, so that an edited kernel takes the place of the old one.
-        name = "".join(letter if letter.isalnum() else "_" for letter in self._function.__qualname__)
-        return f"{name[:80]}-{hashlib.sha256(repr(key[:4]).encode()).hexdigest()[:32]}.kernel"
-
-
-def _calls(library: Any) -> list[str]:
-    """Names that machine code takes from the process that loads it."""
-    module = library._final_module
-    names = [each.name for each in (*module.functions, *module.global_variables) if each.is_declaration]
-    return [name for name in names if not name.startswith("llvm.")]
-
-
-def _known(names: list[str]) -> bool:
-    """Whether this process has them all: where one is missing, LLVM ends the program."""
-    return all(llvm.address_of_symbol(name) is not None for name in names)
-
-
-_WRITTEN: Final[dict[Any, dict[str, str | None]]] = {}
-"""For each kind of node the files outside of this program that its kernels are written in, with their `_sources`."""
+WRITTEN: Final[dict[Any, dict[str, str | None]]] = {}
+"""For each kind of node the files outside of this program that its kernels are written in, with their `sources_of`."""
 
 
 def written_in(kind: Any, file: str) -> None:
@@ -270,10 +187,10 @@ def written_in(kind: Any, file: str) -> None:
     module = getattr(sys.modules.get(getattr(kind, "__module__", "")), "__file__", None)
     for name in {file, file if module is None else module}:
         if not name.startswith(_PROGRAM):
-            _WRITTEN.setdefault(kind, {})[name] = _sources(Path(name))
+            WRITTEN.setdefault(kind, {})[name] = sources_of(Path(name))
 
 
-def _kinds(signature: Any) -> list[Any]:
+def kinds_in(signature: Any) -> list[Any]:
     """Classes of the named tuples in a signature, each once, in the order in which they appear."""
     found: dict[Any, None] = {}
 
@@ -293,7 +210,7 @@ def _kinds(signature: Any) -> list[Any]:
     return list(found)
 
 
-def _sources(path: Path) -> str | None:
+def sources_of(path: Path) -> str | None:
     """A hash over the file of a kernel and what else it may inline: the package that it is in, or, of this program, its
     own folder. None without a file.
 

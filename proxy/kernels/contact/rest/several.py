@@ -23,12 +23,22 @@ from softfinger.proxy.kernels.contact.rest.single import ROUNDS, SETTLED, SLIDIN
 from softfinger.proxy.kernels.contact.rest.supporting import AT_REST, EDGES, NEARLY, SOON, settle_by_planes
 from softfinger.proxy.kernels.geometry import vec3
 from softfinger.proxy.kernels.geometry.bodies import beside_on, closest_to_within, deepest, held_by_at, material_of
-from softfinger.proxy.kernels.geometry.kinds import any_faceted, any_rugged, any_wide, rugged_on
+from softfinger.proxy.kernels.geometry.kinds import (
+    FACETED,
+    RUGGED,
+    SMOOTH,
+    any_rugged,
+    any_wide,
+    by_roughness,
+    has_wide,
+    rugged_on,
+)
 from softfinger.proxy.kernels.geometry.mesh.contact import STRIDE
 from softfinger.proxy.kernels.geometry.mesh.query import BUDGET
 from softfinger.proxy.kernels.geometry.sweep import first_hit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.native.outlined import outlined_where
 
 ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
 """Times that something found in the way is added to what holds the proxy, before it stays where it was for a tick."""
@@ -44,7 +54,7 @@ class Rest(NamedTuple):
     left: int
 
 
-@jit
+@outlined_where(has_wide)
 def settle_among_several(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
 ) -> Rest:
@@ -59,10 +69,34 @@ def settle_among_several(
     for more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
     So is one that finds no rest.
     """
-    if not any_wide(objects):
-        return settle_for(objects, radius, probe, start, center, active, left)
-    if any_faceted(objects) and not any_rugged(objects):
-        return settle_on_facets(objects, radius, probe, center, active, left)
+    return settle_as_rough(objects, radius, probe, start, center, active, left)
+
+
+@by_roughness
+def settle_as_rough(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
+) -> Any:
+    """`settle_among_several`: beside height maps step by step, beside meshes by supporting planes, else at once."""
+
+
+@settle_as_rough.of(SMOOTH)
+def settle_at_once(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
+) -> Rest:
+    return settle_for(objects, radius, probe, start, center, active, left)
+
+
+@settle_as_rough.of(FACETED)
+def settle_beside_meshes(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
+) -> Rest:
+    return settle_on_facets(objects, radius, probe, center, active, left)
+
+
+@settle_as_rough.of(RUGGED)
+def settle_in_steps(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: Constraints, left: int
+) -> Rest:
     rest, whole, held = Rest(center, active, True, 0), probe, active
     for budget in (3 * left // 4, left // 4):
         goal = vec3.add(whole, displacement(held.push, held.n1, held.n2, held.n3))

@@ -1,0 +1,294 @@
+"""All that is used of numba and llvmlite beyond what they document, in one file.
+
+What each is for, and what there is without it:
+
+_nrt                     Kernels have no allocator. Without: an allocation in the loop compiles, and stalls a tick.
+forceinline              A small kernel is compiled into its callers. Without: a kept kernel brings functions along
+                         under names that are unique in one process only, and the linker takes those of another.
+no_cpython_wrapper, no_cfunc_wrapper
+                         No wrapper round what only kernels call. Without: a scene compiles for 1.6 times as long.
+CPUDispatcher            Such a kernel, called from Python, is compiled once more. Without: numba jumps to address 0.
+_cache, NullCache, serialize.dumps, CompileResult._reduce and ._rebuild, lifted, has_dynamic_globals
+                         A cache that trusts nobody (`kept.py`). Without: numba unpickles what it finds, and ends the
+                         program where a file is damaged.
+magic_tuple, _final_module, refresh
+                         For which processor a kept kernel is, and what it calls. Without: one that calls what is not
+                         there ends the program.
+CFunc, cpu_target, get_pointer_to_function, llvm_cfunc_wrapper_name
+                         C functions in that cache, and under a symbol. Without: `numba.cfunc` has numba's cache.
+types.Callable, resolve_value_type, lower_constant
+                         A kernel that is chosen by type is kept, too. Without: `overload` compiles it for every scene.
+
+SEEN names the versions of numba in which they were seen; `tests/proxy/test_numba_internals.py` asks for each.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import logging
+import pickle
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import llvmlite.binding as llvm
+from numba import types
+from numba.core.caching import NullCache
+from numba.core.ccallback import CFunc
+from numba.core.compiler import CompileResult
+from numba.core.errors import TypingError
+from numba.core.imputils import lower_constant
+from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.serialize import dumps
+from numba.extending import models, register_model, typeof_impl
+
+from softfinger.proxy.kernels.native.doing import DOING
+from softfinger.proxy.kernels.native.kept import WRITTEN, Folder, kinds_in, sources_of
+
+SEEN: Final = ("0.67", "0.68")
+"""Versions of numba in which all of this was seen to work."""
+
+WITHOUT_ALLOCATOR: Final = {"_nrt": False}
+WITHOUT_WRAPPERS: Final = {"no_cfunc_wrapper": True}
+FOR_KERNELS: Final = {"no_cpython_wrapper": True, "forceinline": True}
+
+UNIT: Final = "softfinger_unit_"
+"""What symbols of outlined kernels begin with."""
+
+log: Final = logging.getLogger(__name__)
+
+
+class KernelCache(NullCache):  # type: ignore[misc]
+    """What numba asks for a kernel's machine code: one file for each kernel and signature.
+
+    kind  of code: a kernel that is called in two ways is kept twice
+    """
+
+    def __init__(self, function: Callable[..., Any], folder: Folder, kind: str = "") -> None:
+        self._function, self._folder, self._kind = function, folder, kind
+        self._own = sources_of(Path(function.__code__.co_filename))
+
+    @property
+    def cache_path(self) -> str:
+        return str(self._folder.path)
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """The compiled kernel, or None.
+
+        numba's own cache first makes numba ready to compile, which imports half of it, and SciPy where that is
+        installed. Machine code needs none of that but the addresses it calls; `compile` makes itself ready.
+        """
+        key = self.key(signature, target_context.codegen())
+        return None if key is None else load(self._folder, self._name(key), target_context, key)
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep a compiled kernel, if that can be."""
+        key = self.key(signature, compiled.codegen)
+        if key is not None:
+            self.save(self._name(key), key, compiled)
+
+    def save(self, name: str, key: tuple[Any, ...], compiled: Any) -> None:
+        if compiled.lifted or compiled.library.has_dynamic_globals:
+            log.warning("%s is compiled at every start: it holds addresses of this process", self._function)
+            return
+        self._folder.write(name, dumps((key, _calls(compiled.library), compiled._reduce())))
+
+    def key(self, signature: Any, codegen: Any) -> tuple[Any, ...] | None:
+        """What the kernel was made of; None if that is not all known."""
+        files = [sorted(WRITTEN.get(kind, {}).items()) for kind in kinds_in(signature)]
+        sources = [self._own, *(content for each in files for _, content in each)]
+        if None in sources:
+            return None
+        cells = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
+        code = self._function.__code__
+        try:
+            made = hashlib.sha256(code.co_code + (dumps(cells) if cells else b"")).hexdigest()
+        except Exception:  # it names what cannot be written down, another way to fail for each
+            return None
+        place = f"{self._kind} {self._function.__module__}.{self._function.__qualname__}:{code.co_firstlineno}"
+        return place, signature, codegen.magic_tuple(), made, sources
+
+    def _name(self, key: tuple[Any, ...]) -> str:
+        # Without the sources, so that an edited kernel takes the place of the old one.
+        return f"{self.stem()}-{hashlib.sha256(repr(key[:4]).encode()).hexdigest()[:32]}.kernel"
+
+    def stem(self) -> str:
+        return "".join(letter if letter.isalnum() else "_" for letter in self._function.__qualname__)[:80]
+
+
+def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | None = None) -> Any:
+    """What is kept under a name, with all that it calls, as numba's CompileResult; None if it is not there, not sound,
+    or not made of what `key` says."""
+    with DOING.loading():
+        body = folder.read(name)
+        if body is None:
+            return None
+        try:
+            kept, calls, reduced = pickle.loads(body)
+            if key is not None and kept != key:
+                return None
+            units = [each for each in calls if each.startswith(UNIT)]
+            if not all(_linked(folder, each, target_context) for each in units):
+                return None
+            if not all(llvm.address_of_symbol(each) is not None for each in calls):  # what numba's runtime offers
+                target_context.refresh()
+            return CompileResult._rebuild(target_context, *reduced)
+        except Exception as error:  # what another version of a library made of it
+            folder.reject(name, error)
+            return None
+
+
+def _calls(library: Any) -> list[str]:
+    """Names that machine code takes from the process that loads it; where one is missing, LLVM ends the program."""
+    module = library._final_module
+    names = [each.name for each in (*module.functions, *module.global_variables) if each.is_declaration]
+    return [name for name in names if not name.startswith("llvm.")]
+
+
+class Inlined(CPUDispatcher):  # type: ignore[misc]
+    """A kernel for other kernels, without a wrapper for Python.
+
+    called  makes of the function what Python may call: without a wrapper numba jumps to address 0
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], called: Callable[[Any], Any]) -> None:
+        super().__init__(function, targetoptions={"nopython": True} | options)
+        self._called = called
+
+    @functools.cached_property
+    def _from_python(self) -> Callable[..., Any]:
+        compiled: Callable[..., Any] = self._called(self.py_func)
+        return compiled
+
+    def __call__(self, *args: Any) -> Any:
+        return self._from_python(*args)
+
+
+class Choice:
+    """What a kernel calls by one name, and which of several kernels that is.
+
+    declaration  what it does, with its signature
+    choose       the kernel for numba's types of the arguments, None where there is none
+    plain        what Python calls
+    """
+
+    def __init__(self, declaration: Callable[..., Any], choose: Callable[..., Any], plain: Callable[..., Any]) -> None:
+        functools.update_wrapper(self, declaration)
+        self.name = f"{declaration.__module__}.{declaration.__qualname__}"
+        self.choose, self._plain = choose, plain
+
+    def __call__(self, *args: Any) -> Any:
+        return self._plain(*args)
+
+    @functools.cached_property
+    def numba_type(self) -> _ChoiceType:
+        return _ChoiceType(self)
+
+
+class _ChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
+    """What a Choice is to the compiler: whatever it chooses."""
+
+    def __init__(self, choice: Choice) -> None:
+        self._choice, self._chosen = choice, dict[Any, Any]()
+        super().__init__(name=f"Choice({choice.name} {id(choice)})")
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        known, named = tuple(map(types.unliteral, args)), {name: types.unliteral(kind) for name, kind in kws.items()}
+        kernel = self._choice.choose(*known)
+        if kernel is None:
+            raise TypingError(f"{self._choice.name} is not defined for {known}")
+        chosen = context.resolve_value_type(kernel)
+        signature = chosen.get_call_type(context, known, named)
+        self._chosen[signature.args] = chosen
+        takes_any = any(each.kind == each.VAR_POSITIONAL for each in signature.pysig.parameters.values())
+        return signature.replace(pysig=None) if takes_any else signature  # they would be looked for in a tuple
+
+    def get_call_signatures(self) -> tuple[list[Any], bool]:
+        return [], True
+
+    def get_impl_key(self, signature: Any) -> Any:
+        return self._chosen[signature.args].get_impl_key(signature)
+
+
+register_model(_ChoiceType)(models.OpaqueModel)
+
+
+@typeof_impl.register(Choice)
+def _typeof(value: Choice, context: Any) -> _ChoiceType:
+    return value.numba_type
+
+
+@lower_constant(_ChoiceType)
+def _nothing(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    return context.get_dummy_value()
+
+
+class CFunction(CFunc):
+    """A kernel with a C address, which is compiled when that is first asked for."""
+
+    def __init__(self, function: Callable[..., Any], signature: Any, cache: Any = None, **options: Any) -> None:
+        given = {"error_model": "numpy"} | options
+        super().__init__(function, (signature.args, signature.return_type), {}, given)
+        self._cache = NullCache() if cache is None else cache
+
+    @property
+    def address(self) -> int | None:
+        if super().address is None:
+            self.compile()
+        return super().address
+
+    def _compile_uncached(self) -> Any:
+        """numba says nothing of these."""
+        DOING.begin()
+        try:
+            return super()._compile_uncached()  # type: ignore[misc]
+        finally:
+            DOING.end()
+
+
+_LINKED: Final[dict[str, Any]] = {}
+"""Code of outlined kernels in this process, by its symbol: numba's libraries, which hold it."""
+
+
+def _link(symbol: str, compiled: Any) -> None:
+    address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name)
+    llvm.add_symbol(symbol, address)
+    _LINKED[symbol] = compiled.library
+
+
+def _linked(folder: Folder, symbol: str, target_context: Any) -> bool:
+    """Whether the process has an outlined kernel; it is loaded where it has not."""
+    if symbol not in _LINKED:
+        compiled = load(folder, f"{symbol}.kernel", target_context)
+        if compiled is None:
+            return False
+        _link(symbol, compiled)
+    return True
+
+
+_IN_AND_OUT: Final = types.void(types.voidptr, types.voidptr)
+
+
+def link_unit(function: Callable[..., Any], folder: Folder, given: Any, make: Callable[[], Callable[..., Any]]) -> str:
+    """The symbol of a kernel for arguments of the types `given`, a tuple; its code is there, from the disk or compiled.
+
+    make  the C function that is compiled: void of two addresses
+    """
+    cache, context = KernelCache(function, folder, "unit"), cpu_target.target_context
+    key = cache.key((given,), context.codegen())
+    classes = [f"{kind.__module__}.{kind.__qualname__}" for kind in kinds_in((given,))]
+    unique = secrets.token_hex(16) if key is None else hashlib.sha256(repr((key, classes)).encode()).hexdigest()[:32]
+    symbol = f"{UNIT}{cache.stem()}_{unique}"
+    if key is None or not _linked(folder, symbol, context):
+        compiled = CFunction(make(), _IN_AND_OUT, **WITHOUT_ALLOCATOR)._compile_uncached()
+        _link(symbol, compiled)
+        if key is not None:
+            cache.save(f"{symbol}.kernel", key, compiled)
+    return symbol
+
+
+def code_of(symbol: str) -> str:
+    """LLVM's code of an outlined kernel that was compiled in this process, empty of one that was loaded."""
+    return str(_LINKED[symbol].get_llvm_str())

@@ -1,0 +1,117 @@
+"""What is used of numba beyond what it documents: each is there, and does what it is used for.
+
+Seen in numba 0.67 and 0.68. With another version these tests say first what has changed.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+import pytest
+from numba import types
+
+from softfinger.proxy.kernels.native import jit
+from softfinger.proxy.kernels.native.dispatch import by_count
+from softfinger.proxy.kernels.native.kept import Folder
+from softfinger.proxy.kernels.native.numba_internals import SEEN, CFunction, Choice, Inlined, KernelCache, load
+
+BY_ITSELF = """
+from numba import njit
+@njit(no_cpython_wrapper=True)
+def kernel(x):
+    return x
+kernel(1.0)
+"""
+
+
+def test_this_version_was_seen() -> None:
+    """Whoever takes another one runs this file, and writes it down."""
+    assert numba.__version__.startswith(SEEN)
+
+
+def test_without_its_runtime_nothing_is_allocated() -> None:
+    """`_nrt`: a kernel that would allocate does not compile, one that does not compiles."""
+
+    def allocates(n: int) -> float:
+        return float(np.zeros(n)[0])
+
+    with pytest.raises(numba.TypingError):
+        numba.njit(**jit.OPTIONS)(allocates)(3)
+    assert numba.njit(allocates)(3) == 0.0  # as numba has it
+
+
+def test_what_is_forced_inline_is_not_called() -> None:
+    """`forceinline`: of a kernel that another calls ten times there is no function left."""
+
+    @jit.jit
+    def long(x: float) -> float:
+        for _ in range(100):
+            x = x * x + 1.0 / (x + 2.0) if x < 3.0 else np.sqrt(x)
+        return x
+
+    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: long(x) + long(x + 1.0) + long(x + 2.0) + long(x * 2.0))
+    outermost(1.0)
+    (ir,) = outermost.inspect_llvm().values()
+    defined = [line for line in ir.splitlines() if line.startswith("define ") and "cpython" not in line]
+    assert len(defined) == 1
+
+
+def test_what_has_no_wrapper_is_compiled_once_more_for_python() -> None:
+    """`CPUDispatcher`: numba by itself calls address 0 and ends the program; a kernel of ours answers."""
+    done = subprocess.run([sys.executable, "-c", BY_ITSELF], capture_output=True, check=False)
+    assert done.returncode < 0
+    kernel: Any = Inlined(lambda x: 2.0 * x, jit.INLINED, jit.entry)
+    assert kernel(2.0) == 4.0
+
+
+def test_a_compiled_kernel_goes_to_a_file_and_comes_back(tmp_path: Any) -> None:
+    """`_reduce`, `_rebuild`, `magic_tuple`, `_final_module`: what another dispatcher loads is what one has compiled."""
+
+    def kernel(x: float) -> float:
+        return np.sin(x) + 1.0
+
+    folder = Folder(tmp_path / "kernels")
+    found = []
+    for _ in range(2):
+        compiled: Any = numba.njit(**jit.OPTIONS)(kernel)
+        compiled._cache = KernelCache(kernel, folder)
+        found.append(compiled(0.5))
+        found.append(sum(compiled.stats.cache_hits.values()))
+    assert found == [found[0], 0, found[0], 1]
+    (kept,) = folder.path.iterdir()  # type: ignore[union-attr]
+    again = load(folder, kept.name, numba.core.registry.cpu_target.target_context)
+    assert again.signature == types.float64(types.float64)
+    assert load(folder, "none.kernel", numba.core.registry.cpu_target.target_context) is None
+
+
+def test_a_c_function_has_an_address() -> None:
+    """`CFunc`: compiled when that is asked for, it answers C; a name that is given to it is found by the linker."""
+    kernel = CFunction(lambda x: 2 * x, types.int64(types.int64))
+    assert kernel.native_name is None
+    assert kernel.address and kernel.ctypes(21) == 42
+    llvm.add_symbol("softfinger_test_symbol", kernel.address)
+    assert llvm.address_of_symbol("softfinger_test_symbol") == kernel.address
+    assert llvm.address_of_symbol("softfinger_test_symbol_that_is_not") is None
+
+
+def test_a_choice_is_made_while_compiling() -> None:
+    """`types.Callable`: a name stands for whatever kernel its argument's type chooses, with defaults and names."""
+
+    @by_count
+    def total(numbers: Any, factor: float = 2.0) -> Any: ...
+
+    @total.of(1)
+    def of_one(numbers: Any, factor: float = 2.0) -> float:
+        return numbers[0] * factor
+
+    @total.of(2)
+    def of_more(numbers: Any, factor: float = 2.0) -> float:
+        return numbers[0] * factor + total(numbers[1:], factor)
+
+    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: (total((x,)), total((x, x, 1.0), factor=3.0)))
+    assert isinstance(total, Choice) and outermost(5.0) == (10.0, 33.0) == (total((5.0,)), total((5.0, 5.0, 1.0), 3.0))

@@ -1,0 +1,154 @@
+"""Kernels that are compiled once, kept by themselves, and called by their address."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+from helpers.compiled_code import called_in, functions
+
+from softfinger.proxy.kernels.native import jit, outlined
+from softfinger.proxy.kernels.native.numba_internals import UNIT, code_of
+
+MODULE = """
+from typing import NamedTuple
+
+from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.proxy.kernels.native.outlined import outlined
+
+FACTOR = 2.0
+
+class Found(NamedTuple):
+    size: float
+    large: bool
+    number: int
+    place: tuple[float, float, float]
+
+@jit
+def scaled(x):
+    return FACTOR * x
+
+@outlined
+def found(x: float, place: tuple[float, float, float], number: int) -> Found:
+    return Found(scaled(x), x > 2.5, number + 1, (place[0], place[1] * x, place[2]))
+
+@outlined
+def twice(x: float) -> float:
+    return 2.0 * found(x, (x, x, x), 7).place[1]
+"""
+FIRST = """
+from both import entry, found, twice
+@entry
+def first(x):
+    one = found(x, (1.0, 2.0, 3.0), 4)
+    return one.size, one.large, one.number, one.place, twice(x)
+print(first(3.0), sum(first.stats.cache_hits.values()), len(found(1.0, (0.0, 0.0, 0.0), 1)))
+"""
+SECOND = FIRST.replace("first", "second").replace("def second(x):", "def second(x):\n    x = x + 0.0")
+RESULT = "(6.0, True, 5, (1.0, 6.0, 3.0), 18.0)"
+
+
+@pytest.fixture
+def scripts(tmp_path: Path) -> Path:
+    """Two programs that call the same outlined kernels, one of which calls the other."""
+    folder = tmp_path / "scripts"
+    folder.mkdir()
+    for name, text in {"both": MODULE, "first": FIRST, "second": SECOND}.items():
+        (folder / f"{name}.py").write_text(text)
+    return folder
+
+
+def run(script: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("SOFTFINGER_CACHE_DIR", str(cache))
+    done = subprocess.run([sys.executable, "-B", str(script)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    return done.stdout.strip()
+
+
+def units(cache: Path) -> dict[str, int]:
+    """Outlined kernels on disk, each with when it was written, ns."""
+    return {path.name: path.stat().st_mtime_ns for path in cache.rglob(f"{UNIT}*.kernel")}
+
+
+def test_they_are_compiled_once_for_all_who_call_them(
+    scripts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second program, and the first one again, load what the first compiled: the same files, not written again."""
+    cache = tmp_path / "cache"
+    assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"
+    kept = units(cache)
+    assert len(kept) == 2
+    assert run(scripts / "second.py", cache, monkeypatch) == f"{RESULT} 0 4"
+    assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 1 4"
+    assert units(cache) == kept
+
+
+def test_a_caller_without_what_it_calls_is_compiled_anew(
+    scripts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A missing symbol would end the program: whoever calls one that is gone, or damaged, is compiled with it."""
+    cache = tmp_path / "cache"
+    run(scripts / "first.py", cache, monkeypatch)
+    for path in cache.rglob(f"{UNIT}found*.kernel"):
+        path.unlink()
+    assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"
+    assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 1 4"
+
+
+def test_plain_python_gives_the_same(scripts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With numba's switch they are the functions that were written."""
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    script = scripts / "first.py"
+    script.write_text(FIRST.replace(", sum(first.stats.cache_hits.values())", ""))
+    assert run(script, tmp_path / "cache", monkeypatch) == f"{RESULT} 4"
+
+
+def test_a_caller_has_a_call_and_not_the_code() -> None:
+    """The caller's module names the kernel by its symbol; its code, without an allocator, is a module of its own."""
+
+    @jit.jit
+    def lowest(x: float) -> float:
+        return x * x
+
+    @outlined.outlined
+    def large(x: float) -> float:
+        return lowest(x) + 1.0
+
+    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: large(x) * large(x + 1.0))
+    assert outermost(1.0) == 10.0  # whole numbers: exact
+    (ir,) = outermost.inspect_llvm().values()
+    bodies = functions(ir)
+    (symbol,) = {name for body in bodies.values() for name in called_in(body) if name.startswith(UNIT)}
+    assert len(bodies) == 1 and sum(called_in(body)[symbol] for body in bodies.values()) == 2
+    code = code_of(symbol)
+    assert not re.search("NRT|malloc|PyGILState", code) and "fmul" in code
+
+
+def test_only_numbers_come_back() -> None:
+    """A return annotation that says nothing is refused where the kernel is first called."""
+
+    @outlined.outlined
+    def vague(x: float) -> Any:
+        return x
+
+    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: vague(x))
+    with pytest.raises(TypeError, match="outlined kernel returns numbers"):
+        outermost(1.0)
+
+
+def test_where_says_for_which_types() -> None:
+    """Of other types it is compiled into its callers."""
+
+    @outlined.outlined_where(lambda *given: given[0] == numba.types.float64)
+    def halved(x: float) -> float:
+        return x / 2
+
+    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: halved(x))
+    assert outermost(3.0) == outermost(3) == 1.5
+    by_address = [UNIT in code for code in outermost.inspect_llvm().values()]
+    assert sorted(by_address) == [False, True]
