@@ -41,6 +41,7 @@ from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
 from softfinger.server.services.commands import EVENT_BYTES_MAX
 from softfinger.server.services.records import Sink
+from softfinger.server.wire import link
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control, NoAnswer
@@ -577,7 +578,11 @@ def slow_compiler(monkeypatch, tmp_path):
         f"open(r'{tmp_path}/' + str(os.getpid()), 'w').close()\ntime.sleep(1000)\n"
     )
     popen = subprocess.Popen
-    monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen([*words[:1], program], **rest))
+
+    def started(words, **rest):
+        return popen(words if link.MODULE in words else [*words[:1], program], **rest)
+
+    monkeypatch.setattr(compilation.subprocess, "Popen", started)
     monkeypatch.setattr(compilation.Servo, "compiled_for", staticmethod(lambda tuning: False))
     return lambda: [int(path.name) for path in tmp_path.glob("[0-9]*")]
 
@@ -625,9 +630,9 @@ def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
 def test_a_compiler_that_fails_is_told(rig, monkeypatch):
     """The error says where to look, and the old scene goes on."""
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
-    monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
     monkeypatch.setattr(compilation.Servo, "compiled_for", staticmethod(lambda tuning: False))
     with running(rig()) as (_, control, kept):
+        monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
         with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):
             control.set_scene("sphere")
         assert control.get_state().active_field == "pressed" and kept.force_n > 1.9

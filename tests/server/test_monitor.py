@@ -23,7 +23,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.verbs import monitor
 from softfinger.server.wire.client import NoTelemetry, subscribe
-from softfinger.server.wire.protocol import TOPICS
+from softfinger.server.wire.protocol import CONTACT, EVENT, HEALTH
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
@@ -271,7 +271,10 @@ def test_wire_cannot_steer_the_terminal():
 
 def board_with(*records, health=True):
     """A board that has taken the messages of some ticks, as the wire brings them."""
-    with Publisher("tcp://127.0.0.1:*") as publisher, subscribe(publisher.endpoint, TOPICS) as samples:
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        subscribe(publisher.endpoint, (CONTACT, EVENT, HEALTH)) as samples,
+    ):
         while samples.receive(0.02) is None:  # a subscription takes effect a while after connect
             publisher.event("test", "joined")
         for some in records:

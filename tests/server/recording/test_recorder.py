@@ -430,7 +430,8 @@ def test_a_run_whose_recording_failed_says_so_in_its_exit_code(tmp_path: Path) -
     """On standard error when it happens; the run goes on until it is stopped, and then it has not gone well."""
     path = tmp_path / "cut.mcap"
     command = [*COMMAND, "run", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--record", str(path)]
-    limited = ["bash", "-c", 'ulimit -f 300; exec "$@"', "limited", *command]
+    # So many kB are enough for the ticks in shared memory, and for a second of a recording.
+    limited = ["bash", "-c", 'ulimit -f 7000; exec "$@"', "limited", *command, "--rate", "8000"]
     with subprocess.Popen(limited, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         said = []
