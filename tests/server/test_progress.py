@@ -151,10 +151,15 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
         )
         with asking:
             assert asking.stderr is not None and asking.stdout is not None
-            sender, *_, request = daemon.recv_multipart()
-            said = asking.stderr.readline()
-            answer = {"command_id": msgpack.unpackb(request)["command_id"], "success": True}
-            answer["result"] = {"active_field": "sphere", "tick": 7}
-            daemon.send_multipart([sender, b"", msgpack.packb(answer)])
+            scene = {"active_field": "sphere", "tick": 7}
+            answers = {"describe": {"endpoints": {"telemetry": endpoint}}, "set_scene": scene}
+            said, asked = "", ""
+            while asked != "set_scene":  # whose address this is, is asked first
+                sender, *_, request = daemon.recv_multipart()
+                command = msgpack.unpackb(request)
+                asked = command["method"]
+                said = asking.stderr.readline() if asked == "set_scene" else ""
+                answer = {"command_id": command["command_id"], "success": True, "result": answers[asked]}
+                daemon.send_multipart([sender, b"", msgpack.packb(answer)])
             assert "tick: 7" in asking.stdout.read()
     assert said.startswith("set_scene: the daemon compiles the scene") and asking.returncode == 0
