@@ -241,6 +241,8 @@ def give_way_when_busy() -> None:
 
 def publish(channel: Channel) -> None:
     """Be the publisher of the daemon at the other end, until either ends."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # as a service is ended: the daemon has a last word
+        signal.signal(number, signal.SIG_IGN)
     logging.getLogger().addHandler(_ToDaemon(channel))
     setup = _setup(channel)
     if setup is None:
