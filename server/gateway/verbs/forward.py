@@ -81,12 +81,17 @@ def run(args: argparse.Namespace) -> int:
                 who = "who has a key" if part.front.lock else "everybody who reaches it"
                 log.info("%s forwarded on %s, to %s", name, part.front.endpoint, who)
         if args.until_eof:
-            threading.Thread(target=lambda: (sys.stdin.buffer.read(), stop.set()), daemon=True).start()
+            threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
         with signals.asked(stop.set), counter() as show:
             forward.run(stop.is_set, show)
         found, line = forward.statistics(), forward.line()
     print(json.dumps(found) if args.json else f"{line}; {found['seconds']:.1f} s", flush=True)
     return signals.code_of_stop()
+
+
+def _end_with_input(stop: threading.Event) -> None:
+    sys.stdin.buffer.read()
+    stop.set()
 
 
 def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lock | None:
