@@ -62,6 +62,7 @@ class Publishing:
         gate = Gate(context, _authenticator(context, files) if any(each.key for each in setup.entrances) else None)
         self._readers: list[Readers] = []
         self._clients: list[Clients] = []
+        self._hear()  # what came meanwhile is for nobody who comes from here on, but for what is kept of it
         for entrance in setup.entrances:
             self._open(gate, entrance, setup.backlog)
         self._fronts: list[Front] = [*(each.front for each in self._readers), *(each.front for each in self._clients)]
@@ -83,7 +84,6 @@ class Publishing:
         """Publish until the daemon says that it ends, or is gone."""
         poll, bell = self._poll(), self._rows.bell
         renewed, look_s, keys_s = self._renewed(), 0.0, time.monotonic() + LOOK_S
-        self._hear()  # what came with the setup
         while not self._ended:
             timeout_s = RETRY_S if self._channel.waits else PERIOD_S
             happened = {number for number, _ in poll.poll(timeout_s * 1000.0)}
@@ -241,6 +241,8 @@ def give_way_when_busy() -> None:
 
 def publish(channel: Channel) -> None:
     """Be the publisher of the daemon at the other end, until either ends."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # as a service is ended: the daemon has a last word
+        signal.signal(number, signal.SIG_IGN)
     logging.getLogger().addHandler(_ToDaemon(channel))
     setup = _setup(channel)
     if setup is None:

@@ -35,6 +35,8 @@ PAUSE_MAX_S: Final = 5.0
 """How long to wait before the next start: doubled each time that one ends early, up to this."""
 LOG_PERIOD_S: Final = 10.0
 """How seldom it is told what peers lose: a peer must not fill the log."""
+BACK_S: Final = 1.0
+"""How long after a start subscribers are there again, to be told of it."""
 END_S: Final = 1.0
 """How long after its end was asked for the process is ended by force."""
 MODULE: Final = "softfinger.server.publishing"
@@ -74,9 +76,11 @@ class Link:
         self._logged, self._logged_s = Figures(), -LOG_PERIOD_S
         self._since_s = 0.0
         self._pause_s = 0.0
-        self._ready = threading.Event()
+        self._ready = False
         self.restarts = 0
         """How often it was started again."""
+        self._news: list[tuple[float, str]] = []
+        """What has happened to it, and when to tell."""
         self.failed = False
         """It cannot be started, or the thread that looks after it has ended by an error of its own."""
         self._until_s: float | None = None
@@ -92,10 +96,6 @@ class Link:
         """Say something to the process, from any thread; False where it is left out."""
         with self._replacing:
             return self._channel.say(kind, key, body)
-
-    def await_ready(self, timeout_s: float) -> None:
-        """Wait until the process can be heard by peers, once, at the start."""
-        self._ready.wait(timeout_s)
 
     def reply(self, client: bytes, body: bytes) -> None:
         """Answer a client later than at once; from any thread. One that has gone gets nothing."""
@@ -157,6 +157,8 @@ class Link:
                 if self._answering is not None:
                     self._answering.each_period()
                 self._tell(begun)
+                while self._news and begun >= self._news[0][0]:
+                    self._event(self._news.pop(0)[1])
                 if asked:  # a flood has half of the time of one processor at most, and the servo's readers the rest
                     time.sleep(min(time.monotonic() - begun - asked, REST_MAX_S))
         except Exception:
@@ -183,7 +185,7 @@ class Link:
         """Do what the process says; whether it was a request."""
         match said.kind:
             case Kind.READY:
-                self._ready.set()
+                self._ready = True
             case Kind.FIGURES:
                 self._now = msgspec.msgpack.decode(said.body, type=Figures)
             case Kind.SAID:
@@ -207,10 +209,9 @@ class Link:
         code = self._process.wait()
         if self._ending():
             return False
-        if not self._ready.is_set():
+        if not self._ready:
             log.error("telemetry: the publisher has ended with code %d before it was ready", code)
             self.failed = True
-            self._ready.set()  # nobody is to wait for it
             return False
         sound = time.monotonic() - self._since_s > SOUND_S
         self._pause_s = 0.0 if sound else min(2.0 * self._pause_s or PAUSE_S, PAUSE_MAX_S)
@@ -228,7 +229,7 @@ class Link:
         self.restarts += 1
         said = f"the publisher has ended with code {code} and was started again: subscribers and clients connect anew"
         log.error("%s", said)
-        self._event(said)
+        self._news.append((time.monotonic() + BACK_S, said))
         return True
 
     def _tell(self, now_s: float) -> None:

@@ -44,8 +44,6 @@ Records = NDArray[np.float64]
 BACKLOG: Final = 40960
 """Messages kept for a subscriber that stalls: 5 s at 8 kHz, 41 s at 1 kHz, some 60 MB."""
 
-READY_S: Final = 10.0
-"""How long the start waits for the publisher, which takes a tenth of a second where the machine is not busy."""
 LINGER_S: Final = 0.2
 """How long closing waits for the last messages (the event that says why) to leave."""
 
@@ -159,8 +157,7 @@ class Publisher(Closing):
         return self._link.restarts
 
     def attach(self, source: Source) -> None:
-        """Send what a servo does from here on, until it has ended; as soon as there is somebody who sends. Once."""
-        self._link.await_ready(READY_S)
+        """Send what a servo does from here on, until it has ended. Once."""
         self._relay.attach(source)
 
     def serve(self, answering: Answering | None) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import sys
 import threading
 from contextlib import ExitStack
 from typing import Final
@@ -52,6 +53,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--readers", metavar="DIR", help="public keys of those who may subscribe")
     parser.add_argument("--commanders", metavar="DIR", help="public keys of those who may command")
     parser.add_argument("--server-key", metavar="FILE", help="public key of the daemon's end, where that wants keys")
+    parser.add_argument("--until-eof", action="store_true", help="end with standard input, so with who started this")
     parser.add_argument("--json", action="store_true", help="print what was handed on as JSON")
 
 
@@ -78,11 +80,18 @@ def run(args: argparse.Namespace) -> int:
             if part is not None:
                 who = "who has a key" if part.front.lock else "everybody who reaches it"
                 log.info("%s forwarded on %s, to %s", name, part.front.endpoint, who)
+        if args.until_eof:
+            threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
         with signals.asked(stop.set), counter() as show:
             forward.run(stop.is_set, show)
         found, line = forward.statistics(), forward.line()
     print(json.dumps(found) if args.json else f"{line}; {found['seconds']:.1f} s", flush=True)
     return signals.code_of_stop()
+
+
+def _end_with_input(stop: threading.Event) -> None:
+    sys.stdin.buffer.read()
+    stop.set()
 
 
 def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lock | None:
