@@ -26,7 +26,7 @@ class Beads(NamedTuple):
 
 
 @outlined
-def nearest_bead(shape: Beads, x: Any) -> Any:
+def nearest_bead(shape: Beads, x: Any) -> tuple[float, tuple[float, float, float], float]:
     """Gap, centre and radius of the ball with the smallest gap."""
     least, center, radius = 1e300, (0.0, 0.0, 0.0), 0.0
     for i in range(int(shape.count)):

@@ -16,9 +16,9 @@ import pytest
 from numba import types
 
 from softfinger.proxy.kernels.native import jit
+from softfinger.proxy.kernels.native.compiler.numba_internals import SEEN, CFunction, Choice, Inlined, KernelCache, load
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.kept import Folder
-from softfinger.proxy.kernels.native.numba_internals import SEEN, CFunction, Choice, Inlined, KernelCache, load
 
 BY_ITSELF = """
 from numba import njit

@@ -13,7 +13,7 @@ import pytest
 from helpers.compiled_code import called_in, functions
 
 from softfinger.proxy.kernels.native import jit, outlined
-from softfinger.proxy.kernels.native.numba_internals import UNIT, code_of
+from softfinger.proxy.kernels.native.compiler.numba_internals import UNIT, code_of
 
 MODULE = """
 from typing import NamedTuple

@@ -25,9 +25,8 @@ import llvmlite.binding as llvm
 import numba
 from numba.core import event
 
-from softfinger.proxy.kernels.native.doing import DOING
-from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS, Folder
-from softfinger.proxy.kernels.native.numba_internals import (
+from softfinger.proxy.kernels.native.compiler.doing import DOING
+from softfinger.proxy.kernels.native.compiler.numba_internals import (
     FOR_KERNELS,
     WITHOUT_ALLOCATOR,
     WITHOUT_WRAPPERS,
@@ -35,6 +34,7 @@ from softfinger.proxy.kernels.native.numba_internals import (
     Inlined,
     KernelCache,
 )
+from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS, Folder
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 

@@ -44,7 +44,7 @@ from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.serialize import dumps
 from numba.extending import models, register_model, typeof_impl
 
-from softfinger.proxy.kernels.native.doing import DOING
+from softfinger.proxy.kernels.native.compiler.doing import DOING
 from softfinger.proxy.kernels.native.kept import WRITTEN, Folder, kinds_in, sources_of
 
 SEEN: Final = ("0.67", "0.68")
