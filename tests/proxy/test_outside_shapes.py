@@ -18,8 +18,6 @@ import numba
 import numpy as np
 import pytest
 from conftest import merged
-from helpers.compiled_code import called_in, functions
-from helpers.compiled_code import tick as one_step
 from helpers.faulty_device import FaultyDevice, Options
 from numpy.typing import NDArray
 from references.laws import column
@@ -34,7 +32,6 @@ from softfinger.proxy.kernels.native.jit import OPTIONS
 from softfinger.proxy.kernels.native.pack import flatten
 from softfinger.proxy.kernels.shapes import closest, curvature, is_hollow, transport
 from softfinger.proxy.record import FREE
-from softfinger.proxy.scene import build_scene, start_state
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 
@@ -390,36 +387,6 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
         write(held)
     with pytest.raises(TypeError, match="complex128"):
         ReadOnly(np.zeros(3, complex))
-
-
-def step_of(config: schema.Scene) -> dict[str, str]:
-    """Functions of the module that the step of a scene is compiled to."""
-    tree = build_scene(config)
-    start, some = start_state(tree), np.zeros(1)
-    arguments = (
-        tree,
-        flatten(tree),
-        start,
-        flatten(start),
-        (0.0, 0.0, 0.0),
-        start.fingers[0].probe.orientation,
-        0.001,
-        some,
-    )
-    dispatcher: Any = numba.njit(**OPTIONS)(one_step)
-    dispatcher.compile(tuple(numba.typeof(each) for each in arguments))
-    (ir,) = dispatcher.inspect_llvm().values()
-    return functions(ir)
-
-
-def test_an_outlined_kernel_is_compiled_once_and_called(beads: ModuleType, balls_file: Path) -> None:
-    """Asked at many places of the step it stands in the module once; the step alone is beside it."""
-    bare = {"name": "thing", "material": {"stiffness_n_per_m": STIFFNESS}} | beads_of(balls_file)
-    bodies = step_of(build(schema.Scene, {"fingertip": {"radius_m": RADIUS}, "object": [bare]}, "f.toml"))
-    (query,) = [name for name in bodies if "nearest_bead" in name]
-    (step,) = [name for name in bodies if "nearest_bead" not in name]
-    assert called_in(bodies[step])[query] >= 2
-    assert "noinline" not in bodies[step].splitlines()[0]
 
 
 @pytest.mark.parametrize("program", [ASK, pytest.param(TOUCH, marks=pytest.mark.exhaustive)], ids=["query", "step"])
