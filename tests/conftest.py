@@ -22,9 +22,6 @@ pytest_plugins = ["helpers.pages"]
 collect_ignore = ["outside_driver"]
 """A package of its own, whose tests need it installed: tests/test_packaging.py runs them."""
 
-os.environ.pop("NUMBA_DISABLE_JIT", None)
-"""It has been read: this process has its kernels as plain Python, and the programs that it starts have machine code."""
-
 os.environ.pop("PYTHONUNBUFFERED", None)
 """Machines for builds set it: programs would have nothing left to write when they end, as they have for their users."""
 
@@ -74,6 +71,10 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # numba has read it: this process has its kernels as plain Python, and the programs that it starts have machine
+    # code. Of several processes the first runs no test, and the others take it from there.
+    if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
+        os.environ.pop("NUMBA_DISABLE_JIT", None)
     config.pluginmanager.register(Patience(config.getoption("--put-off")))
     config.pluginmanager.register(CompilationReport())
 

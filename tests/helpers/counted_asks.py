@@ -36,7 +36,7 @@ def count(method: str, scenes: list[Any]) -> list[Any]:
     from helpers.touching import scene_with
     from softfinger.proxy.kernels.model import Pose
     from softfinger.proxy.kernels.native.jit import PLAIN
-    from softfinger.proxy.kernels.shapes import footing, heightmap, tiles
+    from softfinger.proxy.kernels.shapes.heightmap import nearest, surface, tiles
     from softfinger.proxy.kernels.step import step
     from softfinger.proxy.scene import build_scene, start_state
 
@@ -51,8 +51,8 @@ def count(method: str, scenes: list[Any]) -> list[Any]:
 
         return call
 
-    tiles.tile_at = footing.tile_at = counted(tiles.tile_at, 1)
-    heightmap.height_at = counted(heightmap.height_at, footing.LOOK)
+    tiles.tile_at = nearest.tile_at = counted(tiles.tile_at, 1)
+    surface.height_at = counted(surface.height_at, nearest.LOOK)
     found = []
     for things, points in scenes:
         tree = build_scene(scene_with(*things, rolling={"method": method}))

@@ -17,6 +17,8 @@ from softfinger.server.wire.client import NoTelemetry, Window, subscribe
 from softfinger.server.wire.protocol import MAX_BYTES, TOPICS, ProtocolError, encode
 from softfinger.server.wire.publisher import Publisher
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture
 def publisher():
@@ -24,7 +26,7 @@ def publisher():
         yield made
 
 
-def joined(publisher, topics=("contact",), timeout_s=5.0):
+def joined(publisher, topics=("contact",), timeout_s=30.0):
     """A subscription that is known to receive: a late one misses what was published before it."""
     subscription = subscribe(publisher.endpoint, (*topics, "event"), timeout_s)
     while (sample := subscription.receive(0.02)) is None or sample.topic != "event":

@@ -141,6 +141,7 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/commands"
     with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
         daemon.linger = 0
+        daemon.rcvtimeo = 60_000  # ms: what ctl asks first is up to it
         daemon.bind(endpoint)
         words = ["ctl", "set_scene", "scene=sphere", "--endpoint", endpoint]
         asking = subprocess.Popen(

@@ -209,6 +209,7 @@ def test_wire_schema_holds_every_table():
     assert listed == {title: [key.name for key in keys] for title, keys in CODE_TABLES.items()}
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("index", [0, 1])
 def test_program_on_the_page_runs(index):
     """Both client programs, with the endpoint put in, receive ticks from a real publisher and end."""

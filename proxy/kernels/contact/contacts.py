@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.model import NO_CONTACT, ContactState, FingerState
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
-from softfinger.proxy.kernels.query.objects import material_of, transport_on
+from softfinger.proxy.kernels.query.objects import material_of, normal_law_of, transport_on
 from softfinger.proxy.record import ROLLING
 
 Patches = tuple[ContactState, ContactState, ContactState]
@@ -304,7 +304,7 @@ def load_on(objects: Any, patch: ContactState, motion: Motion) -> Load:
     velocity = relative_velocity(carried, motion.probe.velocity, motion.last.position, motion.dt)
     velocity = velocity_at(motion.form, velocity, carried, motion.probe, motion.last, patch.normal, since)
     depth, m = texture_depth_on(objects, patch.body, patch.push, patch.normal, motion.probe.position)
-    return Load(normal_force_of(material_of(objects, patch.body).normal, depth, vec3.dot(velocity, m)), m)
+    return Load(normal_force_of(normal_law_of(objects, patch.body), depth, vec3.dot(velocity, m)), m)
 
 
 @jit

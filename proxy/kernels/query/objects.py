@@ -79,6 +79,19 @@ def constraint_of(
 
 
 @jit
+def normal_law_of(objects: Any, index: float) -> Any:
+    """Law of the normal force of the object with that place: all that objects without the rest of theirs have."""
+    found = element(objects[0], 0.0).material.normal
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if contains(entry, at, index):
+            body = element(entry, index - at)
+            found = body.material.normal
+        at += count(entry)
+    return found
+
+
+@jit
 def material_of(objects: Any, index: float) -> Material:
     """Material of the object with that place; all have the same parts."""
     found = element(objects[0], 0.0).material

@@ -7,7 +7,7 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import FACING, Depths
-from softfinger.proxy.kernels.query.objects import closest_to_within, material_of
+from softfinger.proxy.kernels.query.objects import closest_to_within, normal_law_of
 from softfinger.proxy.kernels.shapes.protocol import Deepest, direction
 
 INSIDE = 1e-10
@@ -120,12 +120,12 @@ def swapped(active: ActiveSet, third: bool) -> ActiveSet:
 @jit
 def loads_of(objects: Any, active: ActiveSet) -> Vec3:
     """Elastic normal forces, N, of the three; 0 for none."""
-    one = spring(material_of(objects, active.first).normal, active.push.first)
+    one = spring(normal_law_of(objects, active.first), active.push.first)
     two, three = 0.0, 0.0
     if active.second >= 0.0:
-        two = spring(material_of(objects, active.second).normal, active.push.second)
+        two = spring(normal_law_of(objects, active.second), active.push.second)
     if active.third >= 0.0:
-        three = spring(material_of(objects, active.third).normal, active.push.third)
+        three = spring(normal_law_of(objects, active.third), active.push.third)
     return one, two, three
 
 

@@ -35,7 +35,7 @@ from softfinger.proxy.kernels.query.kinds import (
     has_creases_at,
     has_wide,
 )
-from softfinger.proxy.kernels.query.objects import closest_to_within, constraint_of, deepest, material_of, neighbour_on
+from softfinger.proxy.kernels.query.objects import closest_to_within, constraint_of, deepest, neighbour_on, normal_law_of
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, STRIDE
 
@@ -292,6 +292,6 @@ def drawn_after(objects: Any, active: ActiveSet, behind: Vec3) -> Vec3:
     distance, (one, two, three) = vec3.norm(behind), loads_of(objects, active)
     pull = 0.0
     if distance > 0.0:
-        pull = spring(material_of(objects, active.first).normal, distance) / distance
+        pull = spring(normal_law_of(objects, active.first), distance) / distance
     borne = displacement(Depths(one, two, three), active.n1, active.n2, active.n3)
     return vec3.sub(vec3.scale(pull, behind), borne)
