@@ -35,7 +35,13 @@ from softfinger.proxy.kernels.query.kinds import (
     has_creases_at,
     has_wide,
 )
-from softfinger.proxy.kernels.query.objects import closest_to_within, constraint_of, deepest, neighbour_on, normal_law_of
+from softfinger.proxy.kernels.query.objects import (
+    closest_to_within,
+    constraint_of,
+    deepest,
+    neighbour_on,
+    normal_law_of,
+)
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, STRIDE
 
