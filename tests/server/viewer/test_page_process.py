@@ -26,11 +26,14 @@ pytestmark = pytest.mark.real_time
 
 
 def child_of(process: subprocess.Popen[str]) -> int:
-    """The page's process, once it is there."""
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-    while not (found := children.read_text().split()):
+    """The page's process, once it is there; the publisher is another child, and threads have children of their own."""
+    while True:
+        for children in Path(f"/proc/{process.pid}/task").glob("*/children"):
+            for child in children.read_text().split():
+                with suppress(OSError):  # it has ended meanwhile
+                    if b"\0view\0" in Path(f"/proc/{child}/cmdline").read_bytes():
+                        return int(child)
         time.sleep(0.01)
-    return int(found[0])
 
 
 @contextmanager
@@ -41,7 +44,7 @@ def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:
-            first = next(line for line in process.stderr if not line.startswith("compiling"))
+            first = next(line for line in process.stderr if "compiling kernel" not in line)
             assert "the page is http://localhost:" in first
             yield process, first.split()[4].rstrip(";")
         finally:
