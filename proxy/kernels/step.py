@@ -2,84 +2,24 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.carry import carried_direction, carry, relative_velocity
-from softfinger.proxy.kernels.contact.contacts import (
-    Motion,
-    carried_patches,
-    displaced_by_friction,
-    farther_than_probe,
-    hand_over,
-    warm_start,
-)
 from softfinger.proxy.kernels.contact.detection import (
     STUCK_TICKS,
-    continue_contact,
-    detect_among_several,
-    detect_contact,
-    has_ended,
+    detect_or_continue,
     is_clear,
-    separated,
 )
-from softfinger.proxy.kernels.contact.fingertip import (
-    point_on,
-    point_under,
-    radius_of_curvature,
-    seen_by,
-    torque_of,
-    velocity_at,
-)
-from softfinger.proxy.kernels.contact.normal import normal_force_of
-from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
-from softfinger.proxy.kernels.contact.rest.active_set import (
-    INSIDE,
-    NONE,
-    ActiveSet,
-    active_objects,
-    one_constraint,
-    tangent_to_all,
-)
-from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
-from softfinger.proxy.kernels.contact.rest.among import drawn_after, settle_among_several
-from softfinger.proxy.kernels.contact.texture import textured, with_texture_friction
-from softfinger.proxy.kernels.contact.wrench import outcome_of, wrench_of
-from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
-from softfinger.proxy.kernels.effects.objects import Touched, apply_objects_effects
-from softfinger.proxy.kernels.friction.contact_patch import contact_patch, torsion_under, winding_unit
-from softfinger.proxy.kernels.friction.laws import turned
-from softfinger.proxy.kernels.friction.stick_slip import stick_slip
-from softfinger.proxy.kernels.model import (
-    NO_CONTACT,
-    NO_OUTCOME,
-    Contact,
-    ContactOutcome,
-    ContactState,
-    Finger,
-    FingerState,
-    FrictionInput,
-    Pose,
-    Probe,
-    Scene,
-    State,
-    Vec3,
-)
+from softfinger.proxy.kernels.contact.effects import effects_of_tick
+from softfinger.proxy.kernels.contact.fingertip import seen_by
+from softfinger.proxy.kernels.contact.one_object import friction_alone, outcome_alone, rest_alone
+from softfinger.proxy.kernels.contact.report import remember, remember_free, report, report_free
+from softfinger.proxy.kernels.contact.rest.active_set import NONE, one_constraint
+from softfinger.proxy.kernels.contact.rest.among import settle_among_several
+from softfinger.proxy.kernels.contact.several_objects import find_candidates, outcome_among_several
+from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.tuples import same_for
-from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.kinds import any_multipoint
-from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, number_of, pose_of
+from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
-from softfinger.proxy.record import (
-    CAUSE_NONE,
-    CAUSE_RELEASE,
-    CAUSE_RESTART,
-    CAUSE_TOUCH,
-    FREE,
-    ON_ITS_WAY,
-    SLIDING,
-    UNSEARCHED,
-)
 
 
 @jit
@@ -128,264 +68,6 @@ def step_finger(
     return update_contact(state.patches, seen, scene, finger, state, probe, dt)
 
 
-@by_count
-def update_contact(
-    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
-) -> Any:
-    """The finger's state and Contact: with one object there is one patch, and the proxy follows it where it slips."""
-
-
-@update_contact.of(1)
-def contact_with_one_object(
-    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
-) -> tuple[FingerState, Contact]:
-    position, form, shapes = probe.position, finger.form, all_bare(objects)
-    touches = state.mode == FREE
-    if not touches:
-        comes = continue_contact(scene, finger, shapes, state, probe, dt)
-        touches = has_ended(comes.active)
-    if touches:  # what is met in the tick in which the last contact ended is another one
-        state = separated(state)
-        comes = detect_contact(finger, shapes, state, probe, dt)
-    if comes.active.first < 0.0:
-        return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
-
-    rough = with_texture_friction(objects, comes.active, comes.center)
-    material, last = rough[0].material, state.patches[0]
-    felt = textured(objects, comes.active, position)
-    moves, since = carry(shapes, 0.0), 0.0 if touches else dt
-    against = velocity_at(form, comes.against, moves, probe, state.probe, comes.active.n1, since)
-    normal_force = normal_force_of(material.normal, felt.push.first, vec3.dot(against, felt.n1))
-    round_by = radius_of_curvature(form, finger.radius, probe.orientation, comes.active.n1)
-    area = contact_patch(finger.patch, round_by, material.compliance, normal_force)
-    torsion, unit = torsion_under(material.torsion, area), winding_unit(material.torsion, area, 1.0)
-    kept = stick_slip(
-        turned(material.friction, pose_of(shapes, 0.0).orientation),
-        torsion,
-        finger.coupling,
-        finger.torque_stiffness,
-        FrictionInput(
-            radius=finger.radius,
-            resolution=finger.position_resolution,
-            dt=dt,
-            mode=comes.mode,
-            normal=comes.active.n1,
-            deflection=comes.deflection,
-            deflection_before=comes.before,
-            rolled_part=comes.rolled_part,
-            slip_speed=last.slip_speed,
-            slip_deflection=last.slip_deflection,
-            spin=last.spin / unit,
-            twist=comes.twist,
-            spin_slip_speed=last.spin_slip_speed,
-            spin_slip_angle=last.spin_slip_angle / unit,
-            normal_force=normal_force,
-        ),
-    )
-
-    # Where friction lets go the proxy follows, and the forces are those at its new place.
-    slips = kept.mode == SLIDING or kept.deflection != comes.deflection or comes.strays
-    center, rests, bounded = settle_on_one(
-        shapes, finger.radius, position, comes.center, kept.deflection, comes.active, slips
-    )
-    normal = rests.n1
-    felt = textured(objects, rests, position)
-    against = velocity_at(form, comes.against, moves, probe, state.probe, normal, since)
-    load = normal_force_of(material.normal, felt.push.first, vec3.dot(against, felt.n1))
-    tangential, moment = vec3.reject(kept.force, normal), kept.moment
-    bent = ResistanceInput(0.0, comes.active.n1, 1.0, carried_direction(moves, last.bend), touches)
-    bend, bending = resist(finger.patch, shapes, bent, probe, state.probe, area)
-    if normal_force > load:
-        # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
-        ease = load / normal_force
-        tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
-        bending = vec3.scale(ease * ease, bending)
-
-    rolled, pressing = state.rolled + comes.theta, vec3.scale(load, felt.n1)
-    torque = torque_of(form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
-    torque = vec3.add(torque, bending)
-    extra, states, unknown = all_effects(scene, finger.radius, objects, state, rests, probe, comes.against, dt)
-    behind = vec3.sub(center, position)
-    point = point_under(form, finger.radius, probe.orientation, center, normal)
-    force = vec3.add(pressing, tangential)
-    deflection = vec3.sub(behind, vec3.scale(rests.push.first, normal))
-    patch = ContactState(
-        body=0.0,
-        normal=normal,
-        push=rests.push.first,
-        share=1.0,
-        mode=kept.mode,
-        deflection=deflection,
-        rolled_part=vec3.reject(kept.rolled_part, normal),
-        spin=kept.spin * unit,
-        slip_speed=kept.slip_speed,
-        slip_deflection=kept.slip_deflection,
-        spin_slip_speed=kept.spin_slip_speed,
-        spin_slip_angle=kept.spin_slip_angle * unit,
-        bend=bend,
-    )
-    after = FingerState(
-        started=1.0,
-        probe=probe,
-        mode=kept.mode,
-        center=center,
-        patches=(patch,),
-        rolled=rolled,
-        stuck=0.0,
-        effects=states,
-    )
-    cause = kept.cause if kept.cause != CAUSE_NONE else comes.cause
-    to_fingertip = rotations.conjugate(probe.orientation)
-    inward, number = rotations.rotate(to_fingertip, normal), number_of(shapes, 0.0)
-    touched = ContactOutcome(object=number, point=point, normal=normal, force=force, mode=kept.mode, spin=kept.spin)
-    contact = Contact(
-        mode=kept.mode,
-        object=number,
-        cause=cause,
-        velocity=probe.velocity,
-        center=center,
-        penetration=vec3.dot(behind, normal),
-        point=point,
-        normal=normal,
-        finger_point=point_on(form, finger.radius, inward),
-        rolled=rolled,
-        spin=kept.spin,
-        normal_force=load,
-        tangential_force=vec3.norm(tangential),
-        force=vec3.add(force, extra),
-        torque=torque,
-        torsion=moment,
-        patch_radius=area.radius,
-        patch_normal=inward,
-        patch_stretch=rotations.rotate(to_fingertip, vec3.reject(deflection, normal)),
-        patches=(touched,),
-        budget=max(bounded, comes.bounded, unknown),
-    )
-    return after, contact
-
-
-@jit
-def displaced_proxy(objects: Any, radius: float, center: Vec3, way: Vec3, known: Vec3, left: int) -> Vec3:
-    """The proxy (3,) m that friction keeps `way` (3,) m beside `center`: on what is nearest there, outside of all; with
-    what is `left` of the budget."""
-    if way == (0.0, 0.0, 0.0):
-        return center
-    there = vec3.add(center, way)
-    gap, at, left = deepest(objects, there, radius, known, left)
-    if any_multipoint(objects):
-        if gap >= radius * (1.0 - INSIDE):  # beside a convex edge it is a little above the surface
-            return there
-        if at < 0.0:
-            return center
-    _, point, normal, left = closest_to_within(objects, at, there, left)
-    there = vec3.add_scaled(point, radius, normal)
-    gap, _, _ = deepest(objects, there, radius, known, left)
-    return there if gap >= radius * (1.0 - INSIDE) else center
-
-
-@update_contact.of(2)
-def contact_with_several_objects(
-    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
-) -> tuple[FingerState, Contact]:
-    radius, position, shapes = finger.radius, probe.position, all_bare(objects)
-    start, center, left = state.center, state.center, BUDGET
-    active = one_constraint(NONE, (0.0, 0.0, 1.0))
-    touches, stuck = state.mode == FREE, state.stuck
-    if stuck >= STUCK_TICKS and is_clear(shapes, radius, position):
-        return out_of_contact(scene, finger, objects, state, probe, dt, left)
-    if not touches:
-        center, active = warm_start(shapes, radius, state, position)
-        touches = has_ended(active)
-    before = center
-    if touches:  # what is met in the tick in which the last contact ended is another one
-        state = separated(state)
-        start, center, active, left = detect_among_several(finger, shapes, state, position)
-    if active.first < 0.0:
-        return out_of_contact(scene, finger, objects, state, probe, dt, left)
-
-    center, active, late, left = settle_among_several(shapes, radius, position, start, center, active, left)
-    last = carried_patches(shapes, state.patches)
-    held = hand_over(objects, last, active)
-    way = displaced_by_friction(last, held)
-    motion = Motion(
-        radius=radius,
-        form=finger.form,
-        resolution=finger.position_resolution,
-        dt=dt,
-        probe=probe,
-        last=state.probe,
-        center=state.center,
-        turn=rotations.relative(probe.orientation, state.probe.orientation),
-        free=vec3.add(vec3.sub(position, state.probe.position), way),
-        blocked=vec3.scale(-1.0, way),
-        farther=farther_than_probe(last, held),
-        touches=touches,
-    )
-    rough = with_texture_friction(objects, active, center)
-    one = wrench_of(scene.rolling, finger, rough, held[0], motion)
-    two = wrench_of(scene.rolling, finger, rough, held[1], motion)
-    three = wrench_of(scene.rolling, finger, rough, held[2], motion)
-
-    normal, rolled, mode = active.n1, state.rolled + one.theta, one.after.mode
-    pressing = vec3.add(vec3.add(one.normal_force, two.normal_force), three.normal_force)
-    tangential = vec3.add(vec3.add(one.tangential_force, two.tangential_force), three.tangential_force)
-    lag = vec3.scale(one.after.share, one.after.deflection)
-    lag = vec3.add_scaled(lag, two.after.share, two.after.deflection)
-    lag = vec3.add_scaled(lag, three.after.share, three.after.deflection)
-    shown = displaced_proxy(shapes, radius, center, tangent_to_all(active, lag), active_objects(active), left)
-    against = relative_velocity(carry(shapes, active.first), probe.velocity, state.probe.position, dt)
-    extra, states, unknown = all_effects(scene, radius, objects, state, active, probe, against, dt)
-    moving = late and any_multipoint(shapes)
-    if moving:
-        extra = vec3.add(extra, drawn_after(shapes, active, vec3.sub(center, position)))
-    cause = one.cause
-    if cause == CAUSE_NONE and touches:
-        cause = float(CAUSE_TOUCH)
-    after = FingerState(
-        started=1.0,
-        probe=probe,
-        mode=mode,
-        center=center,
-        patches=(one.after, two.after, three.after),
-        rolled=rolled,
-        stuck=stuck + 1.0 if late and center == before else 0.0,
-        effects=states,
-    )
-    budget = float(UNSEARCHED) if unknown != 0.0 or (late and left < 0) else 0.0
-    if moving and budget == 0.0:
-        budget = float(ON_ITS_WAY)
-    to_fingertip = rotations.conjugate(probe.orientation)
-    inward = rotations.rotate(to_fingertip, normal)
-    contact = Contact(
-        mode=mode,
-        object=number_of(shapes, active.first),
-        cause=cause,
-        velocity=probe.velocity,
-        center=shown,
-        penetration=vec3.dot(vec3.sub(shown, position), normal),
-        point=point_under(finger.form, radius, probe.orientation, shown, normal),
-        normal=normal,
-        finger_point=point_on(finger.form, radius, inward),
-        rolled=rolled,
-        spin=one.spin,
-        normal_force=vec3.norm(pressing),
-        tangential_force=vec3.norm(tangential),
-        force=vec3.add(vec3.add(pressing, tangential), extra),
-        torque=vec3.add(vec3.add(one.torque, two.torque), three.torque),
-        torsion=one.torsion,
-        patch_radius=one.radius,
-        patch_normal=inward,
-        patch_stretch=rotations.rotate(to_fingertip, vec3.reject(one.after.deflection, normal)),
-        patches=(
-            outcome_of(shapes, one, finger, probe.orientation, shown),
-            outcome_of(shapes, two, finger, probe.orientation, shown),
-            outcome_of(shapes, three, finger, probe.orientation, shown),
-        ),
-        budget=budget,
-    )
-    return after, contact
-
-
 @jit
 def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant: float) -> Vec3:
     """Probe velocity (3,) m/s: backward difference through a first-order low-pass."""
@@ -396,84 +78,54 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
     return vec3.add_scaled(vec3.faded(time_constant * gain, state.probe.velocity), gain, moved)
 
 
+@by_count
+def update_contact(
+    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+) -> Any:
+    """The finger's state and Contact: with one object there is one contact, and the proxy follows it where it slips."""
+
+
+@update_contact.of(1)
+def contact_with_one_object(
+    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+) -> tuple[FingerState, Contact]:
+    shapes = all_bare(objects)
+    state, candidate = detect_or_continue(scene, finger, shapes, state, probe, dt)
+    if candidate.active.first < 0.0:
+        return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
+    friction = friction_alone(finger, objects, shapes, state, probe, candidate, dt)
+    rest = rest_alone(finger, objects, shapes, state, probe, candidate, friction.result, dt)
+    effects = effects_of_tick(scene, finger, objects, state, rest.active, probe, candidate.against, dt)
+    outcome = outcome_alone(finger, shapes, state, probe, candidate, friction, rest, effects)
+    return remember(probe, outcome), report(shapes, finger, probe, outcome)
+
+
+@update_contact.of(2)
+def contact_with_several_objects(
+    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+) -> tuple[FingerState, Contact]:
+    radius, position, shapes = finger.radius, probe.position, all_bare(objects)
+    if state.stuck >= STUCK_TICKS and is_clear(shapes, radius, position):
+        return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
+    candidates = find_candidates(finger, shapes, state, position)
+    if candidates.active.first < 0.0:
+        return out_of_contact(scene, finger, objects, candidates.state, probe, dt, candidates.budget)
+    rest = settle_among_several(
+        shapes, radius, position, candidates.start, candidates.center, candidates.active, candidates.budget
+    )
+    outcome = outcome_among_several(scene, finger, objects, shapes, probe, candidates, rest, dt)
+    return remember(probe, outcome), report(shapes, finger, probe, outcome)
+
+
 @jit
 def out_of_contact(
-    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, left: int
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, budget: int
 ) -> tuple[FingerState, Contact]:
-    """State and outcome in free space; or, with less than 0 `left` of the budget, at a first pose of which that is not
-    known yet: the next tick's is the first again."""
-    up, free = (0.0, 0.0, 1.0), float(FREE)
-    force, states, unknown = all_effects(
-        scene, finger.radius, objects, state, one_constraint(NONE, up), probe, probe.velocity, dt
-    )  # fmt: skip
-    after = FingerState(
-        started=1.0 if left >= 0 else state.started,
-        probe=probe,
-        mode=free,
-        center=probe.position,
-        patches=same_for(state.patches, NO_CONTACT),
-        rolled=0.0,
-        stuck=0.0,
-        effects=states,
+    """Free space; or, with a `budget` below 0, a first pose that was not searched to the end."""
+    nothing = one_constraint(NONE, (0.0, 0.0, 1.0))
+    effects = effects_of_tick(scene, finger, objects, state, nothing, probe, probe.velocity, dt)
+    unsearched = 1.0 if budget < 0 else effects.unknown
+    return (
+        remember_free(state, probe, effects.states, budget >= 0),
+        report_free(state, probe, effects.force, unsearched),
     )
-    return after, no_contact(state, probe, force, 1.0 if left < 0 else unknown)
-
-
-@jit
-def no_contact(state: FingerState, probe: Probe, force: Vec3, unsearched: float) -> Contact:
-    """The outcome in free space; leaving a contact is a release, or a new start where the proxy was stuck in it."""
-    zero, cause = (0.0, 0.0, 0.0), float(CAUSE_NONE)
-    if state.mode != FREE:
-        cause = float(CAUSE_RESTART) if state.stuck >= STUCK_TICKS else float(CAUSE_RELEASE)
-    return Contact(
-        mode=float(FREE),
-        object=-1.0,
-        cause=cause,
-        velocity=probe.velocity,
-        center=probe.position,
-        penetration=0.0,
-        point=zero,
-        normal=zero,
-        finger_point=zero,
-        rolled=0.0,
-        spin=0.0,
-        normal_force=0.0,
-        tangential_force=0.0,
-        force=force,
-        torque=zero,
-        torsion=0.0,
-        patch_radius=0.0,
-        patch_normal=zero,
-        patch_stretch=zero,
-        patches=same_for(state.patches, NO_OUTCOME),
-        budget=unsearched,
-    )
-
-
-@jit
-def all_effects(
-    scene: Scene,
-    radius: float,
-    objects: Any,
-    state: FingerState,
-    active: ActiveSet,
-    probe: Probe,
-    against: Vec3,
-    dt: float,
-) -> tuple[Vec3, Any, float]:
-    """Force of the workspace's and the objects' effects, their states, and 1 where the gap to an object is not known,
-    because the search for its nearest point did not end; else 0."""
-    up, in_contact = (0.0, 0.0, 1.0), 0.0 if active.first < 0.0 else 1.0
-    around = Situation(
-        position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None
-    )  # fmt: skip
-    force, states = apply_effects(scene.effects, state.effects[0], around)
-    contact = Situation(
-        position=probe.position, velocity=against, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
-    )  # fmt: skip
-    touched = Touched(
-        number_of(objects, active.first), number_of(objects, active.second), number_of(objects, active.third),
-        active.n1, active.n2, active.n3,
-    )  # fmt: skip
-    more, states_of_objects, unknown = apply_objects_effects(objects, state.effects[1], radius, touched, contact)
-    return vec3.add(force, more), (states, states_of_objects), unknown

@@ -6,6 +6,7 @@ The servo loop and `simulate` both run this, on the same poses to the same bits.
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
+from softfinger.proxy.kernels.contact.report import report_free
 from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
 from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.native.jit import jit
@@ -13,7 +14,7 @@ from softfinger.proxy.kernels.numerics.rotations import normalize
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
 from softfinger.proxy.kernels.numerics.vec3 import scale
 from softfinger.proxy.kernels.record_writer import put3, write_contact
-from softfinger.proxy.kernels.step import no_contact, step
+from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, POSITION_MAX_M
 from softfinger.proxy.scene import start_state
 from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, Guard, Guarded, guard_wrench
@@ -197,7 +198,7 @@ def command_one(
         guarded, bits = guard_wrench(guard, hand.guarded, force, torque, instant.dt, instant.period)
     else:
         position, orientation = before.probe.position, before.probe.orientation
-        contact = no_contact(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
+        contact = report_free(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
         state, guarded, energy, bits = start.contact, start.guarded, start.energy, POSE_REFUSED
     torque = about_tip(tool, orientation, guarded.force, guarded.torque)
     write_contact(record, instant.number, instant.dt, position, orientation, contact, guarded.force, torque)

@@ -29,7 +29,7 @@ from softfinger.proxy.kernels.native.outlined import outlined_where
 from softfinger.proxy.kernels.native.tuples import same_for
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths
-from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_wide
+from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_mesh_or_heightmap
 from softfinger.proxy.kernels.query.objects import (
     NOBODY,
     closest_to_within,
@@ -41,7 +41,7 @@ from softfinger.proxy.kernels.query.objects import (
 )
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM, SPENT
-from softfinger.proxy.kernels.shapes.protocol import EVERYWHERE
+from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ROLLING
 
 STUCK_TICKS = 8
@@ -55,7 +55,7 @@ class Meeting(NamedTuple):
     start: Vec3
     center: Vec3
     active: ActiveSet
-    left: int
+    budget: int
 
 
 class Approach(NamedTuple):
@@ -64,6 +64,7 @@ class Approach(NamedTuple):
     deflection, before, rolled_part   (3,) m  e now, e at the last tick and p, tangent to the object
     theta, twist                      rad     roll and spin of the fingertip against the object in this tick
     against                           m/s     probe velocity against the object
+    began                             it begins in this tick
     strays                            the roll is in `deflection` only, and `center` has not gone along
     bounded                           1 if that is so because the budget was used up
     """
@@ -78,6 +79,7 @@ class Approach(NamedTuple):
     theta: float
     twist: float
     against: Vec3
+    began: bool
     strays: bool
     bounded: float
 
@@ -125,7 +127,7 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     return left >= 0 and gap >= radius
 
 
-@outlined_where(has_wide)
+@outlined_where(has_mesh_or_heightmap)
 def detect_among_several(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Meeting:
     """First contact on the way of the last proxy, in free space the last probe, to the probe, as each object sees it.
 
@@ -195,6 +197,7 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
         theta=0.0,
         twist=0.0,
         against=against,
+        began=True,
         strays=False,
         bounded=0.0,
     )
@@ -293,9 +296,24 @@ def continue_contact(
         theta=rolled.theta,
         twist=rolled.spin,
         against=against,
+        began=False,
         strays=strays,
         bounded=0.0 if whole else 1.0,
     )
+
+
+@jit
+def detect_or_continue(
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
+) -> tuple[FingerState, Approach]:
+    """The contact with the only object goes on; where it has ended, what is met in the same tick is another one. The
+    state returned is without the contact that has ended."""
+    if state.mode != FREE:
+        candidate = continue_contact(scene, finger, objects, state, probe, dt)
+        if not has_ended(candidate.active):
+            return state, candidate
+    state = separated(state)
+    return state, detect_contact(finger, objects, state, probe, dt)
 
 
 @jit

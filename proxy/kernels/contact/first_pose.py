@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_creases_at
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest
 from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM
-from softfinger.proxy.kernels.shapes.protocol import EVERYWHERE
+from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 
 GRAZE = 1e-4
 """Share of the radius by which a fingertip may touch a mesh and count as clear, where its nearest triangle cannot be
@@ -30,30 +30,30 @@ class Touched(NamedTuple):
 
     place: float
     known: bool
-    left: int
+    budget: int
 
 
 @jit
-def touched_at_first(objects: Any, radius: float, position: Vec3, left: int) -> Touched:
-    """What a fingertip touches that begins at `position` (3,) m; `left` of the budget for height maps, and for meshes
+def touched_at_first(objects: Any, radius: float, position: Vec3, budget: int) -> Touched:
+    """What a fingertip touches that begins at `position` (3,) m; `budget` of the budget for height maps, and for meshes
     beside them."""
     if any_creases(objects):  # a height map tells its side from near by
-        gap, index, left = deepest(objects, position, radius, NOBODY, left)
+        gap, index, budget = deepest(objects, position, radius, NOBODY, budget)
         if any_mesh(objects) and gap >= radius:
-            gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, left)
+            gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
             if has_creases_at(objects, index):  # its bound: it has just been found to be farther
                 index = NONE
     else:  # of a mesh all has to be asked for that
-        gap, index, left = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
-    if left < 0 and index >= 0.0 and not has_creases_at(objects, index):
+        gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
+    if budget < 0 and index >= 0.0 and not has_creases_at(objects, index):
         # A mesh was not searched to the end: the gap was a bound. This is that of the nearest triangle found so far.
-        gap, _, _, left = closest_to_within(objects, index, position, left)
+        gap, _, _, budget = closest_to_within(objects, index, position, budget)
         if gap >= radius and not any_creases(objects):
-            gap, nearer, left = deepest(objects, position, radius * (1.0 - GRAZE), NOBODY, ROOM)
-            if left < 0:
-                return Touched(NONE, False, left)
+            gap, nearer, budget = deepest(objects, position, radius * (1.0 - GRAZE), NOBODY, ROOM)
+            if budget < 0:
+                return Touched(NONE, False, budget)
             index = nearer if gap < radius else index
-    return Touched(index if gap < radius else NONE, True, left)
+    return Touched(index if gap < radius else NONE, True, budget)
 
 
 @jit

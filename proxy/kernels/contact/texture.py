@@ -28,7 +28,7 @@ from softfinger.proxy.kernels.numerics.half_spaces import Depths
 from softfinger.proxy.kernels.numerics.scalars import clamp
 from softfinger.proxy.kernels.query.elements import contains, count, element
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
-from softfinger.proxy.kernels.shapes.protocol import shaded
+from softfinger.proxy.kernels.shapes.composite import shaded
 
 CELLS_CEILING = 1e15
 """Past this many cells float64 has no fraction of a cell left, and farther out no whole number of them."""

@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.model import (
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined_where
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.kinds import has_wide
+from softfinger.proxy.kernels.query.kinds import has_mesh_or_heightmap
 from softfinger.proxy.kernels.query.objects import material_of, number_of, pose_of
 from softfinger.proxy.record import CAUSE_NONE
 
@@ -49,7 +49,7 @@ class Wrench(NamedTuple):
     radius: float
 
 
-@outlined_where(has_wide)
+@outlined_where(has_mesh_or_heightmap)
 def wrench_of(rolling: Any, finger: Finger, objects: Any, patch: ContactState, motion: Motion) -> Wrench:
     """Friction and torsion of one of several patches: with its own load, its own law, and its share of the springs."""
     zero = (0.0, 0.0, 0.0)

@@ -86,6 +86,38 @@ def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
 
 
 @jit
+def start_of_sliding(
+    law: Any,
+    patch: FrictionInput,
+    stiffness: float,
+    torque_stiffness: float,
+    dragged: Vec3,
+    rolled_part: Vec3,
+    static_limit: float,
+) -> float:
+    """CAUSE_DRAG or CAUSE_THETA_MAX where the load leaves the static cone, by which part is more; else CAUSE_NONE."""
+    wound = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
+    load = load_size(law, patch.normal, wound)
+    # More than rounding above the cone: a finger at rest on it, as after a slide with mu_d = mu_s, stays at rest.
+    if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * patch.radius:
+        by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
+        return float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)
+    return float(CAUSE_NONE)
+
+
+@jit
+def end_of_sliding(slip_speed: float, slip_deflection: float, length: float, resolution: float) -> float:
+    """CAUSE_STOP where the slip, m/s, has stopped, CAUSE_REVERSE where the deflection, `length` m now, has unwound from
+    that of the last slip; else CAUSE_NONE."""
+    unwound = slip_deflection - length
+    if slip_speed < STOP_SPEED_M_PER_S:
+        return float(CAUSE_STOP)
+    if unwound > max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * resolution):
+        return float(CAUSE_REVERSE)
+    return float(CAUSE_NONE)
+
+
+@jit
 def stick_slip_by_law(
     law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
 ) -> FrictionResult:
@@ -104,20 +136,15 @@ def stick_slip_by_law(
     stiffness = coupling.stiffness
     whole_limit, kinetic_limit = cone(law, patch.normal_force, patch.slip_speed)
     static_limit = whole_limit * room(torsion, patch.spin + patch.twist, patch.normal_force)
-    mode, cause = patch.mode, float(CAUSE_NONE)
-    deflection, spin, twist = patch.deflection, patch.spin, patch.twist
+    mode, cause, deflection, spin, twist = patch.mode, float(CAUSE_NONE), patch.deflection, patch.spin, patch.twist
     slip_speed, slip_deflection = patch.slip_speed, patch.slip_deflection
     dragged, rolled_part = split(deflection, patch.rolled_part)
 
     limit, breaking = -1.0, 0.0
     if mode == ROLLING:
-        wound = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
-        load = load_size(law, patch.normal, wound)
-        # More than rounding above the cone: a finger at rest on it, as after a slide with mu_d = mu_s, stays at rest.
-        if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * patch.radius:
+        cause = start_of_sliding(law, patch, stiffness, torque_stiffness, dragged, rolled_part, static_limit)
+        if cause != CAUSE_NONE:
             mode, limit, breaking = float(SLIDING), whole_limit, 1.0
-            by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
-            cause = float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)
     else:
         limit = kinetic_limit
 
@@ -133,17 +160,11 @@ def stick_slip_by_law(
             slip_speed = speed
         else:
             slip_speed += (speed - slip_speed) * patch.dt / (SLIP_TIME_CONSTANT_S + patch.dt)
-            unwound = slip_deflection - length
-            stopped = slip_speed < STOP_SPEED_M_PER_S
-            reversed_ = unwound > max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * patch.resolution)
+            end = end_of_sliding(slip_speed, slip_deflection, length, patch.resolution)
+            load = load_size(law, patch.normal, vec3.scale(stiffness, deflection))
             # With viscous friction a fast slip may hold more than the static cone does: it cannot stick yet.
-            if (
-                not slips
-                and (stopped or reversed_)
-                and (load_size(law, patch.normal, vec3.scale(stiffness, deflection)) <= (1.0 + ROUNDING) * static_limit)
-            ):
-                mode, slip_speed = float(ROLLING), 0.0
-                cause = float(CAUSE_STOP) if stopped else float(CAUSE_REVERSE)
+            if not slips and end != CAUSE_NONE and load <= (1.0 + ROUNDING) * static_limit:
+                mode, slip_speed, cause = float(ROLLING), 0.0, end
 
     force = vec3.scale(stiffness, deflection)
     if mode == ROLLING and patch.dt > 0.0:

@@ -14,7 +14,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.native.rows import Rows
-from softfinger.proxy.kernels.shapes.protocol import count_of_shape, element_of_shape, shape_contains
+from softfinger.proxy.kernels.shapes.composite import count_of_shape, element_of_shape, shape_contains
 
 
 @by_type

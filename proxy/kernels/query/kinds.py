@@ -11,32 +11,36 @@ from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.kept import kinds_in
 from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.kernels.query.elements import contains, count
-from softfinger.proxy.kernels.shapes.protocol import has_creases, is_mesh_shape
+from softfinger.proxy.kernels.shapes.composite import has_creases, is_mesh_shape
 
 
-def has_wide(*given: Any) -> bool:
+def has_mesh_or_heightmap(*given: Any) -> bool:
     """Whether there is a mesh or a height map among arguments of those types: what is asked of one is large, and takes
     long enough for a call by address not to count."""
     return not {Mesh, Heightmap}.isdisjoint(kinds_in(given))
 
 
-SMOOTH: Final = "smooth"
-FACETED: Final = "faceted"
-RUGGED: Final = "rugged"
+SINGLE_POINT: Final = "single point"
+WITH_MESH: Final = "mesh"
+WITH_HEIGHTMAP: Final = "height map"
 
 
-def _roughest(kinds: Any) -> str:
-    return RUGGED if Heightmap in kinds else FACETED if Mesh in kinds else SMOOTH
+def _multipoint_in(kinds: Any) -> str:
+    return WITH_HEIGHTMAP if Heightmap in kinds else WITH_MESH if Mesh in kinds else SINGLE_POINT
 
 
-def by_roughness(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel chosen by what there is in a tuple of objects: `.of(RUGGED)` a height map, `.of(FACETED)` a mesh
-    and no height map, `.of(SMOOTH)` neither. Of the others nothing is compiled."""
+def by_multipoint(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel chosen by the objects in a tuple; of the others nothing is compiled.
+
+    .of(WITH_HEIGHTMAP)  one is a height map
+    .of(WITH_MESH)       one is a mesh, and none a height map
+    .of(SINGLE_POINT)    each is touched in one point
+    """
 
     def sort(objects: Any) -> str:
-        return _roughest({type((entry[0] if isinstance(entry, Rows) else entry).shape) for entry in objects})
+        return _multipoint_in({type((entry[0] if isinstance(entry, Rows) else entry).shape) for entry in objects})
 
-    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _roughest(kinds_in(tuple(objects))))
+    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _multipoint_in(kinds_in(tuple(objects))))
 
 
 @by_type

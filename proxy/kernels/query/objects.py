@@ -25,7 +25,7 @@ from softfinger.proxy.kernels.shapes import (
     is_hollow,
     transport,
 )
-from softfinger.proxy.kernels.shapes.protocol import Deepest, nearest_of_shape, neighbour_of, raised_clear
+from softfinger.proxy.kernels.shapes.composite import Deepest, nearest_of_shape, neighbour_of, raised_clear
 
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
 """Places of no objects."""
@@ -48,22 +48,22 @@ def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
 
 
 @jit
-def closest_to_within(objects: Any, index: float, x: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+def closest_to_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """`closest_within` of the object with that place."""
     gap, point, normal = 0.0, x, (0.0, 0.0, 1.0)
     at = 0.0
     for entry in literal_unroll(objects):
         if contains(entry, at, index):
             body = element(entry, index - at)
-            gap, foot, up, left = closest_within(body.shape, into(body.pose, x), left)
+            gap, foot, up, budget = closest_within(body.shape, into(body.pose, x), budget)
             point, normal = out_of(body.pose, foot), turn_out_of(body.pose, up)
         at += count(entry)
-    return gap, point, normal, left
+    return gap, point, normal, budget
 
 
 @jit
 def constraint_of(
-    objects: Any, index: float, center: Vec3, radius: float, normal: Vec3, left: int
+    objects: Any, index: float, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
     """`constraint_at` of the object with that place, in the world."""
     point, up = center, normal
@@ -72,10 +72,10 @@ def constraint_of(
         if contains(entry, at, index):
             body = element(entry, index - at)
             pose = body.pose
-            foot, n, left = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), left)
+            foot, n, budget = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), budget)
             point, up = out_of(pose, foot), turn_out_of(pose, n)
         at += count(entry)
-    return point, up, left
+    return point, up, budget
 
 
 @jit

@@ -6,10 +6,10 @@
 These two are all that a new shape has to give. What follows has a default, which serves whatever `closest` and
 `curvature` describe; a shape says otherwise where it knows better, as the plane does.
 
-    closest_from(shape, x, start, left)      -> as `closest`, left  for a fingertip that rolls there from a point
+    closest_from(shape, x, start, budget)    -> as `closest`, budget for a fingertip that rolls there from a point
     closest_or_bound(shape, x)               -> as `closest`, 1 where a search did not end
-    closest_within(shape, x, left)           -> as `closest`, left  with what is left of the tick's budget
-    constraint_at(shape, center, radius, n, left)  -> point, n, left  where it holds a fingertip as it did before
+    closest_within(shape, x, budget)         -> as `closest`, budget with what is left of the tick's
+    constraint_at(shape, center, radius, n, budget) -> point, n, budget where it holds a fingertip as it did before
     transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v carried to the new normal
     is_hollow(shape)                         -> bool                whether it is touched from inside; default: no
     bend(shape, radius, point, normal)       -> 1/m                 how much it bends round the fingertip
@@ -20,7 +20,7 @@ These two are all that a new shape has to give. What follows has a default, whic
     tangent_plane(shape, normal)                                    the plane through the origin that it is like there
     unroll(shape, radius, center, ...)                              rolling in closed form, without a default
 
-What takes long to ask has a budget; `left` is what is left of it, below 0 where it was used up. Only what is asked of
+What takes long has a `budget`, and returns what is left of it, below 0 where it was used up. Only what is asked of
 meshes and height maps is counted. Those two have no `closest`: their nearest point comes with the word of whether the
 search for it ended, or not at all.
 
@@ -35,7 +35,7 @@ of k2.
 """
 
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 from softfinger.proxy.kernels.model import Plane, Vec3
 from softfinger.proxy.kernels.native.dispatch import by_type
@@ -59,26 +59,26 @@ def closest(shape: Any, x: Vec3) -> Any: ...
 
 
 @by_type
-def closest_from(shape: Any, x: Vec3, start: Vec3, left: int) -> Any:
+def closest_from(shape: Any, x: Vec3, start: Vec3, budget: int) -> Any:
     """`closest` for a fingertip that rolls there from the surface point `start` (3,) m: where many points are near
     what is downhill from there will do. And what is left of the budget."""
 
 
 @closest_from.otherwise
-def closest_from_anywhere(shape: Any, x: Vec3, start: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+def closest_from_anywhere(shape: Any, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     gap, point, normal = closest(shape, x)
-    return gap, point, normal, left
+    return gap, point, normal, budget
 
 
 @by_type
-def closest_within(shape: Any, x: Vec3, left: int) -> Any:
-    """`closest` with what is `left` of the budget, and what is left then. Where it is used up the gap is a bound."""
+def closest_within(shape: Any, x: Vec3, budget: int) -> Any:
+    """`closest` with `budget`, what is left of it, and what is left then. Where it is used up the gap is a bound."""
 
 
 @closest_within.otherwise
-def closest_without_budget(shape: Any, x: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+def closest_without_budget(shape: Any, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     gap, point, normal = closest(shape, x)
-    return gap, point, normal, left
+    return gap, point, normal, budget
 
 
 @by_type
@@ -94,17 +94,17 @@ def closest_without_search(shape: Any, x: Vec3) -> tuple[float, Vec3, Vec3, floa
 
 
 @by_type
-def constraint_at(shape: Any, center: Vec3, radius: float, normal: Vec3, left: int) -> Any:
+def constraint_at(shape: Any, center: Vec3, radius: float, normal: Vec3, budget: int) -> Any:
     """Point and normal where it holds a fingertip at `center` (3,) m, that it held with that normal before: near there,
     where a shape may hold it in several places. And what is left of the budget."""
 
 
 @constraint_at.otherwise
 def constraint_where_nearest(
-    shape: Any, center: Vec3, radius: float, normal: Vec3, left: int
+    shape: Any, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
     _, point, normal = closest(shape, center)
-    return point, normal, left
+    return point, normal, budget
 
 
 @by_type
@@ -306,111 +306,3 @@ def meets_shape(
     shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, int]:
     return travel(shape, start, end, radius, leaves), 0.0, budget
-
-
-@by_type
-def is_mesh_shape(shape: Any) -> Any:
-    """1 for a shape that is many flat ones, each an object of its own."""
-
-
-@is_mesh_shape.otherwise
-def is_no_mesh(shape: Any) -> float:
-    return 0.0
-
-
-@by_type
-def has_creases(shape: Any) -> Any:
-    """1 for a shape that may hold a fingertip in several places, as one body."""
-
-
-@has_creases.otherwise
-def has_no_creases(shape: Any) -> float:
-    return 0.0
-
-
-EVERYWHERE = 1e300
-
-
-ENOUGH = 1.0 - 1e-6
-"""Share of the gap that is asked about, below which a triangle of a mesh need not be the very nearest: it is in the
-way, and not by a rounding error."""
-
-
-class Deepest(NamedTuple):
-    """The object nearest to a point: the gap (m), its place, -1 for none, and what is left of the budget; below 0 it
-    was used up on a mesh or a height map, and the gap may be only a bound below which nothing is."""
-
-    gap: float
-    place: float
-    left: int
-
-
-@by_type
-def nearest_of_shape(shape: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Any:
-    """The same of a shape, in its frame."""
-
-
-@nearest_of_shape.otherwise
-def gap_of_it(shape: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
-    gap, _, _ = closest(shape, x)
-    return Deepest(gap, 0.0, budget)
-
-
-@by_type
-def neighbour_of(shape: Any, x: Vec3) -> Any:
-    """How far on in the tuple the object is that lies beyond the edge of this one at which `x` is; 0 for itself."""
-
-
-@neighbour_of.otherwise
-def no_neighbour(shape: Any, x: Vec3) -> float:
-    return 0.0
-
-
-@by_type
-def count_of_shape(shape: Any) -> Any:
-    """How many objects a shape is to the fingertip: each triangle of a mesh is one, held and rubbed by itself."""
-
-
-@count_of_shape.otherwise
-def count_one(shape: Any) -> float:
-    return 1.0
-
-
-@by_type
-def shape_contains(shape: Any, at: float, index: float) -> Any:
-    """`contains` of an object with that shape."""
-
-
-@shape_contains.otherwise
-def is_that_one(shape: Any, at: float, index: float) -> bool:
-    return at == index
-
-
-@by_type
-def element_of_shape(shape: Any, body: Any, number: float) -> Any:
-    """`element` of an object with that shape."""
-
-
-@element_of_shape.otherwise
-def shape_itself(shape: Any, body: Any, number: float) -> Any:
-    return body
-
-
-@by_type
-def raised_clear(shape: Any, x: Vec3, radius: float) -> Any:
-    """Where a fingertip at `x` (3,) m that is not known to be outside is for certain."""
-
-
-@raised_clear.otherwise
-def raised_not_at_all(shape: Any, x: Vec3, radius: float) -> Vec3:
-    return x
-
-
-@by_type
-def shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Any:
-    """Unit vector (3,) along which a shape without a texture presses on the probe at `position` (3,) m."""
-
-
-@shaded.otherwise
-def not_shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
-    return normal

@@ -8,7 +8,8 @@ from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import FACING, Depths
 from softfinger.proxy.kernels.query.objects import closest_to_within, normal_law_of
-from softfinger.proxy.kernels.shapes.protocol import Deepest, direction
+from softfinger.proxy.kernels.shapes.composite import Deepest
+from softfinger.proxy.kernels.shapes.protocol import direction
 
 INSIDE = 1e-10
 """Depth, as a share of the fingertip's radius, that counts as inside an object and not as rounding."""

@@ -26,14 +26,14 @@ from softfinger.proxy.kernels.native.outlined import outlined_where
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import (
-    FACETED,
-    RUGGED,
-    SMOOTH,
+    SINGLE_POINT,
+    WITH_HEIGHTMAP,
+    WITH_MESH,
     any_creases,
     any_multipoint,
-    by_roughness,
+    by_multipoint,
     has_creases_at,
-    has_wide,
+    has_mesh_or_heightmap,
 )
 from softfinger.proxy.kernels.query.objects import (
     closest_to_within,
@@ -56,12 +56,12 @@ class Rest(NamedTuple):
     center: Vec3
     active: ActiveSet
     late: bool
-    left: int
+    budget: int
 
 
-@outlined_where(has_wide)
+@outlined_where(has_mesh_or_heightmap)
 def settle_among_several(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Rest:
     """Bring the proxy to rest among several objects, where it would be without friction.
 
@@ -74,31 +74,31 @@ def settle_among_several(
     for more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
     So is one that finds no rest.
     """
-    return settle_as_rough(objects, radius, probe, start, center, active, left)
+    return settle_by_search(objects, radius, probe, start, center, active, budget)
 
 
-@by_roughness
-def settle_as_rough(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+@by_multipoint
+def settle_by_search(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Any:
     """`settle_among_several`: beside height maps step by step, beside meshes by supporting planes, else at once."""
 
 
-@settle_as_rough.of(SMOOTH)
+@settle_by_search.of(SINGLE_POINT)
 def settle_at_once(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Rest:
-    return settle_for(objects, radius, probe, start, center, active, left)
+    return settle_for(objects, radius, probe, start, center, active, budget)
 
 
-@settle_as_rough.of(FACETED)
+@settle_by_search.of(WITH_MESH)
 def settle_beside_meshes(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Rest:
-    return settle_on_facets(objects, radius, probe, center, active, left)
+    return settle_on_facets(objects, radius, probe, center, active, budget)
 
 
-@settle_as_rough.of(RUGGED)
+@settle_by_search.of(WITH_HEIGHTMAP)
 def settle_in_steps(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
 ) -> Rest:
@@ -108,44 +108,44 @@ def settle_in_steps(
         if is_a_step(center, goal, radius):
             rest = settle_for(objects, radius, whole, start, center, held, budget)
             if not is_a_step(center, rest.center, radius):  # it may be on the other side of something
-                rest = Rest(center, active, True, rest.left)
+                rest = Rest(center, active, True, rest.budget)
         if not rest.late:
             break
         deep = vec3.sub(probe, center)
         whole = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(deep), 0.5), deep)
-        _, held, _ = relaxed(objects, radius, whole, center, active, 1, rest.left)
+        _, held, _ = relaxed(objects, radius, whole, center, active, 1, rest.budget)
     if whole == probe:
         return rest
-    _, held, _ = relaxed(objects, radius, probe, rest.center, rest.active, 1, rest.left)
-    return Rest(rest.center, held, True, rest.left)
+    _, held, _ = relaxed(objects, radius, probe, rest.center, rest.active, 1, rest.budget)
+    return Rest(rest.center, held, True, rest.budget)
 
 
 @jit
-def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, left: int) -> Rest:
+def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Rest:
     """`settle_among_several` where there is a mesh: what held the proxy holds it still, or the facet beside that; where
     that is not so, or would take it away from the probe, it goes from the anchor the careful way.
 
     What crosses the way in a tick needs no sweep: beside a mesh no step is longer than `is_a_step` allows.
     """
     there = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
-    center, held, rests, left = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, left)
+    center, held, rests, budget = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, budget)
     for _ in range(EDGES):
         beyond = held.first if held.second >= 0.0 else neighbour_on(objects, held.first, center)
         if beyond == held.first:
             break
         held = one_constraint(beyond, held.n1)
-        center, held, rests, left = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, left)
+        center, held, rests, budget = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, budget)
     behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
     nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
     if rests and nearer and is_a_step(anchor, center, radius):
-        gap, _, left = deepest(objects, center, radius, active_objects(held), left)
+        gap, _, budget = deepest(objects, center, radius, active_objects(held), budget)
         if gap >= radius * (1.0 - INSIDE):
-            return Rest(center, strongest_first(objects, held), False, left)
-    stand = settle_by_planes(objects, radius, probe, anchor, active, left)
+            return Rest(center, strongest_first(objects, held), False, budget)
+    stand = settle_by_planes(objects, radius, probe, anchor, active, budget)
     held = stand.active
     if held.first < 0.0:
         held = one_constraint(active.first, active.n1)
-    return Rest(stand.center, strongest_first(objects, held), stand.late, stand.left)
+    return Rest(stand.center, strongest_first(objects, held), stand.late, stand.budget)
 
 
 @jit
@@ -241,20 +241,20 @@ def relax(
 
 @jit
 def relaxed(
-    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, left: int
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, int]:
     """Nearest point to `base` behind the tangent planes of all holding objects, again and again at the new point. And
     what is left of the budget.
 
     In a pinch the point between them; see `solve_half_spaces`.
     """
-    center, active, _, left = relaxed_to_rest(objects, radius, base, center, active, rounds, left)
-    return center, active, left
+    center, active, _, budget = relaxed_to_rest(objects, radius, base, center, active, rounds, budget)
+    return center, active, budget
 
 
 @jit
 def relaxed_to_rest(
-    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, left: int
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, bool, int]:
     """`relaxed`, and whether the last round moved the proxy no more."""
     rests = False
@@ -262,18 +262,18 @@ def relaxed_to_rest(
     n1, n2, n3 = active.n1, active.n2, active.n3
     push = active.push
     for _ in range(rounds):
-        point, n1, left = constraint_of(objects, active.first, center, radius, n1, left)
+        point, n1, budget = constraint_of(objects, active.first, center, radius, n1, budget)
         b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
         b2, b3 = b1, b1
         if active.second < 0.0:
             n2 = n1
         else:
-            point, n2, left = constraint_of(objects, active.second, center, radius, n2, left)
+            point, n2, budget = constraint_of(objects, active.second, center, radius, n2, budget)
             b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
         if active.third < 0.0:
             n3 = n1
         else:
-            point, n3, left = constraint_of(objects, active.third, center, radius, n3, left)
+            point, n3, budget = constraint_of(objects, active.third, center, radius, n3, budget)
             b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
         held = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
         push = held.push
@@ -285,7 +285,7 @@ def relaxed_to_rest(
             break
     return center, ActiveSet(
         first=active.first, second=active.second, third=active.third, n1=n1, n2=n2, n3=n3, push=push
-    ), rests, left  # fmt: skip
+    ), rests, budget  # fmt: skip
 
 
 @jit

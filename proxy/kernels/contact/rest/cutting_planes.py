@@ -70,7 +70,7 @@ class Stand(NamedTuple):
     center: Vec3
     active: ActiveSet
     late: bool
-    left: int
+    budget: int
 
 
 @outlined
@@ -216,7 +216,7 @@ def touches_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) ->
 
 @jit
 def step_towards(
-    objects: Any, radius: float, probe: Vec3, anchor: Vec3, planes: Planes, nearest: bool, left: int
+    objects: Any, radius: float, probe: Vec3, anchor: Vec3, planes: Planes, nearest: bool, budget: int
 ) -> Stand:
     """One step from the anchor to the place nearest to the probe that its planes allow, no longer than crosses nothing.
 
@@ -224,9 +224,9 @@ def step_towards(
              what is flat; round a convex edge only the planes nearest to the anchor leave it all the way there is
     """
     planes = solved(planes, probe, 0.0)
-    center, found, clipped, lift, begun = anchor, False, False, 0.0, left
-    kept = left // 4  # for the halves of a step
-    left -= kept
+    center, found, clipped, lift, begun = anchor, False, False, 0.0, budget
+    kept = budget // 4  # for the halves of a step
+    budget -= kept
     for added in range(ADDED):
         center = planes.center
         way = vec3.sub(center, anchor)
@@ -234,14 +234,14 @@ def step_towards(
         clipped = length > STRIDE * radius
         if clipped:
             center = vec3.add_scaled(anchor, STRIDE * radius / length, way)
-        gap, at, left = deepest(objects, center, radius, bodies_of(planes), left)
+        gap, at, budget = deepest(objects, center, radius, bodies_of(planes), budget)
         if gap >= radius * (1.0 - INSIDE):
             found = True
             break
-        if left < 0 or at < 0.0:
+        if budget < 0 or at < 0.0:
             break
         plane = supporting_plane(objects, at, radius, anchor, center if nearest else anchor)
-        if gap > radius * (1.0 - NEARLY) and (added >= SOON or 2 * left < begun):
+        if gap > radius * (1.0 - NEARLY) and (added >= SOON or 2 * budget < begun):
             lift = 2.0 * (radius - gap)
         one, two, three = planes.one, planes.two, planes.three
         if at == one.body:
@@ -254,36 +254,36 @@ def step_towards(
             planes = with_plane(planes, plane, radius, probe, lift)
             continue
         planes = solved(Planes(one, two, three, center, planes.push), probe, lift)
-    active, late = constraints_of(planes if lift == 0.0 else solved(planes, probe, 0.0)), left < 0
-    left = max(left, 0) + kept
+    active, late = constraints_of(planes if lift == 0.0 else solved(planes, probe, 0.0)), budget < 0
+    budget = max(budget, 0) + kept
     if found:
-        return Stand(center, active, clipped, left)
+        return Stand(center, active, clipped, budget)
     # Too many are about as near. Every place on the way to the last one found is nearer to the probe than the anchor.
     way = vec3.sub(center, anchor)
     for _ in range(HALVINGS):
-        if left < 0:
+        if budget < 0:
             break
         way = vec3.scale(0.5, way)
-        gap, _, left = deepest(objects, vec3.add(anchor, way), radius, bodies_of(planes), left)
+        gap, _, budget = deepest(objects, vec3.add(anchor, way), radius, bodies_of(planes), budget)
         if gap >= radius * (1.0 - INSIDE):
-            return Stand(vec3.add(anchor, way), active, True, SPENT if late else left)
+            return Stand(vec3.add(anchor, way), active, True, SPENT if late else budget)
     # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
-    gap, _, left = deepest(objects, anchor, radius, bodies_of(planes), left)
-    if left < 0 or gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
-        return Stand(anchor, active, True, SPENT if late else left)
-    return Stand(center, active, False, left)
+    gap, _, budget = deepest(objects, anchor, radius, bodies_of(planes), budget)
+    if budget < 0 or gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
+        return Stand(anchor, active, True, SPENT if late else budget)
+    return Stand(center, active, False, budget)
 
 
 @outlined
-def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, left: int) -> Stand:
+def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Stand:
     """Bring a proxy from the anchor, where it is outside, to rest, in steps that are each outside and nearer to the
     probe."""
-    stand, nearest = Stand(anchor, active, True, left), True
+    stand, nearest = Stand(anchor, active, True, budget), True
     for _ in range(STEPS):
         planes = planes_at(objects, radius, stand.center, active_objects(stand.active))
         before = stand.center
-        stand = step_towards(objects, radius, probe, before, planes, nearest, stand.left)
-        if stand.left < 0 or (not stand.late and touches_all(objects, stand.active, radius, stand.center)):
+        stand = step_towards(objects, radius, probe, before, planes, nearest, stand.budget)
+        if stand.budget < 0 or (not stand.late and touches_all(objects, stand.active, radius, stand.center)):
             break
         if not stand.late or vec3.norm(vec3.sub(stand.center, before)) <= AT_REST * radius:
             if not nearest:

@@ -86,6 +86,27 @@ def combine(a: float, u: Vec3, b: float, v: Vec3) -> Vec3:
 
 
 @jit
+def rates(shape: Any, w: Vec3, k: Any, n: Any) -> tuple[float, float, float]:
+    """Rates over a sub-step at which the contact moves on the surface, m, spins and tilts, rad: each the sum of the
+    fifth-order rule, of velocities `k` and normals `n` at its stages 1, 3, 4, 5 and 6."""
+    length = (
+        35 / 384 * surface_part(shape, k[0], n[0]) + 500 / 1113 * surface_part(shape, k[1], n[1])
+        + 125 / 192 * surface_part(shape, k[2], n[2]) - 2187 / 6784 * surface_part(shape, k[3], n[3])
+        + 11 / 84 * surface_part(shape, k[4], n[4])
+    )  # fmt: skip
+    spin = (
+        35 / 384 * vec3.dot(w, n[0]) + 500 / 1113 * vec3.dot(w, n[1]) + 125 / 192 * vec3.dot(w, n[2])
+        - 2187 / 6784 * vec3.dot(w, n[3]) + 11 / 84 * vec3.dot(w, n[4])
+    )  # fmt: skip
+    tilt = (
+        35 / 384 * vec3.norm(vec3.cross(w, n[0])) + 500 / 1113 * vec3.norm(vec3.cross(w, n[1]))
+        + 125 / 192 * vec3.norm(vec3.cross(w, n[2])) - 2187 / 6784 * vec3.norm(vec3.cross(w, n[3]))
+        + 11 / 84 * vec3.norm(vec3.cross(w, n[4]))
+    )  # fmt: skip
+    return length, spin, tilt
+
+
+@jit
 def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, tolerance: float) -> Roll:
     """Rolling by the whole rotation vector `w`, with the pair of Dormand and Prince, order 5 with error from 4.
 
@@ -134,21 +155,8 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
         error = h * vec3.norm(off)
         if error <= allowed or h <= shortest:
             end = vec3.add_scaled(point, radius, n7)
-            length = (
-                35 / 384 * surface_part(shape, k1, n) + 500 / 1113 * surface_part(shape, k3, n3)
-                + 125 / 192 * surface_part(shape, k4, n4) - 2187 / 6784 * surface_part(shape, k5, n5)
-                + 11 / 84 * surface_part(shape, k6, n6)
-            )  # fmt: skip
-            rates = (
-                35 / 384 * vec3.dot(w, n) + 500 / 1113 * vec3.dot(w, n3) + 125 / 192 * vec3.dot(w, n4)
-                - 2187 / 6784 * vec3.dot(w, n5) + 11 / 84 * vec3.dot(w, n6)
-            )  # fmt: skip
-            tilts = (
-                35 / 384 * vec3.norm(vec3.cross(w, n)) + 500 / 1113 * vec3.norm(vec3.cross(w, n3))
-                + 125 / 192 * vec3.norm(vec3.cross(w, n4)) - 2187 / 6784 * vec3.norm(vec3.cross(w, n5))
-                + 11 / 84 * vec3.norm(vec3.cross(w, n6))
-            )  # fmt: skip
-            spin, tilted = spin + h * rates, tilted + h * tilts
+            length, rate, tilt = rates(shape, w, (k1, k3, k4, k5, k6), (n, n3, n4, n5, n6))
+            spin, tilted = spin + h * rate, tilted + h * tilt
             motion = vec3.add(transport(shape, motion, n, n7), unrolled(slope, n7, h * length))
             center, n, k1 = end, n7, k7
             left -= h

@@ -20,6 +20,7 @@ from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.half_spaces import displacement, solve_half_spaces
+from softfinger.proxy.kernels.shapes.composite import has_creases, raised_clear
 from softfinger.proxy.kernels.shapes.heightmap.nearest import above, downhill, gap_within, left_of, nearest_from
 from softfinger.proxy.kernels.shapes.protocol import (
     ADVANCES,
@@ -28,9 +29,7 @@ from softfinger.proxy.kernels.shapes.protocol import (
     curvature,
     direction,
     follows,
-    has_creases,
     meets,
-    raised_clear,
     rest_on,
 )
 
@@ -104,6 +103,16 @@ def at_most(way: Vec3, longest: float) -> Vec3:
     return vec3.scale(longest / length, way) if length > longest else way
 
 
+@jit
+def among_several(feet: SupportPoints, radius: float, goal: Vec3, n1: Vec3, n2: Vec3, n3: Vec3) -> tuple[Vec3, Vec3]:
+    """From two or three feet the push (3,) m and the centre (3,) m nearest to `goal`, on their tangent planes."""
+    b1 = vec3.dot(n1, vec3.sub(feet.one, goal)) + radius
+    b2 = vec3.dot(n2, vec3.sub(feet.two, goal)) + radius
+    b3 = vec3.dot(n3, vec3.sub(feet.three, goal)) + radius
+    held = solve_half_spaces(feet.many, n1, n2, n3, b1, b2, b3)
+    return displacement(held.push, n1, n2, n3), vec3.add(goal, displacement(held.place, n1, n2, n3))
+
+
 @outlined
 def rest_on_support_points(
     shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, normal: Vec3
@@ -113,52 +122,47 @@ def rest_on_support_points(
     returns  proxy (3,) m, normal (3,), and 1 if the budget was used up before it was known where there is room
     """
     rest, up, slides = center, normal, lag != (0.0, 0.0, 0.0)
-    left, bounded = REST_BUDGET, 0.0
+    budget, bounded = REST_BUDGET, 0.0
     feet = SupportPoints(1, vec3.add_scaled(center, -radius, normal), center, center)
     for turn in range(ROUNDS):
         _, p1, n1, _, spent = downhill(shape, center, feet.one)
-        left -= spent
+        budget -= spent
         p2, n2, p3, n3 = p1, n1, p1, n1
         if feet.many > 1:
             _, p2, n2, _, spent = downhill(shape, center, feet.two)
-            left -= spent
+            budget -= spent
             p3, n3 = p2, n2
         if feet.many > 2:
             _, p3, n3, _, spent = downhill(shape, center, feet.three)
-            left -= spent
+            budget -= spent
         feet = SupportPoints(feet.many, p1, p2, p3)
         clear = True
         if turn > 0:
-            gap, other, other_normal, _, spent = nearest_from(shape, center, p1, left)
-            left -= spent
+            gap, other, other_normal, _, spent = nearest_from(shape, center, p1, budget)
+            budget -= spent
             clear = gap >= radius * (1.0 - INSIDE)
-            if left <= 0 and not clear:
+            if budget <= 0 and not clear:
                 bounded = 1.0
                 if vec3.norm(vec3.sub(rest, other)) < radius * (1.0 - SAME):  # it began inside: the way out is up
                     rest = above(shape, rest, radius)
                 break
             if not clear and not is_support_point(feet, other, SAME * radius):
                 feet = with_support_point(feet, other)
-                p3, n3 = other, other_normal
+                n3 = other_normal
                 if feet.many == 2:
-                    p2, n2 = other, other_normal
+                    n2 = other_normal
         goal = vec3.add(probe, vec3.reject(lag, up))
         if feet.many == 1:
             push, then = n1, along_one(shape, radius, goal, p1, n1)
         else:
-            b1 = vec3.dot(n1, vec3.sub(p1, goal)) + radius
-            b2 = vec3.dot(n2, vec3.sub(p2, goal)) + radius
-            b3 = vec3.dot(n3, vec3.sub(p3, goal)) + radius
-            held = solve_half_spaces(feet.many, n1, n2, n3, b1, b2, b3)
-            push = displacement(held.push, n1, n2, n3)
-            then = vec3.add(goal, displacement(held.place, n1, n2, n3))
+            push, then = among_several(feet, radius, goal, n1, n2, n3)
         if turn > 0 and clear:
             rest = center
             _, up = direction(push, n1)
         then = vec3.add(rest, at_most(vec3.sub(then, rest), STRIDE * radius))
         if feet.many == 1:
             _, p1, n1, _, spent = downhill(shape, then, p1)
-            left -= spent
+            budget -= spent
             landed = vec3.add_scaled(p1, radius, n1)
             if vec3.norm(vec3.sub(landed, rest)) <= radius:
                 then = landed

@@ -16,6 +16,7 @@ from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.shapes.composite import Deepest, nearest_of_shape
 from softfinger.proxy.kernels.shapes.heightmap.surface import (
     Foot,
     Place,
@@ -40,13 +41,11 @@ from softfinger.proxy.kernels.shapes.heightmap.tiles import (
     wide,
 )
 from softfinger.proxy.kernels.shapes.protocol import (
-    Deepest,
     closest_from,
     closest_or_bound,
     closest_within,
     constraint_at,
     direction,
-    nearest_of_shape,
 )
 
 LOOK: Final = 2
@@ -245,47 +244,47 @@ def closest_known_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, 
 
 
 @closest_within.of(Heightmap)
-def closest_within_on_heightmap(shape: Heightmap, x: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
-    near = nearest_from(shape, x, x, max(left, 0))
+def closest_within_on_heightmap(shape: Heightmap, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
+    near = nearest_from(shape, x, x, max(budget, 0))
     gap, point, normal = as_asked(x, near)
-    return gap, point, normal, left_of(left, near.whole, near.spent)
+    return gap, point, normal, left_of(budget, near.whole, near.spent)
 
 
 @outlined
-def downhill_from_two(shape: Heightmap, x: Vec3, start: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+def downhill_from_two(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """`closest_from`; without budget of the place below `x` alone."""
     p, at = in_pitches(shape, x), in_pitches(shape, start)
-    if left < 0:
+    if budget < 0:
         gap, point, normal = touching(shape, x, foot_at(shape, p, p[0], p[1]))
-        return gap, point, normal, left
+        return gap, point, normal, budget
     foot, looks = descend(shape, p, Place(p[0], p[1]), FAR)
-    left -= LOOK * looks + AROUND
+    budget -= LOOK * looks + AROUND
     if not convex_around(shape, p, foot):
         other, looks = descend(shape, p, Place(at[0], at[1]), FAR)
-        left -= LOOK * looks
+        budget -= LOOK * looks
         if other.square < AS_NEAR * foot.square:
             foot = other
     gap, point, normal = touching(shape, x, foot)
-    return gap, point, normal, left
+    return gap, point, normal, budget
 
 
 @closest_from.of(Heightmap)
-def closest_from_on_heightmap(shape: Heightmap, x: Vec3, start: Vec3, left: int) -> tuple[float, Vec3, Vec3, int]:
+def closest_from_on_heightmap(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Of the feet that are downhill from below `x` and from `start` the nearer: whether there is room is asked where
     the roll ends (`follows`)."""
-    return downhill_from_two(shape, x, start, left)
+    return downhill_from_two(shape, x, start, budget)
 
 
 @constraint_at.of(Heightmap)
 def constraint_at_support_point(
-    shape: Heightmap, center: Vec3, radius: float, normal: Vec3, left: int
+    shape: Heightmap, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
     """The foot that is downhill from where it was. Without budget the tangent plane in which the fingertip lies."""
     start = vec3.add_scaled(center, -radius, normal)
-    if left < 0:
-        return start, normal, left
+    if budget < 0:
+        return start, normal, budget
     near = downhill(shape, center, start)
-    return near.point, near.normal, left - near.spent
+    return near.point, near.normal, budget - near.spent
 
 
 @nearest_of_shape.of(Heightmap)

@@ -12,26 +12,28 @@ from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
 from softfinger.proxy.kernels.shapes.budget import ROOM, SPENT, STRIDE
-from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
-from softfinger.proxy.kernels.shapes.mesh.triangle import beyond_edge, closest_on_triangle, shaded_normal
-from softfinger.proxy.kernels.shapes.protocol import (
+from softfinger.proxy.kernels.shapes.composite import (
     ENOUGH,
     EVERYWHERE,
-    NO_HIT,
-    X_AXIS,
     Deepest,
-    any_tangent,
-    closest,
-    closest_or_bound,
     count_of_shape,
-    curvature,
     element_of_shape,
     is_mesh_shape,
-    meets,
     nearest_of_shape,
     neighbour_of,
     shaded,
     shape_contains,
+)
+from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
+from softfinger.proxy.kernels.shapes.mesh.triangle import beyond_edge, closest_on_triangle, shaded_normal
+from softfinger.proxy.kernels.shapes.protocol import (
+    NO_HIT,
+    X_AXIS,
+    any_tangent,
+    closest,
+    closest_or_bound,
+    curvature,
+    meets,
 )
 
 NO_TRIANGLE: Vec3 = (-1.0, -1.0, -1.0)

@@ -156,6 +156,27 @@ def down_slope(mesh: Triangles, begun: Guess, x: Vec3) -> Guess:
     return Guess(number, square, spent)
 
 
+@jit
+def first_guess(
+    whole: Mesh, near: Vec3, x: Vec3, limit: float, known: Vec3, bounds: Any, waiting: Any
+) -> tuple[Guess, int]:
+    """The nearest of the `known` triangles, or where none is known, of `way_down`; of no triangle where none is nearer
+    than `limit`. And the triangle at which it ended, -1 for none."""
+    mesh, number, square, spent, last = whole.row[0], -1, limit * limit, 0, -1
+    for k in known:
+        if 0.0 <= k < mesh.number:  # of several meshes each is told of the others' too
+            last = int(k)
+            foot = foot_on(corners_of(mesh, last), x)
+            spent += 1
+            if foot.square < square:
+                number, square = last, foot.square
+    if last < 0:
+        last, apart, spent = way_down(whole, 0, near, x, square, bounds, waiting, 0)
+        if apart < square:
+            number, square = last, apart
+    return Guess(number, square, spent), last
+
+
 @outlined
 def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough: float) -> Found:
     """The triangle nearest to `x` (3,) m among those nearer than `limit` (m).
@@ -169,22 +190,10 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
     near = brought_near(mesh, x)
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
-    spent, number, square, guess = 0, -1, limit * limit, -1
     most = min(budget, ROOM)
-    for k in known:
-        if 0.0 <= k < mesh.number:  # of several meshes each is told of the others' too
-            guess = int(k)
-            foot = foot_on(corners_of(mesh, guess), x)
-            spent += 1
-            if foot.square < square:
-                number, square = guess, foot.square
-    if guess < 0:
-        guess, apart, asked = way_down(whole, 0, near, x, square, bounds, waiting, 0)
-        spent += asked
-        if guess < 0 and asked == 1:
-            return Found(-1, square, square, spent)
-        if apart < square:
-            number, square = guess, apart
+    (number, square, spent), guess = first_guess(whole, near, x, limit, known, bounds, waiting)
+    if guess < 0 and spent == 1:
+        return Found(-1, square, square, spent)
     best = square if number < 0 else square * (1.0 - SAME)
     top = upward(best)
     firsts[0] = mesh.first[0]

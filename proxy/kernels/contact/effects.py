@@ -1,0 +1,49 @@
+"""The effects of the workspace and of the objects, as a fingertip feels them in a tick, in contact or out of it."""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet
+from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
+from softfinger.proxy.kernels.effects.objects import Touched, apply_objects_effects
+from softfinger.proxy.kernels.model import Finger, FingerState, Probe, Scene, Vec3
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.objects import number_of
+
+
+class Effects(NamedTuple):
+    """Force (3,) N of all effects, what they remember, and 1 where the gap to an object is not known, because the
+    search for its nearest point did not end; else 0."""
+
+    force: Vec3
+    states: Any
+    unknown: float
+
+
+@jit
+def effects_of_tick(
+    scene: Scene,
+    finger: Finger,
+    objects: Any,
+    state: FingerState,
+    active: ActiveSet,
+    probe: Probe,
+    against: Vec3,
+    dt: float,
+) -> Effects:
+    """Those of the workspace and those of the objects; `against` (3,) m/s is the probe's velocity against the object
+    that it touches."""
+    up, in_contact = (0.0, 0.0, 1.0), 0.0 if active.first < 0.0 else 1.0
+    around = Situation(
+        position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None
+    )  # fmt: skip
+    force, states = apply_effects(scene.effects, state.effects[0], around)
+    contact = Situation(
+        position=probe.position, velocity=against, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
+    )  # fmt: skip
+    touched = Touched(
+        number_of(objects, active.first), number_of(objects, active.second), number_of(objects, active.third),
+        active.n1, active.n2, active.n3,
+    )  # fmt: skip
+    more, states_of_objects, unknown = apply_objects_effects(objects, state.effects[1], finger.radius, touched, contact)
+    return Effects(vec3.add(force, more), (states, states_of_objects), unknown)

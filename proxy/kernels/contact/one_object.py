@@ -1,0 +1,199 @@
+"""A tick of contact with the only object of a scene: friction first, and where it lets go the proxy follows.
+
+`objects` are whole; `shapes` are the same objects without friction, effects and texture, for kernels that ask for no
+more (`query.world.all_bare`).
+"""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.carry import carried_direction, carry
+from softfinger.proxy.kernels.contact.detection import Approach
+from softfinger.proxy.kernels.contact.effects import Effects
+from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of, velocity_at
+from softfinger.proxy.kernels.contact.normal import normal_force_of
+from softfinger.proxy.kernels.contact.report import Outcome
+from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
+from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet
+from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
+from softfinger.proxy.kernels.contact.texture import textured, with_texture_friction
+from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
+from softfinger.proxy.kernels.friction.laws import turned
+from softfinger.proxy.kernels.friction.stick_slip import stick_slip
+from softfinger.proxy.kernels.model import (
+    ContactOutcome,
+    ContactState,
+    Finger,
+    FingerState,
+    FrictionInput,
+    FrictionResult,
+    Probe,
+    Vec3,
+)
+from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.objects import number_of, pose_of
+from softfinger.proxy.record import CAUSE_NONE, SLIDING
+
+
+class FrictionAlone(NamedTuple):
+    """What friction makes of the candidate: its result, the contact patch, the unit of its wind-up, and the normal
+    force, N, under which it was asked."""
+
+    result: FrictionResult
+    area: ContactPatch
+    unit: float
+    normal_force: float
+
+
+class RestAlone(NamedTuple):
+    """The proxy (3,) m at rest, what holds it, the same as the texture has it, the normal force there, N, and 1 where
+    the search for its rest had to stop."""
+
+    center: Vec3
+    active: ActiveSet
+    felt: ActiveSet
+    normal_force: float
+    bounded: float
+
+
+@jit
+def friction_alone(
+    finger: Finger, objects: Any, shapes: Any, state: FingerState, probe: Probe, candidate: Approach, dt: float
+) -> FrictionAlone:
+    """Friction and torsion at the candidate."""
+    active, last = candidate.active, state.patches[0]
+    material = with_texture_friction(objects, active, candidate.center)[0].material
+    felt = textured(objects, active, probe.position)
+    moves, since = carry(shapes, 0.0), 0.0 if candidate.began else dt
+    against = velocity_at(finger.form, candidate.against, moves, probe, state.probe, active.n1, since)
+    normal_force = normal_force_of(material.normal, felt.push.first, vec3.dot(against, felt.n1))
+    round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, active.n1)
+    area = contact_patch(finger.patch, round_by, material.compliance, normal_force)
+    unit = winding_unit(material.torsion, area, 1.0)
+    result = stick_slip(
+        turned(material.friction, pose_of(shapes, 0.0).orientation),
+        torsion_under(material.torsion, area),
+        finger.coupling,
+        finger.torque_stiffness,
+        FrictionInput(
+            radius=finger.radius,
+            resolution=finger.position_resolution,
+            dt=dt,
+            mode=candidate.mode,
+            normal=active.n1,
+            deflection=candidate.deflection,
+            deflection_before=candidate.before,
+            rolled_part=candidate.rolled_part,
+            slip_speed=last.slip_speed,
+            slip_deflection=last.slip_deflection,
+            spin=last.spin / unit,
+            twist=candidate.twist,
+            spin_slip_speed=last.spin_slip_speed,
+            spin_slip_angle=last.spin_slip_angle / unit,
+            normal_force=normal_force,
+        ),
+    )
+    return FrictionAlone(result, area, unit, normal_force)
+
+
+@jit
+def rest_alone(
+    finger: Finger,
+    objects: Any,
+    shapes: Any,
+    state: FingerState,
+    probe: Probe,
+    candidate: Approach,
+    result: FrictionResult,
+    dt: float,
+) -> RestAlone:
+    """Where friction lets go the proxy follows, and the normal force is that at its new place."""
+    position = probe.position
+    slips = result.mode == SLIDING or result.deflection != candidate.deflection or candidate.strays
+    center, active, bounded = settle_on_one(
+        shapes, finger.radius, position, candidate.center, result.deflection, candidate.active, slips
+    )
+    felt, moves = textured(objects, active, position), carry(shapes, 0.0)
+    since = 0.0 if candidate.began else dt
+    against = velocity_at(finger.form, candidate.against, moves, probe, state.probe, active.n1, since)
+    normal_force = normal_force_of(shapes[0].material.normal, felt.push.first, vec3.dot(against, felt.n1))
+    return RestAlone(center, active, felt, normal_force, bounded)
+
+
+@jit
+def contact_state(rest: RestAlone, friction: FrictionAlone, position: Vec3, bend: Vec3) -> ContactState:
+    """What the contact remembers."""
+    kept, unit, active = friction.result, friction.unit, rest.active
+    behind = vec3.sub(rest.center, position)
+    return ContactState(
+        body=0.0,
+        normal=active.n1,
+        push=active.push.first,
+        share=1.0,
+        mode=kept.mode,
+        deflection=vec3.sub(behind, vec3.scale(active.push.first, active.n1)),
+        rolled_part=vec3.reject(kept.rolled_part, active.n1),
+        spin=kept.spin * unit,
+        slip_speed=kept.slip_speed,
+        slip_deflection=kept.slip_deflection,
+        spin_slip_speed=kept.spin_slip_speed,
+        spin_slip_angle=kept.spin_slip_angle * unit,
+        bend=bend,
+    )
+
+
+@jit
+def outcome_alone(
+    finger: Finger,
+    shapes: Any,
+    state: FingerState,
+    probe: Probe,
+    candidate: Approach,
+    friction: FrictionAlone,
+    rest: RestAlone,
+    effects: Effects,
+) -> Outcome:
+    """Forces of the only contact, and what becomes of it."""
+    kept, normal, load = friction.result, rest.active.n1, rest.normal_force
+    tangential, moment = vec3.reject(kept.force, normal), kept.moment
+    last_bend = carried_direction(carry(shapes, 0.0), state.patches[0].bend)
+    bent = ResistanceInput(0.0, candidate.active.n1, 1.0, last_bend, candidate.began)
+    bend, bending = resist(finger.patch, shapes, bent, probe, state.probe, friction.area)
+    if friction.normal_force > load:
+        # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
+        ease = load / friction.normal_force
+        tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
+        bending = vec3.scale(ease * ease, bending)
+    pressing = vec3.scale(load, rest.felt.n1)
+    torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    reported = ContactOutcome(
+        object=number_of(shapes, 0.0),
+        point=point_under(finger.form, finger.radius, probe.orientation, rest.center, normal),
+        normal=normal,
+        force=vec3.add(pressing, tangential),
+        mode=kept.mode,
+        spin=kept.spin,
+    )
+    cause = kept.cause if kept.cause != CAUSE_NONE else candidate.cause
+    return Outcome(
+        mode=kept.mode,
+        cause=cause,
+        place=0.0,
+        normal=normal,
+        center=rest.center,
+        shown=rest.center,
+        contacts=(contact_state(rest, friction, probe.position, bend),),
+        reported=(reported,),
+        pressing=pressing,
+        normal_force=load,
+        tangential=tangential,
+        effects=effects.force,
+        effect_states=effects.states,
+        torque=vec3.add(torque, bending),
+        torsion=moment,
+        spin=kept.spin,
+        radius=friction.area.radius,
+        rolled=state.rolled + candidate.theta,
+        stuck=0.0,
+        budget=max(rest.bounded, candidate.bounded, effects.unknown),
+    )
