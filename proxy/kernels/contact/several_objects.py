@@ -56,12 +56,18 @@ def find_candidates(finger: Finger, shapes: Any, state: FingerState, position: V
     if state.mode != FREE:
         center, active = warm_start(shapes, finger.radius, state, position)
         if not has_ended(active):
-            return Candidates(state.center, center, active, BUDGET, False, state, center, stuck)
+            return Candidates(
+                start=state.center, center=center, active=active, budget=BUDGET, began=False, state=state,
+                before=center, stuck=stuck,
+            )  # fmt: skip
         before = center
     # What is met in the tick in which the last contact ended is another one.
     state = separated(state)
     met = detect_among_several(finger, shapes, state, position)
-    return Candidates(met.start, met.center, met.active, met.budget, True, state, before, stuck)
+    return Candidates(
+        start=met.start, center=met.center, active=met.active, budget=met.budget, began=True, state=state,
+        before=before, stuck=stuck,
+    )  # fmt: skip
 
 
 @jit
