@@ -95,32 +95,14 @@ class Daemon:
         self.public: Final = doors.public
         """Endpoints that other machines reach, by the name of their table."""
         self.servo: Final = self.rendering.servo
-        event = self._event
         self._show(scene_name)
-        self.recordings: Final = Recordings(self.rendering, fingers, event)
-        telemetry = Telemetry(self.publisher, self.servo)
-        self.supervisor: Final = Supervisor(self.servo, self.fail, event)
-        doing = Doing(
-            self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
-            self.publisher.reply, event, self.stop, self.fail, self.recordings,
-        )  # fmt: skip
+        self.recordings: Final = Recordings(self.rendering, fingers, self._event)
+        self.supervisor: Final = Supervisor(self.servo, self.fail, self._event)
         self.commands_endpoint: Final = doors.commands
         """Where commands are taken, None where they are off."""
         self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
         """Where Prometheus may look; None: nowhere."""
-        commands = [] if doors.commands is None else [Commands(doors.commands, self.rendering, doing, scene_name)]
-        others: list[Commands | Metrics] = [*commands, *([] if metrics is None else [metrics])]
-        sinks = [telemetry.sink, self.recordings.sink, *sinks, *(service.sink for service in others)]
-        self.services: Final[list[Service]] = [
-            telemetry,
-            self.recordings,
-            Records(self.servo, self.publisher.tap, sinks, self.fail, event),
-            self.supervisor,
-            HotplugWatch(hotplug, event),
-            *others,
-            *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
-            self.rendering,
-        ]
+        self.services: Final = self._services(scene_name, hotplug, metrics, sinks)
         """In the order of their start; the servo comes last, and is the first to be stopped."""
 
     @property
@@ -215,6 +197,31 @@ class Daemon:
         """Publish an event, and record it."""
         self.publisher.event(kind, name, **fields)
         self.recordings.tell(kind, name, fields)
+
+    def _services(
+        self, scene_name: str, hotplug: Hotplug, metrics: Metrics | None, sinks: Sequence[Sink]
+    ) -> list[Service]:
+        telemetry = Telemetry(self.publisher, self.servo)
+        others: list[Commands | Metrics] = []
+        if self.commands_endpoint is not None:
+            doing = Doing(
+                self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
+                self.publisher.reply, self._event, self.stop, self.fail, self.recordings,
+            )  # fmt: skip
+            others.append(Commands(self.commands_endpoint, self.rendering, doing, scene_name))
+        if metrics is not None:
+            others.append(metrics)
+        taking = [telemetry.sink, self.recordings.sink, *sinks, *(service.sink for service in others)]
+        return [
+            telemetry,
+            self.recordings,
+            Records(self.servo, self.publisher.tap, taking, self.fail, self._event),
+            self.supervisor,
+            HotplugWatch(hotplug, self._event),
+            *others,
+            *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
+            self.rendering,
+        ]
 
     def _metrics(self, endpoint: str) -> Metrics:
         from softfinger.server.metrics.counts import Counts, Wire

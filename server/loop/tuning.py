@@ -103,3 +103,19 @@ def _passivity(wanted: schema.Passivity | None) -> Passivity | None:
         return Passivity(0.0)
     given = wanted.damping_max_ns_per_m
     return Passivity(DAMPING_MAX_NS_PER_M if given is None else given)
+
+
+def armed(tuning: Tuning, share: float) -> Tuning:
+    """The tuning whose guards let this share of the force through once their ramp is over: 1, or 0 for none."""
+    return tuning._replace(guards=tuple(guard._replace(armed=share) for guard in tuning.guards))
+
+
+def forceless(tuning: Tuning) -> Tuning:
+    """The tuning with which each guard brings its force to zero along its slew limit."""
+    return tuning._replace(guards=tuple(guard._replace(force_max=0.0, torque_max=0.0) for guard in tuning.guards))
+
+
+def seconds_to_zero(tuning: Tuning) -> float:
+    """How long, s, the guards' slew limits take to bring the largest force and torque to zero."""
+    guards: tuple[Guard, ...] = tuning.guards
+    return max(max(guard.force_max / guard.force_slew, guard.torque_max / guard.torque_slew) for guard in guards)

@@ -16,7 +16,6 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import overridden
 from softfinger.config.schema.pairing import pair
-from softfinger.drivers import registry
 from softfinger.drivers.base import Device
 from softfinger.drivers.simulated.lead import Wanted, lead
 from softfinger.proxy.kernels.model import Vec3
@@ -24,12 +23,12 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
 from softfinger.server.loop import wayout
 from softfinger.server.loop.clock import NS_PER_S
-from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.servo_thread import Loop, Servo
-from softfinger.server.loop.tick import UNMOVED, Tuning
-from softfinger.server.loop.tuning import make_tuning, with_scene
+from softfinger.server.loop.tick import UNMOVED
+from softfinger.server.loop.tuning import armed, forceless, make_tuning, seconds_to_zero, with_scene
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
+from softfinger.server.services.devices import check_replacement, open_devices, tools
 
 PAUSE_TICKS: Final = 3
 """The first begun before may still carry a force, the second is zero, and the third says that it was written."""
@@ -45,23 +44,6 @@ ARM_TICKS: Final = 2
 
 class Replacing(HapticError):
     """What cannot be changed at the moment, since another change is on its way."""
-
-
-def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
-    """The device of each finger; where one cannot be opened, those before it are closed."""
-    devices: tuple[Device, ...] = ()
-    try:
-        for each in pair(scene, rig):
-            devices += (registry.open_device(each.device, rig.servo.rate_hz, each.table),)
-    except BaseException as error:
-        wayout.every(lambda: wayout.close_all(devices), first=error)
-        raise
-    return devices
-
-
-def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
-    """What the device of each finger holds."""
-    return [each.device.tool for each in pair(scene, rig)]
 
 
 class Rendering:
@@ -143,11 +125,15 @@ class Rendering:
                 )
                 self._since = first
                 self._rig, self._scene, self._force, self._due = rig, scene, servo.tuning.guards[0].armed, 0
-                self._tuning = _armed(servo.tuning, 1.0)
+                self._tuning = armed(servo.tuning, 1.0)
             self.advance()
             if self._stopped:  # and did not wait until the devices were open
                 wayout.close_all(servo.devices)
             return first
+
+    def check(self, scene: schema.Scene, rig: schema.Rig) -> None:
+        """Raise ConfigError where these cannot take the place of what runs, as far as it shows before a compile."""
+        check_replacement(scene, rig, self._scene, self._rig)
 
     @property
     def scene(self) -> schema.Scene:
@@ -268,42 +254,16 @@ class Rendering:
 
     def _tune(self) -> int:
         """Hand the tuning over as it is to be now; returns how many ticks had begun without it at the least."""
-        tuning = _forceless(self._tuning) if self._force is None else _armed(self._tuning, self._force)
+        tuning = forceless(self._tuning) if self._force is None else armed(self._tuning, self._force)
         ticks = self.servo.ticks
         self.servo.tune(tuning)
         return ticks
-
-    def check(self, scene: schema.Scene, rig: schema.Rig) -> None:
-        """Raise ConfigError where these cannot take the place of what runs, as far as it shows before a compile."""
-        for each in pair(scene, rig):
-            registry.options(each.device, each.table)
-        now, running = ([finger.name for finger in given.fingers] for given in (scene, self._scene))
-        if now != running and max(len(now), len(running)) > 1:
-            raise ConfigError(
-                f"the fingers of the new scene ({', '.join(now)}) are not those of the running one "
-                f"({', '.join(running)}), whose names telemetry has as long as the process: start another"
-            )
-        for name, new, old in (
-            ("[telemetry]", rig.telemetry, self._rig.telemetry),
-            ("[commands]", rig.commands, self._rig.commands),
-            ("[recording]", rig.recording, self._rig.recording),
-            ("[security]", rig.security, self._rig.security),
-            ("[metrics]", rig.metrics, self._rig.metrics),
-            ("servo.realtime", rig.servo.realtime, self._rig.servo.realtime),
-            ("servo.priority", rig.servo.priority, self._rig.servo.priority),
-            ("servo.cpu", rig.servo.cpu, self._rig.servo.cpu),
-        ):
-            if new != old:
-                raise ConfigError(
-                    f"{name} = {new} of the new rig is not the {old} of the running one: it holds as long as the "
-                    "process: leave it as it is, or start another"
-                )
 
     def _loop(self, scene: schema.Scene, rig: schema.Rig, given: Sequence[Device] = ()) -> Loop:
         """A loop on the devices given, or on the present ones."""
         devices = given or self.servo.devices
         infos = [device.info for device in devices]
-        tuning = _armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.armed))
+        tuning = armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.armed))
         if not given:  # an offset is of a device, and stays with it
             tuning = tuning._replace(offsets=self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
@@ -331,10 +291,7 @@ class Rendering:
             raise SafetyStop(f"nothing was replaced: the servo did not tick {count} times to take the force off")
 
     def _ticks_to_zero(self) -> int:
-        """How many ticks the guards' slew limits take to bring the largest force to zero."""
-        guards: tuple[Guard, ...] = self._tuning.guards
-        seconds = max(max(guard.force_max / guard.force_slew, guard.torque_max / guard.torque_slew) for guard in guards)
-        return math.ceil(seconds * NS_PER_S / self.servo.period_ns) + PAUSE_TICKS
+        return math.ceil(seconds_to_zero(self._tuning) * NS_PER_S / self.servo.period_ns) + PAUSE_TICKS
 
     def pause(self) -> Callable[[], None]:
         """Take the force off, before the process is stopped; call the result to have it fade in anew.
@@ -346,7 +303,7 @@ class Rendering:
             self._end()
             return lambda: None
         self._pauses += 1
-        self.servo.tune(_armed(self._tuning, 0.0))
+        self.servo.tune(armed(self._tuning, 0.0))
         # Where no tick has come yet, the first will find the guard without force.
         if not self._ticked(PAUSE_TICKS, PAUSE_WAIT_S) and self.servo.ticks:
             self._end()
@@ -386,12 +343,3 @@ class Rendering:
         finally:
             if changed:
                 self._handing_over.release()
-
-
-def _armed(tuning: Tuning, armed: float) -> Tuning:
-    return tuning._replace(guards=tuple(guard._replace(armed=armed) for guard in tuning.guards))
-
-
-def _forceless(tuning: Tuning) -> Tuning:
-    """The tuning with which each guard brings its force to zero along its slew limit."""
-    return tuning._replace(guards=tuple(guard._replace(force_max=0.0, torque_max=0.0) for guard in tuning.guards))

@@ -1,0 +1,55 @@
+"""The devices of a scene's fingers: opened, and whether another scene or rig may have them."""
+
+from __future__ import annotations
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.schema.pairing import pair
+from softfinger.drivers import registry
+from softfinger.drivers.base import Device
+from softfinger.server.loop import wayout
+
+
+def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
+    """The device of each finger; where one cannot be opened, those before it are closed."""
+    devices: tuple[Device, ...] = ()
+    try:
+        for each in pair(scene, rig):
+            devices += (registry.open_device(each.device, rig.servo.rate_hz, each.table),)
+    except BaseException as error:
+        wayout.every(lambda: wayout.close_all(devices), first=error)
+        raise
+    return devices
+
+
+def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
+    """What the device of each finger holds."""
+    return [each.device.tool for each in pair(scene, rig)]
+
+
+def check_replacement(scene: schema.Scene, rig: schema.Rig, of_now: schema.Scene, rig_of_now: schema.Rig) -> None:
+    """Raise ConfigError where a scene and a rig cannot take the place of those that run, as far as it shows before a
+    compile."""
+    for each in pair(scene, rig):
+        registry.options(each.device, each.table)
+    now, running = ([finger.name for finger in given.fingers] for given in (scene, of_now))
+    if now != running and max(len(now), len(running)) > 1:
+        raise ConfigError(
+            f"the fingers of the new scene ({', '.join(now)}) are not those of the running one "
+            f"({', '.join(running)}), whose names telemetry has as long as the process: start another"
+        )
+    for name, new, old in (
+        ("[telemetry]", rig.telemetry, rig_of_now.telemetry),
+        ("[commands]", rig.commands, rig_of_now.commands),
+        ("[recording]", rig.recording, rig_of_now.recording),
+        ("[security]", rig.security, rig_of_now.security),
+        ("[metrics]", rig.metrics, rig_of_now.metrics),
+        ("servo.realtime", rig.servo.realtime, rig_of_now.servo.realtime),
+        ("servo.priority", rig.servo.priority, rig_of_now.servo.priority),
+        ("servo.cpu", rig.servo.cpu, rig_of_now.servo.cpu),
+    ):
+        if new != old:
+            raise ConfigError(
+                f"{name} = {new} of the new rig is not the {old} of the running one: it holds as long as the "
+                "process: leave it as it is, or start another"
+            )
