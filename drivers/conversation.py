@@ -34,9 +34,9 @@ from softfinger.drivers.block import Block, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, heard_at
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, poll_fd
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import c_function, jit
-from softfinger.proxy.kernels.native.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 
 TORQUE_MAX_NM: Final = 1e2
 """No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry."""

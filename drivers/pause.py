@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.jit.decorators import jit
 
 RESUME_NS: Final = 30_000_000
 """A pause is longer than three periods of the slowest loop; a hand moves by millimetres in it."""

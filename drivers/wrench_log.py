@@ -21,8 +21,8 @@ from softfinger.config.files import new_file
 from softfinger.drivers.base import OK, WITHHELD
 from softfinger.drivers.block import Block, address, counter, lay_out, word
 from softfinger.drivers.system.libc import IO_SIGNATURE
-from softfinger.proxy.kernels.native.jit import c_function, jit
-from softfinger.proxy.kernels.native.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from softfinger.drivers import registry
 from softfinger.drivers.base import OK, WITHHELD, Device, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block, counter, lay_out, numbers, word
 from softfinger.drivers.system.libc import IO_SIGNATURE
-from softfinger.proxy.kernels.native.jit import c_function
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.decorators import c_function
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.server.cli import main
 
 HOLD_N_PER_M = 3000.0  # how firmly the hand, which is computed here, holds the fingertip

@@ -14,9 +14,9 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import SceneSource, load_scene, overridden
 from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_contacts
+from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
+from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.model import Scene
-from softfinger.proxy.kernels.native.jit import PLAIN, entry
-from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
 from softfinger.proxy.records import Records

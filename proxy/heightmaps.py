@@ -15,7 +15,7 @@ from softfinger.config import limits, schema
 from softfinger.config.arrays.grids import Grid, read_grid
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
 
 RIM: Final = 4
 """Coefficients beyond each side of the map: the one that ends it straight, and three like it."""

@@ -15,8 +15,8 @@ from softfinger.proxy.actions import kernel_effects, kernel_motion
 from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
-from softfinger.proxy.kernels.native.arrays import ReadOnly
-from softfinger.proxy.kernels.native.rows import Rows
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
 from softfinger.proxy.meshes.prepared import Builder, tree_of
 from softfinger.proxy.record import FREE

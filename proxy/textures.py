@@ -20,7 +20,7 @@ from softfinger.config import limits, schema
 from softfinger.config.arrays.grids import Grid, read_grid
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
 
 FREQUENCY_MAX_HZ: Final = limits.FREQUENCY_HZ.high
 """Half of the usual 1 kHz."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from softfinger.config import schema
 from softfinger.config.errors import HapticError, RealtimeError
 from softfinger.drivers import base
-from softfinger.proxy.kernels.native.jit import PLAIN
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.server.loop import realtime, wayout
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES

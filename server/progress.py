@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
-from softfinger.proxy.kernels.native.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.doing import DOING
 
 if TYPE_CHECKING:  # rich takes 50 ms to import, and only a terminal needs it
     from rich.progress import Progress, Task

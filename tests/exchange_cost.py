@@ -44,10 +44,10 @@ from softfinger.drivers.serial.device import SerialDevice
 from softfinger.drivers.spacemouse.device import SpaceMouse
 from softfinger.drivers.spacemouse.puck import Options as PuckOptions
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_fd, write_fd
-from softfinger.proxy.kernels.native.atomics import call_device
-from softfinger.proxy.kernels.native.foreign import call_int32
-from softfinger.proxy.kernels.native.jit import OPTIONS
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.atomics import call_device
+from softfinger.proxy.kernels.jit.decorators import OPTIONS
+from softfinger.proxy.kernels.jit.foreign import call_int32
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.server.driver_contract import RATE_HZ, Servo
 from softfinger.server.loop.clock import now_ns
 from softfinger.server.offline.figures import figure, save

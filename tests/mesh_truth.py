@@ -27,9 +27,9 @@ from references.brute_force import Balls, balls_of, brute_distances
 from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.pack import flatten, packed, unpack
 from softfinger.proxy.kernels.model import Triangles
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.pack import flatten, packed, unpack
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
 from softfinger.proxy.kernels.shapes.mesh.nearest import nearest

@@ -220,7 +220,7 @@ def test_a_driver_of_another_package_is_held_to_the_contract_of_the_wheel(instal
 
 COMPILES = """
 import numpy as np
-from softfinger.proxy.kernels.native.jit import CACHE_DIR
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 from softfinger.server.loop.shared.ring import make_ring, take
 take(make_ring(4, 2), np.empty((1, 2)))
 print(CACHE_DIR.name, len(take.stats.cache_misses))

@@ -21,9 +21,9 @@ from softfinger.config.limits import Range
 from softfinger.config.schema import Rig
 from softfinger.drivers.base import END, HELD, OK, SAMPLE_SIZE, WITHHELD, Device
 from softfinger.drivers.system.libc import IO_SIGNATURE
+from softfinger.proxy.kernels.jit.atomics import call_device, load_acquire, store_release
+from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.atomics import call_device, load_acquire, store_release
-from softfinger.proxy.kernels.native.jit import c_function, entry, jit
 from softfinger.server.loop import realtime, wayout
 from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, period_ns, sleep_until
 from softfinger.server.loop.exchange import put_wrench

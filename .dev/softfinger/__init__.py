@@ -1,1 +1,128 @@
-../../config/package.py
+"""Real-time haptic rendering server: soft-finger contact with rolling and torsion at 1 kHz.
+
+`Engine` renders the contact of a scene, pose by pose, in this process; `run_recording` a whole recording of poses, as
+the daemon would; `Client` talks to a daemon that runs (`softfinger run`); `load_scene` reads a scene;
+`ContactMode` names the modes of contact. The errors that these raise are here, too, below `HapticError`. docs/python.md
+shows how they go together.
+
+>>> import softfinger
+>>> engine = softfinger.Engine("paper-plane")
+>>> engine.step(position=[0.0, 0.0, 0.009], orientation=[1.0, 0.0, 0.0, 0.0]).force.round(6)
+array([0., 0., 1.])
+"""
+
+# Installed, this file is softfinger/__init__.py: docs/decisions/0001-one-import-name.md.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from softfinger.config.errors import (
+        AddressInUse,
+        CommandRefused,
+        ConfigError,
+        DeviceBusy,
+        DeviceError,
+        DeviceLost,
+        DeviceNotFound,
+        DevicePermission,
+        DeviceTimeout,
+        Different,
+        Exhausted,
+        HapticError,
+        RealtimeError,
+        RecordingError,
+        SafetyStop,
+        Unfit,
+    )
+    from softfinger.config.load import load_scene
+    from softfinger.proxy.engine import Engine, PoseError
+    from softfinger.proxy.record import ContactMode
+    from softfinger.proxy.records import NoField
+    from softfinger.server.offline.simulate import run_recording
+    from softfinger.server.remote import Client
+    from softfinger.server.wire.client import NoTelemetry
+    from softfinger.server.wire.control import NoAnswer
+    from softfinger.server.wire.protocol import ProtocolError
+
+    __version__: str
+
+__all__ = [
+    "AddressInUse",
+    "Client",
+    "CommandRefused",
+    "ConfigError",
+    "ContactMode",
+    "DeviceBusy",
+    "DeviceError",
+    "DeviceLost",
+    "DeviceNotFound",
+    "DevicePermission",
+    "DeviceTimeout",
+    "Different",
+    "Engine",
+    "Exhausted",
+    "HapticError",
+    "NoAnswer",
+    "NoField",
+    "NoTelemetry",
+    "PoseError",
+    "ProtocolError",
+    "RealtimeError",
+    "RecordingError",
+    "SafetyStop",
+    "Unfit",
+    "__version__",
+    "load_scene",
+    "run_recording",
+]
+
+_HOMES = {
+    "AddressInUse": "softfinger.config.errors",
+    "Client": "softfinger.server.remote",
+    "CommandRefused": "softfinger.config.errors",
+    "ConfigError": "softfinger.config.errors",
+    "ContactMode": "softfinger.proxy.record",
+    "DeviceBusy": "softfinger.config.errors",
+    "DeviceError": "softfinger.config.errors",
+    "DeviceLost": "softfinger.config.errors",
+    "DeviceNotFound": "softfinger.config.errors",
+    "DevicePermission": "softfinger.config.errors",
+    "DeviceTimeout": "softfinger.config.errors",
+    "Different": "softfinger.config.errors",
+    "Engine": "softfinger.proxy.engine",
+    "Exhausted": "softfinger.config.errors",
+    "HapticError": "softfinger.config.errors",
+    "NoAnswer": "softfinger.server.wire.control",
+    "NoField": "softfinger.proxy.records",
+    "NoTelemetry": "softfinger.server.wire.client",
+    "PoseError": "softfinger.proxy.engine",
+    "ProtocolError": "softfinger.server.wire.protocol",
+    "RealtimeError": "softfinger.config.errors",
+    "RecordingError": "softfinger.config.errors",
+    "SafetyStop": "softfinger.config.errors",
+    "Unfit": "softfinger.config.errors",
+    "load_scene": "softfinger.config.load",
+    "run_recording": "softfinger.server.offline.simulate",
+}
+"""Imported when they are asked for: the compiler alone takes half a second."""
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":  # reading the metadata takes longer than most imports here
+        from importlib.metadata import version
+
+        return version("softfinger")
+    if name not in _HOMES:
+        from softfinger.config.words import near
+
+        hint = near(name, __all__)
+        raise AttributeError(f"module 'softfinger' has no attribute {name!r}{hint}: it offers {', '.join(__all__)}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

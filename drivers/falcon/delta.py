@@ -23,8 +23,8 @@ from __future__ import annotations
 from math import acos, atan, cos, isfinite, nan, pi, sin, sqrt
 from typing import Final
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 
 A: Final = 0.060

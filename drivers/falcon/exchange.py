@@ -27,9 +27,9 @@ from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.reply import command, feed, pose
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, heard_at
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
-from softfinger.proxy.kernels.native.foreign import call_int32
-from softfinger.proxy.kernels.native.jit import c_function, jit
-from softfinger.proxy.kernels.native.memory import exchange_int64, float64_at, int32_at, int64_at, uint8_at
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.foreign import call_int32
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int32_at, int64_at, uint8_at
 
 STATUS_BYTES: Final = 2
 """The serial chip's own, in front of whatever it passes on."""

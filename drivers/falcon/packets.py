@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.jit.decorators import jit
 
 SIZE: Final = 16
 STATE: Final = 13

@@ -10,9 +10,9 @@ from math import nan
 from softfinger.drivers.base import FORCE_OFF, OK, SAMPLE_BUTTONS, SAMPLE_TIME
 from softfinger.drivers.falcon import delta, packets
 from softfinger.drivers.falcon.block import AT
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.numerics import vec3
 
 

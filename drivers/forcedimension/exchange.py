@@ -29,9 +29,9 @@ from softfinger.drivers.base import (
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
-from softfinger.proxy.kernels.native.foreign import call_int32
-from softfinger.proxy.kernels.native.jit import c_function, jit
-from softfinger.proxy.kernels.native.memory import exchange_int64, float64_at, int32_at, int64_at
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.foreign import call_int32
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int32_at, int64_at
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import from_matrix
 

@@ -19,8 +19,8 @@ from math import cos, pi, sin
 from typing import NamedTuple
 
 from softfinger.drivers.hid import options
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import about_x, about_y, about_z, multiply
 

@@ -21,7 +21,7 @@ from softfinger.drivers.hid.link import open_link
 from softfinger.drivers.hid.options import Chain as ChainOptions
 from softfinger.drivers.hid.options import Options, OutputReport
 from softfinger.drivers.hid.pump import Pump
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.pack import flatten
 
 log: Final = logging.getLogger(__name__)
 

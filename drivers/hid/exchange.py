@@ -39,10 +39,10 @@ from softfinger.drivers.hid.reports import (
     encode,
 )
 from softfinger.drivers.system.libc import EAGAIN, ETIMEDOUT, read_now, write_now
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
+from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at, uint8_at
-from softfinger.proxy.kernels.native.pack import flatten, unpack_at
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
 

@@ -13,8 +13,8 @@ from numba import types
 from numpy.typing import NDArray
 
 from softfinger.drivers.hid.options import COMMANDED, SENSED, TYPES, InputReport, OutputReport
-from softfinger.proxy.kernels.native.jit import entry, jit
-from softfinger.proxy.kernels.native.memory import float32_at, float64_at, int64_at, uint8_at
+from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.memory import float32_at, float64_at, int64_at, uint8_at
 
 Array = NDArray[np.float64]
 

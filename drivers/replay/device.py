@@ -28,8 +28,8 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.drivers.wrench_log import LOG, WrenchLog, Written
-from softfinger.proxy.kernels.native.jit import c_function
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.decorators import c_function
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
 
 class Words(NamedTuple):

@@ -15,7 +15,7 @@ from softfinger.drivers.serial import exchange, frames
 from softfinger.drivers.serial.exchange import AT
 from softfinger.drivers.serial.options import Options
 from softfinger.drivers.serial.port import close_port, open_port
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.pack import flatten
 
 log: Final = logging.getLogger(__name__)
 

@@ -17,9 +17,9 @@ from typing import Any, Final
 
 from numba import types
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.memory import uint8_at
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.memory import uint8_at
 
 FRAME_BYTES: Final = 64
 NEWLINE: Final = 10

@@ -13,7 +13,7 @@ through zero twice within a substep, half a time constant of the fastest mode, w
 from math import copysign, exp, log
 from typing import Final, NamedTuple
 
-from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 EVENTS: Final = 64
 """Most pieces of a tick that end early; what is left then moves as one. Few ticks have more than two."""

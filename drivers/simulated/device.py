@@ -45,11 +45,11 @@ from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.drivers.spacemouse.device import Puck, follow, mask, place, setup_of
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.drivers.wrench_log import LOG, ROW_BYTES, WrenchLog, Written
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack, unpack_at
+from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import c_function, jit
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at
-from softfinger.proxy.kernels.native.pack import flatten, pack, unpack, unpack_at
-from softfinger.proxy.kernels.native.seqlock import Slot
 
 # No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry.
 TORQUE_MAX_NM: Final = 1e2

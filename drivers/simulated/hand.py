@@ -10,10 +10,10 @@ from math import exp
 from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.drivers.block import Block, lay_out, numbers, word
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.seqlock import Slot, publish, refresh
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at
-from softfinger.proxy.kernels.native.seqlock import Slot, publish, refresh
 from softfinger.proxy.kernels.numerics import rotations, vec3
 
 SPEED_MAX_M_PER_S: Final = 0.3

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.axis import Axis, Inputs, move
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 
 Array = NDArray[np.float64]

@@ -41,10 +41,10 @@ from softfinger.drivers.system.libc import (
     read_now,
 )
 from softfinger.drivers.wrench_log import LOG, WrenchLog, Written
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
+from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import c_function, jit
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at, uint8_at
-from softfinger.proxy.kernels.native.pack import flatten, unpack_at
 
 # Places in the state.
 POSITION: Final = 0

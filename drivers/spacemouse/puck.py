@@ -11,8 +11,8 @@ from typing import Annotated, Any, Final, NamedTuple
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
 from softfinger.drivers.base import OK, PROTOCOL, STALE
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import exp, multiply, normalize
 

@@ -6,8 +6,8 @@ from typing import Any, Final
 
 from numba import types
 
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.memory import int64_at
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.memory import int64_at
 
 _CPointer: Any = types.CPointer
 IO_SIGNATURE: Final[Any] = types.int64(types.int64, _CPointer(types.float64))

@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import Pose
-from softfinger.proxy.kernels.native.dispatch import by_count
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics.rotations import normalize
 from softfinger.proxy.kernels.record_writer import write_contact
 from softfinger.proxy.record import AT

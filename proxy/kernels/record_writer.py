@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import NO_OUTCOME, Contact, ContactOutcome, Quaternion, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_count
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.record import AT
 
 

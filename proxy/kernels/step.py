@@ -14,9 +14,9 @@ from softfinger.proxy.kernels.contact.report import remember, remember_free, rep
 from softfinger.proxy.kernels.contact.rest.active_set import NONE, one_constraint
 from softfinger.proxy.kernels.contact.rest.among import settle_among_several
 from softfinger.proxy.kernels.contact.several_objects import find_candidates, outcome_among_several
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_count
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET

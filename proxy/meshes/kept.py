@@ -21,8 +21,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.jit import CACHE_DIR
-from softfinger.proxy.kernels.native.kept import Folder, Unsound
+from softfinger.proxy.kernels.jit.cache import Folder, Unsound
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 
 MAGIC: Final = b"softfinger mesh 1\n"
 HEAD_MAX: Final = 1 << 20

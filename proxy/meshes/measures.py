@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics.vec3 import cross, dot, sub
 
 Numbers = NDArray[np.float64]

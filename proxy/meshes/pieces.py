@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 
 Rows = NDArray[Any]
 Numbers = NDArray[np.int32]

@@ -19,8 +19,8 @@ import numpy as np
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.kernels.native.jit import SOURCE_HASH
-from softfinger.proxy.kernels.native.kept import Folder
+from softfinger.proxy.kernels.jit.cache import Folder
+from softfinger.proxy.kernels.jit.decorators import SOURCE_HASH
 from softfinger.proxy.meshes import kept
 from softfinger.proxy.meshes.mending import mend
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices, arrays_of, read_bytes

@@ -22,7 +22,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, load_rig, load_scene
 from softfinger.drivers.simulated.options import Hand, Options, simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
-from softfinger.proxy.kernels.native.pack import packed
+from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.tick import begin

@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.jit.decorators import jit
 
 CLOCK_MONOTONIC: Final = 1
 CLOCK_THREAD_CPUTIME_ID: Final = 3

@@ -19,10 +19,10 @@ from softfinger.drivers.base import (
     TIMEOUT,
     WITHHELD,
 )
+from softfinger.proxy.kernels.jit.atomics import call_device
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.atomics import call_device
-from softfinger.proxy.kernels.native.dispatch import by_count
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.record import AT
 from softfinger.server.loop import wayout
 from softfinger.server.loop.guard import POSE_JUMPED, POSE_REFUSED

@@ -15,8 +15,8 @@ that has zeroed the force (a refused pose, disarming, the driver itself), it com
 from math import inf, isfinite
 from typing import Final, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 
 GUARD_NAMES: Final = (

@@ -8,7 +8,7 @@ A loop that does not come to its next tick cannot say so: that is for a watchdog
 
 from typing import Final, NamedTuple
 
-from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.server.loop.guard import NOT_FINITE, POSE_JUMPED, POSE_REFUSED
 
 NO_POSE: Final = 5

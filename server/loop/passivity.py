@@ -13,9 +13,9 @@ energy following.
 
 from typing import Any, Final, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Pose, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
 from softfinger.proxy.kernels.numerics.tool import Tool

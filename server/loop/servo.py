@@ -13,10 +13,10 @@ from numba import types
 from numpy.typing import NDArray
 
 from softfinger.drivers.base import END
-from softfinger.proxy.kernels.native.atomics import load_acquire, store_release
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.pack import unpack
-from softfinger.proxy.kernels.native.seqlock import Slot, refresh
+from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.pack import unpack
+from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
 from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, sleep_until
 from softfinger.server.loop.exchange import (
     Io,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import Device
-from softfinger.proxy.kernels.native.seqlock import make_slot, publish
+from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import wayout
 from softfinger.server.loop.clock import NS_PER_S, period_ns

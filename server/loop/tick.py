@@ -7,9 +7,9 @@ from math import isfinite
 from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.contact.report import report_free
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
-from softfinger.proxy.kernels.native.dispatch import by_count
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics.rotations import normalize
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
 from softfinger.proxy.kernels.numerics.vec3 import scale

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.drivers import opened
 from softfinger.drivers.base import FORCE_OFF, PROTOCOL, TIMEOUT, Device
-from softfinger.proxy.kernels.native.atomics import call_device
-from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.jit.atomics import call_device
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.server.loop import health
 
 log: Final = logging.getLogger(__name__)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Plant, PlantState, advance, goal_at, sense
-from softfinger.proxy.kernels.native.jit import OPTIONS, entry, jit
-from softfinger.proxy.kernels.native.pack import Packed, pack, packed, unpack
+from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
+from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns

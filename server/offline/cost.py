@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.kernels.contact.fingertip import seen_by
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.pack import Packed, flatten, pack, packed, unpack
+from softfinger.proxy.kernels.jit.tuples import same_for
 from softfinger.proxy.kernels.model import Pose
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.pack import Packed, flatten, pack, packed, unpack
-from softfinger.proxy.kernels.native.tuples import same_for
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import closest_to_within
 from softfinger.proxy.kernels.shapes.budget import BUDGET

@@ -19,8 +19,8 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import check_poses
 from softfinger.proxy.kernels.fingers import rows_of
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.pack import Packed, pack, packed, unpack
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.clock import NS_PER_S, period_ns

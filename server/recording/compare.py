@@ -20,7 +20,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import describe, numbered, overridden
 from softfinger.drivers.base import HELD, WITHHELD, DeviceInfo
-from softfinger.proxy.kernels.native.pack import Packed, flatten, packed
+from softfinger.proxy.kernels.jit.pack import Packed, flatten, packed
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.guard import DISARMED, POSE_FROZEN, POSE_JUMPED, POSE_REFUSED

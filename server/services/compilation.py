@@ -22,8 +22,8 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
-from softfinger.proxy.kernels.native.compiler.doing import DOING
-from softfinger.proxy.kernels.native.jit import KEPT
+from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.decorators import KEPT
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning

@@ -11,7 +11,7 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers import base
-from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.proxy.scene import explain
 from softfinger.server import signals
 from softfinger.server.app import Daemon

@@ -14,7 +14,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene, shipped
 from softfinger.proxy.engine import compiled
-from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.progress import making
 from softfinger.server.services.compilation import compile_loop

@@ -11,9 +11,9 @@ from softfinger.drivers.block import Block, address, counter, lay_out, numbers, 
 from softfinger.drivers.conversation import TALK
 from softfinger.drivers.hid import exchange as hid
 from softfinger.drivers.serial import exchange as serial
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at, uint8_at
-from softfinger.proxy.kernels.native.pack import flatten, unpack_at
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
+from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 
 
 class Front(NamedTuple):

@@ -17,7 +17,7 @@ from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, Saf
 from softfinger.config.load import load_rig
 from softfinger.drivers.base import SAMPLE_SIZE, SAMPLE_TIME, STALE, WITHHELD
 from softfinger.drivers.replay import device as replay
-from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.server.cli import main
 from softfinger.server.loop.guard import Guard
 from softfinger.tools.exchange import (

@@ -18,8 +18,8 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.falcon import delta, exchange, packets, reply
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.device import Options
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.memory import uint8_at
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.memory import uint8_at
 
 
 def packet(motors: tuple[int, int, int], state: int) -> bytes:

@@ -36,8 +36,8 @@ from softfinger.drivers.forcedimension.models import MODELS
 from softfinger.drivers.system.claims import Claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import Attached
-from softfinger.proxy.kernels.native.atomics import call_device
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.atomics import call_device
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
 from softfinger.server.verbs import devices
 

@@ -32,9 +32,9 @@ from softfinger.drivers.hid.device import HidDevice, Options, open_device
 from softfinger.drivers.hid.link import find
 from softfinger.drivers.hid.pump import QUEUE_BYTES
 from softfinger.drivers.system.libc import IO_SIGNATURE, write_fd
-from softfinger.proxy.kernels.native.atomics import call_device
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.memory import uint8_at
+from softfinger.proxy.kernels.jit.atomics import call_device
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.memory import uint8_at
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import RATE_HZ, Servo
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from softfinger.drivers.serial import frames
 from softfinger.drivers.serial.frames import FRAME_BYTES, LOOKBACK, NUMBERS
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 
 # A frame that the maker's program shows as one of its device (haptikfabrikenapi, src/uhaptikfabriken.h).
 PUBLISHED = b" -59.276   13.383 -148.002   0.0919 -1.8483  1.0370 -1.9512 0"

@@ -24,7 +24,7 @@ from softfinger.drivers.simulated.plant import (
     make_plant,
     sense,
 )
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 
 T = 0.001
 STILL = (1.0, 0.0, 0.0, 0.0)

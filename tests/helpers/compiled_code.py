@@ -11,8 +11,8 @@ import numba
 import numpy as np
 
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.jit import OPTIONS
-from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
+from softfinger.proxy.kernels.jit.decorators import OPTIONS
+from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.scene import start_state
 

@@ -34,8 +34,8 @@ def poses_at(points: ArrayLike) -> Array:
 
 def count(method: str, scenes: list[Any]) -> list[Any]:
     from helpers.touching import scene_with
+    from softfinger.proxy.kernels.jit.decorators import PLAIN
     from softfinger.proxy.kernels.model import Pose
-    from softfinger.proxy.kernels.native.jit import PLAIN
     from softfinger.proxy.kernels.shapes.heightmap import nearest, surface, tiles
     from softfinger.proxy.kernels.step import step
     from softfinger.proxy.scene import build_scene, start_state

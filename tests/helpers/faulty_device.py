@@ -26,8 +26,8 @@ from softfinger.drivers.base import (
     DeviceInfo,
     DeviceIO,
 )
-from softfinger.proxy.kernels.native.jit import c_function
-from softfinger.proxy.kernels.native.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.decorators import c_function
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
 Fault = Literal[
     "none", "lost", "timeout", "protocol", "write_lost", "nan", "zero_quaternion", "stall", "far",

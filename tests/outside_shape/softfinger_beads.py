@@ -10,8 +10,8 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 
 from softfinger.config.schema import ObjectBase, add_shape, said
-from softfinger.proxy.kernels.native.arrays import ReadOnly
-from softfinger.proxy.kernels.native.outlined import outlined
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import closest, curvature
 from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics.half_spaces import FACING, displacement, solve_half_spaces
 
 pytestmark = pytest.mark.plain

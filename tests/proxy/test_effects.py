@@ -26,8 +26,8 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import FORCE_CEILING_N, Situation, apply_effects, start_states
-from softfinger.proxy.kernels.native.jit import OPTIONS
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.decorators import OPTIONS
+from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 

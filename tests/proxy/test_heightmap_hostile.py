@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import kernel_heightmap
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import closest_or_bound
 from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, LOOK, gap_within, nearest_from

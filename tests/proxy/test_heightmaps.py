@@ -20,7 +20,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import kernel_heightmap, thinned, tightest
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import curvature
 from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, nearest_from

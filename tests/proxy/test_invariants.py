@@ -13,7 +13,7 @@ from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.query.motion import pose_at
 

@@ -18,17 +18,17 @@ from pathlib import Path
 import numba
 import pytest
 
+from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.jit.cache import MAGIC, Folder, Unsound, kinds_in, make_private
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Plane
-from softfinger.proxy.kernels.native import jit
-from softfinger.proxy.kernels.native.kept import MAGIC, Folder, Unsound, kinds_in, make_private
-from softfinger.proxy.kernels.native.rows import Rows
 
 STRANGER = 54321
 """A user without an entry in passwd."""
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="makes files of other users")
 
 INNER = """
-from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.jit.decorators import jit
 
 FACTOR = 2.0
 
@@ -38,7 +38,7 @@ def scaled(x):
 """
 OUTER = """
 from inner import scaled
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 
 @entry
 def kernel(x):
@@ -50,7 +50,7 @@ ALLOCATES = """
 import sys
 import numpy as np
 from numba import types
-from softfinger.proxy.kernels.native.jit import c_function
+from softfinger.proxy.kernels.jit.decorators import c_function
 
 @c_function(types.int64(types.int64))
 def kernel(n):
@@ -61,7 +61,7 @@ print(kernel.ctypes(1000), kernel.cache_hits, bool(compiler))
 """
 ON_DEMAND = """
 from numba import types
-from softfinger.proxy.kernels.native.jit import c_function
+from softfinger.proxy.kernels.jit.decorators import c_function
 
 @c_function(types.int64(types.int64), on_demand=True)
 def kernel(n):
@@ -167,7 +167,7 @@ def test_what_is_damaged_is_compiled_anew(scripts: Path, tmp_path: Path) -> None
     cache, script = tmp_path / "cache", scripts / "many.py"
     made = [f"@entry\ndef {name}(x):\n    return scaled(x) + 1.0\n" for name in DAMAGED]
     told = [f"print({name}(1.5), sum({name}.stats.cache_hits.values()))" for name in DAMAGED]
-    head = "from inner import scaled\nfrom softfinger.proxy.kernels.native.jit import entry\n"
+    head = "from inner import scaled\nfrom softfinger.proxy.kernels.jit.decorators import entry\n"
     script.write_text("\n".join([head, *made, *told]))
     assert start(script, cache) == ("\n".join(["4.0 0"] * len(DAMAGED)), "")
     kept = {path.name.partition("-")[0]: path for path in kernels(cache)}

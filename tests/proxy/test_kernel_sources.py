@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS
+from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("config", "drivers", "proxy", "server", "tools")
@@ -79,8 +79,8 @@ def test_what_is_not_hashed_is_found(file: str, module: str, seen: bool) -> None
 SHOW = r"""
 import sys
 from pathlib import Path
-from softfinger.proxy.kernels.native.jit import CACHE_DIR
-from softfinger.proxy.kernels.native.kept import sources_of
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
+from softfinger.proxy.kernels.jit.cache import sources_of
 print(CACHE_DIR, *(sources_of(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]), sep="\n")
 """
 

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from softfinger.config import schema
-from softfinger.proxy.kernels.native.kept import Folder
+from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.meshes import kept, prepared
 from softfinger.proxy.meshes.prepared import Builder, about, tree_of
 

@@ -13,7 +13,7 @@ from references.brute_force import balls_of, brute_distances
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.contact.first_pose import GRAZE
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import AT
 

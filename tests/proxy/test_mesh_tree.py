@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.triangles import distances
 
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Mesh, Triangles
-from softfinger.proxy.kernels.native.arrays import ReadOnly
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM, SPENT
 from softfinger.proxy.kernels.shapes.mesh import contact, triangle
 from softfinger.proxy.kernels.shapes.mesh import nearest as query

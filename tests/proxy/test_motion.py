@@ -17,7 +17,7 @@ from references.rotation import matrix
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.jit import OPTIONS
+from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.kernels.query.motion import pose_at
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from numba import types
 
-from softfinger.proxy.kernels.native import jit
-from softfinger.proxy.kernels.native.compiler.numba_internals import SEEN, CFunction, Choice, Inlined, KernelCache, load
-from softfinger.proxy.kernels.native.dispatch import by_count
-from softfinger.proxy.kernels.native.kept import Folder
+from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.jit.cache import Folder
+from softfinger.proxy.kernels.jit.compiler.numba_internals import SEEN, CFunction, Choice, Inlined, KernelCache, load
+from softfinger.proxy.kernels.jit.dispatch import by_count
 
 BY_ITSELF = """
 from numba import njit

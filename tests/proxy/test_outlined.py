@@ -12,14 +12,14 @@ import numba
 import pytest
 from helpers.compiled_code import called_in, functions
 
-from softfinger.proxy.kernels.native import jit, outlined
-from softfinger.proxy.kernels.native.compiler.numba_internals import UNIT, code_of
+from softfinger.proxy.kernels.jit import jit, outlined
+from softfinger.proxy.kernels.jit.compiler.numba_internals import UNIT, code_of
 
 MODULE = """
 from typing import NamedTuple
 
-from softfinger.proxy.kernels.native.jit import entry, jit
-from softfinger.proxy.kernels.native.outlined import outlined
+from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 
 FACTOR = 2.0
 

@@ -26,10 +26,10 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, describe, load_rig
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.native.arrays import ReadOnly
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import OPTIONS
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.decorators import OPTIONS
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes import closest, curvature, is_hollow, transport
 from softfinger.proxy.record import FREE
 from softfinger.server.loop.servo_thread import Servo
@@ -219,7 +219,7 @@ sys.path.insert(0, sys.argv[1])
 import softfinger_{name}
 from softfinger.config.load import load_scene
 from softfinger.proxy.kernels.shapes import closest
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.scene import build_scene
 
 @entry

@@ -17,7 +17,7 @@ import pytest
 from references.rolling_cases import METHODS, RADIUS, SHAPES, pairs, roll_long, touching
 
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.native.jit import PLAIN
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.record import AT
 
 CENTERS = {

@@ -13,8 +13,8 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.jit import OPTIONS, entry
-from softfinger.proxy.kernels.native.pack import flatten, pack, unpack
+from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry
+from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, FREE
 from softfinger.proxy.scene import build_scene, start_state

@@ -14,7 +14,7 @@ from references.surface_points import Array, contacts, ellipsoid_foot, signed_di
 from scipy.optimize import minimize
 
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.shapes import closest, curvature, transport
 
 pytestmark = pytest.mark.plain

@@ -32,7 +32,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import FOLDERS, build, describe, load_scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.contact.texture import sample
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.record import AT, FREE, SLIDING
 from softfinger.proxy.scene import build_scene
 from softfinger.proxy.textures import FREQUENCY_MAX_HZ, bounds, filtered

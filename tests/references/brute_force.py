@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from references.triangles import distances
-from softfinger.proxy.kernels.native.jit import PLAIN, entry, jit
+from softfinger.proxy.kernels.jit.decorators import PLAIN, entry, jit
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import Roll, roll
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import closest
 

@@ -19,8 +19,8 @@ from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated.device import open_device
 from softfinger.drivers.simulated.options import Options, Simulation, simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Handle, Impedance, Intention, at_rest, make_plant
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.pack import Packed, flatten
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.pack import Packed, flatten
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 from softfinger.server import cli

@@ -25,7 +25,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.replay.device import Options as ReplayOptions
 from softfinger.drivers.replay.device import Replay
 from softfinger.drivers.resample import resample
-from softfinger.proxy.kernels.native.pack import packed
+from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, columns
 from softfinger.server import cli
 from softfinger.server.loop import servo_thread as s

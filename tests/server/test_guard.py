@@ -8,7 +8,7 @@ from helpers.examples import examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop import guard as g
 
 DT = 0.001

@@ -2,7 +2,7 @@
 
 import pytest
 
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop import health as h
 from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED, RAMPING
 

@@ -112,7 +112,7 @@ def test_allocating_kernel_does_not_compile() -> None:
     """The options of every kernel leave the allocator out, so a kernel that allocates is refused by the compiler."""
     import numba
 
-    from softfinger.proxy.kernels.native.jit import jit
+    from softfinger.proxy.kernels.jit.decorators import jit
 
     @jit
     def allocates(n: int) -> float:

@@ -12,8 +12,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
+from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.kernels.model import Pose
-from softfinger.proxy.kernels.native.pack import packed
 from softfinger.proxy.kernels.numerics.tool import make_tool, tip_of
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE, ROLLING
 from softfinger.server.loop.guard import Guarded

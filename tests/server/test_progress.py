@@ -17,9 +17,9 @@ import zmq
 from helpers.terminal import Screen, on_terminal
 from numba.core import event
 
-from softfinger.proxy.kernels.native.compiler.numba_internals import KernelCache
-from softfinger.proxy.kernels.native.jit import OPTIONS
-from softfinger.proxy.kernels.native.kept import Folder
+from softfinger.proxy.kernels.jit.cache import Folder
+from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelCache
+from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.server.progress import described
 
 RUN = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]

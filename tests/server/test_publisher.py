@@ -19,7 +19,7 @@ from helpers.telemetry_records import join, put, synthetic
 
 from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig, load_scene
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.shared.broadcast import make_broadcast, make_place, read_rows, write_row

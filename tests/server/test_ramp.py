@@ -7,9 +7,9 @@ from helpers.faulty_device import FaultyDevice, Options
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Scene
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.arrays import ReadOnly
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.pack import flatten, unflatten, unpack
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.pack import flatten, unflatten, unpack
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.scene import build_scene
 from softfinger.server.driver_contract import run_for

@@ -5,8 +5,8 @@ import threading
 import numpy as np
 import pytest
 
-from softfinger.proxy.kernels.native.atomics import load_relaxed, store_relaxed
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.atomics import load_relaxed, store_relaxed
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.shared.ring import make_ring, push, take
 
 WIDTH = 16

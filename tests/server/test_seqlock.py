@@ -7,9 +7,9 @@ import numba
 import numpy as np
 from helpers.compiled_code import functions
 
-from softfinger.proxy.kernels.native.atomics import load_relaxed, store_relaxed
-from softfinger.proxy.kernels.native.jit import OPTIONS, entry
-from softfinger.proxy.kernels.native.seqlock import make_slot, publish, refresh
+from softfinger.proxy.kernels.jit.atomics import load_relaxed, store_relaxed
+from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry
+from softfinger.proxy.kernels.jit.seqlock import make_slot, publish, refresh
 
 READS = 10_000_000
 WIDTH = 64

@@ -25,7 +25,7 @@ from test_hid_emulated import WHY_NOT, beside
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.drivers.spacemouse import device as spacemouse
-from softfinger.proxy.kernels.native.jit import CACHE_DIR
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 from softfinger.server.cli import main
 from softfinger.tools.doctor import report
 from softfinger.tools.doctor.questions import questions

@@ -15,7 +15,7 @@ import zmq
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig
 from softfinger.drivers.system.discovery import Attached
-from softfinger.proxy.kernels.native.kept import Folder
+from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.tools.doctor import attached, loop, machine
 from softfinger.tools.doctor.check import Check
 

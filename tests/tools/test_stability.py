@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.scene import build_scene
 from softfinger.server.cli import main, make_parser
 from softfinger.tools.stability.limit import Case, find_limits, grows_at, wall_and_weight

@@ -14,8 +14,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import entry, jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.server.loop.clock import Stopwatch, now_ns
 from softfinger.tools.accuracy.montana import Coordinates, chart, moved, rolling_rates

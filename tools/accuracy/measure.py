@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, roll
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
 from softfinger.tools.accuracy.cases import (

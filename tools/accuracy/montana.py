@@ -17,9 +17,9 @@ Source: Montana (1988), The Kinematics of Contact and Grasp; Murray, Li, Sastry 
 from math import atan2, cos, hypot, sin
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Cylinder, Ellipsoid, Plane, Quaternion, Sphere, Torus, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 
 Pair = tuple[float, float]

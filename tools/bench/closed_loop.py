@@ -22,8 +22,8 @@ from softfinger.drivers.simulated.plant import (
     at_rest,
     make_plant,
 )
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.pack import Packed, packed, unpack
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.pack import Packed, packed, unpack
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch, thread_cpu_ns
 from softfinger.server.loop.tick import Memory, Tuning, begin
 from softfinger.server.loop.tuning import make_tuning

@@ -14,8 +14,8 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
-from softfinger.proxy.kernels.native.jit import entry
-from softfinger.proxy.kernels.native.pack import flatten, packed, unpack
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.pack import flatten, packed, unpack
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
 from softfinger.proxy.kernels.shapes.mesh.nearest import nearest

@@ -12,7 +12,7 @@ import numpy as np
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene, shipped
 from softfinger.config.schema import Scene
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
 from softfinger.server.offline.cost import BLOCK, Cost, bare, measure, touching_poses, without_parts
 from softfinger.server.offline.figures import figure, save

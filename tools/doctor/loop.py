@@ -14,7 +14,7 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig, Scene
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
-from softfinger.proxy.kernels.native.jit import CACHE_DIR, KEPT
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.server.loop import realtime
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning

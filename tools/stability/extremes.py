@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.load import build
-from softfinger.proxy.kernels.native.pack import packed
+from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
 from softfinger.server.loop.tick import Tuning, begin

@@ -28,6 +28,8 @@ from softfinger.drivers.simulated.plant import (
     make_plant,
     sense,
 )
+from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.pack import flatten, unpack
 from softfinger.proxy.kernels.model import (
     ConstantForce,
     Coupling,
@@ -38,8 +40,6 @@ from softfinger.proxy.kernels.model import (
     Plane,
     Scene,
 )
-from softfinger.proxy.kernels.native.jit import entry, jit
-from softfinger.proxy.kernels.native.pack import flatten, unpack
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.passivity import Passivity

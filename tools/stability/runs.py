@@ -15,7 +15,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.tools.stability.limit import Case, Loop, compile_search, loop_of, run_rows
 from softfinger.tools.stability.predicted import passive_limit
 from softfinger.tools.sweep import run_cases

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.jit import entry
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.guard import DISENGAGED, GUARD_NAMES, NOT_FINITE, Guard, guard_wrench
 
 Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 from numba import literal_unroll
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, pose_values, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.elements import contains, count, element

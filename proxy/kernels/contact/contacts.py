@@ -27,8 +27,8 @@ from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.contact.texture import texture_depth_on
 from softfinger.proxy.kernels.friction.stick_slip import split
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import NO_CONTACT, ContactState, FingerState, FrictionInput, Probe, Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
 from softfinger.proxy.kernels.query.objects import material_of, normal_law_of, transport_on

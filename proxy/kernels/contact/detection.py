@@ -14,6 +14,10 @@ from softfinger.proxy.kernels.contact.first_pose import raised, touched_at_first
 from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, NONE, ActiveSet, one_constraint, pressed
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.outlined import outlined_where
+from softfinger.proxy.kernels.jit.tuples import same_for
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     Finger,
@@ -23,10 +27,6 @@ from softfinger.proxy.kernels.model import (
     Scene,
     Vec3,
 )
-from softfinger.proxy.kernels.native.dispatch import by_count, by_type
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined_where
-from softfinger.proxy.kernels.native.tuples import same_for
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_mesh_or_heightmap

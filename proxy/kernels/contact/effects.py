@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
 from softfinger.proxy.kernels.effects.objects import Touched, apply_objects_effects
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Finger, FingerState, Probe, Scene, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import number_of
 

@@ -7,9 +7,9 @@ geometry.surfaces.grown; then it meets, rests, slides and leaves as a ball of th
 from typing import Any
 
 from softfinger.proxy.kernels.contact.carry import Carry, relative_rotation
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.model import EllipsoidTip, MinkowskiSum, Object, Probe, Quaternion, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_count, by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
 from softfinger.proxy.kernels.shapes.minkowski import support_vector

@@ -8,9 +8,9 @@ it: positive where it leaves. f_N is 0 at no depth, so a touch does not jump, an
 
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import HuntCrossley, LinearNormal, PowerNormal
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 
 
 @by_type

@@ -19,6 +19,7 @@ from softfinger.proxy.kernels.contact.texture import textured, with_texture_fric
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import (
     ContactOutcome,
     ContactState,
@@ -29,7 +30,6 @@ from softfinger.proxy.kernels.model import (
     Probe,
     Vec3,
 )
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import number_of, pose_of
 from softfinger.proxy.record import CAUSE_NONE, SLIDING

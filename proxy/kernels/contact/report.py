@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.detection import STUCK_TICKS
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import same_for
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NO_OUTCOME,
@@ -16,8 +18,6 @@ from softfinger.proxy.kernels.model import (
     Probe,
     Vec3,
 )
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.tuples import same_for
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.objects import number_of
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, FREE

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.carry import carry, relative_rotation
 from softfinger.proxy.kernels.friction.contact_patch import LEAST_SHARE, LIMPEST, ContactPatch
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Probe, RollingLoss, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 
 NOTHING = (-0.0, -0.0, -0.0)

@@ -18,8 +18,8 @@ from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, ActiveSet, 
 from softfinger.proxy.kernels.contact.rest.among import Rest, drawn_after
 from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.contact.wrench import Wrench, outcome_of, wrench_of
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Finger, FingerState, Probe, Scene, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import any_multipoint
 from softfinger.proxy.kernels.query.objects import closest_to_within, deepest

@@ -19,9 +19,9 @@ from numba import literal_unroll
 from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet
 from softfinger.proxy.kernels.friction.laws import scaled
 from softfinger.proxy.kernels.friction.torsion import with_scaled_friction
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.model import Grip, Material, Object, Relief, Texture, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_count, by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.half_spaces import Depths

@@ -9,6 +9,8 @@ from softfinger.proxy.kernels.friction.contact_patch import contact_patch, torsi
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
 from softfinger.proxy.kernels.friction.torsion import share_of
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NO_OUTCOME,
@@ -19,8 +21,6 @@ from softfinger.proxy.kernels.model import (
     Quaternion,
     Vec3,
 )
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined_where
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import has_mesh_or_heightmap
 from softfinger.proxy.kernels.query.objects import material_of, number_of, pose_of

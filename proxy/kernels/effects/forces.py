@@ -12,6 +12,8 @@ Finite input gives finite force, however far out or fast: the products are kept 
 from math import floor, pi, sin
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.model import (
     Anchor,
     BoxBoundary,
@@ -29,8 +31,6 @@ from softfinger.proxy.kernels.model import (
     Vibration,
     Viscosity,
 )
-from softfinger.proxy.kernels.native.dispatch import by_count, by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
 from softfinger.proxy.kernels.numerics.scalars import clamp

@@ -3,8 +3,8 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
+from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.dispatch import by_count
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.elements import element
 from softfinger.proxy.kernels.query.motion import moving_pose

@@ -10,9 +10,9 @@ Assumed: fingertip and object are incompressible and alike in nothing else, the 
 from math import pi, sqrt
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import HertzPatch, LimitSurface, PatchTorsion, PowerPatch, SoftFingerProxy, Torsion
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 
 HERTZ_LEVER = 3.0 * pi / 16.0
 """Mean distance from the centre of Hertz's pressure, over the patch's radius."""

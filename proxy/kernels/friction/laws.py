@@ -11,6 +11,8 @@
 from math import exp, sqrt
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import (
     Anisotropic,
     Friction,
@@ -20,8 +22,6 @@ from softfinger.proxy.kernels.model import (
     Stribeck,
     Vec3,
 )
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, shrink
 

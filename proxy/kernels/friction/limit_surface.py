@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.friction.laws import cut, scales
 from softfinger.proxy.kernels.friction.torsion import torsional_limit, torsional_stiffness
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import FrictionInput, LimitSurface, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, near, shrink
 

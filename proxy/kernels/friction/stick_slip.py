@@ -13,6 +13,8 @@ from softfinger.proxy.kernels.friction.laws import cone, load_size
 from softfinger.proxy.kernels.friction.limit_surface import room, slide
 from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_to_the_letter
 from softfinger.proxy.kernels.friction.torsion import wind
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import (
     Anisotropic,
     Coupling,
@@ -23,8 +25,6 @@ from softfinger.proxy.kernels.model import (
     SpeedFriction,
     Vec3,
 )
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_REVERSE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
 

@@ -8,8 +8,8 @@ Contact breaking is the contact's own, not the paper's f_N = 0.
 from typing import Any
 
 from softfinger.proxy.kernels.friction.torsion import wind
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResult, PaperFriction
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
 

@@ -7,9 +7,9 @@ Positive spin is right-handed about the normal; the moment on the hand opposes i
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import LimitSurface, PatchTorsion, PowerTorsion, SoftFingerProxy, Torsion
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 
 SPIN_SLIP_TIME_CONSTANT_S = 0.010
 """Low-pass of the anchor's slip, as that of the tangential slip."""

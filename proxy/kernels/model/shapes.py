@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
-from softfinger.proxy.kernels.native.arrays import ReadOnly
-from softfinger.proxy.kernels.native.rows import Rows
 
 
 class Plane(NamedTuple):

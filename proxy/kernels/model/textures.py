@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.native.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
 
 
 class Relief(NamedTuple):

@@ -7,8 +7,8 @@ m >= 0 for which they are on the surface; the way back is then along the surface
 
 from math import sqrt
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 
 ITERATIONS = 32

@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Place, Pose, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.numerics import rotations, vec3
 
 

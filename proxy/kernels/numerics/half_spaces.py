@@ -8,8 +8,8 @@ that are not negative. All sets of one to three normals are tried; there are sev
 from math import sqrt
 from typing import NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 
 PARALLEL = 1e-9

@@ -2,8 +2,8 @@
 
 from math import atan2, copysign, cos, hypot, sin, sqrt
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 
 SMALL = 0.1

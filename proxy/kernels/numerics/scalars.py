@@ -1,6 +1,6 @@
 """Numbers: kept within bounds."""
 
-from softfinger.proxy.kernels.native.jit import jit
+from softfinger.proxy.kernels.jit.decorators import jit
 
 
 @jit

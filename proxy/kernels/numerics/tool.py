@@ -9,8 +9,8 @@ device is given: the torque of a long tool is clamped where it acts. Without a t
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
 

@@ -2,8 +2,8 @@
 
 from math import sqrt
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
 
 
 @jit

@@ -12,8 +12,8 @@ other; of rows a loop at run time takes one after the other, so compiling costs 
 
 from typing import Any
 
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.rows import Rows
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.shapes.composite import count_of_shape, element_of_shape, shape_contains
 
 

@@ -5,11 +5,11 @@ from typing import Any, Final
 
 from numba import literal_unroll
 
+from softfinger.proxy.kernels.jit.cache import kinds_in
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Heightmap, Mesh
-from softfinger.proxy.kernels.native.dispatch import by_type, chosen_by
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.kept import kinds_in
-from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.kernels.query.elements import contains, count
 from softfinger.proxy.kernels.shapes.composite import has_creases, is_mesh_shape
 

@@ -10,9 +10,9 @@ outside, the pose is the one at rest; the rate of a driven object is known to it
 from math import cos, floor, pi, sin
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Driven, Pose, Quaternion, Sinusoid, Turntable, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from numba import literal_unroll
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
 from softfinger.proxy.kernels.query.elements import count

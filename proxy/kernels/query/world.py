@@ -6,10 +6,10 @@ forces, is known here only.
 
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Material, Object, Pose, World
-from softfinger.proxy.kernels.native.dispatch import by_count, by_type
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.rows import Rows
 from softfinger.proxy.kernels.query.elements import element
 from softfinger.proxy.kernels.query.motion import moving_pose, pose_at
 

@@ -10,9 +10,9 @@ towards x, and z. Which face counts is what `normal` says.
 from math import atan2, sqrt
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Cylinder, Plane, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.shapes.protocol import FAN
 
 ENDLESS = 1e300

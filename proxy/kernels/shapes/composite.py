@@ -12,8 +12,8 @@ height map. Every other shape takes the defaults.
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
 from softfinger.proxy.kernels.shapes.protocol import closest
 
 EVERYWHERE = 1e300

@@ -15,8 +15,8 @@ bisects it; the step is that of Hebden (1973) and More (1978) for trust regions,
 
 from math import sqrt
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Ellipsoid, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import (
     any_tangent,

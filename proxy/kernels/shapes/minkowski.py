@@ -19,9 +19,9 @@ The nearest point of the ellipsoid is found to rounding, see `ellipsoid`. Other 
 from math import sqrt
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Cylinder, Ellipsoid, MinkowskiSum, Plane, Quaternion, Sphere, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes.ellipsoid import closest_on_ellipsoid, times
 from softfinger.proxy.kernels.shapes.protocol import X_AXIS, Y_AXIS, Z_AXIS, closest, direction

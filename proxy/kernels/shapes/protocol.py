@@ -37,9 +37,9 @@ of k2.
 from math import sqrt
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Plane, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 
 X_AXIS: Vec3 = (1.0, 0.0, 0.0)

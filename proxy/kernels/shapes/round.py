@@ -1,7 +1,7 @@
 """Sphere, endless cylinder, capsule: all points at one distance from a point, a line, a segment."""
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Capsule, Cylinder, Sphere, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import (
     FAN,

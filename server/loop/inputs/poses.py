@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.drivers.base import OK
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
 from softfinger.server.loop.tick import usable

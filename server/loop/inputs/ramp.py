@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.native.arrays import ReadOnly
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.pack import flatten
-from softfinger.proxy.kernels.native.rows import Rows
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.pack import flatten
+from softfinger.proxy.kernels.jit.rows import Rows
 
 AT_ONCE: Final = 0
 LINEAR: Final = 1

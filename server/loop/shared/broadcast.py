@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.atomics import (
+from softfinger.proxy.kernels.jit.atomics import (
     fence_acquire,
     fence_release,
     load_acquire,
     load_relaxed,
     store_release,
 )
-from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 
 class Broadcast(NamedTuple):

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.atomics import load_acquire, load_relaxed, store_release
-from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 _CACHE_LINE = 8
 """int64 words; producer and consumer write to different cache lines."""

@@ -27,9 +27,9 @@ from numba import types
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.kernels.native.atomics import load_acquire, load_relaxed, store_release
-from softfinger.proxy.kernels.native.jit import entry, jit
-from softfinger.proxy.kernels.native.memory import address_of
+from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
+from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.memory import address_of
 from softfinger.server.closing import Closing
 from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows
 

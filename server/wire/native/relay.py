@@ -18,8 +18,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.atomics import load_acquire, store_release
-from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows, write_row
 from softfinger.server.loop.shared.ring import Feed, make_ring, take

@@ -8,8 +8,8 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.memory import address_of
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.memory import address_of
 
 _POLLIN: Final = 1
 

@@ -14,7 +14,7 @@ from softfinger.config.load import describe, load_rig, load_scene, overridden
 from softfinger.drivers.base import HELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
-from softfinger.proxy.kernels.native.pack import packed
+from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, CAUSE_TOUCH, FREE
 from softfinger.server import cli
 from softfinger.server.loop.guard import POSE_REFUSED

@@ -3,8 +3,8 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.normal import spring
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import FACING, Depths
 from softfinger.proxy.kernels.query.objects import closest_to_within, normal_law_of

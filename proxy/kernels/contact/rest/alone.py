@@ -3,8 +3,8 @@
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet, pressed
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Plane, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on

@@ -20,9 +20,9 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
 )
 from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SETTLED, SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, settle_by_planes
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined_where
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import (

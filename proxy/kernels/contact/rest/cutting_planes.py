@@ -14,9 +14,9 @@ never added. (This is sequential convex programming with an inner approximation 
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, NONE, ActiveSet, active_objects, leaves_no_room
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import is_mesh_at

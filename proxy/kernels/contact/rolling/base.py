@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import MinkowskiSum, Quaternion, Vec3
-from softfinger.proxy.kernels.native.dispatch import by_type
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import BUDGET_OF_A_ROLL, closest, closest_from
 from softfinger.proxy.kernels.shapes.minkowski import support_vector

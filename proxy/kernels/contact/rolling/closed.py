@@ -11,8 +11,8 @@ from math import sin
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land, roll
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Cylinder, Plane, Quaternion, RotationVector, Sphere, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import unroll
 

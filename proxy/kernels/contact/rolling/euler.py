@@ -12,8 +12,8 @@ from math import sqrt
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land_from, roll
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import EulerZxz, EulerZyx, Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import ahead, curvature, transport
 

@@ -9,8 +9,8 @@ from typing import Any
 import numba
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, center_velocity, earlier, roll, roll_angle, surface_part
+from softfinger.proxy.kernels.jit.decorators import OPTIONS, jit
 from softfinger.proxy.kernels.model import Midpoint, MontanaRk4, MontanaRk45, Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import OPTIONS, jit
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import BUDGET_OF_A_ROLL, closest_from, transport
 

@@ -5,8 +5,8 @@ from typing import Any
 from numba import literal_unroll
 
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll, roll
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.elements import contains, count, element

@@ -10,8 +10,8 @@ from math import atan, pi, sqrt
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land
 from softfinger.proxy.kernels.contact.rolling.closed import over_cylinder, over_sphere, turning_share
 from softfinger.proxy.kernels.contact.rolling.integrated import integrate
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Capsule, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import transport, unroll
 

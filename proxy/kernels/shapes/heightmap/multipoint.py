@@ -14,9 +14,9 @@ first touch, that of meshes. Where it is used up the proxy stays where it was, o
 
 from typing import Any, Final, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Heightmap, Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.half_spaces import displacement, solve_half_spaces

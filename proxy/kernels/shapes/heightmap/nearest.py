@@ -12,9 +12,9 @@ and what it is put on is outside.
 from math import sqrt
 from typing import Final, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Heightmap, Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.composite import Deepest, nearest_of_shape
 from softfinger.proxy.kernels.shapes.heightmap.surface import (

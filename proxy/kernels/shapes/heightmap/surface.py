@@ -18,9 +18,9 @@ Elsewhere `nearest` finds out whether another foot is nearer.
 from math import sqrt
 from typing import NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Heightmap, Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import (
     Z_AXIS,

@@ -11,8 +11,8 @@ in four tiles round a foot or in one, there is no other foot.
 from math import sqrt
 from typing import Final, NamedTuple
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Heightmap, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.shapes.heightmap.surface import Foot, Place, gradient, held
 
 LEVELS: Final = 24

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.proxy.kernels.native.jit import entry, jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.mesh.lanes import FIELDS, LANES, NODE
 from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction

@@ -7,8 +7,8 @@ now: so the short way of a tick asks nothing, and what is touched at its end is 
 from math import sqrt
 from typing import Any
 
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Facet, Mesh, Object, Vec3
-from softfinger.proxy.kernels.native.jit import jit
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
 from softfinger.proxy.kernels.shapes.budget import ROOM, SPENT, STRIDE

@@ -8,7 +8,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from softfinger.proxy.kernels.native.jit import PLAIN
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.shapes.budget import ROOM
 
 LANES = 8

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.budget import ROOM
 from softfinger.proxy.kernels.shapes.mesh.lanes import (

@@ -44,8 +44,8 @@ from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.serialize import dumps
 from numba.extending import models, register_model, typeof_impl
 
-from softfinger.proxy.kernels.native.compiler.doing import DOING
-from softfinger.proxy.kernels.native.kept import WRITTEN, Folder, kinds_in, sources_of
+from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
+from softfinger.proxy.kernels.jit.compiler.doing import DOING
 
 SEEN: Final = ("0.67", "0.68")
 """Versions of numba in which all of this was seen to work."""

@@ -16,9 +16,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload, typeof_impl
 
-from softfinger.proxy.kernels.native.arrays import ReadOnly, ReadOnlyType, register_address
-from softfinger.proxy.kernels.native.jit import INLINED
-from softfinger.proxy.kernels.native.pack import flatten
+from softfinger.proxy.kernels.jit.arrays import ReadOnly, ReadOnlyType, register_address
+from softfinger.proxy.kernels.jit.decorators import INLINED
+from softfinger.proxy.kernels.jit.pack import flatten
 
 
 class Rows(ReadOnly):

@@ -14,8 +14,8 @@ from numba import types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
-from softfinger.proxy.kernels.native.arrays import ReadOnly, ReadOnlyType
-from softfinger.proxy.kernels.native.jit import PLAIN
+from softfinger.proxy.kernels.jit.arrays import ReadOnly, ReadOnlyType
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 
 
 def flatten(tree: Any) -> np.ndarray:

@@ -21,7 +21,7 @@ from numba.core import cgutils
 from numba.extending import NativeValue, intrinsic, models, overload, register_model, typeof_impl, unbox
 from numpy.typing import ArrayLike, NDArray
 
-from softfinger.proxy.kernels.native.jit import INLINED
+from softfinger.proxy.kernels.jit.decorators import INLINED
 
 KINDS: Final = ("float64", "float32", "int64", "int32")
 

@@ -25,8 +25,9 @@ import llvmlite.binding as llvm
 import numba
 from numba.core import event
 
-from softfinger.proxy.kernels.native.compiler.doing import DOING
-from softfinger.proxy.kernels.native.compiler.numba_internals import (
+from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, Folder
+from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     FOR_KERNELS,
     WITHOUT_ALLOCATOR,
     WITHOUT_WRAPPERS,
@@ -34,7 +35,6 @@ from softfinger.proxy.kernels.native.compiler.numba_internals import (
     Inlined,
     KernelCache,
 )
-from softfinger.proxy.kernels.native.kept import KERNEL_FOLDERS, Folder
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 

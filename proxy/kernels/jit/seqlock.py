@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.native.atomics import (
+from softfinger.proxy.kernels.jit.atomics import (
     fence_acquire,
     fence_release,
     load_acquire,
@@ -19,7 +19,7 @@ from softfinger.proxy.kernels.native.atomics import (
     store_relaxed,
     store_release,
 )
-from softfinger.proxy.kernels.native.jit import entry, jit
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 
 class Slot(NamedTuple):

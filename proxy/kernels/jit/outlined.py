@@ -28,8 +28,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from softfinger.proxy.kernels.native.compiler.numba_internals import Choice, link_unit
-from softfinger.proxy.kernels.native.jit import KEPT, PLAIN, entry, jit
+from softfinger.proxy.kernels.jit.compiler.numba_internals import Choice, link_unit
+from softfinger.proxy.kernels.jit.decorators import KEPT, PLAIN, entry, jit
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 

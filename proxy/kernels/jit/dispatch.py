@@ -12,9 +12,9 @@ from typing import Any, Final
 
 from numba import types
 
-from softfinger.proxy.kernels.native.compiler.numba_internals import Choice
-from softfinger.proxy.kernels.native.jit import jit
-from softfinger.proxy.kernels.native.kept import written_in
+from softfinger.proxy.kernels.jit.cache import written_in
+from softfinger.proxy.kernels.jit.compiler.numba_internals import Choice
+from softfinger.proxy.kernels.jit.decorators import jit
 
 _OTHERS: Final = object()
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.native.dispatch import by_count
+from softfinger.proxy.kernels.jit.dispatch import by_count
 
 
 @by_count
