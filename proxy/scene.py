@@ -128,7 +128,7 @@ def start_state(scene: model.Scene) -> model.State:
         probe=model.Probe(position=model.ZERO, orientation=(1.0, 0.0, 0.0, 0.0), velocity=model.ZERO),
         mode=float(FREE),
         center=model.ZERO,
-        patches=(model.NO_CONTACT,) * patches_of(scene.objects),
+        contacts=(model.NO_CONTACT,) * patches_of(scene.objects),
         rolled=0.0,
         stuck=0.0,
         effects=effects,

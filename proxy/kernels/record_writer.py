@@ -53,35 +53,35 @@ def write_contact(
     row[AT.contact_patch_radius] = contact.patch_radius
     put3(row, AT.contact_patch_normal, contact.patch_normal)
     put3(row, AT.contact_patch_stretch, contact.patch_stretch)
-    write_patches(contact.patches, row)
+    write_each_contact(contact.contacts, row)
     row[AT.contact_budget] = contact.budget
 
 
 @by_count
-def write_patches(patches: Any, row: Any) -> Any:
-    """Fill what a record (RECORD_SIZE,) has of each patch of contact."""
+def write_each_contact(contacts: Any, row: Any) -> Any:
+    """Fill what a record (RECORD_SIZE,) has of each contact."""
 
 
-@write_patches.of(1)
-def write_the_only_patch(patches: Any, row: Any) -> None:
-    write_patch(row, AT.contacts0_object, patches[0])
-    write_patch(row, AT.contacts1_object, NO_OUTCOME)
-    write_patch(row, AT.contacts2_object, NO_OUTCOME)
+@write_each_contact.of(1)
+def write_the_only_contact(contacts: Any, row: Any) -> None:
+    write_outcome(row, AT.contacts0_object, contacts[0])
+    write_outcome(row, AT.contacts1_object, NO_OUTCOME)
+    write_outcome(row, AT.contacts2_object, NO_OUTCOME)
 
 
-@write_patches.of(2)
-def write_three_patches(patches: Any, row: Any) -> None:
-    write_patch(row, AT.contacts0_object, patches[0])
-    write_patch(row, AT.contacts1_object, patches[1])
-    write_patch(row, AT.contacts2_object, patches[2])
+@write_each_contact.of(2)
+def write_three_contacts(contacts: Any, row: Any) -> None:
+    write_outcome(row, AT.contacts0_object, contacts[0])
+    write_outcome(row, AT.contacts1_object, contacts[1])
+    write_outcome(row, AT.contacts2_object, contacts[2])
 
 
 @jit
-def write_patch(row: Any, at: int, patch: ContactOutcome) -> None:
+def write_outcome(row: Any, at: int, outcome: ContactOutcome) -> None:
     """One of them, from column `at` on."""
-    row[at] = patch.object
-    put3(row, at + AT.contacts0_point - AT.contacts0_object, patch.point)
-    put3(row, at + AT.contacts0_normal - AT.contacts0_object, patch.normal)
-    put3(row, at + AT.contacts0_force - AT.contacts0_object, patch.force)
-    row[at + AT.contacts0_mode - AT.contacts0_object] = patch.mode
-    row[at + AT.contacts0_spin - AT.contacts0_object] = patch.spin
+    row[at] = outcome.object
+    put3(row, at + AT.contacts0_point - AT.contacts0_object, outcome.point)
+    put3(row, at + AT.contacts0_normal - AT.contacts0_object, outcome.normal)
+    put3(row, at + AT.contacts0_force - AT.contacts0_object, outcome.force)
+    row[at + AT.contacts0_mode - AT.contacts0_object] = outcome.mode
+    row[at + AT.contacts0_spin - AT.contacts0_object] = outcome.spin

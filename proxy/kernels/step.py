@@ -65,7 +65,7 @@ def step_finger(
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
-    return update_contact(state.patches, seen, scene, finger, state, probe, dt)
+    return update_contact(state.contacts, seen, scene, finger, state, probe, dt)
 
 
 @jit
@@ -80,14 +80,14 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
 
 @by_count
 def update_contact(
-    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> Any:
     """The finger's state and Contact: with one object there is one contact, and the proxy follows it where it slips."""
 
 
 @update_contact.of(1)
 def contact_with_one_object(
-    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     shapes = all_bare(objects)
     state, candidate = detect_or_continue(scene, finger, shapes, state, probe, dt)
@@ -102,7 +102,7 @@ def contact_with_one_object(
 
 @update_contact.of(2)
 def contact_with_several_objects(
-    patches: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     radius, position, shapes = finger.radius, probe.position, all_bare(objects)
     if state.stuck >= STUCK_TICKS and is_clear(shapes, radius, position):

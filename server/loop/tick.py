@@ -140,7 +140,7 @@ def entered(world: World, finger: FingerState, pose: Pose) -> FingerState:
         probe=probe,
         mode=finger.mode,
         center=finger.center,
-        patches=finger.patches,
+        contacts=finger.contacts,
         rolled=finger.rolled,
         stuck=finger.stuck,
         effects=finger.effects,

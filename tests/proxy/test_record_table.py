@@ -34,7 +34,7 @@ def test_step_has_every_field_that_the_contact_fills():
     Step."""
     row = np.full(RECORD_SIZE, np.nan)
     outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
-    outcome = outcome._replace(patches=(NO_OUTCOME,))
+    outcome = outcome._replace(contacts=(NO_OUTCOME,))
     force, orientation = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
     write_contact.py_func(row, 7, 0.001, force, orientation, outcome, force, force)
     filled = {f.name for f in FIELDS if not np.isnan(row[f.at : f.at + f.size]).any()}

@@ -119,7 +119,7 @@ def numbers(kind: Any) -> int:
 def run(given: model.Scene, poses: Array) -> tuple[Array, Array, model.State]:
     """Contacts (ticks, fingers, leaves), world times (ticks,) and the last state, of poses (ticks, fingers, 7)."""
     start = start_state(given)
-    leaves = numbers(model.Contact) - 1 + len(start.fingers[0].patches) * numbers(model.ContactOutcome)
+    leaves = numbers(model.Contact) - 1 + len(start.fingers[0].contacts) * numbers(model.ContactOutcome)
     contacts, times = np.full((*poses.shape[:2], leaves + ROOM), np.nan), np.zeros(len(poses))
     state = flatten(start)
     compiled(given, flatten(given), start, state, np.ascontiguousarray(poses), DT, contacts, times)

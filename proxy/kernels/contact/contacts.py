@@ -1,12 +1,12 @@
-"""The patches of a contact with several objects: handed on from tick to tick, carried, rolled and sheared.
+"""Contacts with several objects at once: handed on from tick to tick, carried, rolled and sheared.
 
-Each object that holds the proxy has a patch of its own, with the share w of the coupling's and the torsional
+Each object that holds the proxy has a contact of its own, with the share w of the coupling's and the torsional
 spring that it has of the load (the elastic normal forces). What one loses of its share another gains, and with the
 share goes what it holds: deflection and wind-up mix as the shares do, so the forces are continuous, and the springs'
 energy does not grow, since it is convex.
 
-e of a patch follows the motion of the proxy without friction y, which is the probe's where nothing is in the way, and
-is as it was where the probe only presses deeper into another wall. The patch is on the skin, and the skin rests there.
+The deflection e of a contact follows the motion of the proxy without friction y, which is the probe's where nothing is
+in the way, and is as it was where the probe only presses deeper into another wall: the skin rests there.
 """
 
 from typing import Any, NamedTuple
@@ -34,11 +34,11 @@ from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
 from softfinger.proxy.kernels.query.objects import material_of, normal_law_of, transport_on
 from softfinger.proxy.record import ROLLING
 
-Patches = tuple[ContactState, ContactState, ContactState]
+Contacts = tuple[ContactState, ContactState, ContactState]
 
 
 class Motion(NamedTuple):
-    """What moves all patches in a tick.
+    """What moves all contacts in a tick.
 
     radius          m     of the fingertip
     form                  None or EllipsoidTip
@@ -51,7 +51,7 @@ class Motion(NamedTuple):
     free     (3,)   m     way of the proxy without friction, less what carried it
     blocked  (3,)   m     way of the probe less that
     farther  (3,)   m     how much farther the proxy went where the normals turned; in neither of the two above
-    touches               a first touch, whose patches stick where it is now: nothing has moved them
+    touches               a first touch, whose contacts stick where it is now: nothing has moved them
     """
 
     radius: float
@@ -78,7 +78,7 @@ class Load(NamedTuple):
 @jit
 def warm_start(objects: Any, radius: float, state: FingerState, probe: Vec3) -> tuple[Vec3, ActiveSet]:
     """The proxy (3,) m of the last tick as its first object carried it, and what held it, pushing as it does now."""
-    one, two, three = state.patches
+    one, two, three = state.contacts
     center = carried_point(carry(objects, one.body), state.center)
     if any_mesh(objects) and not any_creases(objects):
         return center, held_at_anchor(objects, radius, probe, center, (one.body, two.body, three.body))
@@ -91,47 +91,47 @@ def warm_start(objects: Any, radius: float, state: FingerState, probe: Vec3) -> 
 
 
 @jit
-def carried_patch(objects: Any, patch: ContactState) -> ContactState:
-    """The patch where its object has taken it."""
-    if patch.body < 0.0:
-        return patch
-    moved = carry(objects, patch.body)
+def carried_contact(objects: Any, contact: ContactState) -> ContactState:
+    """The contact where its object has taken it."""
+    if contact.body < 0.0:
+        return contact
+    moved = carry(objects, contact.body)
     return ContactState(
-        body=patch.body,
-        normal=carried_direction(moved, patch.normal),
-        push=patch.push,
-        share=patch.share,
-        mode=patch.mode,
-        deflection=carried_direction(moved, patch.deflection),
-        rolled_part=carried_direction(moved, patch.rolled_part),
-        spin=patch.spin,
-        slip_speed=patch.slip_speed,
-        slip_deflection=patch.slip_deflection,
-        spin_slip_speed=patch.spin_slip_speed,
-        spin_slip_angle=patch.spin_slip_angle,
-        bend=carried_direction(moved, patch.bend),
+        body=contact.body,
+        normal=carried_direction(moved, contact.normal),
+        push=contact.push,
+        share=contact.share,
+        mode=contact.mode,
+        deflection=carried_direction(moved, contact.deflection),
+        rolled_part=carried_direction(moved, contact.rolled_part),
+        spin=contact.spin,
+        slip_speed=contact.slip_speed,
+        slip_deflection=contact.slip_deflection,
+        spin_slip_speed=contact.spin_slip_speed,
+        spin_slip_angle=contact.spin_slip_angle,
+        bend=carried_direction(moved, contact.bend),
     )
 
 
 @jit
-def carried_patches(objects: Any, patches: Any) -> Patches:
+def carried_contacts(objects: Any, contacts: Any) -> Contacts:
     return (
-        carried_patch(objects, patches[0]),
-        carried_patch(objects, patches[1]),
-        carried_patch(objects, patches[2]),
+        carried_contact(objects, contacts[0]),
+        carried_contact(objects, contacts[1]),
+        carried_contact(objects, contacts[2]),
     )
 
 
 @jit
-def contact_on(patches: Patches, body: float) -> ContactState:
-    """The patch on that object, or none."""
+def contact_on(contacts: Contacts, body: float) -> ContactState:
+    """The contact on that object, or none."""
     if body >= 0.0:
-        if patches[0].body == body:
-            return patches[0]
-        if patches[1].body == body:
-            return patches[1]
-        if patches[2].body == body:
-            return patches[2]
+        if contacts[0].body == body:
+            return contacts[0]
+        if contacts[1].body == body:
+            return contacts[1]
+        if contacts[2].body == body:
+            return contacts[2]
     return NO_CONTACT
 
 
@@ -158,25 +158,25 @@ def load_share_on(active: ActiveSet, shares: Vec3, body: float) -> float:
 
 
 @jit
-def load_share_lost(active: ActiveSet, shares: Vec3, patch: ContactState) -> float:
-    """How much of its share a patch loses in this tick."""
-    if patch.body < 0.0:
+def load_share_lost(active: ActiveSet, shares: Vec3, contact: ContactState) -> float:
+    """How much of its share a contact loses in this tick."""
+    if contact.body < 0.0:
         return 0.0
-    return max(patch.share - load_share_on(active, shares, patch.body), 0.0)
+    return max(contact.share - load_share_on(active, shares, contact.body), 0.0)
 
 
 @jit
-def largest_loser(patches: Patches, losses: Vec3) -> ContactState:
+def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
     if losses[0] >= losses[1] and losses[0] >= losses[2]:
-        return patches[0]
+        return contacts[0]
     if losses[1] >= losses[2]:
-        return patches[1]
-    return patches[2]
+        return contacts[1]
+    return contacts[2]
 
 
 @jit
 def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float) -> ContactState:
-    """The patch with what `weight`, a share of its own, brings along from another: what lies in its plane, about its
+    """The contact with what `weight`, a share of its own, brings along from another: what lies in its plane, about its
     normal. Wind-up about a stiffer spring is less: the moment is kept, and no energy comes of it."""
     if weight == 0.0:
         return taker
@@ -202,18 +202,18 @@ def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float
 
 @jit
 def handed_over(
-    objects: Any, patches: Patches, losses: Vec3, body: float, normal: Vec3, push: float, share: float
+    objects: Any, contacts: Contacts, losses: Vec3, body: float, normal: Vec3, push: float, share: float
 ) -> ContactState:
-    """The patch on an object with what it keeps of its own, and what comes with the share that it has gained.
+    """The contact on an object with what it keeps of its own, and what comes with the share that it has gained.
 
-    patches, losses   of the last tick, carried; see `load_share_lost`
+    contacts, losses   of the last tick, carried; see `load_share_lost`
     """
     if body < 0.0:
         return NO_CONTACT
-    own = contact_on(patches, body)
+    own = contact_on(contacts, body)
     lost = losses[0] + losses[1] + losses[2]
     keeps = own.body >= 0.0
-    like = own if keeps or lost == 0.0 else largest_loser(patches, losses)
+    like = own if keeps or lost == 0.0 else largest_loser(contacts, losses)
     kept, gained = 0.0, 0.0
     if share > 0.0:
         kept = min(own.share, share) / share
@@ -225,7 +225,7 @@ def handed_over(
     if keeps:
         deflection = vec3.scale(kept, transport_on(objects, body, own.deflection, own.normal, normal))
         rolled_part = vec3.scale(kept, transport_on(objects, body, own.rolled_part, own.normal, normal))
-    patch = ContactState(
+    contact = ContactState(
         body=body,
         normal=normal,
         push=push,
@@ -240,91 +240,91 @@ def handed_over(
         spin_slip_angle=like.spin_slip_angle,
         bend=vec3.scale(kept, own.bend),
     )
-    patch = merged(objects, patch, patches[0], gained * losses[0])
-    patch = merged(objects, patch, patches[1], gained * losses[1])
-    return merged(objects, patch, patches[2], gained * losses[2])
+    contact = merged(objects, contact, contacts[0], gained * losses[0])
+    contact = merged(objects, contact, contacts[1], gained * losses[1])
+    return merged(objects, contact, contacts[2], gained * losses[2])
 
 
 @jit
-def hand_over(objects: Any, patches: Patches, active: ActiveSet) -> Patches:
-    """The patches of this tick, one for each that holds the proxy now, before anything has moved them."""
+def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
+    """The contacts of this tick, one for each that holds the proxy now, before anything has moved them."""
     shares = load_shares(objects, active)
     losses = (
-        load_share_lost(active, shares, patches[0]),
-        load_share_lost(active, shares, patches[1]),
-        load_share_lost(active, shares, patches[2]),
+        load_share_lost(active, shares, contacts[0]),
+        load_share_lost(active, shares, contacts[1]),
+        load_share_lost(active, shares, contacts[2]),
     )
     push = active.push
     return (
-        handed_over(objects, patches, losses, active.first, active.n1, push.first, shares[0]),
-        handed_over(objects, patches, losses, active.second, active.n2, push.second, shares[1]),
-        handed_over(objects, patches, losses, active.third, active.n3, push.third, shares[2]),
+        handed_over(objects, contacts, losses, active.first, active.n1, push.first, shares[0]),
+        handed_over(objects, contacts, losses, active.second, active.n2, push.second, shares[1]),
+        handed_over(objects, contacts, losses, active.third, active.n3, push.third, shares[2]),
     )
 
 
 @jit
-def displaced_by_object(before: Patches, patch: ContactState) -> Vec3:
-    """How far (3,) m the object under a patch pushes the proxy beside the way of the probe in this tick."""
-    return vec3.scale(patch.push - contact_on(before, patch.body).push, patch.normal)
+def displaced_by_object(before: Contacts, contact: ContactState) -> Vec3:
+    """How far (3,) m the object under a contact pushes the proxy beside the way of the probe in this tick."""
+    return vec3.scale(contact.push - contact_on(before, contact.body).push, contact.normal)
 
 
 @jit
-def displaced_by_release(patches: Patches, patch: ContactState) -> Vec3:
+def displaced_by_release(contacts: Contacts, contact: ContactState) -> Vec3:
     """How far (3,) m the proxy comes back because an object has let go of it; 0 where it holds it still."""
-    return vec3.scale(-patch.push if contact_on(patches, patch.body).body < 0.0 else 0.0, patch.normal)
+    return vec3.scale(-contact.push if contact_on(contacts, contact.body).body < 0.0 else 0.0, contact.normal)
 
 
 @jit
-def displaced_by_friction(before: Patches, patches: Patches) -> Vec3:
+def displaced_by_friction(before: Contacts, contacts: Contacts) -> Vec3:
     """What (3,) m the proxy's way in this tick is beside the probe's."""
-    way = vec3.add(displaced_by_object(before, patches[0]), displaced_by_release(patches, before[0]))
-    way = vec3.add(way, vec3.add(displaced_by_object(before, patches[1]), displaced_by_release(patches, before[1])))
-    return vec3.add(way, vec3.add(displaced_by_object(before, patches[2]), displaced_by_release(patches, before[2])))
+    way = vec3.add(displaced_by_object(before, contacts[0]), displaced_by_release(contacts, before[0]))
+    way = vec3.add(way, vec3.add(displaced_by_object(before, contacts[1]), displaced_by_release(contacts, before[1])))
+    return vec3.add(way, vec3.add(displaced_by_object(before, contacts[2]), displaced_by_release(contacts, before[2])))
 
 
 @jit
-def displaced_by_turning_normal(before: Patches, patch: ContactState) -> Vec3:
-    """How far (3,) m the proxy goes because the normal of the object under a patch turned in this tick."""
-    was = contact_on(before, patch.body)
-    return vec3.scale(was.push, vec3.sub(patch.normal, was.normal))
+def displaced_by_turning_normal(before: Contacts, contact: ContactState) -> Vec3:
+    """How far (3,) m the proxy goes because the normal of the object under a contact turned in this tick."""
+    was = contact_on(before, contact.body)
+    return vec3.scale(was.push, vec3.sub(contact.normal, was.normal))
 
 
 @jit
-def farther_than_probe(before: Patches, patches: Patches) -> Vec3:
+def farther_than_probe(before: Contacts, contacts: Contacts) -> Vec3:
     """How much farther (3,) m than the probe, which is deeper, the proxy goes over a curve or an edge."""
     return vec3.add(
-        vec3.add(displaced_by_turning_normal(before, patches[0]), displaced_by_turning_normal(before, patches[1])),
-        displaced_by_turning_normal(before, patches[2]),
+        vec3.add(displaced_by_turning_normal(before, contacts[0]), displaced_by_turning_normal(before, contacts[1])),
+        displaced_by_turning_normal(before, contacts[2]),
     )
 
 
 @jit
-def load_on(objects: Any, patch: ContactState, motion: Motion) -> Load:
-    carried, since = carry(objects, patch.body), 0.0 if motion.touches else motion.dt
+def load_on(objects: Any, contact: ContactState, motion: Motion) -> Load:
+    carried, since = carry(objects, contact.body), 0.0 if motion.touches else motion.dt
     velocity = relative_velocity(carried, motion.probe.velocity, motion.last.position, motion.dt)
-    velocity = velocity_at(motion.form, velocity, carried, motion.probe, motion.last, patch.normal, since)
-    depth, m = texture_depth_on(objects, patch.body, patch.push, patch.normal, motion.probe.position)
-    return Load(normal_force_of(normal_law_of(objects, patch.body), depth, vec3.dot(velocity, m)), m)
+    velocity = velocity_at(motion.form, velocity, carried, motion.probe, motion.last, contact.normal, since)
+    depth, m = texture_depth_on(objects, contact.body, contact.push, contact.normal, motion.probe.position)
+    return Load(normal_force_of(normal_law_of(objects, contact.body), depth, vec3.dot(velocity, m)), m)
 
 
 @jit
 def shear(
-    method: Any, objects: Any, patch: ContactState, motion: Motion, normal_force: float, unit: float
+    method: Any, objects: Any, contact: ContactState, motion: Motion, normal_force: float, unit: float
 ) -> tuple[FrictionInput, float]:
-    """A patch that sticks, as friction is to see it, and how far it rolled, rad: its deflection after what proxy,
+    """A contact that sticks, as friction is to see it, and how far it rolled, rad: its deflection after what proxy,
     object and fingertip did in this tick. `unit` is that of its wind-up.
 
     e <- e - (dy - do) + r theta (a x n), all of it in the tangent plane: y the proxy without friction, o the object
     there. Of the probe's way that the proxy was kept from, only what unwinds e counts: the hand gets no more work from
-    the patch than its spring gives, whatever the others do meanwhile. And where the proxy goes farther than the probe,
-    its way takes back what a roll has wound: a fingertip that is led as it rolls winds nothing. What a drag has wound
-    follows the probe, or a drag while pressed deep, let go while lifted, would give the hand work.
+    the contact than its spring gives, whatever the others do meanwhile. And where the proxy goes farther than the
+    probe, its way takes back what a roll has wound: a fingertip that is led as it rolls winds nothing. What a drag has
+    wound follows the probe, or a drag while pressed deep, let go while lifted, would give the hand work.
     """
-    normal, carried = patch.normal, carry(objects, patch.body)
-    deflection, rolled_part, theta, twist = patch.deflection, patch.rolled_part, 0.0, 0.0
+    normal, carried = contact.normal, carry(objects, contact.body)
+    deflection, rolled_part, theta, twist = contact.deflection, contact.rolled_part, 0.0, 0.0
     if not motion.touches:
         turn = relative_rotation(carried, motion.turn)
-        rolled = roll_flat_on(method, objects, patch.body, motion.radius, normal, turn)
+        rolled = roll_flat_on(method, objects, contact.body, motion.radius, normal, turn)
         rode = vec3.sub(carried_point(carried, motion.center), motion.center)
         way = vec3.reject(vec3.sub(motion.free, rode), normal)
         deflection = vec3.add(vec3.sub(deflection, way), rolled.motion)
@@ -344,17 +344,17 @@ def shear(
         radius=motion.radius,
         resolution=motion.resolution,
         dt=motion.dt,
-        mode=patch.mode,
+        mode=contact.mode,
         normal=normal,
         deflection=deflection,
-        deflection_before=patch.deflection,
+        deflection_before=contact.deflection,
         rolled_part=rolled_part,
-        slip_speed=patch.slip_speed,
-        slip_deflection=patch.slip_deflection,
-        spin=patch.spin / unit,
+        slip_speed=contact.slip_speed,
+        slip_deflection=contact.slip_deflection,
+        spin=contact.spin / unit,
         twist=twist,
-        spin_slip_speed=patch.spin_slip_speed,
-        spin_slip_angle=patch.spin_slip_angle / unit,
+        spin_slip_speed=contact.spin_slip_speed,
+        spin_slip_angle=contact.spin_slip_angle / unit,
         normal_force=normal_force,
     )
     return seen, theta

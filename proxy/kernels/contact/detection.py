@@ -85,20 +85,20 @@ class Approach(NamedTuple):
 
 
 @by_count
-def rest_of(patches: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Any:
+def rest_of(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Any:
     """Where the proxy (3,) m of a contact begins that was met at `met`."""
 
 
 @rest_of.of(1)
 def rest_over_the_probe(
-    patches: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
+    contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
 ) -> Vec3:
     over = vec3.add(position, vec3.scale(active.push.first, active.n1))
     return over if follows_on(objects, active.first, radius, OffsetPoint(met, active.n1), over) else met
 
 
 @rest_of.of(2)
-def rest_where_it_met(patches: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Vec3:
+def rest_where_it_met(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Vec3:
     """Over the probe there may be another object: `settle_among_several` finds its way there."""
     return met
 
@@ -151,7 +151,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     if index >= 0.0:
         gap, point, normal, left = closest_to_within(objects, index, met, left)
         center = vec3.add_scaled(point, radius, normal)
-        together = any_mesh(objects) or (len(state.patches) > 1 and any_creases(objects))
+        together = any_mesh(objects) or (len(state.contacts) > 1 and any_creases(objects))
         if state.started != 0.0 and together:
             center = met  # others are as near, or the way was not searched to the end: on this one it might be inside
         elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE)) and not is_outside(
@@ -171,7 +171,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
         if ended and is_outside(objects, radius, state.center, position, left):
             active, center = nothing, position  # what has just ended, rounded
         else:
-            center = rest_of(state.patches, objects, radius, position, center, active)
+            center = rest_of(state.contacts, objects, radius, position, center, active)
     if not any_moves(objects):
         start = center
     # What a mesh was asked on the way is not counted twice: see `BUDGET`.
@@ -270,7 +270,7 @@ def continue_contact(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
 ) -> Approach:
     """The contact goes with its object and rolls by what the fingertip turned against it."""
-    radius, position, index, last = finger.radius, probe.position, 0.0, state.patches[0]
+    radius, position, index, last = finger.radius, probe.position, 0.0, state.contacts[0]
     carried = carry(objects, index)
     old_normal, moved = carried_direction(carried, last.normal), carried_point(carried, state.center)
     against = relative_velocity(carried, probe.velocity, state.probe.position, dt)
@@ -330,7 +330,7 @@ def separated(state: FingerState) -> FingerState:
         probe=state.probe,
         mode=state.mode,
         center=state.center,
-        patches=same_for(state.patches, NO_CONTACT),
+        contacts=same_for(state.contacts, NO_CONTACT),
         rolled=0.0,
         stuck=0.0,
         effects=state.effects,

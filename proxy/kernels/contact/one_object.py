@@ -61,7 +61,7 @@ def friction_alone(
     finger: Finger, objects: Any, shapes: Any, state: FingerState, probe: Probe, candidate: Approach, dt: float
 ) -> FrictionAlone:
     """Friction and torsion at the candidate."""
-    active, last = candidate.active, state.patches[0]
+    active, last = candidate.active, state.contacts[0]
     material = with_texture_friction(objects, active, candidate.center)[0].material
     felt = textured(objects, active, probe.position)
     moves, since = carry(shapes, 0.0), 0.0 if candidate.began else dt
@@ -156,7 +156,7 @@ def outcome_alone(
     """Forces of the only contact, and what becomes of it."""
     kept, normal, load = friction.result, rest.active.n1, rest.normal_force
     tangential, moment = vec3.reject(kept.force, normal), kept.moment
-    last_bend = carried_direction(carry(shapes, 0.0), state.patches[0].bend)
+    last_bend = carried_direction(carry(shapes, 0.0), state.contacts[0].bend)
     bent = ResistanceInput(0.0, candidate.active.n1, 1.0, last_bend, candidate.began)
     bend, bending = resist(finger.patch, shapes, bent, probe, state.probe, friction.area)
     if friction.normal_force > load:

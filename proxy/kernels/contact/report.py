@@ -75,7 +75,7 @@ def remember(probe: Probe, outcome: Outcome) -> FingerState:
         probe=probe,
         mode=outcome.mode,
         center=outcome.center,
-        patches=outcome.contacts,
+        contacts=outcome.contacts,
         rolled=outcome.rolled,
         stuck=outcome.stuck,
         effects=outcome.effect_states,
@@ -107,7 +107,7 @@ def report(objects: Any, finger: Finger, probe: Probe, outcome: Outcome) -> Cont
         patch_radius=outcome.radius,
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(outcome.contacts[0].deflection, normal)),
-        patches=outcome.reported,
+        contacts=outcome.reported,
         budget=outcome.budget,
     )
 
@@ -120,7 +120,7 @@ def remember_free(state: FingerState, probe: Probe, effect_states: Any, known: b
         probe=probe,
         mode=float(FREE),
         center=probe.position,
-        patches=same_for(state.patches, NO_CONTACT),
+        contacts=same_for(state.contacts, NO_CONTACT),
         rolled=0.0,
         stuck=0.0,
         effects=effect_states,
@@ -153,6 +153,6 @@ def report_free(state: FingerState, probe: Probe, force: Vec3, budget: float) ->
         patch_radius=0.0,
         patch_normal=zero,
         patch_stretch=zero,
-        patches=same_for(state.patches, NO_OUTCOME),
+        contacts=same_for(state.contacts, NO_OUTCOME),
         budget=budget,
     )

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.carry import carry, relative_velocity
 from softfinger.proxy.kernels.contact.contacts import (
     Motion,
-    carried_patches,
+    carried_contacts,
     displaced_by_friction,
     farther_than_probe,
     hand_over,
@@ -131,7 +131,7 @@ def outcome_among_several(
 ) -> Outcome:
     """Friction, rolling and torsion of each contact, and the sum of their forces."""
     state, active, began = candidates.state, rest.active, candidates.began
-    last = carried_patches(shapes, state.patches)
+    last = carried_contacts(shapes, state.contacts)
     held = hand_over(objects, last, active)
     motion = motion_of(finger, state, probe, last, held, began, dt)
     rough = with_texture_friction(objects, active, rest.center)

@@ -1,4 +1,4 @@
-"""The wrench of one of several patches, what becomes of the patch, and what is told of it."""
+"""The wrench of one of several contacts, what becomes of the contact, and what is told of it."""
 
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from softfinger.proxy.record import CAUSE_NONE
 
 
 class Wrench(NamedTuple):
-    """What a patch does to the hand, torque about the fingertip's centre, and what becomes of it.
+    """What a contact does to the hand, torque about the fingertip's centre, and what becomes of it.
 
     after    ContactState
     cause    of its change of mode
@@ -50,36 +50,36 @@ class Wrench(NamedTuple):
 
 
 @outlined_where(has_mesh_or_heightmap)
-def wrench_of(rolling: Any, finger: Finger, objects: Any, patch: ContactState, motion: Motion) -> Wrench:
-    """Friction and torsion of one of several patches: with its own load, its own law, and its share of the springs."""
+def wrench_of(rolling: Any, finger: Finger, objects: Any, contact: ContactState, motion: Motion) -> Wrench:
+    """Friction and torsion of one of several contacts: with its own load, its own law, and its share of the springs."""
     zero = (0.0, 0.0, 0.0)
-    if patch.body < 0.0:
+    if contact.body < 0.0:
         return Wrench(
             after=NO_CONTACT, cause=float(CAUSE_NONE), theta=0.0, spin=0.0,
             normal_force=zero, tangential_force=zero, torque=zero, torsion=0.0, radius=0.0,
         )  # fmt: skip
-    material, share, normal = material_of(objects, patch.body), patch.share, patch.normal
-    load = load_on(objects, patch, motion)
+    material, share, normal = material_of(objects, contact.body), contact.share, contact.normal
+    load = load_on(objects, contact, motion)
     orientation = motion.probe.orientation
     round_by = radius_of_curvature(finger.form, finger.radius, orientation, normal)
     area = contact_patch(finger.patch, round_by, material.compliance, load.size)
     unit = winding_unit(material.torsion, area, share)
-    seen, theta = shear(rolling, objects, patch, motion, load.size, unit)
+    seen, theta = shear(rolling, objects, contact, motion, load.size, unit)
     kept = stick_slip(
-        turned(material.friction, pose_of(objects, patch.body).orientation),
+        turned(material.friction, pose_of(objects, contact.body).orientation),
         torsion_under(share_of(material.torsion, share), area),
         Coupling(share * finger.coupling.stiffness, share * finger.coupling.damping),
         share * finger.torque_stiffness,
         seen,
     )
-    bent = ResistanceInput(patch.body, normal, share, patch.bend, motion.touches)
+    bent = ResistanceInput(contact.body, normal, share, contact.bend, motion.touches)
     bend, bending = resist(finger.patch, objects, bent, motion.probe, motion.last, area)
     pressing = vec3.scale(load.size, load.along)
     torque = torque_of(finger.form, finger.radius, orientation, normal, kept.moment, pressing, kept.force)
     after = ContactState(
-        body=patch.body,
+        body=contact.body,
         normal=normal,
-        push=patch.push,
+        push=contact.push,
         share=share,
         mode=kept.mode,
         deflection=kept.deflection,
@@ -106,15 +106,15 @@ def wrench_of(rolling: Any, finger: Finger, objects: Any, patch: ContactState, m
 
 @jit
 def outcome_of(objects: Any, wrench: Wrench, finger: Finger, orientation: Quaternion, center: Vec3) -> ContactOutcome:
-    """What is told of a patch under the proxy at `center` (3,) m."""
-    patch = wrench.after
-    if patch.body < 0.0:
+    """What is told of a contact under the proxy at `center` (3,) m."""
+    contact = wrench.after
+    if contact.body < 0.0:
         return NO_OUTCOME
     return ContactOutcome(
-        object=number_of(objects, patch.body),
-        point=point_under(finger.form, finger.radius, orientation, center, patch.normal),
-        normal=patch.normal,
+        object=number_of(objects, contact.body),
+        point=point_under(finger.form, finger.radius, orientation, center, contact.normal),
+        normal=contact.normal,
         force=vec3.add(wrench.normal_force, wrench.tangential_force),
-        mode=patch.mode,
+        mode=contact.mode,
         spin=wrench.spin,
     )

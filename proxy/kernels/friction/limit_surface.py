@@ -1,7 +1,7 @@
 """Friction and torsion with one limit or with two: what a slip leaves of deflection and wind-up.
 
 room(torsion, spin, normal_force) -> 1                  share of the static cone that torsion leaves
-slide(torsion, law, stiffness, limit, breaking, patch) -> Slide
+slide(torsion, law, stiffness, limit, breaking, given) -> Slide
 """
 
 from math import sqrt
@@ -41,14 +41,14 @@ def room(torsion: Any, spin: float, normal_force: float) -> Any:
 
 
 @by_type
-def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput) -> Any: ...
+def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput) -> Any: ...
 
 
 @jit
-def slide_alone(law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput) -> Slide:
+def slide_alone(law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput) -> Slide:
     """Tangential slip that torsion has no part in: K |e| at most `limit`."""
-    deflection, slip, length = cut(law, patch.normal, limit / stiffness, breaking, patch.deflection)
-    return Slide(deflection, patch.spin, patch.twist, slip, length)
+    deflection, slip, length = cut(law, given.normal, limit / stiffness, breaking, given.deflection)
+    return Slide(deflection, given.spin, given.twist, slip, length)
 
 
 @room.of(None)
@@ -63,16 +63,16 @@ def room_beside_torsion(torsion: Any, spin: float, normal_force: float) -> float
 
 @slide.of(None)
 def slide_without_torsion(
-    torsion: None, law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput
+    torsion: None, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput
 ) -> Slide:
-    return slide_alone(law, stiffness, limit, breaking, patch)
+    return slide_alone(law, stiffness, limit, breaking, given)
 
 
 @slide.otherwise
 def slide_beside_torsion(
-    torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput
+    torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput
 ) -> Slide:
-    return slide_alone(law, stiffness, limit, breaking, patch)
+    return slide_alone(law, stiffness, limit, breaking, given)
 
 
 @room.of(LimitSurface)
@@ -87,7 +87,7 @@ def room_on_limit_surface(torsion: LimitSurface, spin: float, normal_force: floa
 
 @slide.of(LimitSurface)
 def slide_on_limit_surface(
-    torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, patch: FrictionInput
+    torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput
 ) -> Slide:
     """Bring (K e, k_z phi) back to (f_T / F)^2 + (tau_n / tau_max)^2 <= 1.
 
@@ -98,24 +98,24 @@ def slide_on_limit_surface(
     as a god-object's, Frisoli, Barbagli, Ruffaldi, Salisbury, Bergamasco (2006), who move along a limit curve.
     """
     k_z = torsional_stiffness(torsion.law)
-    longest, widest = limit / stiffness, torsional_limit(torsion.law, patch.normal_force) / k_z
-    spin = patch.spin + patch.twist
+    longest, widest = limit / stiffness, torsional_limit(torsion.law, given.normal_force) / k_z
+    spin = given.spin + given.twist
     if longest <= 0.0 or widest <= 0.0:
         # A flat surface: each has its own limit, one of them none.
-        deflection, slip, length = cut(law, patch.normal, longest, breaking, patch.deflection)
-        return Slide(deflection, patch.spin, patch.twist, slip, length)
+        deflection, slip, length = cut(law, given.normal, longest, breaking, given.deflection)
+        return Slide(deflection, given.spin, given.twist, slip, length)
 
-    d1, d2, s1, s2 = scales(law, patch.normal, patch.deflection, breaking)
+    d1, d2, s1, s2 = scales(law, given.normal, given.deflection, breaking)
     a1, a2 = s1 * longest, s2 * longest
-    y = near((vec3.dot(patch.deflection, d1) / a1, vec3.dot(patch.deflection, d2) / a2, spin / widest))
-    deflection, slip = patch.deflection, 0.0
+    y = near((vec3.dot(given.deflection, d1) / a1, vec3.dot(given.deflection, d2) / a2, spin / widest))
+    deflection, slip = given.deflection, 0.0
     if vec3.dot(y, y) > 1.0:
         energies = longest / widest
         ratio = min(max(energies * energies * stiffness / k_z, 1.0 / WEIGHT_MAX), WEIGHT_MAX)
         weight = (1.0 / (s1 * s1), 1.0 / (s2 * s2), ratio)
         kept = shrink(y, weight, multiplier(y, weight))
         deflection = vec3.add_scaled(vec3.scale(a1 * kept[0], d1), a2 * kept[1], d2)
-        lost, turned = vec3.sub(patch.deflection, deflection), (spin - widest * kept[2]) * k_z * widest / limit
+        lost, turned = vec3.sub(given.deflection, deflection), (spin - widest * kept[2]) * k_z * widest / limit
         slip = sqrt(vec3.dot(lost, lost) + turned * turned)
         spin = widest * kept[2]
     length = sqrt(vec3.dot(deflection, deflection) + k_z / stiffness * spin * spin)

@@ -42,17 +42,17 @@ radius for a load."""
 
 
 @by_type
-def stick_slip(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput) -> Any: ...
+def stick_slip(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput) -> Any: ...
 
 
 @stick_slip.of(None)
 def slide_freely(
-    law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+    law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
     """Without friction the proxy is the foot of the probe: no deflection, no state machine. It still winds."""
     zero = (0.0, 0.0, 0.0)
     wound = wind(
-        torsion, patch.spin, patch.twist, patch.normal_force, patch.spin_slip_speed, patch.spin_slip_angle, patch.dt
+        torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
     )
     return FrictionResult(
         mode=float(SLIDING), cause=float(CAUSE_NONE), deflection=zero, rolled_part=zero, slip_speed=0.0,
@@ -88,7 +88,7 @@ def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
 @jit
 def start_of_sliding(
     law: Any,
-    patch: FrictionInput,
+    given: FrictionInput,
     stiffness: float,
     torque_stiffness: float,
     dragged: Vec3,
@@ -97,9 +97,9 @@ def start_of_sliding(
 ) -> float:
     """CAUSE_DRAG or CAUSE_THETA_MAX where the load leaves the static cone, by which part is more; else CAUSE_NONE."""
     wound = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
-    load = load_size(law, patch.normal, wound)
+    load = load_size(law, given.normal, wound)
     # More than rounding above the cone: a finger at rest on it, as after a slide with mu_d = mu_s, stays at rest.
-    if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * patch.radius:
+    if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * given.radius:
         by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
         return float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)
     return float(CAUSE_NONE)
@@ -119,7 +119,7 @@ def end_of_sliding(slip_speed: float, slip_deflection: float, length: float, res
 
 @jit
 def stick_slip_by_law(
-    law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+    law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
     """Friction with the rolling / sliding machine.
 
@@ -134,45 +134,45 @@ def stick_slip_by_law(
     read literally, which a counter-tilt of a microradian defeats; see docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
-    whole_limit, kinetic_limit = cone(law, patch.normal_force, patch.slip_speed)
-    static_limit = whole_limit * room(torsion, patch.spin + patch.twist, patch.normal_force)
-    mode, cause, deflection, spin, twist = patch.mode, float(CAUSE_NONE), patch.deflection, patch.spin, patch.twist
-    slip_speed, slip_deflection = patch.slip_speed, patch.slip_deflection
-    dragged, rolled_part = split(deflection, patch.rolled_part)
+    whole_limit, kinetic_limit = cone(law, given.normal_force, given.slip_speed)
+    static_limit = whole_limit * room(torsion, given.spin + given.twist, given.normal_force)
+    mode, cause, deflection, spin, twist = given.mode, float(CAUSE_NONE), given.deflection, given.spin, given.twist
+    slip_speed, slip_deflection = given.slip_speed, given.slip_deflection
+    dragged, rolled_part = split(deflection, given.rolled_part)
 
     limit, breaking = -1.0, 0.0
     if mode == ROLLING:
-        cause = start_of_sliding(law, patch, stiffness, torque_stiffness, dragged, rolled_part, static_limit)
+        cause = start_of_sliding(law, given, stiffness, torque_stiffness, dragged, rolled_part, static_limit)
         if cause != CAUSE_NONE:
             mode, limit, breaking = float(SLIDING), whole_limit, 1.0
     else:
         limit = kinetic_limit
 
     if limit >= 0.0:
-        slid = slide(torsion, law, stiffness, limit, breaking, patch)
+        slid = slide(torsion, law, stiffness, limit, breaking, given)
         deflection, spin, twist, length = slid.deflection, slid.spin, slid.twist, slid.length
         rolled_part = (0.0, 0.0, 0.0)
         slips = slid.slip > ROUNDING * length
         if slips or cause != CAUSE_NONE:
             slip_deflection = length
-        speed = slid.slip / patch.dt if patch.dt > 0.0 else 0.0
+        speed = slid.slip / given.dt if given.dt > 0.0 else 0.0
         if cause != CAUSE_NONE:
             slip_speed = speed
         else:
-            slip_speed += (speed - slip_speed) * patch.dt / (SLIP_TIME_CONSTANT_S + patch.dt)
-            end = end_of_sliding(slip_speed, slip_deflection, length, patch.resolution)
-            load = load_size(law, patch.normal, vec3.scale(stiffness, deflection))
+            slip_speed += (speed - slip_speed) * given.dt / (SLIP_TIME_CONSTANT_S + given.dt)
+            end = end_of_sliding(slip_speed, slip_deflection, length, given.resolution)
+            load = load_size(law, given.normal, vec3.scale(stiffness, deflection))
             # With viscous friction a fast slip may hold more than the static cone does: it cannot stick yet.
             if not slips and end != CAUSE_NONE and load <= (1.0 + ROUNDING) * static_limit:
                 mode, slip_speed, cause = float(ROLLING), 0.0, end
 
     force = vec3.scale(stiffness, deflection)
-    if mode == ROLLING and patch.dt > 0.0:
-        change = vec3.sub(deflection, patch.deflection_before)
-        force = vec3.add_scaled(force, coupling.damping / patch.dt, change)
+    if mode == ROLLING and given.dt > 0.0:
+        change = vec3.sub(deflection, given.deflection_before)
+        force = vec3.add_scaled(force, coupling.damping / given.dt, change)
     if mode == ROLLING or breaking != 0.0:
-        force = limit_force(law, patch.normal, force, whole_limit if breaking != 0.0 else static_limit)
-    now = wind(torsion, spin, twist, patch.normal_force, patch.spin_slip_speed, patch.spin_slip_angle, patch.dt)
+        force = limit_force(law, given.normal, force, whole_limit if breaking != 0.0 else static_limit)
+    now = wind(torsion, spin, twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt)
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled_part, slip_speed=slip_speed,
         slip_deflection=slip_deflection, spin=now.spin, spin_slip_speed=now.slip_speed,
@@ -182,27 +182,27 @@ def stick_slip_by_law(
 
 @stick_slip.of(Friction)
 def stick_slip_coulomb(
-    law: Friction, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+    law: Friction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, patch)
+    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, given)
 
 
 @stick_slip.of(SpeedFriction)
 def stick_slip_with_speed(
-    law: SpeedFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+    law: SpeedFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, patch)
+    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, given)
 
 
 @stick_slip.of(Anisotropic)
 def stick_slip_anisotropic(
-    law: Anisotropic, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+    law: Anisotropic, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, patch)
+    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, given)
 
 
 @stick_slip.of(PaperFriction)
 def stick_slip_as_in_the_paper(
-    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    return stick_slip_to_the_letter(law, torsion, coupling, torque_stiffness, patch)
+    return stick_slip_to_the_letter(law, torsion, coupling, torque_stiffness, given)

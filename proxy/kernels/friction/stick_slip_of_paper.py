@@ -1,6 +1,6 @@
 """The paper's rolling / sliding machine, read to the letter. For study: docs/model/friction.md lists what fails.
 
-    react_to_the_letter(law, torsion, coupling, k_tau, patch) -> Reaction
+    stick_slip_to_the_letter(law, torsion, coupling, k_tau, given) -> FrictionResult
 
 Contact breaking is the contact's own, not the paper's f_N = 0.
 """
@@ -19,7 +19,7 @@ ROUNDING = 1e-9
 
 @jit
 def stick_slip_to_the_letter(
-    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, patch: FrictionInput
+    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
     """One tick by the sentences of section 3.2.
 
@@ -34,11 +34,11 @@ def stick_slip_to_the_letter(
     agree with any force, so that a finger that has never rolled can be dragged.
     """
     stiffness = coupling.stiffness
-    static_limit, kinetic_limit = law.static * patch.normal_force, law.kinetic * patch.normal_force
-    mode, cause = patch.mode, float(CAUSE_NONE)
-    deflection, rolled = patch.deflection, patch.rolled_part
+    static_limit, kinetic_limit = law.static * given.normal_force, law.kinetic * given.normal_force
+    mode, cause = given.mode, float(CAUSE_NONE)
+    deflection, rolled = given.deflection, given.rolled_part
     length = vec3.norm(deflection)
-    change = vec3.sub(deflection, patch.deflection_before)
+    change = vec3.sub(deflection, given.deflection_before)
 
     if mode == ROLLING:
         outside = stiffness * length >= static_limit and length > 0.0
@@ -55,10 +55,10 @@ def stick_slip_to_the_letter(
         if length > 0.0:
             deflection = vec3.scale(kinetic_limit / (stiffness * length), deflection)
         force = vec3.scale(stiffness, deflection)
-    elif patch.dt > 0.0:
-        force = vec3.add_scaled(force, coupling.damping / patch.dt, change)
+    elif given.dt > 0.0:
+        force = vec3.add_scaled(force, coupling.damping / given.dt, change)
     now = wind(
-        torsion, patch.spin, patch.twist, patch.normal_force, patch.spin_slip_speed, patch.spin_slip_angle, patch.dt
+        torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
     )
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled, slip_speed=0.0, slip_deflection=0.0,

@@ -97,7 +97,7 @@ class FingerState(NamedTuple):
     probe: Probe
     mode: float
     center: Vec3
-    patches: Any
+    contacts: Any
     rolled: float
     stuck: float
     effects: Any
@@ -212,5 +212,5 @@ class Contact(NamedTuple):
     patch_radius: float
     patch_normal: Vec3
     patch_stretch: Vec3
-    patches: Any
+    contacts: Any
     budget: float
