@@ -26,7 +26,7 @@ from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.records import Records
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.tools.accuracy.reference import roll_path
+from softfinger.tools.accuracy.reference import Hills, normal_and_curvature, roll_path
 from softfinger.tools.measure import show
 
 Array = NDArray[np.float64]
@@ -189,15 +189,24 @@ def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> di
     }
 
 
+def begins(case: Case) -> tuple[Array, Array]:
+    """The point (3,) m of the surface where a path begins, and its normal (3,)."""
+    if isinstance(case.shape, Hills):
+        x, y, _ = case.near
+        point = np.array([x, y, case.shape.height(x, y)])
+        return point, normal_and_curvature(point, case.shape)[0]
+    _, foot, up = closest(case.shape, case.near)
+    return np.array(foot), np.array(up)
+
+
 def led(case: Case, heading: float, ticks: int) -> Led:
     """Down onto the surface, and from there as the fingertip rolls, beginning with that heading, rad."""
-    _, foot, up = closest(case.shape, case.near)
-    normal = np.array(up)
+    foot, normal = begins(case)
     east = np.cross((0.0, 0.0, 1.0), normal)
     east /= np.linalg.norm(east)
     axis = np.cos(heading) * np.cross(normal, east) - np.sin(heading) * east
     t = np.linspace(0.0, 1.0, ticks)
-    begun = np.array(foot) + RADIUS_M * normal
+    begun = foot + RADIUS_M * normal
     points, normals, _ = roll_path(case.shape, RADIUS_M, begun, normal, lambda _: TURN_RAD * axis).at(t)
     down = np.minimum(np.arange(PRESSED) / (0.7 * PRESSED), 1.0)[:, None]
     heights = RADIUS_M + 0.1 * DEPTH_M - 1.1 * DEPTH_M * down

@@ -19,7 +19,7 @@ import llvmlite.binding as llvm
 from softfinger.config.errors import ConfigError
 from softfinger.server.offline.figures import unusable
 from softfinger.server.progress import progress
-from softfinger.tools.accuracy import meshes
+from softfinger.tools.accuracy import meshes, pixels
 from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
 from softfinger.tools.accuracy.front import fronts, orders, recommendations
@@ -79,6 +79,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--meshes", action="store_true", help="instead: how meshes of a ball, a cylinder and a torus come near to them"
     )
+    parser.add_argument(
+        "--heightmap", action="store_true", help="instead: hills as a height map and as a mesh of the same pixels"
+    )
     parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
     add_sweep_options(parser)
     add_output_options(parser)
@@ -88,6 +91,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     if args.meshes:
         return meshes.run(args)
+    if args.heightmap:
+        return pixels.run(args)
     sweep, drift_cases = plan(args)
     if args.figures is not None:
         prepare_figures(args.figures)

@@ -1,0 +1,124 @@
+"""`accuracy --heightmap`: hills from an array of heights, as a height map and as a shaded mesh of the same pixels.
+
+The hills z = A cos(k x) cos(k y) have an equation, so the path of a rolling fingertip on them is known to the eighth
+order. Both objects are led along it, and compared with it, as `accuracy --meshes` does for a ball of triangles.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.proxy.engine import Engine
+from softfinger.server.offline.figures import figure, save
+from softfinger.server.progress import progress
+from softfinger.tools.accuracy.meshes import (
+    HEADINGS_RAD,
+    TICKS,
+    Array,
+    Case,
+    Led,
+    differences,
+    led,
+    saved,
+    scene_of,
+    visit,
+)
+from softfinger.tools.accuracy.reference import Hills
+from softfinger.tools.measure import show
+
+HILLS: Final = Hills(0.004, 0.06)
+"""Their valleys have a radius of 23 mm at the least."""
+SIDE_M: Final = 0.12
+PITCHES_M: Final = (0.004, 0.002, 0.001, 0.0005)
+KINDS: Final = ("heightmap", "mesh")
+MEASURES: Final = ("force_n", "direction_rad", "rolled_m", "wound_m")
+PASSES: Final = 3
+"""Times that the costliest run is repeated; the shortest counts."""
+
+
+def paths(ticks: int) -> list[Led]:
+    case = Case(HILLS, lambda _: (np.empty((0, 3)), np.empty((0, 3), int)), (0.003, 0.002, 0.0))
+    return [led(case, heading, ticks) for heading in HEADINGS_RAD]
+
+
+def heights(pitch: float) -> Array:
+    """Of the pixels (n, n), m: columns along x and rows along y, the origin in the middle."""
+    at = pitch * (np.arange(round(SIDE_M / pitch) + 1) - 0.5 * round(SIDE_M / pitch))
+    x, y = np.meshgrid(at, at)
+    return np.asarray(HILLS.height(x, y))
+
+
+def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
+    """The object of a scene; two triangles for each square of the mesh."""
+    z = heights(pitch)
+    if kind == "heightmap":
+        np.save(folder / "hills.npy", z)
+        return {"shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": pitch, "level_m": 1.0}
+    n = len(z)
+    at = pitch * (np.arange(n) - 0.5 * (n - 1))
+    x, y = np.meshgrid(at, at)
+    number = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    vertices = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+    return {"shape": "mesh", "file": saved(folder, vertices, triangles), "shading": "normals"}
+
+
+def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:
+    """The largest differences from the hills on all paths, and the cost of a tick that rolls, us."""
+    with tempfile.TemporaryDirectory() as folder:
+        thing = table(kind, pitch, Path(folder))
+        smooth, rolls = (Engine(scene_of(thing, sticks)) for sticks in (False, True))
+    found, cost_us = [], []
+    for way in ways:
+        felt = visit(smooth, way)
+        found.append(differences(way, felt, felt, visit(rolls, way)))
+        for _ in range(PASSES):
+            rolls.reset()
+            begun = time.perf_counter()
+            rolls.run(way.poses)
+            cost_us.append(1e6 * (time.perf_counter() - begun) / len(way.poses))
+    largest = {key: max(each[key] for each in found) for key in MEASURES}
+    return {"kind": kind, "pitch_m": pitch, **largest, "tick_us": min(cost_us)}
+
+
+def run(args: argparse.Namespace) -> int:
+    """The verb, with `--json` and `--plot`."""
+    rows: list[dict[str, Any]] = []
+    with progress("hills of pixels", len(KINDS) * len(PITCHES_M)) as done:
+        ways = paths(TICKS)
+        for pitch in PITCHES_M:
+            for kind in KINDS:
+                rows.append(compare(kind, pitch, ways))
+                done(len(rows))
+    show({"rows": rows}, args.json, list(lines(rows)))
+    if args.plot:
+        draw(rows, args.plot)
+    return 0
+
+
+def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    yield "largest differences from the hills; microseconds of a tick that rolls"
+    for row in rows:
+        errors = "  ".join(f"{key} {row[key]:.1e}" for key in MEASURES)
+        yield f"{row['kind']:9} pitch {1e3 * row['pitch_m']:4.1f} mm  {errors}  tick {row['tick_us']:.1f} us"
+
+
+def draw(rows: Sequence[dict[str, Any]], file: Path) -> None:
+    """A panel for each measure: both kinds over the pitch."""
+    drawing = figure(10.0, 3.5)
+    for axes, key in zip(drawing.subplots(1, len(MEASURES), sharex=True), MEASURES, strict=True):
+        for kind in KINDS:
+            found = [row for row in rows if row["kind"] == kind]
+            axes.loglog([1e3 * row["pitch_m"] for row in found], [row[key] for row in found], "o-", label=kind)
+        axes.set_title(key)
+        axes.set_xlabel("pitch, mm")
+        axes.legend(fontsize="x-small")
+    save(drawing, file)
