@@ -18,7 +18,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import MAGIC, Folder, Unsound, kinds_in, make_private
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Plane
@@ -258,7 +258,7 @@ def test_no_home_is_no_reason_not_to_run(monkeypatch: pytest.MonkeyPatch, caplog
         monkeypatch.delenv(name, raising=False)
     with monkeypatch.context() as patch:
         patch.setattr("pwd.getpwuid", lambda uid: {}[uid])
-        assert jit._cache_root() is None
+        assert decorators._cache_root() is None
     problem = Folder(None).problem()
     assert problem is not None and "SOFTFINGER_CACHE_DIR" in problem
     unasked = Folder(None)

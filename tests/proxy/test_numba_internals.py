@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numba import types
 
-from softfinger.proxy.kernels.jit import jit
+from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.compiler.numba_internals import SEEN, CFunction, Choice, Inlined, KernelCache, load
 from softfinger.proxy.kernels.jit.dispatch import by_count
@@ -41,20 +41,20 @@ def test_without_its_runtime_nothing_is_allocated() -> None:
         return float(np.zeros(n)[0])
 
     with pytest.raises(numba.TypingError):
-        numba.njit(**jit.OPTIONS)(allocates)(3)
+        numba.njit(**decorators.OPTIONS)(allocates)(3)
     assert numba.njit(allocates)(3) == 0.0  # as numba has it
 
 
 def test_what_is_forced_inline_is_not_called() -> None:
     """`forceinline`: of a kernel that another calls ten times there is no function left."""
 
-    @jit.jit
+    @decorators.jit
     def long(x: float) -> float:
         for _ in range(100):
             x = x * x + 1.0 / (x + 2.0) if x < 3.0 else np.sqrt(x)
         return x
 
-    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: long(x) + long(x + 1.0) + long(x + 2.0) + long(x * 2.0))
+    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: long(x) + long(x + 1.0) + long(x + 2.0) + long(x * 2.0))
     outermost(1.0)
     (ir,) = outermost.inspect_llvm().values()
     defined = [line for line in ir.splitlines() if line.startswith("define ") and "cpython" not in line]
@@ -65,7 +65,7 @@ def test_what_has_no_wrapper_is_compiled_once_more_for_python() -> None:
     """`CPUDispatcher`: numba by itself calls address 0 and ends the program; a kernel of ours answers."""
     done = subprocess.run([sys.executable, "-c", BY_ITSELF], capture_output=True, check=False)
     assert done.returncode < 0
-    kernel: Any = Inlined(lambda x: 2.0 * x, jit.INLINED, jit.entry)
+    kernel: Any = Inlined(lambda x: 2.0 * x, decorators.INLINED, decorators.entry)
     assert kernel(2.0) == 4.0
 
 
@@ -78,7 +78,7 @@ def test_a_compiled_kernel_goes_to_a_file_and_comes_back(tmp_path: Any) -> None:
     folder = Folder(tmp_path / "kernels")
     found = []
     for _ in range(2):
-        compiled: Any = numba.njit(**jit.OPTIONS)(kernel)
+        compiled: Any = numba.njit(**decorators.OPTIONS)(kernel)
         compiled._cache = KernelCache(kernel, folder)
         found.append(compiled(0.5))
         found.append(sum(compiled.stats.cache_hits.values()))
@@ -113,5 +113,5 @@ def test_a_choice_is_made_while_compiling() -> None:
     def of_more(numbers: Any, factor: float = 2.0) -> float:
         return numbers[0] * factor + total(numbers[1:], factor)
 
-    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: (total((x,)), total((x, x, 1.0), factor=3.0)))
+    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: (total((x,)), total((x, x, 1.0), factor=3.0)))
     assert isinstance(total, Choice) and outermost(5.0) == (10.0, 33.0) == (total((5.0,)), total((5.0, 5.0, 1.0), 3.0))

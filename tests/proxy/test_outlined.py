@@ -12,7 +12,7 @@ import numba
 import pytest
 from helpers.compiled_code import called_in, functions
 
-from softfinger.proxy.kernels.jit import jit, outlined
+from softfinger.proxy.kernels.jit import decorators, outlined
 from softfinger.proxy.kernels.jit.compiler.numba_internals import UNIT, code_of
 
 MODULE = """
@@ -111,7 +111,7 @@ def test_plain_python_gives_the_same(scripts: Path, tmp_path: Path, monkeypatch:
 def test_a_caller_has_a_call_and_not_the_code() -> None:
     """The caller's module names the kernel by its symbol; its code, without an allocator, is a module of its own."""
 
-    @jit.jit
+    @decorators.jit
     def lowest(x: float) -> float:
         return x * x
 
@@ -119,7 +119,7 @@ def test_a_caller_has_a_call_and_not_the_code() -> None:
     def large(x: float) -> float:
         return lowest(x) + 1.0
 
-    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: large(x) * large(x + 1.0))
+    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: large(x) * large(x + 1.0))
     assert outermost(1.0) == 10.0  # whole numbers: exact
     (ir,) = outermost.inspect_llvm().values()
     bodies = functions(ir)
@@ -136,7 +136,7 @@ def test_only_numbers_come_back() -> None:
     def vague(x: float) -> Any:
         return x
 
-    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: vague(x))
+    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: vague(x))
     with pytest.raises(TypeError, match="outlined kernel returns numbers"):
         outermost(1.0)
 
@@ -148,7 +148,7 @@ def test_where_says_for_which_types() -> None:
     def halved(x: float) -> float:
         return x / 2
 
-    outermost: Any = numba.njit(**jit.OPTIONS)(lambda x: halved(x))
+    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: halved(x))
     assert outermost(3.0) == outermost(3) == 1.5
     by_address = [UNIT in code for code in outermost.inspect_llvm().values()]
     assert sorted(by_address) == [False, True]
