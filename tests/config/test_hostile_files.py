@@ -115,7 +115,7 @@ def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -
     """From the command line: one line on stderr, and not a traceback."""
     os.mkfifo(tmp_path / words[-1])
     rig = tmp_path / "rig.toml"
-    rig.write_text(f'[device]\ndriver = "replay"\nrecording = "tap"\n[telemetry]\nendpoint = "tcp://127.0.0.1:*"\n')
+    rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n[telemetry]\nendpoint = "tcp://127.0.0.1:*"\n')
     extra = ["--rig", str(rig), "--realtime", "off"] if words[0] == "run" else []
     done = subprocess.run(
         [sys.executable, "-m", "softfinger.server.cli", *words, *extra],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import signal
 import stat
 import subprocess
@@ -102,9 +103,9 @@ def test_a_page_ends_with_its_daemon() -> None:
 
 
 BROWSER = """#!/bin/sh
-printf '%s\\n' "$@" > {seen}/words.new
-cp -p "${{1#file://}}" {seen}/leads.html
-mv {seen}/words.new {seen}/words
+printf '%s\\n' "$@" > "{seen}/words.new"
+cp -p "${{1#file://}}" "{seen}/leads.html"
+mv "{seen}/words.new" "{seen}/words"
 """
 
 
@@ -114,7 +115,7 @@ def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, mo
     program = tmp_path / "browser"
     program.write_text(BROWSER.format(seen=tmp_path))
     program.chmod(0o755)
-    monkeypatch.setenv("BROWSER", f"{program} %s")
+    monkeypatch.setenv("BROWSER", f"{shlex.quote(str(program))} %s")
     monkeypatch.setenv("DISPLAY", ":0")
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "tap", "--port", "8320"]
     with subprocess.Popen([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process:
@@ -123,7 +124,7 @@ def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, mo
         while not (tmp_path / "words").exists():
             assert process.poll() is None
             time.sleep(0.01)
-        (word,) = (tmp_path / "words").read_text().split()
+        (word,) = (tmp_path / "words").read_text().splitlines()
         file = Path(word.removeprefix("file://"))
         assert urlsplit(address).path.strip("/") not in word
         assert stat.S_IMODE(file.stat().st_mode) == 0o600 and stat.S_IMODE(file.parent.stat().st_mode) == 0o700
