@@ -12,11 +12,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from urllib.error import URLError
 from urllib.parse import urlsplit
-from urllib.request import urlopen
+from urllib.request import url2pathname, urlopen
 
 import pytest
 from helpers.browser import browser, eventually, shown, why_none
@@ -104,7 +104,6 @@ def test_a_page_ends_with_its_daemon() -> None:
 
 BROWSER = """#!/bin/sh
 printf '%s\\n' "$@" > "{seen}/words.new"
-cp -p "${{1#file://}}" "{seen}/leads.html"
 mv "{seen}/words.new" "{seen}/words"
 """
 
@@ -118,17 +117,21 @@ def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, mo
     monkeypatch.setenv("BROWSER", f"{shlex.quote(str(program))} %s")
     monkeypatch.setenv("DISPLAY", ":0")
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "tap", "--port", "8320"]
-    with subprocess.Popen([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process:
+    with (
+        subprocess.Popen([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process,
+        ExitStack() as failing,
+    ):
+        failing.callback(process.kill)
         assert process.stdout is not None
         address = process.stdout.readline().strip()
         while not (tmp_path / "words").exists():
             assert process.poll() is None
             time.sleep(0.01)
         (word,) = (tmp_path / "words").read_text().splitlines()
-        file = Path(word.removeprefix("file://"))
+        file = Path(url2pathname(urlsplit(word).path))
         assert urlsplit(address).path.strip("/") not in word
         assert stat.S_IMODE(file.stat().st_mode) == 0o600 and stat.S_IMODE(file.parent.stat().st_mode) == 0o700
-        assert address in (tmp_path / "leads.html").read_text()
+        assert address in file.read_text()
         process.send_signal(signal.SIGINT)
         process.wait()
         assert not file.exists()
