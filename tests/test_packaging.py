@@ -31,8 +31,8 @@ KERNEL_IMPORTS = ("collections.abc", "llvmlite", "math", "numba", "numpy", "typi
 KERNEL_OWN_IMPORTS = ("softfinger.proxy.kernels", "softfinger.proxy.record")
 # At import, or inside numba's typing; never in a tick.
 KERNEL_STANDARD_LIBRARY = {
-    "jit.py": {"gc", "hashlib", "os", "pathlib", "sys"},
-    "kept.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
+    "decorators.py": {"gc", "hashlib", "os", "pathlib", "sys"},
+    "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
     "dispatch.py": {"functools"},
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets"},
     "doing.py": {"contextlib"},
