@@ -334,7 +334,8 @@ def test_silence_is_kicked_and_then_given_up() -> None:
         while (status := servo.read()[0]) >= 0:
             time.sleep(0.001)
         assert status == TIMEOUT
-        assert time.monotonic() - begun > 0.1
+        # The silence is counted from the last answer, which came before this was told to be mute: a tick or two.
+        assert time.monotonic() - begun > 0.09
         assert device.counts()["kicks"] > 2
         assert device.reason() == ""
 
