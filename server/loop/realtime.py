@@ -332,7 +332,7 @@ def _status(key: str) -> str:
 
 def _read(path: str) -> str:
     try:
-        with open(path, encoding="utf-8") as file:
+        with open(path, encoding="utf-8", errors="replace") as file:  # names of files may have any bytes
             return file.read().strip()
     except OSError:
         return ""

@@ -105,12 +105,12 @@ def _passivity(wanted: schema.Passivity | None) -> Passivity | None:
     return Passivity(DAMPING_MAX_NS_PER_M if given is None else given)
 
 
-def armed(tuning: Tuning, share: float) -> Tuning:
+def with_armed(tuning: Tuning, share: float) -> Tuning:
     """The tuning whose guards let this share of the force through once their ramp is over: 1, or 0 for none."""
     return tuning._replace(guards=tuple(guard._replace(armed=share) for guard in tuning.guards))
 
 
-def forceless(tuning: Tuning) -> Tuning:
+def fading_out(tuning: Tuning) -> Tuning:
     """The tuning with which each guard brings its force to zero along its slew limit."""
     return tuning._replace(guards=tuple(guard._replace(force_max=0.0, torque_max=0.0) for guard in tuning.guards))
 

@@ -25,7 +25,7 @@ from softfinger.server.loop import wayout
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.servo_thread import Loop, Servo
 from softfinger.server.loop.tick import UNMOVED
-from softfinger.server.loop.tuning import armed, forceless, make_tuning, seconds_to_zero, with_scene
+from softfinger.server.loop.tuning import fading_out, make_tuning, seconds_to_zero, with_armed, with_scene
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.devices import check_replacement, open_devices, tools
@@ -125,7 +125,7 @@ class Rendering:
                 )
                 self._since = first
                 self._rig, self._scene, self._force, self._due = rig, scene, servo.tuning.guards[0].armed, 0
-                self._tuning = armed(servo.tuning, 1.0)
+                self._tuning = with_armed(servo.tuning, 1.0)
             self.advance()
             if self._stopped:  # and did not wait until the devices were open
                 wayout.close_all(servo.devices)
@@ -254,7 +254,7 @@ class Rendering:
 
     def _tune(self) -> int:
         """Hand the tuning over as it is to be now; returns how many ticks had begun without it at the least."""
-        tuning = forceless(self._tuning) if self._force is None else armed(self._tuning, self._force)
+        tuning = fading_out(self._tuning) if self._force is None else with_armed(self._tuning, self._force)
         ticks = self.servo.ticks
         self.servo.tune(tuning)
         return ticks
@@ -263,7 +263,7 @@ class Rendering:
         """A loop on the devices given, or on the present ones."""
         devices = given or self.servo.devices
         infos = [device.info for device in devices]
-        tuning = armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.armed))
+        tuning = with_armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.armed))
         if not given:  # an offset is of a device, and stays with it
             tuning = tuning._replace(offsets=self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
@@ -303,7 +303,7 @@ class Rendering:
             self._end()
             return lambda: None
         self._pauses += 1
-        self.servo.tune(armed(self._tuning, 0.0))
+        self.servo.tune(with_armed(self._tuning, 0.0))
         # Where no tick has come yet, the first will find the guard without force.
         if not self._ticked(PAUSE_TICKS, PAUSE_WAIT_S) and self.servo.ticks:
             self._end()

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -206,7 +207,7 @@ import llvmlite.binding as llvm
 from softfinger.server.loop import realtime
 
 def code():
-    with open("/proc/self/smaps", encoding="ascii") as file:
+    with open("/proc/self/smaps", errors="replace") as file:
         for line in file:
             if "r-xp" in line and "libllvmlite" in line:
                 return next(int(each.split()[1]) for each in file if each.startswith("Rss:"))
@@ -225,6 +226,25 @@ def test_the_compiler_is_not_kept_in_memory() -> None:
     """Its code is let go of when memory is locked, and is there again when it is called."""
     done = subprocess.run([sys.executable, "-c", COMPILER], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout == "True True\n", done.stderr
+
+
+MAPPED = """
+import mmap, os, sys
+from softfinger.server.loop import realtime
+
+with open(os.fsencode(sys.argv[1]) + bytes([47, 255]), "wb+") as file:
+    file.write(bytes(4096))
+    file.flush()
+    with mmap.mmap(file.fileno(), 4096):
+        print([setting.name for setting in realtime.apply("auto", 80, None).settings])
+"""
+
+
+def test_a_mapped_file_may_have_any_name(tmp_path: Path) -> None:
+    """Not all bytes are UTF-8: every setting is made all the same."""
+    words = [sys.executable, "-c", MAPPED, str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert "mlockall" in done.stdout, done.stderr
 
 
 @raises_limits

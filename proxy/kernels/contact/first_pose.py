@@ -35,7 +35,7 @@ class Touched(NamedTuple):
 
 @jit
 def touched_at_first(objects: Any, radius: float, position: Vec3, budget: int) -> Touched:
-    """What a fingertip touches that begins at `position` (3,) m; `budget` of the budget for height maps, and for meshes
+    """What a fingertip touches that begins at `position` (3,) m; with the `budget` for height maps, and for meshes
     beside them."""
     if any_creases(objects):  # a height map tells its side from near by
         gap, index, budget = deepest(objects, position, radius, NOBODY, budget)

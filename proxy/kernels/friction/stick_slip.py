@@ -106,15 +106,25 @@ def start_of_sliding(
 
 
 @jit
-def end_of_sliding(slip_speed: float, slip_deflection: float, length: float, resolution: float) -> float:
+def end_of_sliding(
+    law: Any,
+    given: FrictionInput,
+    load: Vec3,
+    static_limit: float,
+    slip_speed: float,
+    slip_deflection: float,
+    length: float,
+) -> float:
     """CAUSE_STOP where the slip, m/s, has stopped, CAUSE_REVERSE where the deflection, `length` m now, has unwound from
     that of the last slip; else CAUSE_NONE."""
-    unwound = slip_deflection - length
-    if slip_speed < STOP_SPEED_M_PER_S:
-        return float(CAUSE_STOP)
-    if unwound > max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * resolution):
-        return float(CAUSE_REVERSE)
-    return float(CAUSE_NONE)
+    stopped, unwound = slip_speed < STOP_SPEED_M_PER_S, slip_deflection - length
+    if not stopped and unwound <= max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * given.resolution):
+        return float(CAUSE_NONE)
+    # With viscous friction a fast slip may hold more than the static cone does: it cannot stick yet.
+    may_stick = load_size(law, given.normal, load) <= (1.0 + ROUNDING) * static_limit
+    if not may_stick:
+        return float(CAUSE_NONE)
+    return float(CAUSE_STOP) if stopped else float(CAUSE_REVERSE)
 
 
 @jit
@@ -160,11 +170,11 @@ def stick_slip_by_law(
             slip_speed = speed
         else:
             slip_speed += (speed - slip_speed) * given.dt / (SLIP_TIME_CONSTANT_S + given.dt)
-            end = end_of_sliding(slip_speed, slip_deflection, length, given.resolution)
-            load = load_size(law, given.normal, vec3.scale(stiffness, deflection))
-            # With viscous friction a fast slip may hold more than the static cone does: it cannot stick yet.
-            if not slips and end != CAUSE_NONE and load <= (1.0 + ROUNDING) * static_limit:
-                mode, slip_speed, cause = float(ROLLING), 0.0, end
+            if not slips:
+                load = vec3.scale(stiffness, deflection)
+                cause = end_of_sliding(law, given, load, static_limit, slip_speed, slip_deflection, length)
+            if cause != CAUSE_NONE:
+                mode, slip_speed = float(ROLLING), 0.0
 
     force = vec3.scale(stiffness, deflection)
     if mode == ROLLING and given.dt > 0.0:

@@ -3,7 +3,7 @@
 A kernel inlines code from other files and reads their constants, so it has to be compiled anew after an edit
 of any of them. So the cache lives in a folder named by a hash over every source file of the folders that kernels are
 written in, numba's version and settings and the processor: any change means another folder. Kernels elsewhere, those of
-`tools`, take of their own folder and of those (`kept.py`). Where the cache cannot be used there is no other: kernels
+`tools`, take of their own folder and of those (`cache.py`). Where the cache cannot be used there is no other: kernels
 are compiled in memory.
 
 No `fastmath`: it makes `isnan` lie, and contraction would let the servo and the offline run round

@@ -25,7 +25,7 @@ WITH_MESH: Final = "mesh"
 WITH_HEIGHTMAP: Final = "height map"
 
 
-def _multipoint_in(kinds: Any) -> str:
+def _kind_among(kinds: Any) -> str:
     return WITH_HEIGHTMAP if Heightmap in kinds else WITH_MESH if Mesh in kinds else SINGLE_POINT
 
 
@@ -34,13 +34,13 @@ def by_multipoint(declaration: Callable[..., Any]) -> Any:
 
     .of(WITH_HEIGHTMAP)  one is a height map
     .of(WITH_MESH)       one is a mesh, and none a height map
-    .of(SINGLE_POINT)    each is touched in one point
+    .of(SINGLE_POINT)    none is either: each is touched in one point
     """
 
     def sort(objects: Any) -> str:
-        return _multipoint_in({type((entry[0] if isinstance(entry, Rows) else entry).shape) for entry in objects})
+        return _kind_among({type((entry[0] if isinstance(entry, Rows) else entry).shape) for entry in objects})
 
-    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _multipoint_in(kinds_in(tuple(objects))))
+    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _kind_among(kinds_in(tuple(objects))))
 
 
 @by_type

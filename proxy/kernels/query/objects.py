@@ -80,7 +80,7 @@ def constraint_of(
 
 @jit
 def normal_law_of(objects: Any, index: float) -> Any:
-    """Law of the normal force of the object with that place: all that objects without the rest of theirs have."""
+    """Law of the normal force of the object with that place; bare objects have no more of a material (`all_bare`)."""
     found = element(objects[0], 0.0).material.normal
     at = 0.0
     for entry in literal_unroll(objects):
@@ -93,7 +93,7 @@ def normal_law_of(objects: Any, index: float) -> Any:
 
 @jit
 def material_of(objects: Any, index: float) -> Material:
-    """Material of the object with that place; all have the same parts."""
+    """Material of the object with that place, of whole objects: all of a scene have the same parts."""
     found = element(objects[0], 0.0).material
     at = 0.0
     for entry in literal_unroll(objects):

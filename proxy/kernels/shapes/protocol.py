@@ -72,7 +72,7 @@ def closest_from_anywhere(shape: Any, x: Vec3, start: Vec3, budget: int) -> tupl
 
 @by_type
 def closest_within(shape: Any, x: Vec3, budget: int) -> Any:
-    """`closest` with `budget`, what is left of it, and what is left then. Where it is used up the gap is a bound."""
+    """`closest`, and what is left of the `budget`. Where it is used up the gap is a bound."""
 
 
 @closest_within.otherwise

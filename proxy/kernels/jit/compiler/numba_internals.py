@@ -9,7 +9,7 @@ no_cpython_wrapper, no_cfunc_wrapper
                          No wrapper round what only kernels call. Without: a scene compiles for 1.6 times as long.
 CPUDispatcher            Such a kernel, called from Python, is compiled once more. Without: numba jumps to address 0.
 _cache, NullCache, serialize.dumps, CompileResult._reduce and ._rebuild, lifted, has_dynamic_globals
-                         A cache that trusts nobody (`kept.py`). Without: numba unpickles what it finds, and ends the
+                         A cache that trusts nobody (`cache.py`). Without: numba unpickles what it finds, and ends the
                          program where a file is damaged.
 magic_tuple, _final_module, refresh
                          For which processor a kept kernel is, and what it calls. Without: one that calls what is not
