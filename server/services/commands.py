@@ -29,7 +29,7 @@ from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering, Replacing
 from softfinger.server.wire import commands as wire
-from softfinger.server.wire.commands import Declined, Request
+from softfinger.server.wire.envelope import Declined, Request, answered, declined, parse
 from softfinger.server.wire.link import Answering
 from softfinger.server.wire.protocol import encode, wire_schema
 
@@ -106,7 +106,7 @@ class Commands:
     def _answer(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
         command_id = ""
         try:
-            request = wire.parse(body)
+            request = parse(body)
             command_id = request.command_id
             if too_much:
                 raise Declined("busy", "too many requests from this client: ask more slowly")
@@ -114,9 +114,9 @@ class Commands:
             if request.method == "set_scene":
                 self._set_scene(client, request)
                 return None
-            return wire.answered(command_id, getattr(self, f"_{request.method}")(request))
+            return answered(command_id, getattr(self, f"_{request.method}")(request))
         except Exception as error:
-            return wire.declined(self._declined(error), command_id)
+            return declined(self._declined(error), command_id)
 
     def _declined(self, error: Exception) -> Declined:
         """What became of a request, as its answer has it."""
@@ -209,11 +209,11 @@ class Commands:
 
         def done(outcome: int | Exception) -> None:
             if isinstance(outcome, Exception):
-                self._doing.reply(client, wire.declined(self._declined(outcome), request.command_id))
+                self._doing.reply(client, declined(self._declined(outcome), request.command_id))
                 return
             self._scene_name = name
             self._tell("set_scene", request.command_id, {"scene": name, "tick": outcome})
-            self._doing.reply(client, wire.answered(request.command_id, wire.SceneSet(name, outcome)))
+            self._doing.reply(client, answered(request.command_id, wire.SceneSet(name, outcome)))
 
         self._scenes.ask(Change(scene, name, done))
 

@@ -24,7 +24,7 @@ from softfinger.server.publishing.readers import SUBSCRIPTION_MAX
 from softfinger.server.publishing.setup import REQUEST_MAX
 from softfinger.server.services.commands import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import described
-from softfinger.server.wire import commands
+from softfinger.server.wire import commands, envelope
 from softfinger.server.wire.link import LOG_PERIOD_S
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.relay import BELL_MS, HANDED_ON
@@ -168,7 +168,7 @@ def test_lists_and_numbers_in_the_text_are_the_codes():
 
 def test_bounds_of_requests_are_the_codes():
     """Sizes, numbers and rates in the text are those of the code."""
-    assert f"{REQUEST_MAX} bytes, {commands.NODES_MAX} values and a depth of {commands.DEPTH_MAX}" in DOC
+    assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in DOC
     told = " ".join(DOC.split())  # wherever its lines break
     assert f"may ask {BURST} times in {BURST_S:g} s" in told and f"{WAITING_MAX} wait, and more are dropped" in told
     assert f"A frame of more than {REQUEST_MAX} bytes" in told and f"more than {EVENT_BYTES_MAX} bytes" in told
