@@ -112,6 +112,17 @@ def pushed(push: Push, t: float) -> Vec3:
     return (size * push.force[0], size * push.force[1], size * push.force[2])
 
 
+@jit
+def fill_row(row: Array, status: int, status_out: int, force: Vec3, sample: Array) -> None:
+    """What the device said and was told; `force` (3,) N is what the hand feels, zero where it was withheld."""
+    row[READ_STATUS] = status
+    row[WRITE_STATUS] = status_out
+    for k in range(3):
+        row[FORCE + k] = force[k]
+    for k in range(SAMPLE_SIZE):
+        row[SAMPLE + k] = sample[k]
+
+
 @entry
 def exchange_loop(
     io: Io,
@@ -177,18 +188,11 @@ def exchange_loop(
 
         if span.waiting == 0:
             row = rows[number]
-            row[START] = (woke - begun) / NS_PER_S
-            row[LATE] = late / NS_PER_S
-            row[READ] = (read - woke) / NS_PER_S
-            row[WRITE] = (wrote - before) / NS_PER_S
+            row[START], row[LATE] = (woke - begun) / NS_PER_S, late / NS_PER_S
+            row[READ], row[WRITE] = (read - woke) / NS_PER_S, (wrote - before) / NS_PER_S
             row[EMPTY_READ] = (empty_read - wrote) / NS_PER_S
             row[EMPTY_WRITE] = (empty_wrote - empty_read) / NS_PER_S
-            row[READ_STATUS] = status
-            row[WRITE_STATUS] = status_out
-            for k in range(3):
-                row[FORCE + k] = guarded.force[k]  # what the hand feels: zero where it was withheld
-            for k in range(SAMPLE_SIZE):
-                row[SAMPLE + k] = sample[k]
+            fill_row(row, status, status_out, guarded.force, sample)
         number += 1
         store_release(words, _TICKS, ticks + number)
         pace = next_pace(pace, empty_wrote, span.period_ns)

@@ -139,7 +139,7 @@ def compile_reference(folder: Path) -> list[str] | None:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return None
-    maps = Path("/proc/self/maps").read_text("utf-8").splitlines()
+    maps = os.fsdecode(Path("/proc/self/maps").read_bytes()).splitlines()
     libraries = {line.split(maxsplit=5)[5] for line in maps if "libzmq" in line}  # pyzmq has loaded one
     if not libraries:
         raise ConfigError("the libzmq that pyzmq uses is part of it: install pyzmq from its wheel")

@@ -160,6 +160,12 @@ def zero_where_refused(records: Array) -> str:
 
 def cases() -> Iterator[Case]:
     """Every extreme; those of one scene type follow each other."""
+    yield from on_a_plane()
+    yield from on_other_objects()
+
+
+def on_a_plane() -> Iterator[Case]:
+    """Motions, parameters, times and damaged poses."""
     yield Case("no rotation", "a drag without any turn", scene(), press(0.001, way=0.01), even(TICKS), expects=slides)
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
         poses = press(0.001)
@@ -211,6 +217,9 @@ def cases() -> Iterator[Case]:
     poses = press(1.0)
     yield Case("deep penetration", "1 m at 1e6 N/m", scene(stiffness=1e6), poses, even(TICKS), expects=clamped)
 
+
+def on_other_objects() -> Iterator[Case]:
+    """Curvature, edges, and several contacts at once."""
     for radius, other in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
         ball = {"shape": "sphere", "radius_m": other, "position_m": [0.0, 0.0, -min(other, 1e3)]}
         poses = press(0.1 * min(radius, other), radius, 0.1 * min(radius, other))

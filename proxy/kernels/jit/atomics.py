@@ -18,68 +18,63 @@ def _element(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     return get_item_pointer(context, builder, array_type, array, [args[1]])
 
 
+def _load(ordering: str) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.load_atomic(_element(context, builder, signature, args), ordering, 8)
+
+    return generate
+
+
+def _store(ordering: str) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.store_atomic(args[2], _element(context, builder, signature, args), ordering, 8)
+        return context.get_dummy_value()
+
+    return generate
+
+
+def _fence(ordering: str) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.fence(ordering)
+        return context.get_dummy_value()
+
+    return generate
+
+
 @intrinsic
 def load_acquire(typing_context, array, index):  # type: ignore[no-untyped-def]
     """array[index], int64: nothing after it in the program is read before it."""
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.load_atomic(_element(context, builder, signature, args), "acquire", 8)
-
-    return types.int64(array, types.intp), generate
+    return types.int64(array, types.intp), _load("acquire")
 
 
 @intrinsic
 def load_relaxed(typing_context, array, index):  # type: ignore[no-untyped-def]
     """array[index], int64, read once from memory."""
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.load_atomic(_element(context, builder, signature, args), "monotonic", 8)
-
-    return types.int64(array, types.intp), generate
+    return types.int64(array, types.intp), _load("monotonic")
 
 
 @intrinsic
 def store_release(typing_context, array, index, value):  # type: ignore[no-untyped-def]
     """array[index] = value, int64: everything before it in the program is visible first."""
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        builder.store_atomic(args[2], _element(context, builder, signature, args), "release", 8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.int64), generate
+    return types.void(array, types.intp, types.int64), _store("release")
 
 
 @intrinsic
 def store_relaxed(typing_context, array, index, value):  # type: ignore[no-untyped-def]
     """array[index] = value, int64, written once to memory."""
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        builder.store_atomic(args[2], _element(context, builder, signature, args), "monotonic", 8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.int64), generate
+    return types.void(array, types.intp, types.int64), _store("monotonic")
 
 
 @intrinsic
 def fence_acquire(typing_context):  # type: ignore[no-untyped-def]
     """No read or write after it moves before a read that stands before it."""
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        builder.fence("acquire")
-        return context.get_dummy_value()
-
-    return types.void(), generate
+    return types.void(), _fence("acquire")
 
 
 @intrinsic
 def fence_release(typing_context):  # type: ignore[no-untyped-def]
     """No read or write before it moves after a write that stands after it."""
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        builder.fence("release")
-        return context.get_dummy_value()
-
-    return types.void(), generate
+    return types.void(), _fence("release")
 
 
 @intrinsic
