@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softfinger.tools.accuracy.meshes import RADIUS_M
-from softfinger.tools.accuracy.pixels import HILLS, KINDS, compare, heights, paths
+from softfinger.tools.accuracy.pixels import HILLS, KINDS, compare, grid, paths
 
 pytestmark = pytest.mark.plain
 
@@ -25,7 +25,7 @@ def test_the_paths_lie_on_the_hills() -> None:
 
 def test_rows_of_the_array_have_the_heights_of_their_places() -> None:
     """The middle is the origin, columns lie along x."""
-    z = heights(0.01)
+    _, _, z = grid(0.01)
     assert z.shape == (13, 13) and z[6, 6] == HILLS.amplitude
     assert z[6, 7] == pytest.approx(HILLS.height(0.01, 0.0)) and z[7, 6] == pytest.approx(HILLS.height(0.0, 0.01))
 

@@ -26,7 +26,7 @@ from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.records import Records
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.tools.accuracy.reference import Hills, normal_and_curvature, roll_path
+from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.measure import show
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator
     """A row for each: the largest differences from the surface on all paths, and the largest step of the force's
     direction from tick to tick, rad, which is N per N."""
     case = CASES[name]
-    paths = [led(case, heading, ticks) for heading in HEADINGS_RAD]
+    paths = [led(case.shape, *begins(case), heading, ticks) for heading in HEADINGS_RAD]
     for n in fineness:
         vertices, triangles = case.triangles(n)
         edges = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
@@ -191,23 +191,19 @@ def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> di
 
 def begins(case: Case) -> tuple[Array, Array]:
     """The point (3,) m of the surface where a path begins, and its normal (3,)."""
-    if isinstance(case.shape, Hills):
-        x, y, _ = case.near
-        point = np.array([x, y, case.shape.height(x, y)])
-        return point, normal_and_curvature(point, case.shape)[0]
     _, foot, up = closest(case.shape, case.near)
     return np.array(foot), np.array(up)
 
 
-def led(case: Case, heading: float, ticks: int) -> Led:
-    """Down onto the surface, and from there as the fingertip rolls, beginning with that heading, rad."""
-    foot, normal = begins(case)
+def led(shape: Any, foot: Array, normal: Array, heading: float, ticks: int) -> Led:
+    """Down onto a point `foot` (3,) m of a surface with that `normal` (3,), and from there as the fingertip rolls,
+    beginning with that heading, rad."""
     east = np.cross((0.0, 0.0, 1.0), normal)
     east /= np.linalg.norm(east)
     axis = np.cos(heading) * np.cross(normal, east) - np.sin(heading) * east
     t = np.linspace(0.0, 1.0, ticks)
     begun = foot + RADIUS_M * normal
-    points, normals, _ = roll_path(case.shape, RADIUS_M, begun, normal, lambda _: TURN_RAD * axis).at(t)
+    points, normals, _ = roll_path(shape, RADIUS_M, begun, normal, lambda _: TURN_RAD * axis).at(t)
     down = np.minimum(np.arange(PRESSED) / (0.7 * PRESSED), 1.0)[:, None]
     heights = RADIUS_M + 0.1 * DEPTH_M - 1.1 * DEPTH_M * down
     places = np.concatenate([points[0] + heights * normals[0], points + (RADIUS_M - DEPTH_M) * normals])

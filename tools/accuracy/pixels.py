@@ -22,7 +22,6 @@ from softfinger.tools.accuracy.meshes import (
     HEADINGS_RAD,
     TICKS,
     Array,
-    Case,
     Led,
     differences,
     led,
@@ -30,11 +29,13 @@ from softfinger.tools.accuracy.meshes import (
     scene_of,
     visit,
 )
-from softfinger.tools.accuracy.reference import Hills
+from softfinger.tools.accuracy.reference import Hills, normal_and_curvature
 from softfinger.tools.measure import show
 
 HILLS: Final = Hills(0.004, 0.06)
 """Their valleys have a radius of 23 mm at the least."""
+BEGIN_M: Final = (0.003, 0.002)
+"""Where paths begin: x and y."""
 SIDE_M: Final = 0.12
 PITCHES_M: Final = (0.004, 0.002, 0.001, 0.0005)
 KINDS: Final = ("heightmap", "mesh")
@@ -44,27 +45,26 @@ PASSES: Final = 3
 
 
 def paths(ticks: int) -> list[Led]:
-    case = Case(HILLS, lambda _: (np.empty((0, 3)), np.empty((0, 3), int)), (0.003, 0.002, 0.0))
-    return [led(case, heading, ticks) for heading in HEADINGS_RAD]
+    foot = np.array([*BEGIN_M, HILLS.height(*BEGIN_M)])
+    normal, _ = normal_and_curvature(foot, HILLS)
+    return [led(HILLS, foot, normal, heading, ticks) for heading in HEADINGS_RAD]
 
 
-def heights(pitch: float) -> Array:
-    """Of the pixels (n, n), m: columns along x and rows along y, the origin in the middle."""
-    at = pitch * (np.arange(round(SIDE_M / pitch) + 1) - 0.5 * round(SIDE_M / pitch))
+def grid(pitch: float) -> tuple[Array, Array, Array]:
+    """Places x and y of the pixels and their heights, (n, n) m each: columns along x, the origin in the middle."""
+    count = round(SIDE_M / pitch)
+    at = pitch * (np.arange(count + 1) - 0.5 * count)
     x, y = np.meshgrid(at, at)
-    return np.asarray(HILLS.height(x, y))
+    return x, y, np.asarray(HILLS.height(x, y))
 
 
 def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
     """The object of a scene; two triangles for each square of the mesh."""
-    z = heights(pitch)
+    x, y, z = grid(pitch)
     if kind == "heightmap":
         np.save(folder / "hills.npy", z)
         return {"shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": pitch, "level_m": 1.0}
-    n = len(z)
-    at = pitch * (np.arange(n) - 0.5 * (n - 1))
-    x, y = np.meshgrid(at, at)
-    number = np.arange(n * n).reshape(n, n)
+    number = np.arange(z.size).reshape(z.shape)
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     vertices = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)

@@ -76,10 +76,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--tolerance", type=float, default=1e-9, help="of montana_rk45 (default: %(default)s)")
     parser.add_argument("--drift-steps", type=int, metavar="N", help=f"steps of the drift test ({DRIFT_STEPS})")
-    parser.add_argument(
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
         "--meshes", action="store_true", help="instead: how meshes of a ball, a cylinder and a torus come near to them"
     )
-    parser.add_argument(
+    instead.add_argument(
         "--heightmap", action="store_true", help="instead: hills as a height map and as a mesh of the same pixels"
     )
     parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
