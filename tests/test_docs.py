@@ -180,6 +180,11 @@ def test_the_worked_walk_is_true(tmp_path):
     for _, link, _ in rows:
         name, target = re.fullmatch(r"\[`(\w+)`\]\(\.\./([\w/.]+)\)", link).groups()
         assert re.search(rf"^def {name}\(", (ROOT / target).read_text(), re.MULTILINE), f"no {name} in {target}"
+    stages = re.findall(r"`(\w+)`", HOW.partition("Row 9 has these stages")[2].partition("\n## ")[0])
+    contact = "".join(path.read_text() for path in (ROOT / "proxy" / "kernels" / "contact").rglob("*.py"))
+    assert len(stages) > 5
+    for name in stages:
+        assert re.search(rf"^def {name}\(", contact, re.MULTILINE), f"no {name} in proxy/kernels/contact"
     still = np.column_stack([np.arange(600) * 1e-3, np.tile([0.0, 0.0, 0.0095, 1.0, 0.0, 0.0, 0.0], (600, 1))])
     np.savetxt(tmp_path / "still.csv", still, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
     records = run_recording(tmp_path / "still.csv", "paper-plane")
