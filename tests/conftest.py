@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, settings
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
+from softfinger.config.schema.rig import IPC_PATH_MAX
 from softfinger.drivers import opened
 
 pytest_plugins = ["helpers.pages"]
@@ -50,8 +51,8 @@ def _runtime_folder() -> Iterator[None]:
 
 @pytest.fixture
 def tmp_path(tmp_path: Path) -> Iterator[Path]:
-    """Sockets of tests lie in it, and a socket's path has at most 107 bytes: where it leaves too few, a shorter one."""
-    if len(os.fsencode(tmp_path / "telemetry.commands")) <= 107:
+    """Sockets of tests lie in it, and a socket's path has an end: where it leaves too few bytes, a shorter one."""
+    if len(os.fsencode(tmp_path / "telemetry.commands")) <= IPC_PATH_MAX:
         yield tmp_path
         return
     with tempfile.TemporaryDirectory(prefix="söft finger ", dir="/tmp") as folder:

@@ -116,7 +116,8 @@ class Telemetry(Table, frozen=True, kw_only=True):
 _TCP: Final = re.compile(r"tcp://(\[[^\]]*\]|[^:/@\[\]]+):(\*|[0-9]{1,5})")
 _LOOPBACK: Final = re.compile(r"localhost|127(\.[0-9]{1,3}){3}|\[::1\]")
 _PORT_MAX: Final = 65535
-_IPC_PATH_MAX: Final = 107  # bytes of a Unix socket's path
+IPC_PATH_MAX: Final = 107
+"""Bytes of a Unix socket's path."""
 
 
 BESIDE: Final = ".commands"
@@ -167,7 +168,7 @@ def endpoint_complaint(endpoint: str) -> str | None:
     """What is wrong with a ZeroMQ address to bind; None if nothing is."""
     if endpoint.startswith("ipc://"):
         size = len(endpoint.removeprefix("ipc://").encode(errors="replace"))
-        return None if 0 < size <= _IPC_PATH_MAX else f"must have a path of 1 to {_IPC_PATH_MAX} bytes"
+        return None if 0 < size <= IPC_PATH_MAX else f"must have a path of 1 to {IPC_PATH_MAX} bytes"
     match = _TCP.fullmatch(endpoint)
     if match is None or (match[2] != "*" and int(match[2]) > _PORT_MAX):
         return "must be tcp://HOST:PORT, port 0 to 65535 or *, or ipc://PATH; such as tcp://127.0.0.1:5555"
@@ -336,7 +337,7 @@ class Rig(Table, frozen=True, kw_only=True):
             yield (
                 "commands.endpoint",
                 msgspec.UNSET,
-                f"{beside}, which follows from the telemetry's, is none: give one, of at most {_IPC_PATH_MAX} bytes",
+                f"{beside}, which follows from the telemetry's, is none: give one, of at most {IPC_PATH_MAX} bytes",
             )
         elif beside == self.telemetry.endpoint and not beside.endswith((":*", ":0")):
             yield "commands.endpoint", beside, "is the telemetry's: give another"

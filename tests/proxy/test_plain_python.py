@@ -75,6 +75,53 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+ASKED = "ASKED_OF_ANOTHER_PROCESS"
+
+
+@pytest.mark.skipif(ASKED not in os.environ, reason="is asked by the test below, in another process")
+def test_this_process_is_plain() -> None:
+    assert PLAIN and "NUMBA_DISABLE_JIT" not in os.environ
+
+
+@pytest.mark.parametrize("processes", ["0", "2"])
+def test_every_process_of_the_logic_part_is_plain(processes: str) -> None:
+    """Of pytest alone, and those that it starts; the programs that tests start have machine code again."""
+    words = ["-q", "-n", processes, f"{__file__}::{test_this_process_is_plain.__name__}"]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *words],
+        env=environment | {"NUMBA_DISABLE_JIT": "1", ASKED: "1"},
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0 and "1 passed" in done.stdout, done.stdout
+
+
+def test_objects_in_rows_beside_one_alone_compile() -> None:
+    """Many of a type are in a row of whole objects, a single one is bare where kernels ask for no more: with friction
+    and torsion, of both."""
+    wood = {
+        "stiffness_n_per_m": 1000.0,
+        "friction": {"static": 0.6, "kinetic": 0.5},
+        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+    }
+    balls = [
+        {
+            "name": f"ball {i}",
+            "shape": "sphere",
+            "radius_m": 0.005,
+            "position_m": [0.03 * i, 0.0, 0.05],
+            "material": wood,
+        }
+        for i in range(8)
+    ]
+    floor = {"name": "floor", "shape": "plane", "material": wood}
+    running = Engine({"fingertip": {"radius_m": 0.01}, "object": [*balls, floor]})
+    still = [1.0, 0.0, 0.0, 0.0]
+    assert running.step([0.0, 0.05, 0.009], still).force.round(9).tolist() == [0.0, 0.0, 1.0]
+    running.reset()
+    assert running.step([0.03, 0.0, 0.064], still).force.round(9).tolist() == [0.0, 0.0, 1.0]
+
+
 LESS = ("paper-plane", "pinch", "ribbed-plane")
 """In `make test`: one object, two fingers with a method of fourth order, and an array."""
 

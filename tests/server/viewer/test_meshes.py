@@ -23,7 +23,8 @@ from softfinger.server.viewer.nodes.meshes import sent
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import RecordedPage, Recording
 from softfinger.server.wire import control
-from softfinger.server.wire.commands import Triangles, answered
+from softfinger.server.wire.commands import Triangles
+from softfinger.server.wire.envelope import answered
 
 BEGAN = Began(0, 0, 1e-3, own_clock=False)
 
