@@ -158,7 +158,9 @@ class Control(Closing):
         command_id, frames = _asking(method, params)
         wait_s = _timeout(method, self.timeout_s)
         until = time.monotonic() + wait_s
-        self._socket.send_multipart(frames)
+        # Where the peer is no ROUTER, or has left a thousand requests unanswered, there is nowhere to send to.
+        if self._socket.poll(round(1000 * wait_s), zmq.POLLOUT):
+            self._socket.send_multipart(frames)
         while self._socket.poll(max(0, round(1000 * (until - time.monotonic())))):
             answer = _answer(self._socket.recv_multipart())
             if answer.get("command_id") == command_id:  # and none that came too late for an earlier request
@@ -268,8 +270,9 @@ class AsyncControl:
         wait_s = _timeout(method, self.timeout_s)
         answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
         try:
-            await self._socket.send_multipart(frames)
-            return _result(await asyncio.wait_for(answer, wait_s), kind)
+            async with asyncio.timeout(wait_s):
+                await self._socket.send_multipart(frames)  # which waits as long as there is nowhere to send to
+                return _result(await answer, kind)
         except TimeoutError:
             raise _no_answer(method, self.endpoint, wait_s) from None
         finally:
