@@ -10,11 +10,11 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.config.schema import BESIDE, commands_beside, is_public, telemetry_of
 from softfinger.server.keys import ClientKeys
-from softfinger.server.wire.client import subscribe
-from softfinger.server.wire.control import Control
+from softfinger.server.wire.client import ProtocolError, subscribe
+from softfinger.server.wire.control import Control, NoAnswer
 from softfinger.server.wire.protocol import SCHEMA_TOPIC
 
 EXPECTED_S: Final = 0.5
@@ -76,7 +76,7 @@ def _answered(
 
 def _published(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
     """Both, where an endpoint is that of the telemetry: its first message says where the commands are."""
-    with suppress(HapticError), subscribe(endpoint, (SCHEMA_TOPIC,), keys=keys) as samples:
+    with subscribe(endpoint, (SCHEMA_TOPIC,), keys=keys) as samples, suppress(ProtocolError):
         if (sample := samples.receive(wait_s)) is not None:
             return Addresses(endpoint, sample.data.get("commands", commands_beside(endpoint)) or None)
     return None
@@ -84,7 +84,7 @@ def _published(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Address
 
 def _commanded(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
     """Both, where an endpoint is that of commands: the daemon describes itself."""
-    with suppress(HapticError), Control(endpoint, wait_s, keys) as control:
+    with Control(endpoint, wait_s, keys) as control, suppress(NoAnswer, CommandRefused):
         described: dict[str, Any] = control.describe()
         return Addresses(described["endpoints"]["telemetry"], endpoint)
     return None

@@ -14,7 +14,7 @@ from numba import types
 
 from softfinger.proxy.kernels.jit.cache import written_in
 from softfinger.proxy.kernels.jit.compiler.numba_internals import Choice
-from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.decorators import PLAIN, jit
 
 _OTHERS: Final = object()
 
@@ -56,27 +56,33 @@ def chosen_by(
     def kernel_for(kind: Any) -> Callable[..., Any] | None:
         return kernels.get(kind) if kind is None or kind in kernels else kernels.get(_OTHERS)
 
-    def call(node: Any, *rest: Any) -> Any:
-        return kernel_for_sort(sort(node))(node, *rest)
+    class Chosen(dict[Any, Callable[..., Any]]):
+        """The kernel for each sort that was met: a scene in plain Python makes hundreds of choices a tick."""
 
-    @functools.cache  # a scene in plain Python makes hundreds of choices a tick
-    def kernel_for_sort(of: Any) -> Callable[..., Any]:
-        kernel = kernel_for(kind_of(of))
-        if kernel is None:
-            raise TypeError(f"{declaration.__qualname__} is not defined for {kind_of(of)}")
-        return kernel
+        def __missing__(self, of: Any) -> Callable[..., Any]:
+            kernel = kernel_for(kind_of(of))
+            if kernel is None:
+                raise TypeError(f"{declaration.__qualname__} is not defined for {kind_of(of)}")
+            self[of] = kernel
+            return kernel
+
+    chosen = Chosen()
+
+    @functools.wraps(declaration)
+    def call(node: Any, *rest: Any) -> Any:
+        return chosen[sort(node)](node, *rest)
 
     def of(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
             compiled: Callable[..., Any] = jit(kernel)
             kernels[kind] = compiled
-            kernel_for_sort.cache_clear()
+            chosen.clear()
             written_in(kind, kernel.__code__.co_filename)
             return compiled
 
         return register
 
-    choice: Any = Choice(declaration, lambda node, *rest: kernel_for(compiled_kind(node)), call)
+    choice: Any = call if PLAIN else Choice(declaration, lambda node, *rest: kernel_for(compiled_kind(node)), call)
     choice.of = of
     choice.otherwise = of(_OTHERS)
     return choice
