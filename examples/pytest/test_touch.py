@@ -39,7 +39,7 @@ def test_a_softer_plane(softfinger_daemon: Start) -> None:
 
 
 def test_my_rig_keeps_its_limit(softfinger_daemon: Start) -> None:
-    """However the rig's hand presses, rolls and drags for four seconds, no force is above the limit, which is reached."""
+    """However its hand presses, rolls and drags for four seconds, no force is above the limit, which is reached."""
     daemon = softfinger_daemon(scene="paper-plane", rig=RIG)
     strongest = 0.0
     for sample in daemon.subscribe():
