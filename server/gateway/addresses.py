@@ -13,9 +13,9 @@ from typing import Any, Final, NamedTuple
 from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.config.schema import BESIDE, commands_beside, is_public, telemetry_of
 from softfinger.server.keys import ClientKeys
-from softfinger.server.wire.client import ProtocolError, subscribe
+from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control, NoAnswer
-from softfinger.server.wire.protocol import SCHEMA_TOPIC
+from softfinger.server.wire.protocol import SCHEMA_TOPIC, ProtocolError
 
 EXPECTED_S: Final = 0.5
 """Time of a turn to ask, first for what an address is expected to be. A daemon answers within milliseconds."""
