@@ -269,7 +269,7 @@ def test_what_is_forwarded_is_what_was_published() -> None:
         (["--to", "tcp://127.0.0.1:*", "--readers", "readers"], "add --keys FILE"),
         (["--to", "tcp://127.0.0.1:*", "--server-key", "keys/server.key"], "goes with --keys FILE"),
         (["--to", "nowhere"], "is not an endpoint"),
-        (["--to", "tcp://127.0.0.1:*", "--from", "nowhere"], "nothing is forwarded"),
+        (["--to", "tcp://127.0.0.1:*", "--from", "nowhere"], "cannot connect to endpoint 'nowhere'"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_forwarded_is_said(
