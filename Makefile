@@ -30,7 +30,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-all coverage test-vm emulators browser vm-packages subscribers lint bench exchange-cost study reference figures page-picture \
+.PHONY: help setup run test test-all coverage mutants test-vm emulators browser vm-packages subscribers lint bench exchange-cost study reference figures page-picture \
     docs docs-serve warmup wheel constraints docker-check host-check clean distclean
 
 help: ## This list
@@ -82,6 +82,9 @@ coverage: $(STAMP) ## Lines and branches that `make test` runs, by folder, those
 	$(BIN)/coverage json --quiet -o build/coverage.json
 	$(BIN)/python tests/coverage_by_folder.py build/coverage.json
 	exit $${result:-0}
+
+mutants: $(STAMP) ## Plant the mistakes of tests/mutants.toml one by one, in a copy: each has to fail a test (minutes; ARGS=--only TEXT, --json FILE)
+	@exec $(BIN)/python tests/mutants.py $(ARGS)
 
 test-vm: $(STAMP) ## The drivers on a true kernel's USB and HID, the service under systemd, in virtual machines (minutes; ARGS= goes to pytest)
 	@exec $(BIN)/python tests/vm/run.py $(ARGS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,18 @@ def test_the_map_is_true() -> None:
     named = re.findall(r"`((?:config|docs|examples|drivers|proxy|server|tests|tools)/[\w/.-]*)`", page)
     assert len(named) > 30
     assert not [place for place in named if not (ROOT / place).exists()]
+
+
+def test_each_planted_mistake_can_be_made() -> None:
+    """What one of tests/mutants.toml takes the place of is there once, and so are the tests that have to see it."""
+    for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
+        assert each.keys() == {"file", "old", "new", "mistake", "tests"} and each["tests"], each
+        text = (ROOT / each["file"]).read_text("utf-8")
+        assert text.count(each["old"]) == 1, each["mistake"]
+        compile(text.replace(each["old"], each["new"]), each["file"], "exec")
+        for test in each["tests"]:
+            file, _, function = test.partition("[")[0].partition("::")
+            assert f"def {function.rpartition('::')[2]}" in (ROOT / file).read_text("utf-8"), test
 
 
 def test_the_index_lists_every_page() -> None:

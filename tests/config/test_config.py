@@ -248,6 +248,8 @@ RIG_FAULTS = [
     ("telemetry.every", 0, ["telemetry.every = 0: must be a whole number from 1 to 10000"]),
     ("telemetry.endpoint", "tcp://*:5555", ["telemetry.endpoint = 'tcp://*:5555': is open to the network"]),
     ("telemetry.endpoint", "tcp://127.evil.org:5555", ["is open to the network"]),
+    ("telemetry.endpoint", "tcp://localhost.evil.org:5555", ["is open to the network"]),
+    ("telemetry.endpoint", "tcp://127.0.0.1.evil.org:5555", ["is open to the network"]),
     ("telemetry.endpoint", "tcp://127.0.0.1", ["telemetry.endpoint = 'tcp://127.0.0.1': must be tcp://HOST:PORT"]),
     ("telemetry.endpoint", "tcp://127.0.0.1:65536", ["port 0 to 65535"]),
     ("telemetry.endpoint", "udp://127.0.0.1:5555", ["must be tcp://HOST:PORT"]),

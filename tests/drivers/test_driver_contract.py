@@ -14,9 +14,10 @@ from typing import Any, ClassVar
 import pytest
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, HapticError, RecordingError
-from softfinger.drivers import registry
-from softfinger.drivers.base import Device
-from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DriverContract
+from softfinger.config.load import load_rig
+from softfinger.drivers import opened, registry
+from softfinger.drivers.base import OK, WITHHELD, Device
+from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DriverContract, Servo
 
 OUTSIDE = Path(__file__).parents[1] / "outside_driver"
 
@@ -115,6 +116,18 @@ def test_a_program_may_bring_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
         registry.add("other", os)
     with pytest.raises(DeviceError, match="'replay' is built in"):
         registry.add("replay", replay)
+
+
+def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
+    """As a signal stops them: the last wrench that it has is a zero, and it takes no other."""
+    config = load_rig("replay").device
+    assert config is not None
+    with registry.open_device(config, RATE_HZ) as device:
+        servo = Servo(device)
+        servo.read()
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+        assert opened.stop_all() == []
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
 
 
 def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path: Path) -> None:

@@ -282,6 +282,17 @@ def test_vibration_is_a_sine_from_touch_on() -> None:
     assert not forces[5100:].any()
 
 
+@pytest.mark.parametrize(
+    "effect", [model.NormalVibration(0.5, 130.0), model.Vibration(0.5, 130.0, UP, model.Touching(1.0))]
+)
+def test_vibration_begins_anew_with_each_touch(effect: Any) -> None:
+    """After one tick out of contact, wherever in its cycle it was left, the sine starts at its zero again."""
+    touches = [1.0] * 3 + [0.0] + [1.0] * 3
+    forces = run(effect, iter([moment(normal=UP, touched=touched) for touched in touches]))[:, 2]
+    sine = 0.5 * np.sin(2 * np.pi * 130.0 * DT * np.arange(3))
+    assert forces == pytest.approx([*sine, 0.0, *sine], abs=1e-15)
+
+
 def test_vibration_keeps_its_phase_over_a_month() -> None:
     """After 10^9 turns, some of it in ticks of odd length, the phase is still right to a millionth of a turn."""
     effect = model.Vibration(1.0, 250.0, UP, None)

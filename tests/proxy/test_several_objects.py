@@ -105,6 +105,20 @@ def test_constraints_do_not_take_turns():
     assert np.abs(np.diff(pushed, axis=0)).max() < 1e-9
 
 
+def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
+    """Pressed alike, but for a nanometre to and fro, the contact stays that of one wall; with twice the load on the
+    other it becomes that one's, and stays so when both are alike again."""
+    floor, left = 0, 1
+    corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
+    begin = way((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
+    alike = [(R - 0.001 + sign * 1e-9, 0.0, R - 0.001) for sign in (-1.0, 1.0)] * 10
+    more = [(R - 0.002, 0.0, R - 0.001)]
+    records = go(corner, np.vstack([begin, alike, more, alike]))
+    first = records[:, AT.contact_object].tolist()
+    assert first[len(begin) - 1 :] == [floor] * 21 + [left] * 21
+    np.testing.assert_allclose(force(records)[-1], [1.0, 0.0, 1.0], atol=2e-6)  # 1000 N/m times the nanometre
+
+
 def test_sphere_rests_in_a_dent_between_spheres():
     """Three balls carry the fingertip: the proxy stays at a distance r from all of them."""
     corners = [np.array([0.012 * np.cos(a), 0.012 * np.sin(a), 0.0]) for a in np.radians([0.0, 120.0, 240.0])]

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgpack
@@ -34,11 +35,12 @@ from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import PAUSE_MAX_S
 from softfinger.server.publishing.clients import BURST
+from softfinger.server.publishing.process import OUT_MAX
 from softfinger.server.recording.reader import Event, contents
 from softfinger.server.recording.summary import summary
 from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
-from softfinger.server.services.commands import EVENT_BYTES_MAX
+from softfinger.server.services.commands import EVENT_BYTES_MAX, Commands
 from softfinger.server.services.records import Sink
 from softfinger.server.wire import link
 from softfinger.server.wire.client import subscribe
@@ -506,6 +508,45 @@ def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
             beating.join()
 
 
+def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):
+    """Disarmed, and then without a sign of life: the next one takes back the second reason alone, `arm` both."""
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
+        control.heartbeat()
+        control.disarm()
+        while following("command")["name"] != "heartbeat_missed":
+            pass
+        control.heartbeat()
+        told = following("command")
+        assert (told["name"], told["what"]) == ("heartbeat", {"armed": False})
+        tick = daemon.servo.ticks
+        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > tick + 100)
+        assert not kept.since(tick)[:, AT.force : AT.force + 3].any()
+        assert control.arm().armed is True
+
+
+def test_what_is_no_request_is_no_sign_of_life():
+    """What is malformed, of no method, or one too many keeps no force on; a request that is none of these does."""
+    reasons: set[str] = set()
+    rendering = SimpleNamespace(
+        rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
+        advance=lambda: None,
+        disarm=reasons.add,
+        disarmed_for=lambda why: why in reasons,
+    )
+    doing = SimpleNamespace(replace=None, event=lambda *words, **fields: None)
+    good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
+    other = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
+    given = [(b"\xc1", False), (None, False), (other, False), (good, True), (good, False)]
+    alive = []
+    for body, too_much in given:
+        commands = Commands("ipc:///nowhere", rendering, doing, "none")  # nothing was ever heard
+        reasons.clear()
+        assert commands._answer(b"client", body, too_much) is not None
+        commands._look_after()
+        alive.append(not reasons)
+    assert alive == [False, False, False, False, True]
+
+
 def test_a_client_of_hapticores_protocol_works_unchanged(rig):
     """State with exactly its keys, heartbeats beside commands, an error for a method that is not there, stop."""
     with running(rig(**{"commands.heartbeat_s": 1.0})) as (daemon, _, kept):
@@ -539,6 +580,28 @@ def test_two_clients_and_one_that_leaves(rig):
             hasty.connect(daemon.commands_endpoint)
             hasty.send_multipart([b"", request])
         assert eventually(lambda: control.get_state().active_field == "frictionless-plane")
+
+
+def test_an_answer_that_comes_too_late_is_not_that_of_the_next_request():
+    """A server that answers the first request once it has the second: each client call gets its own answer, or none."""
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as server:
+        server.linger, server.rcvtimeo = 0, 10_000
+        port = server.bind_to_random_port("tcp://127.0.0.1")
+
+        def serve() -> None:
+            for client, empty, body in [server.recv_multipart() for _ in range(2)]:
+                asked = msgpack.unpackb(body)
+                answer = {"command_id": asked["command_id"], "success": True, "result": {"of": asked["method"]}}
+                server.send_multipart([client, empty, msgpack.packb(answer)])
+
+        serving = threading.Thread(target=serve)
+        serving.start()
+        with Control(f"tcp://127.0.0.1:{port}", 0.05) as control:
+            with pytest.raises(NoAnswer):
+                control.ask("first")
+            control.timeout_s = 10.0
+            assert control.ask("second") == {"of": "second"}
+        serving.join()
 
 
 def test_asyncio_client(rig):
@@ -624,6 +687,20 @@ def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
         assert not any(map(alive, slow_compiler()))
         threads[1].join(60.0)
         assert len(ends) == 2 and isinstance(ends[1], CommandRefused)
+
+
+def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
+    """Each supersedes the one before; after more of them than the daemon has at a time, others are answered."""
+    request = {"command_id": "x", "method": "set_scene", "params": {"scene": "sphere"}}
+    with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as asking:
+        asking.linger, asking.rcvtimeo = 0, 10_000
+        asking.connect(daemon.commands_endpoint)
+        for number in range(OUT_MAX + 1):
+            asking.send_multipart([b"", msgpack.packb(request)])
+            if number:
+                assert msgpack.unpackb(asking.recv_multipart()[1])["error"].startswith("superseded: ")
+        control.timeout_s = 10.0
+        assert control.heartbeat().timeout_ms == 0
 
 
 def test_a_compiler_that_fails_is_told(rig, monkeypatch):

@@ -4,7 +4,7 @@ import pytest
 
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop import health as h
-from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED, RAMPING
+from softfinger.server.loop.guard import NOT_FINITE, POSE_JUMPED, POSE_REFUSED, RAMPING
 
 T = 0.001
 
@@ -40,6 +40,15 @@ def test_what_flickers_without_end_is_a_fault_and_what_happens_at_times_is_none(
     assert after([NO_POSE, NO_POSE, GOOD] * 2000)[1] == h.NO_POSE
     assert after([NO_POSE, GOOD] * 5000)[1] == 0
     assert after(([NO_POSE] * 400 + [GOOD] * 600) * 20)[1] == 0
+
+
+def test_jumps_that_leave_nothing_to_render_are_a_fault():
+    """Five in a row, or ten a second without end; not four, nor nine a second."""
+    jump = (POSE_JUMPED, 0.0, T)
+    assert after([jump] * 5)[1:3] == (h.JUMPING, 5)
+    assert after(([jump] * 4 + [GOOD] * 1000) * 5)[1] == 0
+    for a_second, fault in ((10, h.JUMPING), (9, 0)):
+        assert after(([jump] + [GOOD] * (1000 // a_second - 1)) * 60 * a_second)[1] == fault
 
 
 def test_repeated_stalls_are_a_fault():

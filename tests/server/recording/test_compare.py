@@ -70,6 +70,22 @@ def test_a_change_is_told_where_it_begins(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
+def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
+    """Without end, in the one tick that has it; and from nothing that is none either."""
+    past = load_run(recorded(tmp_path / "a.mcap", run()), FIELDS)
+    now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _recorded(past)
+    row = touches()[0]
+    force = then[""]["force"].copy()
+    force[row, 1] = np.nan
+    broken = {"": then[""] | {"force": force}}
+    outcome = compare(past, now, broken, TOLERANCE)
+    assert outcome.different == 1 and outcome.largest["force"] == np.inf
+    assert outcome.first is not None and (outcome.first.tick, outcome.first.key) == (row, "force[1]")
+    now.field("force", 0)[row, 1] = np.nan
+    assert compare(past, now, broken, TOLERANCE).different == 0
+
+
+@pytest.mark.plain
 def test_missing_ticks_are_left_out_until_nothing_is_remembered(tmp_path: Path) -> None:
     """A gap in a contact: what follows is compared from free space on, once filter and ramp are done; a gap that loses
     nothing but free space does the same. All else is compared, and all of it is equal."""

@@ -1,0 +1,184 @@
+"""Planted mistakes, which tests have to catch: one at a time, in a copy of the program.
+
+    python tests/mutants.py [--only TEXT] [--json FILE]
+
+`mutants.toml` lists them. Tests are run as tests/run.py runs them: those marked `plain` with kernels as plain Python,
+all others compiled. A test that fails has caught the mistake; one that cannot be run has not. All are run once without
+a mistake before. What is compiled stays in the copy's folder and goes with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from run import ENVIRONMENT
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+LIMIT_S: Final = 300.0
+"""Of the tests of one mistake, plain or compiled. A mistake may make a loop endless."""
+FAILED, NONE_RAN = 1, (0, 5)
+"""pytest's exit codes: a test has failed; all have passed, or none was there. Any other is no word of a test."""
+CAUGHT, SURVIVED, LATE, ERROR = "caught", "SURVIVED", "time out", "ERROR"
+
+
+class Mutant(NamedTuple):
+    """A mistake: in `file`, `new` stands in the place of `old`; `tests` have to catch it."""
+
+    file: str
+    old: str
+    new: str
+    mistake: str
+    tests: list[str]
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.mistake}"
+
+
+class Outcome(NamedTuple):
+    """What became of a run of tests: one of the words above, how long it took, and what pytest said last."""
+
+    word: str
+    seconds: float
+    said: str
+
+
+def read(only: str = "") -> list[Mutant]:
+    """The mistakes whose file or words have `only` in them."""
+    listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]
+    return [each for each in (Mutant(**table) for table in listed) if only in each.file or only in each.mistake]
+
+
+def copy_to(folder: Path) -> None:
+    """What git has of this repository, as it is now; links stay links."""
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout
+    for name in filter(None, names.decode().split("\0")):
+        if os.path.lexists(ROOT / name):  # and was not removed
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name, follow_symlinks=False)
+
+
+class Copy:
+    """A copy of the program in `folder`, which tests that are run there import."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.chmod(0o755)  # some tests become another user, who has to get in
+        self.folder = folder / "copy"
+        copy_to(self.folder)
+        self._environment = ENVIRONMENT | {
+            "PYTHONPATH": str(self.folder / ".dev"),
+            "SOFTFINGER_CACHE_DIR": str(folder / "kernels"),
+        }
+        asked = [sys.executable, "-c", "import softfinger.server.cli as it; print(it.__file__)"]
+        found = subprocess.run(
+            asked, cwd=self.folder, env=self._environment, capture_output=True, text=True, check=True
+        )
+        if Path(found.stdout.strip()).resolve() != self.folder.resolve() / "server" / "cli.py":
+            raise SystemExit(f"softfinger is imported from {found.stdout.strip()}, not from the copy")
+
+    def test(self, tests: Sequence[str], limit_s: float | None = LIMIT_S) -> Outcome:
+        """Run tests, until one fails."""
+        begun = time.monotonic()
+        # Of others it takes no test, and they may need what plain Python does not have (tests/conftest.py).
+        plain = [each for each in tests if "plain" in (self.folder / each.partition("::")[0]).read_text("utf-8")]
+        outcome = Outcome(SURVIVED, 0.0, "")
+        for marks, chosen, more in (("plain", plain, {"NUMBA_DISABLE_JIT": "1"}), ("not plain", list(tests), {})):
+            if chosen and outcome.word == SURVIVED:
+                outcome = self._run(["-m", f"{marks} and not exhaustive", *chosen], more, limit_s)
+        return outcome._replace(seconds=time.monotonic() - begun)
+
+    def _run(self, words: list[str], more: dict[str, str], limit_s: float | None) -> Outcome:
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *words]
+        with tempfile.TemporaryFile("w+") as said, subprocess.Popen(  # a pipe would have to be read to its end
+            command, cwd=self.folder, env=self._environment | more, start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT,
+        ) as process:  # fmt: skip
+            try:
+                code = process.wait(limit_s)
+                word = CAUGHT if code == FAILED else SURVIVED if code in NONE_RAN else ERROR
+            except subprocess.TimeoutExpired:
+                word = LATE
+            finally:
+                end_session(process.pid)
+            said.seek(0)
+            return Outcome(word, 0.0, said.read())
+
+    def try_out(self, mutant: Mutant, number: int) -> Outcome:
+        """Make a mistake, run its tests, undo it. `number` tells it from others in the same file."""
+        path = self.folder / mutant.file
+        text, before = path.read_text("utf-8"), path.stat()
+        if (count := text.count(mutant.old)) != 1:
+            return Outcome(ERROR, 0.0, f"what it takes the place of is there {count} times, must be once")
+        try:
+            path.write_text(text.replace(mutant.old, mutant.new), "utf-8")
+            # Python takes bytecode for that of a source by its size and the second of its time.
+            os.utime(path, (before.st_atime, int(before.st_mtime) + number))
+            return self.test(mutant.tests)
+        finally:
+            path.write_text(text, "utf-8")
+            os.utime(path, (before.st_atime, before.st_mtime))
+
+
+def end_session(leader: int) -> None:
+    """Kill what is left of a session: daemons of tests have process groups of their own."""
+    for each in os.listdir("/proc"):
+        with contextlib.suppress(ValueError, OSError):  # no process, or one that has gone
+            if os.getsid(int(each)) == leader:
+                os.kill(int(each), signal.SIGKILL)
+
+
+def tell(results: Sequence[tuple[Mutant, Outcome]], seconds: float) -> None:
+    """Counts by folder, and each that was not caught."""
+    folders = Counter(mutant.file.partition("/")[0] for mutant, _ in results)
+    caught = Counter(mutant.file.partition("/")[0] for mutant, outcome in results if outcome.word == CAUGHT)
+    print(f"\nin {seconds:.0f} s:")
+    for folder, count in sorted(folders.items()):
+        print(f"  {folder:<9}{caught[folder]:3} of {count} caught")
+    for mutant, outcome in results:
+        if outcome.word != CAUGHT:
+            print(f"  {outcome.word}: {mutant}\n    by {' '.join(mutant.tests)}")
+            if outcome.word == ERROR:
+                print("\n".join(f"    {line}" for line in outcome.said.strip().splitlines()[-12:]))
+
+
+def main(words: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description="Plant each mistake of tests/mutants.toml and see it caught.")
+    parser.add_argument("--only", default="", metavar="TEXT", help="those whose file or description has this in it")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write what became of each")
+    args = parser.parse_args(words)
+    begun, mutants, results = time.monotonic(), read(args.only), list[tuple[Mutant, Outcome]]()
+    if not mutants:
+        raise SystemExit(f"--only {args.only}: no mistake has this in its file or its description")
+    with tempfile.TemporaryDirectory(prefix="softfinger-mutants-") as folder:
+        copy = Copy(Path(folder))
+        right = copy.test(sorted({test for mutant in mutants for test in mutant.tests}), limit_s=None)
+        if right.word != SURVIVED:
+            print(right.said)
+            raise SystemExit("these tests do not pass without a mistake: nothing they say of one would count")
+        print(f"without a mistake all pass, {right.seconds:.1f} s", flush=True)
+        for number, mutant in enumerate(mutants, 1):
+            outcome = copy.try_out(mutant, number)
+            results.append((mutant, outcome))
+            print(f"[{number}/{len(mutants)}] {outcome.word:<8} {outcome.seconds:5.1f} s  {mutant}", flush=True)
+    tell(results, time.monotonic() - begun)
+    if args.json is not None:
+        rows: list[dict[str, Any]] = [mutant._asdict() | outcome._asdict() for mutant, outcome in results]
+        args.json.write_text(json.dumps(rows, indent=2) + "\n", "utf-8")
+    return 0 if all(outcome.word == CAUGHT for _, outcome in results) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
