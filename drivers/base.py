@@ -98,6 +98,18 @@ def names(devices: Iterable[Device]) -> str:
     return ", ".join(device.info.name for device in devices)
 
 
+class LastWord(NamedTuple):
+    """Path of a device's node, its open file descriptor, and the bytes that command zero when they are written there.
+
+    A process that inherits the descriptor does not have to open the node: a serial port that is open for one user alone
+    stays so as long as anybody holds it.
+    """
+
+    node: str
+    fd: int
+    zero: bytes
+
+
 class Device(ABC):
     """An open device. Opening happens in the constructor; leaving the context stops and closes it."""
 
@@ -130,8 +142,8 @@ class Device(ABC):
         """The hand on it, where it is computed and may be led; None where a person's is, or something else leads it."""
         return None
 
-    def last_word(self) -> tuple[str, bytes] | None:
-        """Path of the device's node, and what any process can write there to command zero; None where none can."""
+    def last_word(self) -> LastWord | None:
+        """What another process needs to command zero; None where none can."""
         return None
 
     def counts(self) -> dict[str, int]:

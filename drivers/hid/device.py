@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceIO
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceIO, LastWord
 from softfinger.drivers.block import Block
 from softfinger.drivers.conversation import TALK, Times, begin, info_of
 from softfinger.drivers.hid import exchange, reports
@@ -123,8 +123,8 @@ class HidDevice(Device):
         hung_s = self.pump.hangs_s()
         return f"a write has been under way for {hung_s:.2g} s" if hung_s else self.pump.failure
 
-    def last_word(self) -> tuple[str, bytes] | None:
-        return (self._node, self._zero) if self._node else None
+    def last_word(self) -> LastWord | None:
+        return LastWord(self._node, int(self._block.word[TALK.fd]), self._zero) if self._node else None
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()

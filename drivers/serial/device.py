@@ -8,7 +8,7 @@ import time
 from typing import Final
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, Device, DeviceIO
+from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, Device, DeviceIO, LastWord
 from softfinger.drivers.block import Block
 from softfinger.drivers.conversation import TALK, Times, begin, info_of
 from softfinger.drivers.serial import exchange, frames
@@ -98,8 +98,8 @@ class SerialDevice(Device):
             return ""
         return f"its last bytes are {self._block.octets(AT.incoming, frames.LOOKBACK).tobytes()!r}"
 
-    def last_word(self) -> tuple[str, bytes]:
-        return self._path, frames.ZERO
+    def last_word(self) -> LastWord:
+        return LastWord(self._path, int(self._block.word[TALK.fd]), frames.ZERO)
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()

@@ -340,8 +340,8 @@ def test_last_word_takes_the_force_off() -> None:
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         answering.settle(device)
         assert any(arm.sent[-1])
-        node, zero = device.last_word()
-        assert node == "/dev/hidraw7"
+        node, fd, zero = device.last_word()
+        assert node == "/dev/hidraw7" and os.fstat(fd)
         arm.answer(zero)
         assert not any(arm.sent[-1])
 
