@@ -359,6 +359,10 @@ class AsyncControl:
         await self.close()
 
 
+for _name in METHODS:
+    getattr(AsyncControl, _name).__doc__ = getattr(Control, _name).__doc__
+
+
 def _scene(scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None, name: str) -> SetScene:
     return SetScene(scene if isinstance(scene, str) else dict(scene), dict(overrides or {}), name)
 
