@@ -410,14 +410,17 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(rig):
 
 
 def test_parameters_set_together_are_never_torn(rig):
-    """Two parameters whose forces add up to the same: k d + f is the same in every tick while both change, as fast as
-    a client may ask, and each pair is seen in many ticks."""
+    """Two parameters whose forces add up to the same: k d + f is the same in every tick while both change, every other
+    tick, and each pair is seen in many ticks. A client may ask once a tick."""
     pairs = [(1000.0, 1.0), (500.0, 1.5), (250.0, 1.75), (1500.0, 0.5)]
     with running(rig()) as (daemon, control, kept):
         first, asked = daemon.servo.ticks, 400
         for number in range(asked):
             stiffness, push = pairs[number % 4]
+            tick = daemon.servo.ticks
             control.set_params({STIFFNESS: stiffness, PUSH: [0.0, 0.0, push]})
+            while daemon.servo.ticks < tick + 2:
+                time.sleep(0.0002)
         rows = kept.since(first)
     rows = rows[rows[:, AT.servo_guard] == 0.0]
     normal = rows[:, AT.contact_normal_force]
