@@ -24,7 +24,13 @@ class Clients:
     """Whoever commands on one endpoint; `ask` is given kind, client and request."""
 
     def __init__(self, gate: Gate, bound: Open, lock: Lock | None, ask: Callable[[Kind, bytes, bytes], object]) -> None:
-        options = {"maxmsgsize": REQUEST_MAX, "sndhwm": WAITING_MAX, "rcvhwm": WAITING_MAX, "router_mandatory": 1}
+        options = {
+            "maxmsgsize": REQUEST_MAX,
+            "sndhwm": WAITING_MAX,
+            "rcvhwm": WAITING_MAX,
+            "router_mandatory": 1,
+            "router_handover": 1,
+        }
         self.front: Final = Front(gate, zmq.ROUTER, bound, lock, options)
         self._ask = ask
         self._asked: Counter[bytes] = Counter()

@@ -28,11 +28,11 @@ from softfinger.proxy.records import Records
 from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.protocol import CONTACT, FINGERS, TOPICS, ProtocolError, contact_topic, decode, finger_of
+from softfinger.server.wire.waits import milliseconds
 
 DEFAULT_ENDPOINT: Final = "tcp://127.0.0.1:5555"
 
 _RECEIVE_BACKLOG: Final = 40960  # as the publisher's: a client that pauses for a while loses nothing
-_LONGEST_WAIT_MS: Final = (1 << 31) - 1  # 25 days: what a socket's time-out holds
 _LARGEST_FRAME: Final = 1 << 20  # ZeroMQ hangs up on a peer that sends more, before it allocates
 
 _IN_LISTS: Final = [i for i, field in enumerate(FIELDS) if field.name.startswith("contacts")]
@@ -132,7 +132,7 @@ class Subscription(Closing):
 
         Raises ProtocolError for a message that is not ours; the next call reads on behind it.
         """
-        wait_ms = -1 if timeout_s is None else min(max(0, round(timeout_s * 1000)), _LONGEST_WAIT_MS)
+        wait_ms = milliseconds(timeout_s)
         if wait_ms != self._wait_ms:  # the socket's own time-out: to poll first would take half as long again
             self._socket.rcvtimeo = self._wait_ms = wait_ms
         try:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from softfinger.config.schema import Coordinate
 from softfinger.proxy.record import AT
 
-ErrorName = Literal["malformed", "unknown_method", "bad_params", "refused", "busy", "superseded", "failed"]
+ErrorName = Literal["malformed", "unknown_method", "bad_params", "refused", "busy", "superseded", "expired", "failed"]
 
 ERRORS: Final[dict[ErrorName, str]] = {
     "malformed": "the message does not have the envelope of a request",
@@ -26,6 +26,7 @@ ERRORS: Final[dict[ErrorName, str]] = {
     "refused": "the daemon cannot do this in its present state",
     "busy": "too many requests, or a scene is being replaced: ask again later",
     "superseded": "a later set_scene arrived before this one was compiled",
+    "expired": "the client had given up waiting before the daemon came to it: nothing was done",
     "failed": "a defect of the daemon; its log has details",
 }
 """Every name that an error may begin with."""

@@ -20,6 +20,7 @@ from typing import Any, Final, Self, TypeVar
 
 import msgpack
 import msgspec
+import numpy as np
 import zmq
 import zmq.asyncio
 
@@ -27,6 +28,7 @@ from softfinger.config.errors import CommandRefused, ConfigError, HapticError
 from softfinger.config.schema import Telemetry, commands_beside, runtime_folder
 from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
+from softfinger.server.publishing.setup import REQUEST_MAX
 from softfinger.server.wire.commands import (
     METHODS,
     Alive,
@@ -52,6 +54,8 @@ from softfinger.server.wire.commands import (
     Zeroed,
 )
 from softfinger.server.wire.endpoint import check_runtime_folder
+from softfinger.server.wire.envelope import expiry
+from softfinger.server.wire.waits import milliseconds
 
 R = TypeVar("R")
 
@@ -75,6 +79,8 @@ def default_commands() -> str:
 
 def _connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
     socket.linger = 0
+    # A name of its own, whose first byte is not 0: an answer finds it when the publisher was restarted meanwhile.
+    socket.routing_id = b"c" + uuid.uuid4().bytes
     socket.maxmsgsize = _ANSWER_MAX
     socket.ipv6 = "[" in endpoint
     if keys is not None:
@@ -94,11 +100,24 @@ def _connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) 
         ) from error
 
 
-def _asking(method: str, params: Any) -> tuple[str, list[bytes]]:
-    """A request's id and frames."""
+def _asking(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:
+    """A request's id and frames; ConfigError for what cannot be said in one."""
     command_id = uuid.uuid4().hex
-    request = {"command_id": command_id, "method": method, "params": params}
-    return command_id, [b"", msgspec.msgpack.encode(request)]
+    request = {"command_id": command_id, "method": method, "params": params, "expires": expiry(wait_s)}
+    try:
+        body = msgspec.msgpack.encode(request, enc_hook=_plain)
+    except (TypeError, ValueError, OverflowError) as error:  # a text that is no Unicode is a ValueError
+        raise ConfigError(f"{method}: cannot be sent: {error}") from error
+    if len(body) > REQUEST_MAX:
+        raise ConfigError(f"{method}: a request of {len(body)} bytes: a daemon takes at most {REQUEST_MAX}")
+    return command_id, [b"", body]
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and numbers of numpy, as they come from records and telemetry."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{value!r} is a {type(value).__name__}: give numbers, texts, lists and mappings")
 
 
 def _answer(frames: list[bytes]) -> dict[str, Any]:
@@ -155,13 +174,17 @@ class Control(Closing):
         return self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
-        command_id, frames = _asking(method, params)
         wait_s = _timeout(method, self.timeout_s)
         until = time.monotonic() + wait_s
-        # Where the peer is no ROUTER, or has left a thousand requests unanswered, there is nowhere to send to.
-        if self._socket.poll(round(1000 * wait_s), zmq.POLLOUT):
-            self._socket.send_multipart(frames)
-        while self._socket.poll(max(0, round(1000 * (until - time.monotonic())))):
+        command_id, frames = _asking(method, params, wait_s)
+        sent = False
+        while not sent and self._socket.poll(milliseconds(until - time.monotonic()), zmq.POLLOUT):
+            # Where the peer is no ROUTER, or has left a thousand requests unanswered, there is nowhere to send to; and
+            # libzmq may hang up at any moment.
+            with contextlib.suppress(zmq.Again):
+                self._socket.send_multipart(frames, zmq.NOBLOCK)
+                sent = True
+        while sent and self._socket.poll(milliseconds(until - time.monotonic())):
             answer = _answer(self._socket.recv_multipart())
             if answer.get("command_id") == command_id:  # and none that came too late for an earlier request
                 return _result(answer, kind)
@@ -266,11 +289,11 @@ class AsyncControl:
         return await self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     async def _ask(self, method: str, params: Any, kind: type[R]) -> R:
-        command_id, frames = _asking(method, params)
         wait_s = _timeout(method, self.timeout_s)
+        command_id, frames = _asking(method, params, wait_s)
         answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
         try:
-            async with asyncio.timeout(wait_s):
+            async with asyncio.timeout(milliseconds(wait_s) / 1000.0):
                 await self._socket.send_multipart(frames)  # which waits as long as there is nowhere to send to
                 return _result(await answer, kind)
         except TimeoutError:

@@ -1,11 +1,14 @@
 """Requests and answers on the wire: hapticore's envelope, read with limits.
 
-A request is `[empty, msgpack map]` with `command_id`, `method` and `params`, the answer `[empty, msgpack map]` with
-`command_id`, `success`, `result` and `error`. The text of an error begins with its name.
+A request is `[empty, msgpack map]` with `command_id`, `method`, `params` and perhaps `expires`, the answer
+`[empty, msgpack map]` with `command_id`, `success`, `result` and `error`. The text of an error begins with its name.
 """
 
 from __future__ import annotations
 
+import math
+import time
+from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
 import msgpack
@@ -45,6 +48,25 @@ class _Envelope(Struct, frozen=True):
     command_id: Annotated[str, Meta(max_length=128)]
     method: Annotated[str, Meta(max_length=64)]
     params: dict[str, Any] = {}
+    expires: tuple[str, float] | None = None
+
+
+def expiry(wait_s: float) -> tuple[str, float] | None:
+    """Until when a request counts whose client waits so long: the boot of its machine, and s on CLOCK_MONOTONIC there.
+
+    None where nothing is known of the boot, or the wait has no end.
+    """
+    return (_BOOT, time.monotonic() + wait_s) if _BOOT and wait_s < math.inf else None
+
+
+def _boot() -> str:
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+    except OSError:
+        return ""
+
+
+_BOOT: Final = _boot()
 
 
 def parse(body: bytes | None) -> Request:
@@ -73,6 +95,9 @@ def parse(body: bytes | None) -> Request:
         params = msgspec.convert(envelope.params, method.params)
     except msgspec.ValidationError as error:
         raise Declined("bad_params", f"{envelope.method}: {error}", command_id) from error
+    # Of another machine's clock nothing is known.
+    if envelope.expires is not None and envelope.expires[0] == _BOOT and envelope.expires[1] < time.monotonic():
+        raise Declined("expired", "its client has given up waiting: nothing was done", command_id)
     return Request(command_id, envelope.method, params)
 
 

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import msgpack
+import numpy as np
 import pytest
 import zmq
 
+from softfinger.config.errors import ConfigError
+from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import AsyncControl, Control, NoAnswer
+from softfinger.server.wire.envelope import Declined, parse
 
 WAIT_S = 0.05
 ASKED = 5
@@ -42,6 +49,19 @@ def test_a_command_without_an_answer_ends(endpoint: str) -> None:
 
 
 @pytest.mark.timeout(60)
+def test_each_of_many_clients_of_a_publisher_ends(tmp_path: Path) -> None:
+    """libzmq hangs up at any moment after `connect`: between a look whether it takes a request and the request, too."""
+    with zmq.Context() as context, context.socket(zmq.PUB) as peer:
+        peer.linger = 0
+        peer.bind(f"ipc://{tmp_path}/socket")
+        for _ in range(300):
+            with Control(f"ipc://{tmp_path}/socket", 0.003) as control:
+                for _ in range(2):
+                    with pytest.raises(NoAnswer):
+                        control.get_state()
+
+
+@pytest.mark.timeout(60)
 def test_a_command_of_asyncio_without_an_answer_ends(endpoint: str) -> None:
     """The same, and the loop goes on meanwhile."""
 
@@ -62,3 +82,73 @@ def test_more_requests_than_libzmq_keeps_end_each(tmp_path: Path) -> None:
         for _ in range(1100):
             with pytest.raises(NoAnswer):
                 control.get_state()
+
+
+@pytest.mark.parametrize("client", [Control, AsyncControl])
+def test_a_request_says_until_when_it_counts(client: type, tmp_path: Path) -> None:
+    """The daemon does nothing that its client has given up; what has no end, or another machine's, it does."""
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as peer:
+        peer.linger, peer.rcvtimeo = 0, 10_000
+        peer.bind(f"ipc://{tmp_path}/socket")
+
+        async def ask() -> None:
+            async with AsyncControl(f"ipc://{tmp_path}/socket", WAIT_S) as control:
+                with pytest.raises(NoAnswer):
+                    await control.arm()
+
+        if client is Control:
+            with Control(f"ipc://{tmp_path}/socket", WAIT_S) as control, pytest.raises(NoAnswer):
+                control.arm()
+        else:
+            asyncio.run(ask())
+        *_, body = peer.recv_multipart()
+    with pytest.raises(Declined, match=r"^expired: .* nothing was done"):
+        parse(body)
+    request = msgpack.unpackb(body)
+    boot, until = request["expires"]
+    for expires in ([boot, until + 3600.0], ["another boot", until], None):
+        assert parse(msgpack.packb(request | {"expires": expires})).method == "arm"
+
+
+@pytest.mark.parametrize("wait_s", [math.inf, 3e6, 1e300])
+def test_a_wait_may_be_as_long_as_one_likes(wait_s: float, tmp_path: Path) -> None:
+    """Answered at once, by a server that takes what a client says."""
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as peer, ThreadPoolExecutor() as pool:
+        peer.linger, peer.rcvtimeo = 0, 10_000
+        peer.bind(f"ipc://{tmp_path}/socket")
+
+        def serve() -> None:
+            for _ in range(2):
+                name, empty, body = peer.recv_multipart()
+                answer = {"command_id": msgpack.unpackb(body)["command_id"], "success": True, "result": {}}
+                peer.send_multipart([name, empty, msgpack.packb(answer)])
+
+        serving = pool.submit(serve)
+        with Control(f"ipc://{tmp_path}/socket", wait_s) as control:
+            assert control.ask("heard") == {}
+
+        async def ask() -> None:
+            async with AsyncControl(f"ipc://{tmp_path}/socket", wait_s) as control:
+                assert await control.ask("heard") == {}
+
+        asyncio.run(ask())
+        serving.result()
+    with subscribe(f"ipc://{tmp_path}/nobody") as samples:
+        assert samples.receive(-1.0) is None
+
+
+def test_what_cannot_be_sent_is_said(tmp_path: Path) -> None:
+    """One sentence each; numbers of numpy are numbers."""
+    with Control(f"ipc://{tmp_path}/nobody", 0.0) as control:
+        for what, says in (
+            ({"a": "y" * 300_000}, "a request of 300... bytes: a daemon takes at most 262144"),
+            ({"a": 10**30}, "mark: cannot be sent: "),
+            ({"a": "\udcff"}, "mark: cannot be sent: "),
+            ({"a": object()}, "give numbers, texts, lists and mappings"),
+        ):
+            with pytest.raises(ConfigError, match=says):
+                control.mark("x", what)
+        with pytest.raises(NoAnswer):
+            control.mark("x", {"a": np.float64(1.0), "b": np.zeros(3)})
+    with Control(f"ipc://{tmp_path}/nobody", math.nan) as control, pytest.raises(ConfigError, match="time-out of nan"):
+        control.get_state()
