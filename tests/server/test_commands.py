@@ -7,11 +7,14 @@ import contextlib
 import gc
 import json
 import math
+import os
+import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -690,6 +693,27 @@ def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
         assert not any(map(alive, slow_compiler()))
         threads[1].join(60.0)
         assert len(ends) == 2 and isinstance(ends[1], CommandRefused)
+
+
+def test_an_answer_finds_its_client_when_the_publisher_was_killed_meanwhile(rig, slow_compiler):
+    """It connects again under its own name; libzmq tries every tenth of a second."""
+    with (
+        running(rig()) as (daemon, control, _),
+        Control(daemon.commands_endpoint, WAIT_S) as first,
+        ThreadPoolExecutor() as pool,
+    ):
+        answer = pool.submit(first.set_scene, "sphere")
+        assert eventually(lambda: len(slow_compiler()) == 1)
+        killed = daemon.publisher.pid
+        os.kill(killed, signal.SIGKILL)
+        assert eventually(lambda: daemon.publisher.pid != killed)
+        assert control.heartbeat().timeout_ms == 0
+        time.sleep(1.0)
+        control.timeout_s = 1.0
+        with pytest.raises(NoAnswer):  # the compiler takes for ever
+            control.set_scene("cylinder")
+        with pytest.raises(CommandRefused, match=r"^superseded: "):
+            answer.result()
 
 
 def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
