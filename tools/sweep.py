@@ -170,7 +170,7 @@ def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
         completed = partial(distributed.as_completed, loop=client.loop)
         try:
             yield _Workers(number, partial(client.submit, pure=False), completed)
-        except (CancelledError, distributed.KilledWorker) as error:
+        except (CancelledError, distributed.KilledWorker, distributed.comm.CommClosedError) as error:
             reason = str(error).partition("\n")[0]
             raise ConfigError(
                 f"--scheduler {scheduler}: lost while it computed ({reason}): see its log; the same command with "
