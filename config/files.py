@@ -105,6 +105,14 @@ def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[byt
         os.close(at)
 
 
+def is_same_file(one: str | Path, other: str | Path) -> bool:
+    """Whether two names lead to one file, be it there or not."""
+    try:
+        return os.path.samefile(one, other)
+    except (OSError, ValueError):
+        return os.path.realpath(one) == os.path.realpath(other)
+
+
 def followed(path: str | Path) -> Path:
     """What a name means after links of this user, of root, or of the owner of the folder they are in.
 

@@ -2,7 +2,8 @@
 
 import argparse
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from softfinger.config.errors import ConfigError
@@ -62,9 +63,18 @@ def by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
     return files
 
 
+def keep_apart(flag: str, written: str | Path, read: Iterable[str | Path]) -> None:
+    """Raise ConfigError where what an option has written is what is read: it would be lost."""
+    from softfinger.config.files import is_same_file
+
+    for each in read:
+        if is_same_file(each, written):
+            raise ConfigError(f"{flag} {written}: is {each}, which is read: name another file")
+
+
 def duration(text: str) -> float:
     """A time of the command line, s."""
     seconds = float(text)
     if not 0.0 < seconds < 1e9:
-        raise argparse.ArgumentTypeError(f"{text}: a duration is more than 0 s")
+        raise argparse.ArgumentTypeError(f"{text}: a duration is more than 0 s and less than 1e9 s")
     return seconds

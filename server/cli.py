@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
+import io
 import os
 import signal
 import sys
@@ -130,6 +131,8 @@ def set_up_process() -> None:
     """What makes a start shorter, before anything large is imported; `run_verb` puts the garbage collector back."""
     gc.disable()  # nothing that an import makes is garbage, and it would be looked through again and again
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no matrix here is large enough for two
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names in a scene may be of letters that the terminal has not
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def to_stderr() -> logging.Handler:

@@ -281,6 +281,9 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
     for index, item in enumerate(scene.object):
         if not known(item) or not known(item.name):
             continue
+        if item.name.partition(".")[0].isdecimal():
+            why = "begins with a number, and object.1 is the second object: put a letter before it"
+            yield f"object[{index}].name", item.name, why
         if item.name in first:
             earlier = f"object[{first[item.name]}]"
             yield f"object[{index}].name", item.name, f"is the name of {earlier} already: choose another"

@@ -11,6 +11,8 @@ from typing import Annotated, Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
+from softfinger.config.errors import ConfigError
+from softfinger.config.files import is_same_file
 from softfinger.config.schema import said
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import (
@@ -91,6 +93,8 @@ class Replay(Device):
     """
 
     def __init__(self, options: Options, rate_hz: float) -> None:
+        if options.forces is not None and is_same_file(options.recording, options.forces):
+            raise ConfigError(f"forces = {options.forces!r}: is the recording that is replayed: name another file")
         samples = resample(load_poses(options.recording, options.finger), rate_hz)
         self.samples: Array = np.ascontiguousarray(close_loop(samples, rate_hz) if options.loop else samples)
         """Poses (M, 7) that the reads return in turn."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import cycle
 from pathlib import Path
@@ -20,7 +20,7 @@ from softfinger.server.wire.protocol import SCHEMA_TOPIC, ProtocolError
 EXPECTED_S: Final = 0.5
 """Time of a turn to ask, first for what an address is expected to be. A daemon answers within milliseconds."""
 BUSY_S: Final = 10.0
-"""Time that it has to be either, where anything listens there at all: the machine may be busy."""
+"""Time that it has to be either, where nobody says another."""
 
 
 class Addresses(NamedTuple):
@@ -37,12 +37,18 @@ class Addresses(NamedTuple):
 
 
 def addresses_of(
-    endpoint: str, keys: ClientKeys | None = None, commands: str | None = None, *, to_command: bool = False
+    endpoint: str,
+    keys: ClientKeys | None = None,
+    commands: str | None = None,
+    *,
+    to_command: bool = False,
+    within_s: float = BUSY_S,
 ) -> Addresses:
     """Both addresses of the daemon of which `endpoint` is one.
 
     commands    where it takes them, if that is known: nothing is sought then
     to_command  whether `endpoint` is more likely that of commands
+    within_s    how long the daemon is asked, where anything listens there at all; the machine may be busy
 
     Where the rig does not say, commands are beside the telemetry (`commands_beside`), and so they are for an address
     that other machines reach. Else the daemon is asked. One that does not answer, since it is not there yet, has the
@@ -51,23 +57,27 @@ def addresses_of(
     if commands is not None:
         return Addresses(telemetry_of(endpoint), commands)
     if endpoint.startswith("ipc://") and endpoint.endswith(BESIDE):
-        return _answered([_commanded], endpoint, keys) or Addresses(telemetry_of(endpoint), endpoint)
+        return _answered([_commanded], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
     beside = commands_beside(endpoint)
     if beside.startswith("ipc://") and Path(beside.removeprefix("ipc://")).is_socket():
         return Addresses(endpoint, beside)
     likely = Addresses(endpoint, endpoint if to_command else beside)
     if is_public(endpoint):
         return likely
-    return _answered([_commanded, _published] if to_command else [_published, _commanded], endpoint, keys) or likely
+    asks = [_commanded, _published] if to_command else [_published, _commanded]
+    return _answered(asks, endpoint, keys, within_s) or likely
 
 
 def _answered(
-    asks: list[Callable[[str, ClientKeys | None, float], Addresses | None]], endpoint: str, keys: ClientKeys | None
+    asks: Sequence[Callable[[str, ClientKeys | None, float], Addresses | None]],
+    endpoint: str,
+    keys: ClientKeys | None,
+    within_s: float,
 ) -> Addresses | None:
     """What the first of the ways to ask finds that has an answer; each has its turns while anything listens."""
-    until = time.monotonic() + BUSY_S
+    until = time.monotonic() + within_s
     for ask in cycle(asks):
-        if (found := ask(endpoint, keys, EXPECTED_S)) is not None:
+        if (found := ask(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
             return found
         if time.monotonic() > until or not _listens(endpoint):
             return None

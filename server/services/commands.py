@@ -273,7 +273,8 @@ class Commands:
         given = 0 if asked is msgspec.UNSET else asked
         place = given if isinstance(given, int) else names.index(given) if given in names else len(names)
         if place >= len(names):
-            raise Declined("bad_params", f"no finger is {shown(given)}: there are {', '.join(names)}")
+            there = f"there are {', '.join(names)}" if len(names) > 1 else "there is one, without a name: leave it out"
+            raise Declined("bad_params", f"no finger is {shown(given)}: {there}")
         return place
 
     def _arm(self, request: Request) -> wire.Armed:

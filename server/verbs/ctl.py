@@ -15,7 +15,7 @@ from softfinger.config.load import read_toml
 from softfinger.config.words import near, shown
 from softfinger.server import keys
 from softfinger.server.arguments import duration
-from softfinger.server.gateway.addresses import addresses_of
+from softfinger.server.gateway.addresses import BUSY_S, addresses_of
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.commands import METHODS, table
@@ -62,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
     waiting = f"{args.method}: the daemon compiles the scene, or loads what is kept of it"
     shown_wait = progress(waiting if args.method == "set_scene" else f"{args.method}: waiting for the daemon")
     lock = keys.of_options(args)
-    found = addresses_of(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT)
+    asked_s = BUSY_S if args.timeout is None else args.timeout
+    found = addresses_of(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=asked_s)
     with Control(found.commanded(), args.timeout, lock) as daemon, shown_wait:
         result = msgspec.to_builtins(daemon.ask(args.method, params))
     if args.json:

@@ -157,7 +157,7 @@ def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: fl
     next_show = started + period_s
     topics = CONTACT, EVENT, HEALTH, FINGERS
     lock = keys.of_options(args)
-    endpoint = addresses_of(args.endpoint, lock).telemetry
+    endpoint = addresses_of(args.endpoint, lock, within_s=args.timeout).telemetry
     with subscribe(endpoint, topics, keys=lock) as subscription:
         board = Board(endpoint)
         while True:

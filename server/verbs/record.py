@@ -6,6 +6,7 @@ A client of the wire and nothing more. Rows go to the file as they come, so what
 from __future__ import annotations
 
 import argparse
+import io
 import logging
 import math
 import time
@@ -13,6 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -20,7 +22,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.files import open_output
+from softfinger.config.files import is_same_file, open_recording
 from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, POSE_COLUMNS, rate_of
 from softfinger.server import keys, signals
 from softfinger.server.arguments import by_finger
@@ -85,13 +87,16 @@ def run(args: argparse.Namespace) -> int:
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record takes a FILE, or --poses FILE: give one of them")
     stop, lock = Stop(), keys.of_options(args)
-    found = addresses_of(args.endpoint, lock, args.commands)
+    found = addresses_of(args.endpoint, lock, args.commands, within_s=args.timeout)
     if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
         live = Live(found, lock, args.duration, args.timeout, lambda: stop.asked)
         with signals.asked(stop.ask):
             log.info("%s", record_live(live, Path(args.file)))
         return signals.code_of_stop()
     files = {name: Path(file) for name, file in by_finger(args.poses or [args.file], "--poses").items()}
+    for (name, file), (other, another) in combinations(files.items(), 2):
+        if is_same_file(file, another):
+            raise ConfigError(f"--poses {name}={file} and --poses {other}={another} are one file: give each its own")
     topics = CONTACT, FINGERS, EVENT
     with subscribe(found.telemetry, topics, keys=lock) as samples, signals.asked(stop.ask):
         recorded = record(samples, files, args.duration, args.timeout, stop)
@@ -152,6 +157,14 @@ class Kept:
         )
 
 
+def _new(path: Path) -> Any:
+    """A file that was not there; OSError where it cannot be made."""
+    try:
+        return open_recording(path)
+    except FileExistsError as error:
+        raise RecordingError(f"{path}: is there already: a recording takes the place of no file") from error
+
+
 class PosesFile(ABC):
     """A file that rows of t (s), position (m), orientation go to, with the message they are from."""
 
@@ -170,7 +183,7 @@ class CsvPoses(PosesFile):
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._file = open_output(path)
+            self._file = io.BufferedWriter(_new(path))
             self._file.write((",".join(POSE_COLUMNS) + "\n").encode())
         except OSError as error:
             raise self._failed(error) from error
@@ -197,7 +210,10 @@ class McapPoses(PosesFile):
     BLOCK: Final = 256
 
     def __init__(self, path: Path) -> None:
-        self._results = McapResults(path)
+        try:
+            self._results = McapResults(path, _new(path))
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
         self._rows: list[list[float]] = []
 
     def add(self, t: float, sample: Sample) -> None:
@@ -263,6 +279,7 @@ def record(
                 sample = samples.receive(POLL_S)
     for name, clock in clocks.items():
         if clock.kept.poses < 2:
+            files[name].unlink(missing_ok=True)
             raise RecordingError(
                 f"{files[name]}: {clock.kept.poses} pose(s) arrived ({clock.kept.ended}), a recording has at least 2"
             )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
-from softfinger.server.arguments import by_finger, duration
+from softfinger.server.arguments import by_finger, duration, keep_apart
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.results import write_blocks
@@ -62,7 +62,9 @@ def run(args: argparse.Namespace) -> int:
     fingers = [finger.name for finger in scene.fingers]
     rate = rig.servo.rate_hz
     if args.device is None:
-        poses = poses_of(fingers, by_finger(args.poses, "--poses"), rate)
+        files = by_finger(args.poses, "--poses")
+        keep_apart("--out", args.out, files.values())
+        poses = poses_of(fingers, files, rate)
         blocks = over_poses(make_tuning(scene, rig.guard), poses, rate)
     elif len(fingers) > 1:
         raise ConfigError("--device: several fingers are simulated on recordings: give --poses NAME=P for each")

@@ -348,6 +348,15 @@ def test_object_names_must_differ() -> None:
     ]
 
 
+@pytest.mark.parametrize("name", ["1", "01.top"])
+def test_an_object_s_name_is_no_number(name: str) -> None:
+    """`object.1` is the second object, whatever another is called."""
+    given = scene()
+    given["object"][0]["name"] = name
+    (fault,) = faults_of(Scene, given)
+    assert f"object[0].name = {name!r}: begins with a number, and object.1 is the second object" in fault
+
+
 FINGERS: list[dict[str, Any]] = [{"name": "thumb", "radius_m": 0.01}, {"name": "index", "radius_m": 0.008}]
 """Two fingers, as a file has them."""
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.server.arguments import keep_apart
 from softfinger.server.offline.tables import layout_of, read_table, write_poses
 
 
@@ -30,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     layout = layout_of(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
     if args.out.suffix.lower() != ".csv":
         raise ConfigError(f"--out {args.out}: poses are written as .csv")
+    keep_apart("--out", args.out, [args.table])
     poses = read_table(args.table, layout)
     try:
         write_poses(args.out, poses)

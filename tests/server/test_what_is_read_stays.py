@@ -1,0 +1,65 @@
+"""No verb writes over what it reads, over a recording, or over another finger's."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from helpers.called import called
+
+POSES = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.02,1,0,0,0\n0.1,0,0,0.009,1,0,0,0\n"
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Poses in a.csv, which link.csv leads to."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_text(POSES)
+    (tmp_path / "link.csv").symlink_to("a.csv")
+    return tmp_path
+
+
+@pytest.mark.parametrize("written", ["a.csv", "./a.csv", "link.csv"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["simulate", "--scene", "paper-plane", "--poses", "a.csv", "--out"],
+        ["import", "a.csv", "--columns", "t,x,y,z", "--out"],
+        ["export", "a.csv", "--out"],
+        ["run", "--recording", "a.csv", "--once", "--forces"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_an_output_is_not_what_is_read(words: list[str], written: str, here: Path) -> None:
+    """By whatever name: exit code 2, one sentence, and the file is as it was."""
+    done = called(*words, written)
+    assert done.returncode == 2 and "name another file" in done.stderr, done.stderr
+    assert (here / "a.csv").read_text() == POSES and sorted(os.listdir(here)) == ["a.csv", "link.csv"]
+
+
+@pytest.mark.real_time
+def test_a_recording_takes_the_place_of_no_file(endpoints: tuple[str, str], here: Path) -> None:
+    """Of poses as of everything; what has too few poses is not left behind."""
+    to = ["--endpoint", endpoints[0], "--timeout", "60"]
+    done = called("record", "a.csv", "--duration", "0.05", *to)
+    assert done.returncode == 3 and "is there already" in done.stderr and (here / "a.csv").read_text() == POSES
+    done = called("record", "short.csv", "--duration", "0.0005", *to)
+    assert done.returncode == 3 and "at least 2" in done.stderr and not (here / "short.csv").exists()
+    done = called("record", "--poses", "index=b.csv", "--poses", "thumb=./b.csv", *to)
+    assert done.returncode == 2 and "are one file" in done.stderr and not (here / "b.csv").exists()
+    assert called("record", "b.csv", "--duration", "0.05", *to).returncode == 0 and (here / "b.csv").stat().st_size
+
+
+def test_a_name_that_the_terminal_has_no_letters_for_is_told(tmp_path: Path) -> None:
+    """Escaped: `check` of a scene with a table in Russian, where output is ASCII."""
+    scene = tmp_path / "scene.toml"
+    table = 'name = "стол"\nshape = "plane"\nmaterial = "rubber"\n'
+    scene.write_text(f"[fingertip]\nradius_m = 0.01\n[[object]]\n{table}", "utf-8")
+    words = [sys.executable, "-m", "softfinger.server.cli", "check", str(scene)]
+    done = subprocess.run(
+        words, env=os.environ | {"PYTHONIOENCODING": "ascii"}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0 and "\\u0441\\u0442\\u043e\\u043b" in done.stdout and "Traceback" not in done.stderr
