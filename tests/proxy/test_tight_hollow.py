@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory
+from helpers.examples import Cases
 from numpy.typing import NDArray
 from references.laws import column
 from scipy.optimize import brentq
@@ -111,7 +112,6 @@ def test_a_finger_that_crosses_a_slot_touches_the_other_wall(clearance: float, a
     assert [CAUSE_NAMES[int(c)] for c in column(records, "contact.cause")] == ["none", "touch", "none", "touch", "none"]
 
 
-@pytest.mark.xfail(reason="beside other objects the search for rest turns round where the depth exceeds the clearance")
 def test_beside_another_object_a_hollow_is_the_same_hollow() -> None:
     """Pressed 1.5 mm into a bowl with 1 mm of clearance and led round: the force of the bowl alone, with a plane that
     is metres away."""
@@ -127,3 +127,70 @@ def test_beside_another_object_a_hollow_is_the_same_hollow() -> None:
     forces = np.asarray(Engine(given).run(way)["force"])[200:]
     towards = -np.stack([np.cos(turned), np.sin(turned), np.zeros(len(turned))], axis=1)[200:]
     np.testing.assert_allclose(forces, K * depth * towards, atol=1e-6)
+
+
+FAR = {"name": "far", "shape": "plane", "position_m": [0.0, 0.0, -9.0]}
+HALF = 0.005
+"""Of the capsule's length, m."""
+
+
+def ends(distance: float) -> list[dict[str, Any]]:
+    return [
+        {"name": "below", "shape": "plane", "position_m": [0.0, 0.0, -distance]},
+        {"name": "above", "shape": "plane", "position_m": [0.0, 0.0, distance], "orientation_wxyz": [0, 1, 0, 0]},
+    ]
+
+
+def in_ball(p: Array, h: float) -> Array:
+    return p * min(1.0, h / max(float(np.linalg.norm(p)), 1e-300))
+
+
+def in_tube(p: Array, h: float) -> Array:
+    return np.array([*(p[:2] * min(1.0, h / max(float(np.hypot(*p[:2])), 1e-300))), p[2]])
+
+
+def in_capsule(p: Array, h: float) -> Array:
+    middle = np.array([0.0, 0.0, np.clip(p[2], -HALF, HALF)])
+    return middle + in_ball(p - middle, h)
+
+
+def in_short_tube(p: Array, h: float) -> Array:
+    return np.array([*in_tube(p, h)[:2], np.clip(p[2], -h, h)])
+
+
+def in_dome(p: Array, h: float) -> Array:
+    return in_tube(p, h) * [1.0, 1.0, 0.0] if p[2] < 0.0 else in_ball(p, h)
+
+
+NEARLY_FILLED: dict[str, Any] = {
+    "bowl": (lambda h: [{"shape": "sphere", "radius_m": R + h}, FAR], in_ball),
+    "tube": (lambda h: [{"shape": "cylinder", "radius_m": R + h}, FAR], in_tube),
+    "capsule": (lambda h: [{"shape": "capsule", "radius_m": R + h, "length_m": 2.0 * HALF}, FAR], in_capsule),
+    "socket": (lambda h: [{"shape": "cylinder", "radius_m": R + h, "length_m": 2.0 * (R + h)}], in_short_tube),
+    "tube between planes": (lambda h: [{"shape": "cylinder", "radius_m": R + h}, *ends(R + h)], in_short_tube),
+    "dome": (lambda h: [{"shape": "sphere", "radius_m": R + h}, ends(R)[0]], in_dome),
+}
+"""Objects, of which the first is touched from inside; and the place nearest to one that the centre may have."""
+
+
+@pytest.mark.scaled
+@pytest.mark.parametrize("clearance", [1e-4, 2e-3], ids=lambda h: f"{1e3 * h:g} mm")
+@pytest.mark.parametrize("name", NEARLY_FILLED)
+def test_whatever_else_is_there_a_hollow_holds_the_fingertip_nearest_to_the_probe(
+    name: str, clearance: float, cases: Cases
+) -> None:
+    """Moved at once to a place and from there to another, up to ten clearances from the middle: at rest the force is
+    the spring's to the nearest place in closed form."""
+    objects, nearest = NEARLY_FILLED[name]
+    hollow, *others = objects(clearance)
+    material = {"material": {"stiffness_n_per_m": K}}
+    tables = [{"name": "hollow", "inside": True, **hollow, **material}, *({**each, **material} for each in others)]
+    running, rng = Engine({"fingertip": {"radius_m": R}, "object": tables}), np.random.default_rng(5)
+    for _ in range(cases(20, 1000)):
+        there, probe = rng.normal(size=(2, 3)) * clearance * 10.0 ** rng.uniform(-0.3, 1.0)
+        running.reset()
+        for place in ([0.0, 0.0, 0.1 * clearance], there, *[probe] * 6):
+            found = running.step(place, [1.0, 0.0, 0.0, 0.0])
+        wanted = K * (nearest(probe, clearance) - probe)
+        # The search ends where a round moves the proxy by less than 1e-13 of the radius, or after ten of them.
+        np.testing.assert_allclose(found.force, wanted, rtol=0.0, atol=1e-6 * (1.0 + np.linalg.norm(wanted)))

@@ -39,6 +39,7 @@ from softfinger.proxy.kernels.query.objects import (
     closest_to_within,
     constraint_of,
     deepest,
+    is_inside,
     neighbour_on,
     normal_law_of,
 )
@@ -246,10 +247,19 @@ def relaxed(
     """Nearest point to `base` behind the tangent planes of all holding objects, again and again at the new point. And
     what is left of the budget.
 
-    In a pinch the point between them; see `solve_half_spaces`.
+    In a pinch the point between them; see `solve_half_spaces`. In a hollow the probe itself is displaced by what else
+    holds the proxy, as in `rest_on_curved`: from the tangent plane a depth of more than the radius that the centre
+    moves on would lead away.
     """
     center, active, _, budget = relaxed_to_rest(objects, radius, base, center, active, rounds, budget)
     return center, active, budget
+
+
+@jit
+def seen_from(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: float, m: Vec3) -> Vec3:
+    """Where (3,) m the tangent plane of an object is sought: at the proxy, or of a hollow at the probe, displaced by p
+    along n and q along m."""
+    return vec3.add_scaled(vec3.add_scaled(base, p, n), q, m) if inside else center
 
 
 @jit
@@ -261,22 +271,36 @@ def relaxed_to_rest(
     near = (SETTLED * radius) ** 2
     n1, n2, n3 = active.n1, active.n2, active.n3
     push = active.push
-    for _ in range(rounds):
-        point, n1, budget = constraint_of(objects, active.first, center, radius, n1, budget)
+    inside1, inside2, inside3 = (
+        is_inside(objects, active.first), is_inside(objects, active.second), is_inside(objects, active.third)
+    )  # fmt: skip
+    hollow = inside1 or inside2 or inside3
+    p1, p2, p3 = 0.0, 0.0, 0.0
+    for turn in range(rounds):
+        at = seen_from(inside1, center, base, p2, n2, p3, n3)
+        point, n1, budget = constraint_of(objects, active.first, at, radius, n1, budget)
         b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
         b2, b3 = b1, b1
         if active.second < 0.0:
             n2 = n1
         else:
-            point, n2, budget = constraint_of(objects, active.second, center, radius, n2, budget)
+            at = seen_from(inside2, center, base, p1, n1, p3, n3)
+            point, n2, budget = constraint_of(objects, active.second, at, radius, n2, budget)
             b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
         if active.third < 0.0:
             n3 = n1
         else:
-            point, n3, budget = constraint_of(objects, active.third, center, radius, n3, budget)
+            at = seen_from(inside3, center, base, p1, n1, p2, n2)
+            point, n3, budget = constraint_of(objects, active.third, at, radius, n3, budget)
             b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
+        if hollow and turn == 0 and rounds > 1:  # what each alone would displace the probe by is near enough to begin
+            p1 = max(b1, 0.0)
+            p2 = 0.0 if active.second < 0.0 else max(b2, 0.0)
+            p3 = 0.0 if active.third < 0.0 else max(b3, 0.0)
+            continue
         held = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
         push = held.push
+        p1, p2, p3 = held.place
         moved = vec3.add(base, displacement(held.place, n1, n2, n3))
         step = vec3.sub(moved, center)
         center = moved
