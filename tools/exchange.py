@@ -112,13 +112,61 @@ def pushed(push: Push, t: float) -> Vec3:
     return (size * push.force[0], size * push.force[1], size * push.force[2])
 
 
+class Exchanged(NamedTuple):
+    """One exchange: the guard's memory of what the hand feels, zero where it was withheld, what the device said of the
+    read and of the write, and when (ns) it had said so; then the same of a device that is none."""
+
+    guarded: Guarded
+    status: int
+    status_out: int
+    read: int
+    before: int
+    wrote: int
+    empty_read: int
+    empty_wrote: int
+
+
 @jit
-def fill_row(row: Array, status: int, status_out: int, force: Vec3, sample: Array) -> None:
-    """What the device said and was told; `force` (3,) N is what the hand feels, zero where it was withheld."""
-    row[READ_STATUS] = status
-    row[WRITE_STATUS] = status_out
+def exchange_once(
+    io: Io, empty: Io, guard: Guard, guarded: Guarded, force: Vec3, dt: float, period: float, scratch: Scratch
+) -> Exchanged:
+    """Read, write a force (3,) N through the guard, and do the same with the empty device. What has failed is the last
+    thing that is done."""
+    timespec, sample, wrench = scratch
+    status = call_device(io.read, io.handle, sample)
+    read = now_ns(timespec)
+    if status < 0 or status == END:
+        return Exchanged(guarded, status, OK, read, read, read, read, read)
+    if status == WITHHELD:
+        guarded = DISENGAGED
+    held = guarded
+    guarded, _ = guard_wrench(guard, guarded, force, (0.0, 0.0, 0.0), dt, period)
+    put_wrench(wrench, guarded.force, guarded.torque)
+    before = now_ns(timespec)
+    status_out = call_device(io.write, io.handle, wrench)
+    wrote = now_ns(timespec)
+    if status_out < 0:
+        return Exchanged(guarded, status, status_out, read, before, wrote, wrote, wrote)
+    if status_out == WITHHELD:
+        guarded = DISENGAGED
+    elif status_out == HELD:
+        guarded = Guarded(held.force, held.torque, guarded.gain)
+    call_device(empty.read, empty.handle, sample)
+    empty_read = now_ns(timespec)
+    call_device(empty.write, empty.handle, wrench)
+    return Exchanged(guarded, status, status_out, read, before, wrote, empty_read, now_ns(timespec))
+
+
+@jit
+def fill_row(row: Array, begun: int, woke: int, late: int, done: Exchanged, sample: Array) -> None:
+    """What a tick took, what the device said and was told, and its sample."""
+    row[START], row[LATE] = (woke - begun) / NS_PER_S, late / NS_PER_S
+    row[READ], row[WRITE] = (done.read - woke) / NS_PER_S, (done.wrote - done.before) / NS_PER_S
+    row[EMPTY_READ] = (done.empty_read - done.wrote) / NS_PER_S
+    row[EMPTY_WRITE] = (done.empty_wrote - done.empty_read) / NS_PER_S
+    row[READ_STATUS], row[WRITE_STATUS] = done.status, done.status_out
     for k in range(3):
-        row[FORCE + k] = force[k]
+        row[FORCE + k] = done.guarded.force[k]
     for k in range(SAMPLE_SIZE):
         row[SAMPLE + k] = sample[k]
 
@@ -143,7 +191,6 @@ def exchange_loop(
     Whatever the end, the last thing written to the device is zero.
     """
     timespec, sample, wrench = scratch
-    zero = (0.0, 0.0, 0.0)
     nominal = span.period_ns / NS_PER_S
     guarded, number, ending, status = DISENGAGED, 0, wayout.FINISHED, 0
     ticks = load_acquire(words, _TICKS)
@@ -159,43 +206,19 @@ def exchange_loop(
         woke = now_ns(timespec)
         if 0 <= span.limit_ns < woke - begun:
             break
-        late = woke - pace.deadline
-
-        status = call_device(io.read, io.handle, sample)
-        read = now_ns(timespec)
+        done = exchange_once(io, empty, guard, guarded, pushed(push, number * nominal), pace.dt, nominal, scratch)
+        guarded, status = done.guarded, done.status
         if status < 0 or status == END:
             ending = wayout.FINISHED if status == END else wayout.READ_FAILED
             break
-        if status == WITHHELD:
-            guarded = DISENGAGED
-        held = guarded
-        guarded, _ = guard_wrench(guard, guarded, pushed(push, number * nominal), zero, pace.dt, nominal)
-        put_wrench(wrench, guarded.force, guarded.torque)
-        before = now_ns(timespec)
-        status_out = call_device(io.write, io.handle, wrench)
-        wrote = now_ns(timespec)
-        if status_out < 0:
-            ending, status = wayout.WRITE_FAILED, status_out
+        if done.status_out < 0:
+            ending, status = wayout.WRITE_FAILED, done.status_out
             break
-        if status_out == WITHHELD:
-            guarded = DISENGAGED
-        elif status_out == HELD:
-            guarded = Guarded(held.force, held.torque, guarded.gain)
-        call_device(empty.read, empty.handle, sample)
-        empty_read = now_ns(timespec)
-        call_device(empty.write, empty.handle, wrench)
-        empty_wrote = now_ns(timespec)
-
         if span.waiting == 0:
-            row = rows[number]
-            row[START], row[LATE] = (woke - begun) / NS_PER_S, late / NS_PER_S
-            row[READ], row[WRITE] = (read - woke) / NS_PER_S, (wrote - before) / NS_PER_S
-            row[EMPTY_READ] = (empty_read - wrote) / NS_PER_S
-            row[EMPTY_WRITE] = (empty_wrote - empty_read) / NS_PER_S
-            fill_row(row, status, status_out, guarded.force, sample)
+            fill_row(rows[number], begun, woke, woke - pace.deadline, done, sample)
         number += 1
         store_release(words, _TICKS, ticks + number)
-        pace = next_pace(pace, empty_wrote, span.period_ns)
+        pace = next_pace(pace, done.empty_wrote, span.period_ns)
 
     wayout.write_zero(io.write, io.handle, wrench)
     return ending, status, 0 if span.waiting == 1 else number

@@ -95,7 +95,7 @@ def contact_with_one_object(
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
     friction = friction_alone(finger, objects, shapes, state, probe, candidate, dt)
     rest = rest_alone(finger, objects, shapes, state, probe, candidate, friction.result, dt)
-    effects = effects_of_tick(scene, finger, objects, state, rest.active, probe, candidate.against, dt)
+    effects = effects_of_tick(scene, finger, objects, state, rest.active, probe, dt)
     outcome = outcome_alone(finger, shapes, state, probe, candidate, friction, rest, effects)
     return remember(probe, outcome), report(shapes, finger, probe, outcome)
 
@@ -123,7 +123,7 @@ def out_of_contact(
 ) -> tuple[FingerState, Contact]:
     """Free space; or, with a `budget` below 0, a first pose that was not searched to the end."""
     nothing = one_constraint(NONE, (0.0, 0.0, 1.0))
-    effects = effects_of_tick(scene, finger, objects, state, nothing, probe, probe.velocity, dt)
+    effects = effects_of_tick(scene, finger, objects, state, nothing, probe, dt)
     unsearched = 1.0 if budget < 0 else effects.unknown
     return (
         remember_free(state, probe, effects.states, budget >= 0),

@@ -501,3 +501,30 @@ def test_a_scene_without_effects_has_none_to_compile() -> None:
 
 
 PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}
+
+
+@pytest.mark.parametrize(("aside", "deep"), [(0.002, 0.001), (0.001, 0.002)])
+def test_viscosity_is_against_the_object_that_has_it(aside: float, deep: float) -> None:
+    """A hand that rests in a corner, whichever bears more: the floor, which is viscous, rests too; the wall slides
+    past."""
+    spring = {"stiffness_n_per_m": 1000.0}
+    floor = {"name": "floor", "shape": "plane", "effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
+    wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}
+    sliding = {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0, "pivot_m": [0.0, 0.1, 0.0]}}
+    given = [{**floor, "material": spring}, {**wall, **sliding, "material": spring}]
+    running = Engine({"fingertip": {"radius_m": 0.01}, "object": given})
+    for _ in range(200):
+        found = running.step([0.01 - aside, 0.0, 0.01 - deep], [1.0, 0.0, 0.0, 0.0])
+    assert found.force == pytest.approx([1000.0 * aside, 0.0, 1000.0 * deep], abs=1e-9)
+
+
+def test_viscosity_of_a_moving_object_is_against_it() -> None:
+    """A hand that rests on a turntable, 0.1 m from its axis: dragged along by B times the speed there."""
+    effect = {"effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
+    motion = {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0, "pivot_m": [0.0, 0.1, 0.0]}}
+    table = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}
+    running = Engine({"fingertip": {"radius_m": 0.01}, "object": [table | effect | motion]})
+    for _ in range(50):
+        found = running.step([0.0, 0.0, 0.009], [1.0, 0.0, 0.0, 0.0])
+    # The chord of a tick, 1 mrad, leans by half of it: 5e-4 of the drag of 1 N.
+    assert found.force == pytest.approx([1.0, 0.0, 1.0], abs=1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.optimize import minimize
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.shapes import closest, curvature, transport
+from softfinger.proxy.kernels.shapes import closest, curvature, transport, travel
 
 pytestmark = pytest.mark.plain
 
@@ -504,3 +505,46 @@ def test_a_search_that_may_not_end_has_no_answer_without_saying_so(searched: Any
     """`closest` of a mesh or a height map would lose that flag, so neither has it."""
     with pytest.raises(TypeError, match="closest is not defined"):
         closest(searched(*searched._fields), (0.0, 0.0, 0.0))
+
+
+# --- a way in a tick -------------------------------------------------------------------------------
+
+
+def on_a_ring(rng: np.random.Generator) -> Array:
+    angle = rng.uniform(-np.pi, np.pi)
+    return 0.8 * np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+THIN: dict[str, tuple[Any, Callable[[np.random.Generator], Array]]] = {
+    "box": (model.Box((0.5, 0.9, 0.001)), lambda rng: rng.uniform(-1.0, 1.0, 3) * [0.5, 0.9, 0.001]),
+    "coin": (model.CappedCylinder(0.5, 0.001), lambda rng: rng.uniform(-0.4, 0.4, 3) * [1.0, 1.0, 0.0]),
+    "needle": (model.Capsule(0.002, 0.9, 1.0), lambda rng: rng.uniform(-1.0, 1.0, 3) * [0.0, 0.0, 0.9]),
+    "ring": (model.Torus(0.8, 0.002, 1.0), on_a_ring),
+}
+"""Shapes, and places in them for a way to go through."""
+SAMPLED = 400
+"""Places of a way that are looked at by the reference."""
+
+
+@pytest.mark.parametrize("name", THIN)
+def test_no_way_leads_through_a_thin_object(name: str) -> None:
+    """However flat a way between two places outside is: where the fingertip would be clearly inside on it,
+    the way is stopped, and at a place outside."""
+    (shape, within), rng, radius, stopped = THIN[name], np.random.default_rng(8), 0.002, 0
+    for _ in range(400):
+        through = within(rng)
+        flat = unit(rng) * [1.0, 1.0, 10.0 ** rng.uniform(-2.0, 0.0)]
+        half = 10.0 ** rng.uniform(-2.5, -1.0) * flat / np.linalg.norm(flat)
+        start, end = through - half, through + half
+        outside = [signed_distance(shape, x) > 1.02 * radius for x in (start, end)]
+        if not all(outside):
+            continue
+        shares = np.linspace(0.0, 1.0, SAMPLED)
+        nearest = min(signed_distance(shape, start + share * (end - start)) for share in shares)
+        share = travel(shape, triple(start), triple(end), radius, False)
+        if nearest < 0.9 * radius:
+            stopped += 1
+            assert share < 1.0, (start, end, nearest)
+        if share < 1.0:
+            assert signed_distance(shape, start + share * (end - start)) > radius * (1.0 - 1e-6)
+    assert stopped > 50

@@ -194,3 +194,32 @@ def test_whatever_else_is_there_a_hollow_holds_the_fingertip_nearest_to_the_prob
         wanted = K * (nearest(probe, clearance) - probe)
         # The search ends where a round moves the proxy by less than 1e-13 of the radius, or after ten of them.
         np.testing.assert_allclose(found.force, wanted, rtol=0.0, atol=1e-6 * (1.0 + np.linalg.norm(wanted)))
+
+
+ALONE: dict[str, Any] = {
+    "ball": ({"shape": "sphere"}, in_ball),
+    "tube": ({"shape": "cylinder"}, in_tube),
+    "capsule": ({"shape": "capsule", "length_m": 2.0 * HALF}, in_capsule),
+}
+
+
+@pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
+@pytest.mark.parametrize("name", ALONE)
+def test_a_hollow_touched_from_afar_begins_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
+    """With friction, in one tick out of the middle, up to thirty clearances: the proxy is the nearest place, and the
+    force the spring's alone."""
+    table, nearest = ALONE[name]
+    running, rng = (
+        Engine(plane_scene(table={**table, "radius_m": R + clearance, "inside": True})),
+        np.random.default_rng(2),
+    )
+    for _ in range(50):
+        towards = rng.normal(size=3)
+        probe = towards / np.linalg.norm(towards[:2]) * clearance * rng.uniform(1.1, 30.0)
+        running.reset()
+        running.step(0.3 * clearance * rng.uniform(-1.0, 1.0, 3), [1.0, 0.0, 0.0, 0.0])
+        found = running.step(probe, [1.0, 0.0, 0.0, 0.0])
+        wanted = nearest(probe, clearance)
+        assert found.cause == "touch"
+        assert found.proxy_position == pytest.approx(wanted, rel=0.0, abs=1e-12)
+        assert found.force == pytest.approx(K * (wanted - probe), rel=0.0, abs=1e-9)

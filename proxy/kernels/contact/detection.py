@@ -12,6 +12,7 @@ from softfinger.proxy.kernels.contact.carry import (
 )
 from softfinger.proxy.kernels.contact.first_pose import raised, touched_at_first
 from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, NONE, ActiveSet, one_constraint, pressed
+from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -184,13 +185,17 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
     """A first touch of the only object."""
     zero, against = (0.0, 0.0, 0.0), probe.velocity
     met = detect_among_several(finger, objects, state, probe.position)
+    center, active = met.center, met.active
+    if active.first >= 0.0 and is_inside(objects, active.first):
+        # The wall may be far along the normal of where it was met. Nothing is wound yet: the nearest place is right.
+        center, active, _ = settle_on_one(objects, finger.radius, probe.position, center, zero, active, True)
     if met.active.first >= 0.0:
         against = relative_velocity(carry(objects, met.active.first), probe.velocity, state.probe.position, dt)
     return Approach(
         mode=float(ROLLING),
         cause=float(CAUSE_TOUCH),
-        center=met.center,
-        active=met.active,
+        center=center,
+        active=active,
         deflection=zero,
         before=zero,
         rolled_part=zero,

@@ -28,22 +28,20 @@ def effects_of_tick(
     state: FingerState,
     active: ActiveSet,
     probe: Probe,
-    against: Vec3,
     dt: float,
 ) -> Effects:
-    """Those of the workspace and those of the objects; `against` (3,) m/s is the probe's velocity against the object
-    that it touches."""
+    """Those of the workspace and those of the objects."""
     up, in_contact = (0.0, 0.0, 1.0), 0.0 if active.first < 0.0 else 1.0
     around = Situation(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None
     )  # fmt: skip
     force, states = apply_effects(scene.effects, state.effects[0], around)
     contact = Situation(
-        position=probe.position, velocity=against, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
+        position=probe.position, velocity=probe.velocity, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
     )  # fmt: skip
     touched = Touched(
-        number_of(objects, active.first), number_of(objects, active.second), number_of(objects, active.third),
-        active.n1, active.n2, active.n3,
+        first=number_of(objects, active.first), second=number_of(objects, active.second),
+        third=number_of(objects, active.third), n1=active.n1, n2=active.n2, n3=active.n3, before=state.probe.position,
     )  # fmt: skip
     more, states_of_objects, unknown = apply_objects_effects(objects, state.effects[1], finger.radius, touched, contact)
     return Effects(vec3.add(force, more), (states, states_of_objects), unknown)

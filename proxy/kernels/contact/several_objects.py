@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.carry import carry, relative_velocity
 from softfinger.proxy.kernels.contact.contacts import (
     Motion,
     carried_contacts,
@@ -141,8 +140,7 @@ def outcome_among_several(
     pressing = vec3.add(vec3.add(one.normal_force, two.normal_force), three.normal_force)
     way = tangent_to_all(active, lag_of(one, two, three))
     shown = displaced_proxy(shapes, finger.radius, rest.center, way, active_objects(active), rest.budget)
-    against = relative_velocity(carry(shapes, active.first), probe.velocity, state.probe.position, dt)
-    effects = effects_of_tick(scene, finger, objects, state, active, probe, against, dt)
+    effects = effects_of_tick(scene, finger, objects, state, active, probe, dt)
     extra, on_its_way = effects.force, rest.late and any_multipoint(shapes)
     if on_its_way:
         extra = vec3.add(extra, drawn_after(shapes, active, vec3.sub(rest.center, probe.position)))

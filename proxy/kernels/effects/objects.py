@@ -7,12 +7,13 @@ from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.elements import element
-from softfinger.proxy.kernels.query.motion import moving_pose
+from softfinger.proxy.kernels.query.motion import carried_along, moving_pose
 from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
 
 class Touched(NamedTuple):
-    """Numbers of the up to three objects that hold the proxy, -1 for none, and the normals there."""
+    """Numbers of the up to three objects that hold the proxy, -1 for none, and the normals there; where (3,) m the
+    probe was at the last tick."""
 
     first: float
     second: float
@@ -20,6 +21,7 @@ class Touched(NamedTuple):
     n1: Vec3
     n2: Vec3
     n3: Vec3
+    before: Vec3
 
 
 @by_count
@@ -66,9 +68,12 @@ def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched
         normal = touched.n3
     else:
         is_touched = 0.0
-    carrier = moving_pose(body.motion, body.pose)
+    carrier, velocity = moving_pose(body.motion, body.pose), contact.velocity
+    if contact.dt > 0.0:  # against this object
+        way = vec3.sub(carried_along(body.was, body.pose, touched.before), touched.before)
+        velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
     situation = Situation(
-        position=contact.position, velocity=contact.velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
+        position=contact.position, velocity=velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
         normal=normal, carrier=carrier,
     )  # fmt: skip
     force, after = apply_effects(effects, states, situation)

@@ -265,6 +265,8 @@ ADVANCES = 32
 """Steps of a sweep; each goes as far as the clearance allows, so most sweeps take one or two."""
 
 
+NARROWINGS = 24
+"""Thirds that are left out in the search for where a glancing way is nearest: 6e-5 of it remain."""
 TOUCHING = 1e-9
 """Clearance, as a share of the radius, that counts as none."""
 
@@ -291,9 +293,21 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
         clearance = gap - radius
         if clearance <= touching:
             return share
-    # A glancing pass comes ever closer without meeting: it counts only if it ends inside.
+    # A glancing way comes ever closer, and may pass: it meets if it is inside somewhere on what is left of it.
     gap, _, _ = closest(shape, end)
-    return share if gap < radius else NO_HIT
+    low, high = share, 1.0
+    for _ in range(NARROWINGS):
+        if gap < radius:
+            return share
+        third = (high - low) / 3.0
+        gap, _, _ = closest(shape, vec3.add_scaled(start, low + third, way))
+        other, _, _ = closest(shape, vec3.add_scaled(start, high - third, way))
+        if gap < other:
+            high -= third
+        else:
+            low += third
+            gap = other
+    return NO_HIT
 
 
 @by_type
