@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from softfinger.proxy.records import NoField
     from softfinger.server.offline.simulate import run_recording
     from softfinger.server.remote import Client
+    from softfinger.server.wire.asking import NoAnswer
     from softfinger.server.wire.client import NoTelemetry
-    from softfinger.server.wire.control import NoAnswer
     from softfinger.server.wire.protocol import ProtocolError
 
     __version__: str
@@ -94,7 +94,7 @@ _HOMES = {
     "Engine": "softfinger.proxy.engine",
     "Exhausted": "softfinger.config.errors",
     "HapticError": "softfinger.config.errors",
-    "NoAnswer": "softfinger.server.wire.control",
+    "NoAnswer": "softfinger.server.wire.asking",
     "NoField": "softfinger.proxy.records",
     "NoTelemetry": "softfinger.server.wire.client",
     "PoseError": "softfinger.proxy.engine",

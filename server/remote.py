@@ -8,9 +8,10 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside, telemetry_of
 from softfinger.server.gateway.addresses import Addresses, addresses_of
+from softfinger.server.wire.asking import R
 from softfinger.server.wire.client import DEFAULT_ENDPOINT, Subscription, Window, subscribe
 from softfinger.server.wire.commands import Empty
-from softfinger.server.wire.control import Control, R
+from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT
 
 

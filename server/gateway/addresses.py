@@ -13,8 +13,9 @@ from typing import Any, Final, NamedTuple
 from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.config.schema import BESIDE, commands_beside, is_public, telemetry_of
 from softfinger.server.keys import ClientKeys
+from softfinger.server.wire.asking import NoAnswer
 from softfinger.server.wire.client import subscribe
-from softfinger.server.wire.control import Control, NoAnswer
+from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import SCHEMA_TOPIC, ProtocolError
 
 EXPECTED_S: Final = 0.5

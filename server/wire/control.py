@@ -13,31 +13,36 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-import uuid
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Any, Final, Self, TypeVar
+from typing import Any, Self
 
-import msgpack
-import msgspec
-import numpy as np
 import zmq
 import zmq.asyncio
 
-from softfinger.config.errors import CommandRefused, ConfigError, HapticError
-from softfinger.config.schema import Telemetry, commands_beside, runtime_folder
 from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
-from softfinger.server.publishing.setup import REQUEST_MAX
+from softfinger.server.wire.asking import (
+    R,
+    answer_in,
+    asking,
+    connected,
+    default_commands,
+    hand_of,
+    no_answer,
+    pose_of,
+    result_of,
+    scene_of,
+    time_for,
+    zero_of,
+)
 from softfinger.server.wire.commands import (
     METHODS,
     Alive,
     Applied,
     Armed,
     Changed,
-    Drive,
     Empty,
-    Hand,
     Mark,
     OfObject,
     Quaternion,
@@ -45,105 +50,13 @@ from softfinger.server.wire.commands import (
     RecordStarted,
     RecordStopped,
     SceneSet,
-    SetScene,
     State,
     Stopping,
     Triangles,
     Vector,
-    Zero,
     Zeroed,
 )
-from softfinger.server.wire.endpoint import check_runtime_folder
-from softfinger.server.wire.envelope import expiry
 from softfinger.server.wire.waits import milliseconds
-
-R = TypeVar("R")
-
-TIMEOUT_S: Final = 5.0
-SCENE_TIMEOUT_S: Final = 300.0
-"""A scene is compiled first, which takes half a minute, and longer on a busy machine."""
-
-_ANSWER_MAX: Final = 1 << 22  # ZeroMQ hangs up on a peer that sends more, before it allocates
-
-
-class NoAnswer(HapticError):
-    """No answer came from an endpoint."""
-
-    exit_code = 9
-
-
-def default_commands() -> str:
-    """Where a daemon of this user takes commands whose rig says nothing of endpoints."""
-    return commands_beside(Telemetry().endpoint)
-
-
-def _connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
-    socket.linger = 0
-    # A name of its own, whose first byte is not 0: an answer finds it when the publisher was restarted meanwhile.
-    socket.routing_id = b"c" + uuid.uuid4().bytes
-    socket.maxmsgsize = _ANSWER_MAX
-    socket.ipv6 = "[" in endpoint
-    if keys is not None:
-        keys.put_on(socket)
-    try:
-        if endpoint.startswith(f"ipc://{runtime_folder()}/"):
-            check_runtime_folder()
-    except ConfigError:
-        socket.close()
-        raise
-    try:
-        socket.connect(endpoint)
-    except zmq.ZMQError as error:
-        socket.close()
-        raise ConfigError(
-            f"cannot connect to endpoint {endpoint!r}: {error}; it looks like ipc:///path or tcp://127.0.0.1:5556"
-        ) from error
-
-
-def _asking(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:
-    """A request's id and frames; ConfigError for what cannot be said in one."""
-    command_id = uuid.uuid4().hex
-    request = {"command_id": command_id, "method": method, "params": params, "expires": expiry(wait_s)}
-    try:
-        body = msgspec.msgpack.encode(request, enc_hook=_plain)
-    except (TypeError, ValueError, OverflowError) as error:  # a text that is no Unicode is a ValueError
-        raise ConfigError(f"{method}: cannot be sent: {error}") from error
-    if len(body) > REQUEST_MAX:
-        raise ConfigError(f"{method}: a request of {len(body)} bytes: a daemon takes at most {REQUEST_MAX}")
-    return command_id, [b"", body]
-
-
-def _plain(value: Any) -> Any:
-    """Arrays and numbers of numpy, as they come from records and telemetry."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"{value!r} is a {type(value).__name__}: give numbers, texts, lists and mappings")
-
-
-def _answer(frames: list[bytes]) -> dict[str, Any]:
-    """The map of an answer; an empty one for what is none."""
-    try:
-        answer = msgpack.unpackb(frames[1]) if len(frames) == 2 else {}
-    except Exception:  # of a dozen classes
-        return {}
-    return answer if isinstance(answer, dict) else {}
-
-
-def _result(answer: dict[str, Any], kind: type[R]) -> R:
-    if answer.get("success") is not True:
-        raise CommandRefused(str(answer.get("error")))
-    return msgspec.convert(answer.get("result"), kind)
-
-
-def _no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
-    return NoAnswer(
-        f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
-        "as this user, and is this its [commands] endpoint, which its first lines say?"
-    )
-
-
-def _timeout(method: str, timeout_s: float | None) -> float:
-    return timeout_s if timeout_s is not None else SCENE_TIMEOUT_S if method == "set_scene" else TIMEOUT_S
 
 
 class Control(Closing):
@@ -158,13 +71,13 @@ class Control(Closing):
     ) -> None:
         self.endpoint, self.timeout_s = endpoint or default_commands(), timeout_s
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-        _connected(self._socket, self.endpoint, keys)
+        connected(self._socket, self.endpoint, keys)
 
     def _move(self, endpoint: str) -> None:
         """Command what is at another endpoint."""
         self._socket.close()
         self.endpoint, self._socket = endpoint, zmq.Context.instance().socket(zmq.DEALER)
-        _connected(self._socket, endpoint, None)
+        connected(self._socket, endpoint, None)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: commands on {self.endpoint}>"
@@ -174,9 +87,9 @@ class Control(Closing):
         return self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
-        wait_s = _timeout(method, self.timeout_s)
+        wait_s = time_for(method, self.timeout_s)
         until = time.monotonic() + wait_s
-        command_id, frames = _asking(method, params, wait_s)
+        command_id, frames = asking(method, params, wait_s)
         sent = False
         while not sent and self._socket.poll(milliseconds(until - time.monotonic()), zmq.POLLOUT):
             # Where the peer is no ROUTER, or has left a thousand requests unanswered, there is nowhere to send to; and
@@ -185,10 +98,10 @@ class Control(Closing):
                 self._socket.send_multipart(frames, zmq.NOBLOCK)
                 sent = True
         while sent and self._socket.poll(milliseconds(until - time.monotonic())):
-            answer = _answer(self._socket.recv_multipart())
+            answer = answer_in(self._socket.recv_multipart())
             if answer.get("command_id") == command_id:  # and none that came too late for an earlier request
-                return _result(answer, kind)
-        raise _no_answer(method, self.endpoint, wait_s)
+                return result_of(answer, kind)
+        raise no_answer(method, self.endpoint, wait_s)
 
     def get_state(self) -> State:
         """The newest tick in few numbers, of several fingers the first: position, velocity, force, contact."""
@@ -206,11 +119,11 @@ class Control(Closing):
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
     ) -> SceneSet:
         """Another scene, from zero force: the name of a shipped one or a mapping like a file. It is compiled first."""
-        return self._ask("set_scene", _scene(scene, overrides, name), SceneSet)
+        return self._ask("set_scene", scene_of(scene, overrides, name), SceneSet)
 
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
         """Put a driven object, by name or number, at a place (m, world) with an orientation (w, x, y, z)."""
-        return self._ask("drive", _pose(what, position_m, orientation_wxyz), Applied)
+        return self._ask("drive", pose_of(what, position_m, orientation_wxyz), Applied)
 
     def hand(
         self,
@@ -224,7 +137,7 @@ class Control(Closing):
         What is left out stays as it is; `finger` by name or number, of one finger not needed. `release` lets the hand
         do again what its rig says. Refused for any other device, and for a hand that a puck leads.
         """
-        return self._ask("hand", _hand(position_m, orientation_wxyz, finger, release), Applied)
+        return self._ask("hand", hand_of(position_m, orientation_wxyz, finger, release), Applied)
 
     def arm(self) -> Armed:
         """Let the force fade in along the guard's ramp."""
@@ -241,7 +154,7 @@ class Control(Closing):
 
         Refused while there may be force: `disarm` first.
         """
-        return self._ask("zero", _zero(position_m, finger, reset), Zeroed)
+        return self._ask("zero", zero_of(position_m, finger, reset), Zeroed)
 
     def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
         """An event with a label, into the telemetry and every recording of it."""
@@ -280,7 +193,7 @@ class AsyncControl:
     ) -> None:
         self.endpoint, self.timeout_s = endpoint or default_commands(), timeout_s
         self._socket: zmq.asyncio.Socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
-        _connected(self._socket, self.endpoint, keys)
+        connected(self._socket, self.endpoint, keys)
         self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._reader: asyncio.Task[None] | None = None
 
@@ -289,21 +202,21 @@ class AsyncControl:
         return await self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     async def _ask(self, method: str, params: Any, kind: type[R]) -> R:
-        wait_s = _timeout(method, self.timeout_s)
-        command_id, frames = _asking(method, params, wait_s)
+        wait_s = time_for(method, self.timeout_s)
+        command_id, frames = asking(method, params, wait_s)
         answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(milliseconds(wait_s) / 1000.0):
                 await self._socket.send_multipart(frames)  # which waits as long as there is nowhere to send to
-                return _result(await answer, kind)
+                return result_of(await answer, kind)
         except TimeoutError:
-            raise _no_answer(method, self.endpoint, wait_s) from None
+            raise no_answer(method, self.endpoint, wait_s) from None
         finally:
             del self._waiting[command_id]
 
     async def _read(self) -> None:
         while True:
-            answer = _answer(await self._socket.recv_multipart())
+            answer = answer_in(await self._socket.recv_multipart())
             waiting = self._waiting.get(str(answer.get("command_id")))
             if waiting is not None and not waiting.done():
                 waiting.set_result(answer)
@@ -320,10 +233,10 @@ class AsyncControl:
     async def set_scene(
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
     ) -> SceneSet:
-        return await self._ask("set_scene", _scene(scene, overrides, name), SceneSet)
+        return await self._ask("set_scene", scene_of(scene, overrides, name), SceneSet)
 
     async def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
-        return await self._ask("drive", _pose(what, position_m, orientation_wxyz), Applied)
+        return await self._ask("drive", pose_of(what, position_m, orientation_wxyz), Applied)
 
     async def hand(
         self,
@@ -332,7 +245,7 @@ class AsyncControl:
         finger: str | int | None = None,
         release: bool = False,
     ) -> Applied:
-        return await self._ask("hand", _hand(position_m, orientation_wxyz, finger, release), Applied)
+        return await self._ask("hand", hand_of(position_m, orientation_wxyz, finger, release), Applied)
 
     async def arm(self) -> Armed:
         return await self._ask("arm", Empty(), Armed)
@@ -343,7 +256,7 @@ class AsyncControl:
     async def zero(
         self, position_m: Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
     ) -> Zeroed:
-        return await self._ask("zero", _zero(position_m, finger, reset), Zeroed)
+        return await self._ask("zero", zero_of(position_m, finger, reset), Zeroed)
 
     async def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
         return await self._ask("mark", Mark(label, dict(data or {})), Applied)
@@ -384,26 +297,3 @@ class AsyncControl:
 
 for _name in METHODS:
     getattr(AsyncControl, _name).__doc__ = getattr(Control, _name).__doc__
-
-
-def _scene(scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None, name: str) -> SetScene:
-    return SetScene(scene if isinstance(scene, str) else dict(scene), dict(overrides or {}), name)
-
-
-def _pose(what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None) -> Drive:
-    return Drive(what, position_m, msgspec.UNSET if orientation_wxyz is None else orientation_wxyz)
-
-
-def _hand(
-    position_m: Vector | None, orientation_wxyz: Quaternion | None, finger: str | int | None, release: bool
-) -> Hand:
-    return Hand(
-        msgspec.UNSET if position_m is None else position_m,
-        msgspec.UNSET if orientation_wxyz is None else orientation_wxyz,
-        msgspec.UNSET if finger is None else finger,
-        release,
-    )
-
-
-def _zero(position_m: Vector, finger: str | int | None, reset: bool) -> Zero:
-    return Zero(position_m, msgspec.UNSET if finger is None else finger, reset)

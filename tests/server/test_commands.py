@@ -46,9 +46,10 @@ from softfinger.server.services import compilation
 from softfinger.server.services.commands import EVENT_BYTES_MAX, Commands
 from softfinger.server.services.records import Sink
 from softfinger.server.wire import link
+from softfinger.server.wire.asking import NoAnswer
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.commands import METHODS
-from softfinger.server.wire.control import AsyncControl, Control, NoAnswer
+from softfinger.server.wire.control import AsyncControl, Control
 
 pytestmark = pytest.mark.real_time
 

@@ -15,8 +15,9 @@ import pytest
 import zmq
 
 from softfinger.config.errors import ConfigError
+from softfinger.server.wire.asking import NoAnswer
 from softfinger.server.wire.client import subscribe
-from softfinger.server.wire.control import AsyncControl, Control, NoAnswer
+from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.envelope import Declined, parse
 
 WAIT_S = 0.05

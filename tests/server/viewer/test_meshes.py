@@ -18,11 +18,11 @@ from softfinger.config.load import build
 from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
 from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server.publishing.setup import ANSWER_MAX
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.nodes.meshes import sent
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import RecordedPage, Recording
-from softfinger.server.wire import control
 from softfinger.server.wire.commands import Triangles
 from softfinger.server.wire.envelope import answered
 
@@ -51,7 +51,7 @@ def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
             picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
         ),
     )
-    assert PICTURE_TRIANGLES * (3 * 12 + 12) < control._ANSWER_MAX  # each corner with a vertex of its own
+    assert PICTURE_TRIANGLES * (3 * 12 + 12) < ANSWER_MAX  # each corner with a vertex of its own
     got = msgspec.convert(msgpack.unpackb(message)["result"], Triangles)
     mesh = sent(got.vertices, got.triangles)
     assert got.of == 72000 and mesh.faces.tolist() == picture.triangles.tolist()
