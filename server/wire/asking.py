@@ -38,7 +38,7 @@ def default_commands() -> str:
 
 
 def connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
-    """Connect a DEALER to where a daemon takes commands; ConfigError, and the socket is closed, where that cannot be."""
+    """Connect a DEALER to where a daemon takes commands. Where that cannot be it is closed: ConfigError."""
     socket.linger = 0
     # A name of its own, whose first byte is not 0: an answer finds it when the publisher was restarted meanwhile.
     socket.routing_id = b"c" + uuid.uuid4().bytes
