@@ -53,6 +53,7 @@ STAND_INS = {
     "query.motion.pose_at_rest",
     "query.motion.no_moving_pose",
     "query.motion.not_carried",
+    "shapes.protocol.never_hollow",
     "shapes.composite.count_one",
     "shapes.composite.gap_of_it",
     "shapes.composite.has_no_creases",
