@@ -63,6 +63,16 @@ def wrapped(index: float, count: float, period: float) -> int:
 
 
 @jit
+def line_at(texture: Texture, row: float, columns: Any, weight: Any, slope: Any) -> tuple[float, float]:
+    """Four neighbours of one row, weighted (4,), and their derivative along the row."""
+    start = wrapped(row, texture.rows, texture.period_v) * int(texture.columns)
+    z0, z1 = texture.values[start + columns[0]], texture.values[start + columns[1]]
+    z2, z3 = texture.values[start + columns[2]], texture.values[start + columns[3]]
+    value = weight[0] * z0 + weight[1] * z1 + weight[2] * z2 + weight[3] * z3
+    return value, slope[0] * z0 + slope[1] * z1 + slope[2] * z2 + slope[3] * z3
+
+
+@jit
 def sample(texture: Texture, u: float, v: float) -> Sample:
     """The spline at u, v (m). Its coefficients sit in the middles of the array's cells."""
     across = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
@@ -74,15 +84,14 @@ def sample(texture: Texture, u: float, v: float) -> Sample:
     i1 = wrapped(left, texture.columns, texture.period_u)
     i2 = wrapped(left + 1.0, texture.columns, texture.period_u)
     i3 = wrapped(left + 2.0, texture.columns, texture.period_u)
-    value, by_u, by_v = 0.0, 0.0, 0.0
-    for k in range(4):
-        row = wrapped(top + (k - 1.0), texture.rows, texture.period_v) * int(texture.columns)
-        z0, z1 = texture.values[row + i0], texture.values[row + i1]
-        z2, z3 = texture.values[row + i2], texture.values[row + i3]
-        line = a[0] * z0 + a[1] * z1 + a[2] * z2 + a[3] * z3
-        value += b[k] * line
-        by_v += db[k] * line
-        by_u += b[k] * (da[0] * z0 + da[1] * z1 + da[2] * z2 + da[3] * z3)
+    columns = (i0, i1, i2, i3)
+    z0, d0 = line_at(texture, top - 1.0, columns, a, da)
+    z1, d1 = line_at(texture, top, columns, a, da)
+    z2, d2 = line_at(texture, top + 1.0, columns, a, da)
+    z3, d3 = line_at(texture, top + 2.0, columns, a, da)
+    value = b[0] * z0 + b[1] * z1 + b[2] * z2 + b[3] * z3
+    by_v = db[0] * z0 + db[1] * z1 + db[2] * z2 + db[3] * z3
+    by_u = b[0] * d0 + b[1] * d1 + b[2] * d2 + b[3] * d3
     return Sample(value, by_u * texture.per_u, by_v * texture.per_v)
 
 
