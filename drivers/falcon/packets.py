@@ -54,7 +54,7 @@ def encode(motors: Counts, state: int, out: Any) -> None:
 def _count(packet: Any, at: int) -> int:
     value = 0
     for k in range(4):
-        value |= (packet[at + k] - BASE) << (4 * k)
+        value |= (int(packet[at + k]) - BASE) << (4 * k)
     return value - 0x10000 if value >= 0x8000 else value
 
 

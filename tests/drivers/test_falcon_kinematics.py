@@ -14,6 +14,8 @@ from softfinger.drivers.falcon.device import Options
 from softfinger.drivers.falcon.options import COUNTS_PER_NM
 from softfinger.drivers.falcon.reply import motor_counts
 
+pytestmark = pytest.mark.plain
+
 RADIUS_M = 0.04
 SEED = 7
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -15,11 +13,13 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.block import Block
-from softfinger.drivers.falcon import delta, exchange, packets, reply
+from softfinger.drivers.falcon import delta, packets, reply
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.device import Options
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
+
+pytestmark = pytest.mark.plain
 
 
 def packet(motors: tuple[int, int, int], state: int) -> bytes:
@@ -152,21 +152,6 @@ def test_buttons_and_lost_homing() -> None:
     assert word.view(np.float64)[AT.sample + 8] == 5.0
     assert answer(word, (0, 0, 0), 0x70) == OK
     assert answer(word, (0, 0, 0), 0x30) == FORCE_OFF
-
-
-def test_exchange_allocates_nothing() -> None:
-    """The compiled read and write, compiled afresh, name no allocator; the control that allocates does."""
-    compile_fresh = numba.cfunc(exchange.IO_SIGNATURE, error_model="numpy")
-
-    def allocates(handle: int, values: Any) -> int:
-        return len(np.zeros(handle))
-
-    allocators = ("NRT_Allocate", "NRT_MemInfo_alloc", "malloc")
-    assert any(name in compile_fresh(allocates).inspect_llvm() for name in allocators)
-    for function in (exchange.read, exchange.write):
-        code = compile_fresh(function._pyfunc).inspect_llvm()
-        assert "inttoptr" in code  # it is the code that calls libusb
-        assert not any(name in code for name in allocators)
 
 
 def test_options_are_checked() -> None:

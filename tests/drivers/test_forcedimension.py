@@ -13,7 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, StubBench, bench, plugged_in, stub, stub_library
@@ -612,21 +611,6 @@ def test_readings_of_garbage(stub: Stub, bench: StubBench, cases: Callable[[int,
         fuzz(io.read, io.write, io.handle, np.zeros(SAMPLE_SIZE), np.zeros(6), out, cases(20_000, 1_000_000))
         assert out[:2].tolist() == [0, 0]
         assert stub["peak"] <= 12.0 and math.isfinite(stub.norm())
-
-
-def test_exchange_allocates_nothing() -> None:
-    """The compiled read and write, compiled afresh, name no allocator; the control that allocates does."""
-    compile_fresh = numba.cfunc(exchange.IO_SIGNATURE, error_model="numpy")
-
-    def allocates(handle: int, values: Any) -> int:
-        return len(np.zeros(handle))
-
-    allocators = ("NRT_Allocate", "NRT_MemInfo_alloc", "malloc")
-    assert any(name in compile_fresh(allocates).inspect_llvm() for name in allocators)
-    for function in (exchange.read, exchange.write):
-        code = compile_fresh(function._pyfunc).inspect_llvm()
-        assert "inttoptr" in code  # it is the code that calls the library
-        assert not any(name in code for name in allocators)
 
 
 def test_page_lists_every_option() -> None:

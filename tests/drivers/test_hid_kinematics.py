@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from softfinger.drivers.hid import chain
 from softfinger.drivers.hid.options import Chain
 
+pytestmark = pytest.mark.plain
+
 
 def arm_of(rig: str) -> chain.Chain:
     kinematics = rig_options(rig).kinematics

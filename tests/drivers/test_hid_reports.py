@@ -25,6 +25,8 @@ from softfinger.drivers.hid.device import Options
 from softfinger.drivers.hid.options import COMMANDED, SENSED, TYPES, InputField, InputReport, OutputField, OutputReport
 from softfinger.drivers.system.descriptor import announced
 
+pytestmark = pytest.mark.plain
+
 CODES = dict(zip(TYPES, "bBhHiIf", strict=True))
 
 

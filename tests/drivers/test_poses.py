@@ -20,6 +20,8 @@ from softfinger.drivers.resample import close_loop, resample
 from softfinger.proxy.record import AT, RECORD_SIZE, columns
 from softfinger.server.offline.results import write_results
 
+pytestmark = pytest.mark.plain
+
 HEADER = "t,x,y,z,qw,qx,qy,qz\n"
 ROWS = "0,0,0,0.02,1,0,0,0\n0.01,0.001,0,0.02,1,0,0,0\n0.02,0.002,0,0.02,1,0,0,0\n"
 

@@ -16,6 +16,8 @@ from softfinger.drivers.serial import frames
 from softfinger.drivers.serial.frames import FRAME_BYTES, LOOKBACK, NUMBERS
 from softfinger.proxy.kernels.jit.decorators import entry
 
+pytestmark = pytest.mark.plain
+
 # A frame that the maker's program shows as one of its device (haptikfabrikenapi, src/uhaptikfabriken.h).
 PUBLISHED = b" -59.276   13.383 -148.002   0.0919 -1.8483  1.0370 -1.9512 0"
 NUMBER = rb"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"

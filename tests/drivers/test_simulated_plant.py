@@ -26,6 +26,8 @@ from softfinger.drivers.simulated.plant import (
 )
 from softfinger.proxy.kernels.jit.decorators import entry
 
+pytestmark = pytest.mark.plain
+
 T = 0.001
 STILL = (1.0, 0.0, 0.0, 0.0)
 GOOD = Handle((0.2,) * 3)

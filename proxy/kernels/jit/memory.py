@@ -3,12 +3,15 @@
 A handle is one int64. These intrinsics turn it into typed pointers, which kernels index like
 arrays; nothing checks the bounds, and the object that owns the memory must outlive the handle. Or the other way round:
 the address of what an array holds, for a C function that takes it. Processors that store the lowest byte first only.
+As plain Python (`decorators.PLAIN`) the pointers are those of ctypes, so that a driver's packets can be debugged too.
 """
 
+import ctypes
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import types
+from numba import config, types
 from numba.core.cgutils import get_item_pointer
 from numba.extending import intrinsic
 
@@ -23,6 +26,19 @@ def _pointer_to(element: Any) -> Any:
         return _CPointer(element)(types.int64), build
 
     return typed
+
+
+def _pointer(element: Any, in_c: Any) -> Any:
+    if not config.DISABLE_JIT:
+        return intrinsic(_pointer_to(element))
+    pointer: Callable[[int], Any] = lambda address: ctypes.cast(int(address), ctypes.POINTER(in_c))  # noqa: E731
+    return pointer
+
+
+def _exchange_in_python(address: int, value: int) -> int:
+    cell = int64_at(address)
+    before, cell[0] = cell[0], value
+    return int(before)
 
 
 def _exchange(typing_context: Any, address: Any, value: Any) -> Any:
@@ -64,20 +80,20 @@ address_of: Any = intrinsic(_address_of)
 put_big_endian: Any = intrinsic(_put_big_endian)
 """put_big_endian(array of bytes, index, value): a float64's or an int64's eight bytes from there on, highest first."""
 
-float64_at: Any = intrinsic(_pointer_to(types.float64))
+float64_at: Any = _pointer(types.float64, ctypes.c_double)
 """float64_at(address: int64) -> pointer to float64."""
 
-int64_at: Any = intrinsic(_pointer_to(types.int64))
+int64_at: Any = _pointer(types.int64, ctypes.c_int64)
 """int64_at(address: int64) -> pointer to int64."""
 
-int32_at: Any = intrinsic(_pointer_to(types.int32))
+int32_at: Any = _pointer(types.int32, ctypes.c_int32)
 """int32_at(address: int64) -> pointer to int32."""
 
-float32_at: Any = intrinsic(_pointer_to(types.float32))
+float32_at: Any = _pointer(types.float32, ctypes.c_float)
 """float32_at(address: int64) -> pointer to float32."""
 
-uint8_at: Any = intrinsic(_pointer_to(types.uint8))
+uint8_at: Any = _pointer(types.uint8, ctypes.c_uint8)
 """uint8_at(address: int64) -> pointer to uint8."""
 
-exchange_int64: Any = intrinsic(_exchange)
+exchange_int64: Any = _exchange_in_python if config.DISABLE_JIT else intrinsic(_exchange)
 """exchange_int64(address: int64, value: int64) -> the old value; atomic, sequentially consistent."""
