@@ -29,7 +29,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ["simulate", "--scene", "paper-plane", "--poses", "a.csv", "--out"],
         ["import", "a.csv", "--columns", "t,x,y,z", "--out"],
         ["export", "a.csv", "--out"],
-        ["run", "--recording", "a.csv", "--once", "--forces"],
+        ["run", "--endpoint", "tcp://127.0.0.1:*", "--recording", "a.csv", "--once", "--forces"],
     ],
     ids=lambda words: words[0],
 )

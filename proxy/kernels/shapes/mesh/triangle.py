@@ -156,7 +156,7 @@ def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, best: float) -
 @outlined
 def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
     """The triangle beyond the edge, or round the corner, of this one that `x` is nearest to, if it is nearer still;
-    else this one."""
+    else this one. One that has x above its face is, by however little: the edge belongs to both."""
     mesh, k = whole.row[0], int(number)
     foot = foot_on(corners_of(mesh, k), x)
     if foot.feature == FACE:
@@ -164,8 +164,10 @@ def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
     best = foot.square * (1.0 - 1e-11)
     if foot.feature < 3:
         nearer = int(mesh.across[3 * k + foot.feature])
-        if nearer >= 0 and foot_on(corners_of(mesh, nearer), x).square >= best:
-            nearer = -1
+        if nearer >= 0:
+            other = foot_on(corners_of(mesh, nearer), x)
+            if other.feature != FACE and other.square >= best:
+                nearer = -1
     else:
         nearer, _ = nearer_around(mesh, k, foot.feature - 3, x, best)
     return number if nearer < 0 else float(nearer)
