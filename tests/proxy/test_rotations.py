@@ -11,9 +11,12 @@ ARGUMENTS = np.unique(
     np.concatenate([np.geomspace(1e-300, 3.0, 400), np.linspace(0.9 * SEAM, 1.1 * SEAM, 401), [np.nextafter(SEAM, 0)]])
 )
 
-pytestmark = pytest.mark.skipif(
-    np.finfo(np.longdouble).eps >= ULP, reason="this machine has no float wider than float64 to compare with"
-)
+pytestmark = [
+    pytest.mark.plain,
+    pytest.mark.skipif(
+        np.finfo(np.longdouble).eps >= ULP, reason="this machine has no float wider than float64 to compare with"
+    ),
+]
 
 
 def test_sinc_is_exact_to_rounding():
