@@ -1,20 +1,41 @@
-"""What the suite ran of the program, by folder: lines and branches, and the files below a share of them.
+"""What the suite ran of the program, by folder: lines and branches; and the files below a share of them, with reasons.
 
     python tests/coverage_by_folder.py coverage.json
 
-The file is what `coverage json` writes; `make coverage` makes it.
+The file is what `coverage json` writes; `make coverage` makes it. A file below the share for which
+coverage_reasons.toml has no reason is named, and the exit code is 1.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+import tomllib
 from collections import defaultdict
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
 LOW: Final = 90.0
 """Per cent; below it a folder or a file is named."""
+
+
+REASONS: Final = Path(__file__).with_name("coverage_reasons.toml")
+
+
+def reasons() -> dict[str, str]:
+    """Reason by pattern of a file's path."""
+    table: list[dict[str, Any]] = tomllib.loads(REASONS.read_text(encoding="utf-8"))["reason"]
+    return {pattern: each["why"] for each in table for pattern in each["files"]}
+
+
+def by_reason(names: Iterable[str]) -> dict[str, list[str]]:
+    """Files by their reason; those that have none under ""."""
+    known, found = reasons(), defaultdict[str, list[str]](list)
+    for name in names:
+        found[next((why for pattern, why in known.items() if fnmatchcase(name, pattern)), "")].append(name)
+    return found
 
 
 def share(part: int, whole: int) -> float:
@@ -28,24 +49,28 @@ def row(name: str, found: dict[str, int]) -> str:
     return f"{name:<46} {found['num_statements']:6} {lines:6.1f} % {found['num_branches']:6} {branches:6.1f} %{low}"
 
 
-def main(file: str) -> None:
+def main(file: str) -> int:
     measured: dict[str, Any] = json.loads(Path(file).read_text(encoding="utf-8"))
     folders: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
-    low = []
+    low = {}
     for name, found in sorted(measured["files"].items()):
         summary = {key: value for key, value in found["summary"].items() if isinstance(value, int)}
         for key, value in summary.items():
             folders[str(Path(name).parent)][key] += value
         if share(summary["covered_lines"], summary["num_statements"]) < LOW:
-            low.append((name, summary))
+            low[name] = summary
     print(f"{'folder':<46} {'lines':>6} {'run':>8} {'branches':>6} {'taken':>8}")
     for name, total in sorted(folders.items()):
         print(row(name, total))
     print(row("all", measured["totals"]))
     print(f"\n{len(low)} files below {LOW:g} % of lines:")
-    for name, summary in low:
-        print(row(name, summary))
+    sorted_out = by_reason(low)
+    for why, names in sorted(sorted_out.items(), key=lambda each: -len(each[1])):
+        print(f"\n{why or 'WITHOUT A REASON: a test, or a line in tests/coverage_reasons.toml'}")
+        for name in names:
+            print(row(name, low[name]))
+    return 1 if "" in sorted_out else 0
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    raise SystemExit(main(sys.argv[1]))

@@ -61,6 +61,14 @@ def test_the_map_is_true() -> None:
     assert not [place for place in named if not (ROOT / place).exists()]
 
 
+def test_each_reason_for_less_coverage_is_of_a_file() -> None:
+    """A pattern of tests/coverage_reasons.toml matches a file that there is, and every reason is a sentence."""
+    for each in tomllib.loads((ROOT / "tests" / "coverage_reasons.toml").read_text("utf-8"))["reason"]:
+        assert each["why"].endswith("."), each
+        for pattern in each["files"]:
+            assert pattern.startswith(PACKAGES) and list(ROOT.glob(pattern)), pattern
+
+
 def test_each_planted_mistake_can_be_made() -> None:
     """What one of tests/mutants.toml takes the place of is there once, and so are the tests that have to see it."""
     for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
