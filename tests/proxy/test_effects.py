@@ -223,6 +223,28 @@ def test_magnet_does_the_work_of_its_potential() -> None:
     assert np.sum(forces * np.diff(path, axis=0)) == pytest.approx(2.0 * 0.02 / 3.0, rel=1e-5)
 
 
+def test_magnet_exerts_no_torque_on_an_ellipsoid_which_a_turn_between_gains_by() -> None:
+    """Down upright, up lying, turned at both ends: F (c - b) / range times the height: docs/model/effects.md."""
+    force, reach, b, c, low, high = 2.0, 0.02, 0.007, 0.012, 0.015, 0.019
+    plane = {
+        "name": "plane",
+        "shape": "plane",
+        "material": {"stiffness_n_per_m": 1000.0},
+        "effect": [{"kind": "magnet", "force_n": force, "range_m": reach}],
+    }
+    running = Engine({"fingertip": {"radii_m": [0.008, b, c]}, "object": [plane]})
+    ways, half = np.linspace(high, low, 201), np.linspace(0.0, 0.25 * np.pi, 201)
+    heights = np.concatenate([ways, np.full(201, low), ways[::-1], np.full(201, high)])
+    halves = np.concatenate([np.zeros(201), half, np.full(201, half[-1]), half[::-1]])
+    nothing = 0.0 * heights
+    places = np.stack([nothing, nothing, heights], axis=1)
+    records = running.run(np.hstack([places, np.stack([np.cos(halves), np.sin(halves), nothing, nothing], axis=1)]))
+    assert not records["torque"].any() and (records["contact.mode"] == 0).all()
+    middle = 0.5 * (records["force"][1:] + records["force"][:-1])  # the pull is linear in the height: exact
+    wanted = force * (c - b) / reach * (high - low)
+    assert np.sum(middle * np.diff(places, axis=0)) == pytest.approx(wanted, rel=1e-9)
+
+
 def drag(length: float, n: int, **changes: Any) -> Iterator[Situation]:
     """n + 1 ticks of a straight way along x in contact."""
     for k in range(n + 1):
