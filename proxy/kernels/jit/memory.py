@@ -7,7 +7,6 @@ As plain Python (`decorators.PLAIN`) the pointers are those of ctypes, so that a
 """
 
 import ctypes
-from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -31,14 +30,11 @@ def _pointer_to(element: Any) -> Any:
 def _pointer(element: Any, in_c: Any) -> Any:
     if not config.DISABLE_JIT:
         return intrinsic(_pointer_to(element))
-    pointer: Callable[[int], Any] = lambda address: ctypes.cast(int(address), ctypes.POINTER(in_c))  # noqa: E731
-    return pointer
 
+    def typed(address: int) -> Any:
+        return ctypes.cast(int(address), ctypes.POINTER(in_c))
 
-def _exchange_in_python(address: int, value: int) -> int:
-    cell = int64_at(address)
-    before, cell[0] = cell[0], value
-    return int(before)
+    return typed
 
 
 def _exchange(typing_context: Any, address: Any, value: Any) -> Any:
@@ -95,5 +91,5 @@ float32_at: Any = _pointer(types.float32, ctypes.c_float)
 uint8_at: Any = _pointer(types.uint8, ctypes.c_uint8)
 """uint8_at(address: int64) -> pointer to uint8."""
 
-exchange_int64: Any = _exchange_in_python if config.DISABLE_JIT else intrinsic(_exchange)
+exchange_int64: Any = intrinsic(_exchange)
 """exchange_int64(address: int64, value: int64) -> the old value; atomic, sequentially consistent."""
