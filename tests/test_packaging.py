@@ -32,6 +32,7 @@ KERNEL_OWN_IMPORTS = ("softfinger.proxy.kernels", "softfinger.proxy.record")
 # At import, or inside numba's typing; never in a tick.
 KERNEL_STANDARD_LIBRARY = {
     "decorators.py": {"gc", "hashlib", "os", "pathlib", "sys"},
+    "memory.py": {"ctypes"},
     "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
     "dispatch.py": {"functools"},
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets"},

@@ -68,7 +68,7 @@ class Bench(driver_contract.Bench):
         if case == "lost":
             self.cable.pull()
         elif case == "timeout":
-            self.cable.mute.set()
+            self.cable.hush()
         else:
             self.case = case
             if case != "not_found":
@@ -153,7 +153,7 @@ def test_a_frame_waits_for_the_answer_to_the_last() -> None:
     with board() as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
-        cable.mute.set()
+        cable.hush()
         before = len(itself.sent)
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
         assert servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
@@ -174,7 +174,7 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
     with board(timeout_s=1.0) as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
-        cable.mute.set()
+        cable.hush()
         time.sleep(1.2)
         assert servo.read()[0] == STALE
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
@@ -189,7 +189,7 @@ def test_the_newest_of_many_frames_counts() -> None:
     with board() as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
-        cable.mute.set()
+        cable.hush()
         places = [(0.0, 0.0, z) for z in (-0.01, 0.0, 0.01, 0.02)]
         said = []
         for itself.place in places:
@@ -227,7 +227,7 @@ def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
             servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
             settle(device, cable)
             servo.read()
-            cable.mute.set()
+            cable.hush()
             frames, wakes, begun = len(itself.sent), itself.wakes, time.monotonic()
             while (status := servo.read()[0]) >= 0 and not (again and itself.wakes > wakes):
                 silent = time.monotonic() - begun
@@ -436,7 +436,7 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
         device.arm()
         sample = Servo(device).read()[1]
         np.testing.assert_allclose(sample[:3], (0.03, 0.0, 0.02), atol=1e-3)  # the hand pulls it away for one step
-        cable.mute.set()
+        cable.hush()
         with pytest.raises(NoAnswer, match=r"sends no frame within 0\.3 s"):
             device.arm()
 
@@ -445,12 +445,12 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
     """A board that starts slowly is kicked until it speaks; one that never does, and one that speaks nonsense, are
     told apart."""
     with Cable(Board(lambda _: PLACE)) as cable:
-        cable.mute.set()
+        cable.hush()
         threading.Timer(0.3, cable.mute.clear).start()
         with opened(cable) as device:
             assert device.counts()["kicks"] >= 3
             assert cable.board.sent == []
-        cable.mute.set()
+        cable.hush()
         with pytest.raises(NoAnswer, match=r"at /dev/pts/\d+ sends no frame within 0.2 s: check its power"):
             opened(cable, wake_s=0.2)
         cable.mute.clear()

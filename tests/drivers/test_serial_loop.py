@@ -80,7 +80,7 @@ def pull(cable: Cable) -> None:
 
 
 def mute(cable: Cable) -> None:
-    cable.mute.set()
+    cable.hush()
 
 
 def garble(cable: Cable) -> None:

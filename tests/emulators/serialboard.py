@@ -80,7 +80,7 @@ class Cable:
         self.path = os.ttyname(self._near)
         self.mute = threading.Event()
         """Set: the board hears, and says nothing."""
-        self._deaf, self._reading = False, threading.Lock()
+        self._deaf, self._reading, self._saying = False, threading.Lock(), threading.Lock()
         self.spoil: Callable[[bytes], bytes] = bytes
         """What the line does to an answer."""
         self.heard = 0
@@ -102,14 +102,20 @@ class Cable:
             while b"\n" in rest:
                 line, rest = rest[: rest.index(b"\n") + 1], rest[rest.index(b"\n") + 1 :]
                 answer = self.board.answer(line)
-                if not self.mute.is_set():
-                    self.say(self.spoil(answer))
+                with self._saying:
+                    if not self.mute.is_set():
+                        self.say(self.spoil(answer))
                 self.heard += len(line)
 
     def hear(self, now: bool) -> None:
         """Whether the board reads; it reads nothing more once this has returned."""
         with self._reading:
             self._deaf = not now
+
+    def hush(self) -> None:
+        """The board says nothing more once this has returned, until `mute` is cleared."""
+        with self._saying:
+            self.mute.set()
 
     def say(self, data: bytes) -> None:
         """Send bytes to the host as they are; what has no room because nobody reads is lost."""

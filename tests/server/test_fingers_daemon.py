@@ -332,7 +332,7 @@ def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
 def test_a_board_that_falls_silent_zeroes_the_other(place: int, tmp_path: Path) -> None:
     """The run ends with the fault of that finger's device, and the other board is at zero on its own line."""
     with pressing(tmp_path) as (boards, cables, process):
-        cables[place].mute.set()
+        cables[place].hush()
         said = process.communicate(timeout=END_S)[1]
         assert process.returncode == 4, said
         assert f"finger '{NAMES[place]}'" in said and "Traceback" not in said
