@@ -756,6 +756,26 @@ def test_check_tells_what_is_modelled_and_what_is_left_out(capsys: pytest.Captur
     assert re.search(r"servo +1000 Hz, real time auto", out)
 
 
+def test_check_tells_forms_laws_and_motions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An ellipsoid that is turned, a law of the normal force, an object that moves: a row each."""
+    file = tmp_path / "turned.toml"
+    file.write_text("""
+        [fingertip]
+        radii_m = [0.008, 0.007, 0.012]
+        orientation_wxyz = [0.8, 0.6, 0.0, 0.0]
+        [[object]]
+        name = "plate"
+        shape = "plane"
+        material = { stiffness_n_per_m = 1000.0, normal = { exponent = 1.5 } }
+        motion = { kind = "sinusoid", translation_m = [0.0, 0.0, 0.001], frequency_hz = 2.0 }
+    """)
+    assert verb(check, str(file)) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"ellipsoid, radii .*0\.008.* m, turned by .*0\.8", out)
+    assert re.search(r"normal force +.*exponent 1\.5", out)
+    assert re.search(r"motion sinusoid +.*frequency_hz 2", out)
+
+
 def test_check_reports_every_faulty_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One faulty file does not hide another, options of the driver are checked, and the exit code is 2."""
     files = {

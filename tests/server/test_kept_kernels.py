@@ -104,7 +104,11 @@ def test_what_the_compiler_and_warmup_leave_is_all_that_is_needed(fresh: tuple[s
     have, added = ({name.rpartition("-")[0] for name in names} for names in (before, after.keys() - before.keys()))
     assert {"step_many", "tick_many"} <= added
     assert added & have <= {"silence"}  # which each driver has one of
-    subprocess.run(warm, env=environment, capture_output=True, text=True, check=True)
+    other, foreign = cache / "0123456789abcdef", cache / "notes"
+    other.mkdir()
+    foreign.mkdir()
+    subprocess.run([*warm, "--prune"], env=environment, capture_output=True, text=True, check=True)
+    assert not other.exists() and foreign.exists()  # kernels of another version, and what is no such folder
     brief = ["--duration", "0.2", "--realtime", "off", "--endpoint", "tcp://127.0.0.1:*", "--commands", "off"]
     subprocess.run(
         [*words, "run", "--scene", scene, *brief], env=environment, capture_output=True, text=True, check=True

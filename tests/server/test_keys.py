@@ -67,6 +67,8 @@ def test_the_verb_makes_pairs(tmp_path: Path) -> None:
     made = json.loads(done.stdout)
     assert set(made) == {"rig", "anna"} and all(read_pair(files["secret"]) for files in made.values())
     assert subprocess.run(words, capture_output=True, check=False).returncode == 2
+    told = subprocess.run([*words[:-3], "ben"], capture_output=True, text=True, check=True).stdout
+    assert f"{tmp_path}/new/keys/ben.key: give it to others" in told and "ben.key_secret: keep it to yourself" in told
 
 
 def test_a_file_that_is_no_good_key_is_refused_in_one_sentence(tmp_path: Path) -> None:
