@@ -12,8 +12,6 @@ import json
 import sys
 import tomllib
 from collections import defaultdict
-from collections.abc import Iterable
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,17 +23,9 @@ REASONS: Final = Path(__file__).with_name("coverage_reasons.toml")
 
 
 def reasons() -> dict[str, str]:
-    """Reason by pattern of a file's path."""
+    """Reason by file."""
     table: list[dict[str, Any]] = tomllib.loads(REASONS.read_text(encoding="utf-8"))["reason"]
-    return {pattern: each["why"] for each in table for pattern in each["files"]}
-
-
-def by_reason(names: Iterable[str]) -> dict[str, list[str]]:
-    """Files by their reason; those that have none under ""."""
-    known, found = reasons(), defaultdict[str, list[str]](list)
-    for name in names:
-        found[next((why for pattern, why in known.items() if fnmatchcase(name, pattern)), "")].append(name)
-    return found
+    return {file: each["why"] for each in table for file in each["files"]}
 
 
 def share(part: int, whole: int) -> float:
@@ -64,12 +54,15 @@ def main(file: str) -> int:
         print(row(name, total))
     print(row("all", measured["totals"]))
     print(f"\n{len(low)} files below {LOW:g} % of lines:")
-    sorted_out = by_reason(low)
-    for why, names in sorted(sorted_out.items(), key=lambda each: -len(each[1])):
+    known = reasons()
+    by_reason: dict[str, list[str]] = defaultdict(list)
+    for name in low:
+        by_reason[known.get(name, "")].append(name)
+    for why, names in sorted(by_reason.items(), key=lambda each: -len(each[1])):
         print(f"\n{why or 'WITHOUT A REASON: a test, or a line in tests/coverage_reasons.toml'}")
         for name in names:
             print(row(name, low[name]))
-    return 1 if "" in sorted_out else 0
+    return 1 if "" in by_reason else 0
 
 
 if __name__ == "__main__":

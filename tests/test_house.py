@@ -62,11 +62,11 @@ def test_the_map_is_true() -> None:
 
 
 def test_each_reason_for_less_coverage_is_of_a_file() -> None:
-    """A pattern of tests/coverage_reasons.toml matches a file that there is, and every reason is a sentence."""
-    for each in tomllib.loads((ROOT / "tests" / "coverage_reasons.toml").read_text("utf-8"))["reason"]:
-        assert each["why"].endswith("."), each
-        for pattern in each["files"]:
-            assert pattern.startswith(PACKAGES) and list(ROOT.glob(pattern)), pattern
+    """tests/coverage_reasons.toml names files that there are, each once."""
+    table = tomllib.loads((ROOT / "tests" / "coverage_reasons.toml").read_text("utf-8"))["reason"]
+    files = [file for each in table for file in each["files"]]
+    assert len(set(files)) == len(files)
+    assert not [file for file in files if not (ROOT / file).is_file()]
 
 
 def test_each_planted_mistake_can_be_made() -> None:

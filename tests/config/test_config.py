@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import math
@@ -15,6 +14,7 @@ from typing import Annotated, Any
 
 import msgspec
 import pytest
+from helpers.called import called
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -734,89 +734,11 @@ def test_no_file_content_raises_anything_but_config_error(
 # --- verbs and reference page --------------------------------------------------------------------
 
 
-def verb(module: Any, *words: str) -> int:
-    """Run a verb as the command line does; returns its exit code."""
-    parser = argparse.ArgumentParser()
-    module.configure(parser)
-    code = module.run(parser.parse_args(words))
-    assert isinstance(code, int)
-    return code
-
-
-def test_check_tells_what_is_modelled_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
-    """`check` of shipped files says kind and content and returns 0."""
-    assert verb(check, "paper-plane", "frictionless-plane", "replay") == 0
-    out = capsys.readouterr().out
-    assert "paper-plane: scene, usable" in out
-    assert re.search(r"rolling +euler_zxz, torque stiffness 1000 N/m", out)
-    assert re.search(r"friction +static 0.6, kinetic 0.5", out)
-    assert re.search(r"rolling +left out", out)
-    assert re.search(r"friction +left out: frictionless", out)
-    assert "replay: rig, usable" in out
-    assert re.search(r"servo +1000 Hz, real time auto", out)
-
-
-def test_check_tells_forms_laws_and_motions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """An ellipsoid that is turned, a law of the normal force, an object that moves: a row each."""
-    file = tmp_path / "turned.toml"
-    file.write_text("""
-        [fingertip]
-        radii_m = [0.008, 0.007, 0.012]
-        orientation_wxyz = [0.8, 0.6, 0.0, 0.0]
-        [[object]]
-        name = "plate"
-        shape = "plane"
-        material = { stiffness_n_per_m = 1000.0, normal = { exponent = 1.5 } }
-        motion = { kind = "sinusoid", translation_m = [0.0, 0.0, 0.001], frequency_hz = 2.0 }
-    """)
-    assert verb(check, str(file)) == 0
-    out = capsys.readouterr().out
-    assert re.search(r"ellipsoid, radii .*0\.008.* m, turned by .*0\.8", out)
-    assert re.search(r"normal force +.*exponent 1\.5", out)
-    assert re.search(r"motion sinusoid +.*frequency_hz 2", out)
-
-
-def test_check_reports_every_faulty_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One faulty file does not hide another, options of the driver are checked, and the exit code is 2."""
-    files = {
-        "scene": "[fingertip]\nradius_m = 0\n",
-        "rig": '[device]\ndriver = "replay"\nrecording = "x"\nlop = true\n',
-        "driver": '[device]\ndriver = "replya"\n',
-        "both": "[fingertip]\n[device]\n",
-        "neither": "[hello]\n",
-    }
-    for name, text in files.items():
-        (tmp_path / f"{name}.toml").write_text(text)
-    paths = [str(tmp_path / f"{name}.toml") for name in files]
-    assert verb(check, *paths, "replay", "repaly") == 2
-    out, err = capsys.readouterr()
-    assert "replay: rig, usable" in out
-    for part in [
-        "fingertip.radius_m = 0",
-        "object is missing",
-        "rig.toml [device]: lop is not a key here (did you mean 'loop'?)",
-        "driver.toml: device.driver = 'replya'",
-        "both.toml: both scene (fingertip) and rig (device)",
-        "neither.toml: neither scene nor rig",
-        "no scene or rig is called 'repaly' (did you mean 'replay'?)",
-    ]:
-        assert part in err
-
-
-def test_check_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    """`check --json` gives kind, errors and the whole content with its defaults."""
-    assert verb(check, "--json", "plane-at-60mm", "nothing-like-it") == 2
-    good, bad = json.loads(capsys.readouterr().out)
-    assert good["kind"] == "scene"
-    assert good["errors"] == []
-    assert good["content"]["object"][0]["position_m"] == [0.0, 0.0, 0.06]
-    assert bad["errors"][0].startswith("no scene or rig is called 'nothing-like-it'")
-
-
-def test_schema_verb_prints_json_schema_with_units_and_ranges(capsys: pytest.CaptureFixture[str]) -> None:
+def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:
     """`schema` gives scene, rig and telemetry as JSON that an editor can use."""
-    assert verb(schema_verb) == 0
-    printed = json.loads(capsys.readouterr().out)
+    done = called("schema")
+    assert done.returncode == 0
+    printed = json.loads(done.stdout)
     radius = printed["scene"]["$defs"]["Fingertip"]["properties"]["radius_m"]
     assert (radius["minimum"], radius["maximum"], radius["unit"]) == (1e-5, 1e3, "m")
     assert printed["scene"]["$defs"]["Plane"]["properties"]["shape"] == {"enum": ["plane"]}

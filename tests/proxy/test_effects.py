@@ -223,8 +223,9 @@ def test_magnet_does_the_work_of_its_potential() -> None:
     assert np.sum(forces * np.diff(path, axis=0)) == pytest.approx(2.0 * 0.02 / 3.0, rel=1e-5)
 
 
-def test_magnet_exerts_no_torque_on_an_ellipsoid_which_a_turn_between_gains_by() -> None:
-    """Down upright, up lying, turned at both ends: F (c - b) / range times the height: docs/model/effects.md."""
+def test_an_ellipsoid_gains_energy_when_it_turns_near_a_magnet() -> None:
+    """It descends with its long axis upright, turns, rises with it level and turns back. The magnet exerts no torque:
+    the cycle gains F (c - b) h / range, as docs/model/effects.md says."""
     force, reach, b, c, low, high = 2.0, 0.02, 0.007, 0.012, 0.015, 0.019
     plane = {
         "name": "plane",
@@ -242,7 +243,7 @@ def test_magnet_exerts_no_torque_on_an_ellipsoid_which_a_turn_between_gains_by()
     assert not records["torque"].any() and (records["contact.mode"] == 0).all()
     middle = 0.5 * (records["force"][1:] + records["force"][:-1])  # the pull is linear in the height: exact
     wanted = force * (c - b) / reach * (high - low)
-    assert np.sum(middle * np.diff(places, axis=0)) == pytest.approx(wanted, rel=1e-9)
+    assert np.sum(middle * np.diff(places, axis=0)) == pytest.approx(wanted, rel=1e-9)  # rounding of 400 products
 
 
 def drag(length: float, n: int, **changes: Any) -> Iterator[Situation]:
@@ -526,18 +527,18 @@ PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 10
 
 
 @pytest.mark.parametrize(("aside", "deep"), [(0.002, 0.001), (0.001, 0.002)])
-def test_viscosity_is_against_the_object_that_has_it(aside: float, deep: float) -> None:
-    """A hand that rests in a corner, whichever bears more: the floor, which is viscous, rests too; the wall slides
-    past."""
+def test_only_motion_against_the_viscous_object_counts(aside: float, deep: float) -> None:
+    """The hand rests in a corner of a viscous floor, which rests, and a wall, which slides along. No viscous force
+    acts, whether the wall or the floor carries the larger load."""
     spring = {"stiffness_n_per_m": 1000.0}
     floor = {"name": "floor", "shape": "plane", "effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}
     sliding = {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0, "pivot_m": [0.0, 0.1, 0.0]}}
     given = [{**floor, "material": spring}, {**wall, **sliding, "material": spring}]
     running = Engine({"fingertip": {"radius_m": 0.01}, "object": given})
-    for _ in range(200):
+    for _ in range(200):  # until the filtered velocity has faded
         found = running.step([0.01 - aside, 0.0, 0.01 - deep], [1.0, 0.0, 0.0, 0.0])
-    assert found.force == pytest.approx([1000.0 * aside, 0.0, 1000.0 * deep], abs=1e-9)
+    assert found.force == pytest.approx([1000.0 * aside, 0.0, 1000.0 * deep], abs=1e-9)  # the springs; rounding
 
 
 def test_viscosity_of_a_moving_object_is_against_it() -> None:

@@ -50,6 +50,26 @@ def test_rotation_vector_is_exact(name: str) -> None:
     assert worst < 1e-13
 
 
+@pytest.mark.parametrize("begins", ["barrel", "end"])
+def test_rotation_vector_is_exact_from_the_barrel_and_the_end_of_a_cylinder(begins: str) -> None:
+    """From a place in the middle of either, by itself and on to the rim: the integrated path."""
+    rng, shape, crossed = np.random.default_rng(14), SHAPES["capped cylinder"], 0
+    out_of = shape.radius + RADIUS, shape.half_length + RADIUS
+    for _ in range(24):
+        if begins == "barrel":
+            center, normal = (out_of[0], 0.0, rng.uniform(-1.0, 1.0) * shape.half_length), (1.0, 0.0, 0.0)
+        else:
+            center, normal = (rng.uniform(-1.0, 1.0) * shape.radius, 0.0, out_of[1]), (0.0, 0.0, 1.0)
+        w = rotation(rng)
+        out = rolled_by(METHODS["rotation_vector"], shape, np.array(center), np.array(normal), w)
+        end, n, spin = rolled(shape, RADIUS, np.array(center), np.array(normal), lambda _, w=w: w)
+        crossed += abs(out.normal[2] - normal[2]) > 1e-9  # both barrel and end leave it as it is
+        # As above: rounding, and what is integrated across the rim.
+        assert max(np.abs(np.array(out.center) - end).max(), RADIUS * abs(out.spin - spin)) < 1e-13
+        assert RADIUS * np.abs(np.array(out.normal) - n).max() < 1e-13
+    assert crossed
+
+
 @pytest.mark.parametrize("scale", [1e-5, 1.0, 1e3])
 def test_rotation_vector_at_all_sizes(scale: float) -> None:
     """From 10 um to 1 km the closed forms keep the same relative accuracy."""

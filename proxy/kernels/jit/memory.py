@@ -3,16 +3,18 @@
 A handle is one int64. These intrinsics turn it into typed pointers, which kernels index like
 arrays; nothing checks the bounds, and the object that owns the memory must outlive the handle. Or the other way round:
 the address of what an array holds, for a C function that takes it. Processors that store the lowest byte first only.
-As plain Python (`decorators.PLAIN`) the pointers are those of ctypes, so that a driver's packets can be debugged too.
+As plain Python (`decorators.PLAIN`) the typed pointers are those of ctypes, for a debugger in a driver's packets.
 """
 
 import ctypes
 from typing import Any
 
 from llvmlite import ir
-from numba import config, types
+from numba import types
 from numba.core.cgutils import get_item_pointer
 from numba.extending import intrinsic
+
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 
 _CPointer: Any = types.CPointer
 
@@ -28,7 +30,8 @@ def _pointer_to(element: Any) -> Any:
 
 
 def _pointer(element: Any, in_c: Any) -> Any:
-    if not config.DISABLE_JIT:
+    """A function of an address: what numba compiles, or as plain Python a pointer of ctypes."""
+    if not PLAIN:
         return intrinsic(_pointer_to(element))
 
     def typed(address: int) -> Any:

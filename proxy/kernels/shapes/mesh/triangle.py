@@ -128,9 +128,16 @@ def outward_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> 
 
 
 @jit
-def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, best: float) -> tuple[int, float]:
-    """The nearest of the triangles round the corner `at` of one if its square of the distance from `x` is below `best`,
-    else -1; and that square.
+def is_nearer(foot: Foot, square: float) -> bool:
+    """Whether the foot on another triangle is nearer than a shared edge or corner, whose distance has that square. On
+    its face it is, by however little; on an edge or a corner by more than rounding, or two would take turns."""
+    return foot.square <= square if foot.feature == FACE else foot.square < square * (1.0 - 1e-11)
+
+
+@jit
+def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, square: float) -> int:
+    """The nearest of the triangles round the corner `at` of one, if it is nearer to `x` than that corner, which is at
+    that square of the distance; else -1.
 
     They are asked one after the other as far as they have edges in common: most of them have just that corner nearest
     to x, so that its neighbours do not tell which of them is nearer.
@@ -145,31 +152,28 @@ def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, best: float) -
             corner = 0
             while corner < 2 and mesh.corners[3 * here + corner] != vertex:
                 corner += 1
-            square = foot_on(corners_of(mesh, here), x).square
-            if square < best:
-                found, best = here, square
+            foot = foot_on(corners_of(mesh, here), x)
+            if is_nearer(foot, square):
+                found, square = here, foot.square
         if here == number:
             break
-    return found, best
+    return found
 
 
 @outlined
 def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
     """The triangle beyond the edge, or round the corner, of this one that `x` is nearest to, if it is nearer still;
-    else this one. One that has x above its face is, by however little: the edge belongs to both."""
+    else this one."""
     mesh, k = whole.row[0], int(number)
     foot = foot_on(corners_of(mesh, k), x)
     if foot.feature == FACE:
         return number
-    best = foot.square * (1.0 - 1e-11)
     if foot.feature < 3:
         nearer = int(mesh.across[3 * k + foot.feature])
-        if nearer >= 0:
-            other = foot_on(corners_of(mesh, nearer), x)
-            if other.feature != FACE and other.square >= best:
-                nearer = -1
+        if nearer >= 0 and not is_nearer(foot_on(corners_of(mesh, nearer), x), foot.square):
+            nearer = -1
     else:
-        nearer, _ = nearer_around(mesh, k, foot.feature - 3, x, best)
+        nearer = nearer_around(mesh, k, foot.feature - 3, x, foot.square)
     return number if nearer < 0 else float(nearer)
 
 

@@ -1,0 +1,96 @@
+"""`check`: what a file of a scene or rig means, what is wrong with it, and what a scene costs."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from helpers.called import called
+
+
+@pytest.mark.plain
+def test_check_tells_what_is_modelled_and_what_is_left_out() -> None:
+    """`check` of shipped files says kind and content and returns 0."""
+    done = called("check", "paper-plane", "frictionless-plane", "replay")
+    assert done.returncode == 0, done.stderr
+    out = done.stdout
+    assert "paper-plane: scene, usable" in out
+    assert re.search(r"rolling +euler_zxz, torque stiffness 1000 N/m", out)
+    assert re.search(r"friction +static 0.6, kinetic 0.5", out)
+    assert re.search(r"rolling +left out", out)
+    assert re.search(r"friction +left out: frictionless", out)
+    assert "replay: rig, usable" in out
+    assert re.search(r"servo +1000 Hz, real time auto", out)
+
+
+@pytest.mark.plain
+def test_check_tells_forms_laws_and_motions(tmp_path: Path) -> None:
+    """An ellipsoid that is turned, a law of the normal force, an object that moves: a row each."""
+    file = tmp_path / "turned.toml"
+    file.write_text("""
+        [fingertip]
+        radii_m = [0.008, 0.007, 0.012]
+        orientation_wxyz = [0.8, 0.6, 0.0, 0.0]
+        [[object]]
+        name = "plate"
+        shape = "plane"
+        material = { stiffness_n_per_m = 1000.0, normal = { exponent = 1.5 } }
+        motion = { kind = "sinusoid", translation_m = [0.0, 0.0, 0.001], frequency_hz = 2.0 }
+    """)
+    done = called("check", str(file))
+    assert done.returncode == 0, done.stderr
+    out = done.stdout
+    assert re.search(r"ellipsoid, radii .*0\.008.* m, turned by .*0\.8", out)
+    assert re.search(r"normal force +.*exponent 1\.5", out)
+    assert re.search(r"motion sinusoid +.*frequency_hz 2", out)
+
+
+@pytest.mark.plain
+def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
+    """One faulty file does not hide another, options of the driver are checked, and the exit code is 2."""
+    files = {
+        "scene": "[fingertip]\nradius_m = 0\n",
+        "rig": '[device]\ndriver = "replay"\nrecording = "x"\nlop = true\n',
+        "driver": '[device]\ndriver = "replya"\n',
+        "both": "[fingertip]\n[device]\n",
+        "neither": "[hello]\n",
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+    paths = [str(tmp_path / f"{name}.toml") for name in files]
+    done = called("check", *paths, "replay", "repaly")
+    assert done.returncode == 2, done.stderr
+    out, err = done.stdout, done.stderr
+    assert "replay: rig, usable" in out
+    for part in [
+        "fingertip.radius_m = 0",
+        "object is missing",
+        "rig.toml [device]: lop is not a key here (did you mean 'loop'?)",
+        "driver.toml: device.driver = 'replya'",
+        "both.toml: both scene (fingertip) and rig (device)",
+        "neither.toml: neither scene nor rig",
+        "no scene or rig is called 'repaly' (did you mean 'replay'?)",
+    ]:
+        assert part in err
+
+
+@pytest.mark.plain
+def test_check_as_json() -> None:
+    """`check --json` gives kind, errors and the whole content with its defaults."""
+    done = called("check", "--json", "plane-at-60mm", "nothing-like-it")
+    assert done.returncode == 2, done.stderr
+    good, bad = json.loads(done.stdout)
+    assert good["kind"] == "scene"
+    assert good["errors"] == []
+    assert good["content"]["object"][0]["position_m"] == [0.0, 0.0, 0.06]
+    assert bad["errors"][0].startswith("no scene or rig is called 'nothing-like-it'")
+
+
+def test_a_scene_is_explained_by_measured_costs() -> None:
+    """Cost of a tick and of the bare contact, and the damping that a device needs; of a scene, and of no rig."""
+    done = called("check", "--explain", "frictionless-plane", "replay")
+    assert done.returncode == 0, done.stderr
+    for said in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", r"1000 N/m; passive at 1000 Hz .* more than 0\.5"):
+        assert len(re.findall(said, done.stdout)) == 1, done.stdout
