@@ -61,8 +61,8 @@ def test_rotation_vector_is_exact_from_the_barrel_and_the_end_of_a_cylinder(begi
         else:
             center, normal = (rng.uniform(-1.0, 1.0) * shape.radius, 0.0, out_of[1]), (0.0, 0.0, 1.0)
         w = rotation(rng)
-        out = rolled_by(METHODS["rotation_vector"], shape, np.array(center), np.array(normal), w)
-        end, n, spin = rolled(shape, RADIUS, np.array(center), np.array(normal), lambda _, w=w: w)
+        out = rolled_by(METHODS["rotation_vector"], shape, center, normal, w)
+        end, n, spin = rolled(shape, RADIUS, center, normal, lambda _, w=w: w)
         leaves = abs(out.normal[2] - normal[2]) > 1e-9  # barrel and end each leave it as it is
         past = leaves and abs(out.normal[2]) in (0.0, 1.0)
         crossed += leaves
