@@ -253,10 +253,10 @@ def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: C
         np.testing.assert_allclose(proxies, there, rtol=0.0, atol=1e-9)  # what is asked of a plate; rounding is 1e-15
 
 
-def test_a_plate_is_nearly_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases) -> None:
-    """Where the fingertip comes to within 0.1 um of a vertex, two facets away in the tick before: no more than 1e-5 of
-    the radius off. Deeper than the radius a search that begins on a facet beside the vertex leads away from it, and
-    what it ends on may have the fingertip that little beyond its edge."""
+def test_a_plate_is_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases) -> None:
+    """Where the fingertip comes to within 0.1 um of a vertex, two facets away in the tick before. Deeper than the
+    radius a search that begins on a facet beside the vertex leads away from it, from facet to facet; and the tilted
+    plane of one that the fingertip is beyond lifts it off the others by too little to be seen in a gap."""
     radius, pitch, rng = 0.01, 0.2 / 78, np.random.default_rng(5)
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.sheet(0.2, 0.2, 78, 78))
     running = engine(thing("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
@@ -271,7 +271,7 @@ def test_a_plate_is_nearly_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases)
         running.reset()
         last = np.asarray(running.run(posed(np.concatenate([down, over, [[*end, z]]]))))[-1]
         proxy = last[AT.proxy_position : AT.proxy_position + 3]
-        np.testing.assert_allclose(proxy, [*end, radius], rtol=0.0, atol=1e-5 * radius)
+        np.testing.assert_allclose(proxy, [*end, radius], rtol=0.0, atol=1e-9)  # what is asked of a plate
 
 
 @pytest.mark.plain

@@ -2,8 +2,8 @@
 
 One process runs the daemon, each subscriber is a process of its own. Beside it, in turn, so that whatever the machine
 does meanwhile falls on all of them: a sender in C over libzmq that does nothing else, where there is a compiler; with
-`--busy` the daemon with a thread that spins in Python inside it; with `--forward` what `softfinger forward` hands on,
-by CURVE with `--keys`; with `--beside` the daemon of another version.
+`--busy` the daemon with a thread that spins in Python inside it, and the sender beside a process that does so; with
+`--forward` what `softfinger forward` hands on, by CURVE with `--keys`; with `--beside` the daemon of another version.
 """
 
 from __future__ import annotations
@@ -55,6 +55,18 @@ from softfinger.server.cli import main
 sys.exit(main(sys.argv[1:]))
 """
 
+BESIDE_SPINNING: Final = """
+import os, sys
+parent = os.getpid()
+if os.fork() == 0:
+    total = 0
+    while os.getppid() == parent:
+        for number in range(10_000):
+            total += number * number
+    os._exit(0)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+"""The sender in C with as much Python spinning on the machine: how much of the delay is the subscribers' own."""
 
 FORWARD: Final = "forward"
 
@@ -79,7 +91,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each (default: %(default)s)")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
     parser.add_argument("--transport", choices=["tcp", "ipc"], default="tcp", help="default: %(default)s")
-    parser.add_argument("--busy", action="store_true", help="also with a thread that spins in Python in the daemon")
+    parser.add_argument("--busy", action="store_true", help="also with Python that spins in the daemon, and beside the sender in C")
     parser.add_argument("--forward", action="store_true", help="also through `softfinger forward`")
     parser.add_argument("--keys", action="store_true", help="with --forward: by CURVE keys")
     parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
@@ -124,6 +136,8 @@ def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
     found = {}
     if (program := compile_reference(folder)) is not None:
         found["c"] = [*program, "ENDPOINT", repr(args.rate), CONTACT, *body(folder)]
+        if args.busy:
+            found["c busy"] = [sys.executable, "-c", BESIDE_SPINNING, *found["c"]]
     interpreters = {"daemon": sys.executable} | ({"beside": args.beside} if args.beside else {})
     for name, python in interpreters.items():
         found[name] = [python, "-m", "softfinger.server.cli", *daemon]

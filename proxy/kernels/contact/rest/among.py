@@ -130,15 +130,18 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
     """
     there = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
     center, held, rests, budget = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, budget)
-    for _ in range(EDGES):
+    on_nearest = False
+    for turn in range(EDGES + 1):
         beyond = held.first if held.second >= 0.0 else neighbour_on(objects, held.first, center)
-        if beyond == held.first:
+        on_nearest = beyond == held.first
+        if on_nearest or turn == EDGES:
             break
         held = one_constraint(beyond, held.n1)
         center, held, rests, budget = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, budget)
     behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
     nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
-    if rests and nearer and is_a_step(anchor, center, radius):
+    # Beyond its edge a facet's plane is tilted, and lifts the proxy by the square of that alone: no gap would tell.
+    if rests and on_nearest and nearer and is_a_step(anchor, center, radius):
         gap, _, budget = deepest(objects, center, radius, active_objects(held), budget)
         if gap >= radius * (1.0 - INSIDE):
             return Rest(center, strongest_first(objects, held), False, budget)

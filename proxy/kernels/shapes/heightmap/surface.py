@@ -46,6 +46,9 @@ SQUARE = 1e-6
 """Sine of the angle between the way to the foot and its normal above which it is no foot: the steps were not enough."""
 
 
+Four = tuple[float, float, float, float]
+
+
 class Height(NamedTuple):
     """h at a place and its derivatives, in pitches."""
 
@@ -72,9 +75,7 @@ class Foot(NamedTuple):
 
 
 @jit
-def basis(
-    f: float,
-) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float], tuple[float, float, float, float]]:
+def basis(f: float) -> tuple[Four, Four, Four]:
     """Uniform cubic B-spline: what four neighbours count for at 0 <= f <= 1 between the middle two, d/df, d2/df2."""
     b = 1.0 - f
     ff, bb = f * f, b * b
@@ -92,6 +93,27 @@ def held(place: float, count: float) -> float:
 
 
 @jit
+def row_at(shape: Heightmap, at: int, a: Four, da: Four, dda: Four) -> Vec3:
+    """Four neighbours of one row, from the number `at` on, weighted, with the row's first and second derivative."""
+    c0, c1, c2, c3 = (
+        shape.coefficients[at],
+        shape.coefficients[at + 1],
+        shape.coefficients[at + 2],
+        shape.coefficients[at + 3],
+    )
+    return (
+        a[0] * c0 + a[1] * c1 + a[2] * c2 + a[3] * c3,
+        da[0] * c0 + da[1] * c1 + da[2] * c2 + da[3] * c3,
+        dda[0] * c0 + dda[1] * c1 + dda[2] * c2 + dda[3] * c3,
+    )
+
+
+@jit
+def weighted(weight: Four, z0: float, z1: float, z2: float, z3: float) -> float:
+    return weight[0] * z0 + weight[1] * z1 + weight[2] * z2 + weight[3] * z3
+
+
+@jit
 def height_at(shape: Heightmap, s: float, t: float) -> Height:
     """Anywhere: the outermost cells are level outward, and what is farther out is as their border."""
     s, t = held(s, shape.columns), held(t, shape.rows)
@@ -99,20 +121,20 @@ def height_at(shape: Heightmap, s: float, t: float) -> Height:
     a, da, dda = basis(s - i)
     b, db, ddb = basis(t - j)
     width = int(shape.columns) + 3
-    z, zs, zt, zss, zst, ztt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(4):
-        at = (j + k) * width + i
-        c0, c1 = shape.coefficients[at], shape.coefficients[at + 1]
-        c2, c3 = shape.coefficients[at + 2], shape.coefficients[at + 3]
-        line = a[0] * c0 + a[1] * c1 + a[2] * c2 + a[3] * c3
-        slope = da[0] * c0 + da[1] * c1 + da[2] * c2 + da[3] * c3
-        z += b[k] * line
-        zt += db[k] * line
-        ztt += ddb[k] * line
-        zs += b[k] * slope
-        zst += db[k] * slope
-        zss += b[k] * (dda[0] * c0 + dda[1] * c1 + dda[2] * c2 + dda[3] * c3)
-    return Height(z, zs, zt, zss, zst, ztt)
+    at = j * width + i
+    # Four calls and no loop, in which the compiler would look up the weights by their number.
+    z0, s0, ss0 = row_at(shape, at, a, da, dda)
+    z1, s1, ss1 = row_at(shape, at + width, a, da, dda)
+    z2, s2, ss2 = row_at(shape, at + 2 * width, a, da, dda)
+    z3, s3, ss3 = row_at(shape, at + 3 * width, a, da, dda)
+    return Height(
+        z=weighted(b, z0, z1, z2, z3),
+        s=weighted(b, s0, s1, s2, s3),
+        t=weighted(db, z0, z1, z2, z3),
+        ss=weighted(b, ss0, ss1, ss2, ss3),
+        st=weighted(db, s0, s1, s2, s3),
+        tt=weighted(ddb, z0, z1, z2, z3),
+    )
 
 
 @jit

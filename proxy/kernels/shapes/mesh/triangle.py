@@ -12,6 +12,11 @@ FACE = 6
 """Number of the feature that is the triangle itself; 0 to 2 are its edges, 3 to 5 its corners."""
 FAN = 12
 """Triangles round a corner that are asked on either side."""
+TIE = 1e-11
+"""Share by which squares of distances from an edge or a corner must differ to be told from rounding."""
+BESIDE = 100.0 * TIE
+"""Square of a foot's distance from a corner, as a share of its own, within which triangles round the corner may be
+nearer than the one across the edge, and that one too little nearer to be told."""
 ON_IT = 1e-14
 """Distance, as a share of the mesh's size, at which a point has no direction of its own from the triangle."""
 
@@ -131,7 +136,7 @@ def outward_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> 
 def is_nearer(foot: Foot, square: float) -> bool:
     """Whether the foot on another triangle is nearer than a shared edge or corner, whose distance has that square. On
     its face it is, by however little; on an edge or a corner by more than rounding, or two would take turns."""
-    return foot.square <= square if foot.feature == FACE else foot.square < square * (1.0 - 1e-11)
+    return foot.square <= square if foot.feature == FACE else foot.square < square * (1.0 - TIE)
 
 
 @jit
@@ -160,20 +165,33 @@ def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, square: float)
     return found
 
 
+@jit
+def corner_beside(corners: Corners, foot: Foot) -> int:
+    """The corner that a foot is on, or hardly beside, on an edge; -1 for none."""
+    if foot.feature >= 3:
+        return foot.feature - 3
+    for i in range(3):
+        apart = vec3.sub(foot.point, corners[i])
+        if vec3.dot(apart, apart) <= BESIDE * foot.square:
+            return i
+    return -1
+
+
 @outlined
 def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
     """The triangle beyond the edge, or round the corner, of this one that `x` is nearest to, if it is nearer still;
     else this one."""
     mesh, k = whole.row[0], int(number)
-    foot = foot_on(corners_of(mesh, k), x)
+    corners = corners_of(mesh, k)
+    foot = foot_on(corners, x)
     if foot.feature == FACE:
         return number
     if foot.feature < 3:
-        nearer = int(mesh.across[3 * k + foot.feature])
-        if nearer >= 0 and not is_nearer(foot_on(corners_of(mesh, nearer), x), foot.square):
-            nearer = -1
-    else:
-        nearer = nearer_around(mesh, k, foot.feature - 3, x, foot.square)
+        across = int(mesh.across[3 * k + foot.feature])
+        if across >= 0 and is_nearer(foot_on(corners_of(mesh, across), x), foot.square):
+            return float(across)
+    corner = corner_beside(corners, foot)
+    nearer = nearer_around(mesh, k, corner, x, foot.square) if corner >= 0 else -1
     return number if nearer < 0 else float(nearer)
 
 
