@@ -11,12 +11,12 @@ from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import seen_by
 from softfinger.proxy.kernels.contact.one_object import friction_alone, outcome_alone, rest_alone
 from softfinger.proxy.kernels.contact.report import remember, remember_free, report, report_free
-from softfinger.proxy.kernels.contact.rest.active_set import NONE, one_constraint
+from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.among import settle_among_several
 from softfinger.proxy.kernels.contact.several_objects import find_candidates, outcome_among_several
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count
-from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
+from softfinger.proxy.kernels.model import NONE, Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
@@ -91,7 +91,7 @@ def contact_with_one_object(
 ) -> tuple[FingerState, Contact]:
     shapes = all_bare(objects)
     state, candidate = detect_or_continue(scene, finger, shapes, state, probe, dt)
-    if candidate.active.first < 0.0:
+    if candidate.active[0].body < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
     friction = friction_alone(finger, objects, shapes, state, probe, candidate, dt)
     rest = rest_alone(finger, objects, shapes, state, probe, candidate, friction.result, dt)
@@ -108,7 +108,7 @@ def contact_with_several_objects(
     if state.stuck >= STUCK_TICKS and is_clear(shapes, radius, position):
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
     candidates = find_candidates(finger, shapes, state, position)
-    if candidates.active.first < 0.0:
+    if candidates.active[0].body < 0.0:
         return out_of_contact(scene, finger, objects, candidates.state, probe, dt, candidates.budget)
     rest = settle_among_several(
         shapes, radius, position, candidates.start, candidates.center, candidates.active, candidates.budget

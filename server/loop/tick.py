@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 from softfinger.proxy.kernels.contact.report import report_free
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count
+from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
 from softfinger.proxy.kernels.numerics.rotations import normalize
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
@@ -129,22 +130,13 @@ def pose_of(tool: Any, hand: FingerMemory, sample: Any) -> Pose:
 
 
 @jit
-def entered(world: World, finger: FingerState, pose: Pose) -> FingerState:
+def entered(world: World, finger: FingerState, pose: Pose) -> Any:
     """A finger's state before a tick. One without a pose before, in a world that has gone on, has been where it is:
     else a body that moves would be felt as if it had moved past."""
     probe = finger.probe
     if finger.started == 0.0 and world.started != 0.0:
         probe = Probe(pose.position, pose.orientation, probe.velocity)
-    return FingerState(
-        started=finger.started,
-        probe=probe,
-        mode=finger.mode,
-        center=finger.center,
-        contacts=finger.contacts,
-        rolled=finger.rolled,
-        stuck=finger.stuck,
-        effects=finger.effects,
-    )
+    return replace(finger, "probe", probe)
 
 
 @by_count

@@ -91,7 +91,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each (default: %(default)s)")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
     parser.add_argument("--transport", choices=["tcp", "ipc"], default="tcp", help="default: %(default)s")
-    parser.add_argument("--busy", action="store_true", help="also with Python that spins in the daemon, and beside the sender in C")
+    parser.add_argument("--busy", action="store_true", help="also with Python that spins, in the daemon and beside C")
     parser.add_argument("--forward", action="store_true", help="also through `softfinger forward`")
     parser.add_argument("--keys", action="store_true", help="with --forward: by CURVE keys")
     parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")

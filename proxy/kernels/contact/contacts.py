@@ -16,14 +16,23 @@ from softfinger.proxy.kernels.contact.carry import (
 from softfinger.proxy.kernels.contact.fingertip import velocity_at
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
 from softfinger.proxy.kernels.contact.normal import normal_force_of
-from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet, one_constraint
 from softfinger.proxy.kernels.contact.rest.among import relax
 from softfinger.proxy.kernels.contact.rest.cutting_planes import held_at_anchor
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.contact.texture import texture_depth_on
 from softfinger.proxy.kernels.friction.stick_slip import split
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import ContactState, FingerState, FrictionInput, Probe, Quaternion, Vec3
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import (
+    ActiveSet,
+    Constraint,
+    ContactState,
+    FingerState,
+    FrictionInput,
+    Probe,
+    Quaternion,
+    Vec3,
+)
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
 from softfinger.proxy.kernels.query.objects import normal_law_of
@@ -74,10 +83,8 @@ def warm_start(objects: Any, radius: float, state: FingerState, probe: Vec3) -> 
     center = carried_point(carry(objects, one.body), state.center)
     if any_mesh(objects) and not any_creases(objects):
         return center, held_at_anchor(objects, radius, probe, center, (one.body, two.body, three.body))
-    up = one_constraint(one.body, one.normal)
-    active = ActiveSet(
-        first=one.body, second=two.body, third=three.body, n1=up.n1, n2=up.n2, n3=up.n3, push=up.push
-    )  # fmt: skip
+    up = one.normal
+    active = (Constraint(one.body, up, 0.0), Constraint(two.body, up, 0.0), Constraint(three.body, up, 0.0))
     _, active = relax(objects, radius, probe, center, active, 1)
     return center, active
 
@@ -88,21 +95,9 @@ def carried_contact(objects: Any, contact: ContactState) -> ContactState:
     if contact.body < 0.0:
         return contact
     moved = carry(objects, contact.body)
-    return ContactState(
-        body=contact.body,
-        normal=carried_direction(moved, contact.normal),
-        push=contact.push,
-        share=contact.share,
-        mode=contact.mode,
-        deflection=carried_direction(moved, contact.deflection),
-        rolled_part=carried_direction(moved, contact.rolled_part),
-        spin=contact.spin,
-        slip_speed=contact.slip_speed,
-        slip_deflection=contact.slip_deflection,
-        spin_slip_speed=contact.spin_slip_speed,
-        spin_slip_angle=contact.spin_slip_angle,
-        bend=carried_direction(moved, contact.bend),
-    )
+    normal, deflection = carried_direction(moved, contact.normal), carried_direction(moved, contact.deflection)
+    rolled_part, bend = carried_direction(moved, contact.rolled_part), carried_direction(moved, contact.bend)
+    return replace(contact, "normal", normal, "deflection", deflection, "rolled_part", rolled_part, "bend", bend)
 
 
 @jit

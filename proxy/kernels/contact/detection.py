@@ -11,16 +11,19 @@ from softfinger.proxy.kernels.contact.carry import (
     relative_velocity,
 )
 from softfinger.proxy.kernels.contact.first_pose import raised, touched_at_first
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, NONE, ActiveSet, one_constraint, pressed
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, one_constraint, pressed
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.jit.outlined import outlined_where
-from softfinger.proxy.kernels.jit.tuples import same_for
+from softfinger.proxy.kernels.jit.tuples import replace, same_for
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
+    NONE,
+    ActiveSet,
+    Constraint,
     Finger,
     FingerState,
     Probe,
@@ -29,7 +32,6 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.numerics.half_spaces import Depths
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_mesh_or_heightmap
 from softfinger.proxy.kernels.query.objects import (
     NOBODY,
@@ -60,7 +62,8 @@ class Meeting(NamedTuple):
 
 
 class Approach(NamedTuple):
-    """The contact with the only object before friction has its say; `active.first` is -1 where there is none.
+    """The contact with the only object before friction has its say; the first constraint is of no object where there
+    is none.
 
     deflection, before, rolled_part   (3,) m  e now, e at the last tick and p, tangent to the object
     theta, twist                      rad     roll and spin of the fingertip against the object in this tick
@@ -94,8 +97,9 @@ def rest_of(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec
 def rest_over_the_probe(
     contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
 ) -> Vec3:
-    over = vec3.add(position, vec3.scale(active.push.first, active.n1))
-    return over if follows_on(objects, active.first, radius, OffsetPoint(met, active.n1), over) else met
+    index, normal, depth = active[0]
+    over = vec3.add(position, vec3.scale(depth, normal))
+    return over if follows_on(objects, index, radius, OffsetPoint(met, normal), over) else met
 
 
 @rest_of.of(2)
@@ -166,9 +170,9 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
                     return Meeting(start, position, nothing, SPENT)
             else:
                 center = raised_clear_of(objects, index, center, radius)
-        push = Depths(max(vec3.dot(vec3.sub(center, position), normal), 0.0), 0.0, 0.0)
-        active = ActiveSet(first=index, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
-        ended = state.mode != FREE and push.first <= INSIDE * radius
+        depth, beside = max(vec3.dot(vec3.sub(center, position), normal), 0.0), Constraint(NONE, normal, 0.0)
+        active = (Constraint(index, normal, depth), beside, beside)
+        ended = state.mode != FREE and depth <= INSIDE * radius
         if ended and is_outside(objects, radius, state.center, position, left):
             active, center = nothing, position  # what has just ended, rounded
         else:
@@ -186,11 +190,11 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
     zero, against = (0.0, 0.0, 0.0), probe.velocity
     met = detect_among_several(finger, objects, state, probe.position)
     center, active = met.center, met.active
-    if active.first >= 0.0 and is_inside(objects, active.first):
+    if active[0].body >= 0.0 and is_inside(objects, active[0].body):
         # The wall may be far along the normal of where it was met. Nothing is wound yet: the nearest place is right.
         center, active, _ = settle_on_one(objects, finger.radius, probe.position, center, zero, active, True)
-    if met.active.first >= 0.0:
-        against = relative_velocity(carry(objects, met.active.first), probe.velocity, state.probe.position, dt)
+    if met.active[0].body >= 0.0:
+        against = relative_velocity(carry(objects, met.active[0].body), probe.velocity, state.probe.position, dt)
     return Approach(
         mode=float(ROLLING),
         cause=float(CAUSE_TOUCH),
@@ -289,7 +293,7 @@ def continue_contact(
     before = transport_on(objects, index, carried_direction(carried, last.deflection), old_normal, normal)
     behind = vec3.sub(center, position)
     active = pressed(normal, behind)
-    deflection = vec3.add(vec3.sub(behind, vec3.scale(active.push.first, normal)), beyond)
+    deflection = vec3.add(vec3.sub(behind, vec3.scale(active[0].depth, normal)), beyond)
     return Approach(
         mode=state.mode,
         cause=float(CAUSE_NONE),
@@ -324,19 +328,10 @@ def detect_or_continue(
 @jit
 def has_ended(active: ActiveSet) -> bool:
     """Whether nothing pushes: a probe that has popped through a thin body is outside of it and still active."""
-    return not (active.push.first > 0.0 or active.push.second > 0.0 or active.push.third > 0.0)
+    return not (active[0].depth > 0.0 or active[1].depth > 0.0 or active[2].depth > 0.0)
 
 
 @jit
-def separated(state: FingerState) -> FingerState:
+def separated(state: FingerState) -> Any:
     """The state without what was wound up in the contact that has ended."""
-    return FingerState(
-        started=state.started,
-        probe=state.probe,
-        mode=state.mode,
-        center=state.center,
-        contacts=same_for(state.contacts, NO_CONTACT),
-        rolled=0.0,
-        stuck=0.0,
-        effects=state.effects,
-    )
+    return replace(state, "contacts", same_for(state.contacts, NO_CONTACT), "rolled", 0.0, "stuck", 0.0)

@@ -2,11 +2,10 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
 from softfinger.proxy.kernels.effects.objects import Touched, apply_objects_effects
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Finger, FingerState, Probe, Scene, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, Finger, FingerState, Probe, Scene, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import number_of
 
@@ -21,6 +20,12 @@ class Effects(NamedTuple):
 
 
 @jit
+def numbered(objects: Any, constraint: Constraint) -> Constraint:
+    """With the object's number in the scene in place of its place in the tuple."""
+    return Constraint(number_of(objects, constraint.body), constraint.normal, constraint.depth)
+
+
+@jit
 def effects_of_tick(
     scene: Scene,
     finger: Finger,
@@ -31,7 +36,7 @@ def effects_of_tick(
     dt: float,
 ) -> Effects:
     """Those of the workspace and those of the objects."""
-    up, in_contact = (0.0, 0.0, 1.0), 0.0 if active.first < 0.0 else 1.0
+    up, in_contact = (0.0, 0.0, 1.0), 0.0 if active[0].body < 0.0 else 1.0
     around = Situation(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None
     )  # fmt: skip
@@ -39,9 +44,10 @@ def effects_of_tick(
     contact = Situation(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
     )  # fmt: skip
+    one, two, three = active
     touched = Touched(
-        first=number_of(objects, active.first), second=number_of(objects, active.second),
-        third=number_of(objects, active.third), n1=active.n1, n2=active.n2, n3=active.n3, before=state.probe.position,
+        one=numbered(objects, one), two=numbered(objects, two), three=numbered(objects, three),
+        before=state.probe.position,
     )  # fmt: skip
     more, states_of_objects, unknown = apply_objects_effects(objects, state.effects[1], finger.radius, touched, contact)
     return Effects(vec3.add(force, more), (states, states_of_objects), unknown)

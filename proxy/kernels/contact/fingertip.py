@@ -9,7 +9,8 @@ from typing import Any
 from softfinger.proxy.kernels.contact.carry import Carry, relative_rotation
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.model import EllipsoidTip, MinkowskiSum, Object, Probe, Quaternion, Vec3
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import EllipsoidTip, MinkowskiSum, Probe, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
 from softfinger.proxy.kernels.shapes.minkowski import support_vector
@@ -96,20 +97,11 @@ def axes_in_world(form: EllipsoidTip, orientation: Quaternion) -> Quaternion:
 
 
 @jit
-def minkowski_sum(body: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Object:
+def minkowski_sum(body: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
     """The object as the centre of such a fingertip sees it."""
     to_body = rotations.conjugate(pose_values(body.pose).orientation)
     axes = rotations.multiply(to_body, axes_in_world(form, orientation))
-    return Object(
-        shape=MinkowskiSum(body.shape, form.semi_axes, axes, radius),
-        pose=body.pose,
-        motion=body.motion,
-        material=body.material,
-        number=body.number,
-        effects=body.effects,
-        was=body.was,
-        texture=body.texture,
-    )
+    return replace(body, "shape", MinkowskiSum(body.shape, form.semi_axes, axes, radius))
 
 
 @by_count

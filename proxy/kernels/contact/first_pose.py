@@ -6,9 +6,9 @@ not known then is said, and the next tick's pose is the first again.
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, NONE
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.model import NONE, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_creases_at
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest

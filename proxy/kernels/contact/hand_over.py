@@ -8,10 +8,11 @@ energy does not grow, since it is convex.
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet, loads_of
+from softfinger.proxy.kernels.contact.rest.active_set import loads_of
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import NO_CONTACT, ContactState, Vec3
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import material_of, transport_on
 from softfinger.proxy.record import ROLLING
@@ -45,11 +46,12 @@ def load_shares(objects: Any, active: ActiveSet) -> Vec3:
 @jit
 def load_share_on(active: ActiveSet, shares: Vec3, body: float) -> float:
     """The share that the object with that place in the tuple has now."""
-    if body == active.first:
+    one, two, three = active
+    if body == one.body:
         return shares[0]
-    if body == active.second:
+    if body == two.body:
         return shares[1]
-    if body == active.third:
+    if body == three.body:
         return shares[2]
     return 0.0
 
@@ -72,7 +74,7 @@ def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
 
 
 @jit
-def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float) -> ContactState:
+def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float) -> Any:
     """The contact with what `weight`, a share of its own, brings along from another: what lies in its plane, about its
     normal. Wind-up about a stiffer spring is less: the moment is kept, and no energy comes of it."""
     if weight == 0.0:
@@ -80,31 +82,20 @@ def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float
     ease = torsional_stiffness(material_of(objects, giver.body).torsion)
     ease = min(ease / torsional_stiffness(material_of(objects, taker.body).torsion), 1.0)
     turned = vec3.dot(giver.normal, taker.normal)
-    return ContactState(
-        body=taker.body,
-        normal=taker.normal,
-        push=taker.push,
-        share=taker.share,
-        mode=taker.mode,
-        deflection=vec3.add_scaled(taker.deflection, weight, vec3.reject(giver.deflection, taker.normal)),
-        rolled_part=vec3.add_scaled(taker.rolled_part, weight, vec3.reject(giver.rolled_part, taker.normal)),
-        spin=taker.spin + weight * ease * turned * giver.spin,
-        slip_speed=taker.slip_speed,
-        slip_deflection=taker.slip_deflection,
-        spin_slip_speed=taker.spin_slip_speed,
-        spin_slip_angle=taker.spin_slip_angle,
-        bend=vec3.add_scaled(taker.bend, weight, vec3.reject(giver.bend, taker.normal)),
-    )
+    deflection = vec3.add_scaled(taker.deflection, weight, vec3.reject(giver.deflection, taker.normal))
+    rolled_part = vec3.add_scaled(taker.rolled_part, weight, vec3.reject(giver.rolled_part, taker.normal))
+    bend = vec3.add_scaled(taker.bend, weight, vec3.reject(giver.bend, taker.normal))
+    spin = taker.spin + weight * ease * turned * giver.spin
+    return replace(taker, "deflection", deflection, "rolled_part", rolled_part, "spin", spin, "bend", bend)
 
 
 @jit
-def handed_over(
-    objects: Any, contacts: Contacts, losses: Vec3, body: float, normal: Vec3, push: float, share: float
-) -> ContactState:
+def handed_over(objects: Any, contacts: Contacts, losses: Vec3, constraint: Constraint, share: float) -> ContactState:
     """The contact on an object with what it keeps of its own, and what comes with the share that it has gained.
 
     contacts, losses   of the last tick, carried; see `load_share_lost`
     """
+    body, normal, push = constraint
     if body < 0.0:
         return NO_CONTACT
     own = contact_on(contacts, body)
@@ -151,9 +142,8 @@ def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
         load_share_lost(active, shares, contacts[1]),
         load_share_lost(active, shares, contacts[2]),
     )
-    push = active.push
     return (
-        handed_over(objects, contacts, losses, active.first, active.n1, push.first, shares[0]),
-        handed_over(objects, contacts, losses, active.second, active.n2, push.second, shares[1]),
-        handed_over(objects, contacts, losses, active.third, active.n3, push.third, shares[2]),
+        handed_over(objects, contacts, losses, active[0], shares[0]),
+        handed_over(objects, contacts, losses, active[1], shares[1]),
+        handed_over(objects, contacts, losses, active[2], shares[2]),
     )

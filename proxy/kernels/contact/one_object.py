@@ -13,7 +13,6 @@ from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_cu
 from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.kernels.contact.report import Outcome
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
-from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.texture import textured, with_texture_friction
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
@@ -21,6 +20,7 @@ from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import (
+    ActiveSet,
     ContactOutcome,
     ContactState,
     Finger,
@@ -65,9 +65,9 @@ def friction_alone(
     material = with_texture_friction(objects, active, candidate.center)[0].material
     felt = textured(objects, active, probe.position)
     moves, since = carry(shapes, 0.0), 0.0 if candidate.began else dt
-    against = velocity_at(finger.form, candidate.against, moves, probe, state.probe, active.n1, since)
-    normal_force = normal_force_of(material.normal, felt.push.first, vec3.dot(against, felt.n1))
-    round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, active.n1)
+    against = velocity_at(finger.form, candidate.against, moves, probe, state.probe, active[0].normal, since)
+    normal_force = normal_force_of(material.normal, felt[0].depth, vec3.dot(against, felt[0].normal))
+    round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, active[0].normal)
     area = contact_patch(finger.patch, round_by, material.compliance, normal_force)
     unit = winding_unit(material.torsion, area, 1.0)
     result = stick_slip(
@@ -80,7 +80,7 @@ def friction_alone(
             resolution=finger.position_resolution,
             dt=dt,
             mode=candidate.mode,
-            normal=active.n1,
+            normal=active[0].normal,
             deflection=candidate.deflection,
             deflection_before=candidate.before,
             rolled_part=candidate.rolled_part,
@@ -115,8 +115,8 @@ def rest_alone(
     )
     felt, moves = textured(objects, active, position), carry(shapes, 0.0)
     since = 0.0 if candidate.began else dt
-    against = velocity_at(finger.form, candidate.against, moves, probe, state.probe, active.n1, since)
-    normal_force = normal_force_of(shapes[0].material.normal, felt.push.first, vec3.dot(against, felt.n1))
+    against = velocity_at(finger.form, candidate.against, moves, probe, state.probe, active[0].normal, since)
+    normal_force = normal_force_of(shapes[0].material.normal, felt[0].depth, vec3.dot(against, felt[0].normal))
     return RestAlone(center, active, felt, normal_force, bounded)
 
 
@@ -127,12 +127,12 @@ def contact_state(rest: RestAlone, friction: FrictionAlone, position: Vec3, bend
     behind = vec3.sub(rest.center, position)
     return ContactState(
         body=0.0,
-        normal=active.n1,
-        push=active.push.first,
+        normal=active[0].normal,
+        push=active[0].depth,
         share=1.0,
         mode=kept.mode,
-        deflection=vec3.sub(behind, vec3.scale(active.push.first, active.n1)),
-        rolled_part=vec3.reject(kept.rolled_part, active.n1),
+        deflection=vec3.sub(behind, vec3.scale(active[0].depth, active[0].normal)),
+        rolled_part=vec3.reject(kept.rolled_part, active[0].normal),
         spin=kept.spin * unit,
         slip_speed=kept.slip_speed,
         slip_deflection=kept.slip_deflection,
@@ -154,17 +154,17 @@ def outcome_alone(
     effects: Effects,
 ) -> Outcome:
     """Forces of the only contact, and what becomes of it."""
-    kept, normal, load = friction.result, rest.active.n1, rest.normal_force
+    kept, normal, load = friction.result, rest.active[0].normal, rest.normal_force
     tangential, moment = vec3.reject(kept.force, normal), kept.moment
     last_bend = carried_direction(carry(shapes, 0.0), state.contacts[0].bend)
-    bent = ResistanceInput(0.0, candidate.active.n1, 1.0, last_bend, candidate.began)
+    bent = ResistanceInput(0.0, candidate.active[0].normal, 1.0, last_bend, candidate.began)
     bend, bending = resist(finger.patch, shapes, bent, probe, state.probe, friction.area)
     if friction.normal_force > load:
         # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
         ease = load / friction.normal_force
         tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
         bending = vec3.scale(ease * ease, bending)
-    pressing = vec3.scale(load, rest.felt.n1)
+    pressing = vec3.scale(load, rest.felt[0].normal)
     torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
     reported = ContactOutcome(
         object=number_of(shapes, 0.0),

@@ -13,12 +13,12 @@ from softfinger.proxy.kernels.contact.detection import detect_among_several, has
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.hand_over import hand_over
 from softfinger.proxy.kernels.contact.report import Outcome
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, ActiveSet, active_objects, tangent_to_all
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, active_objects, tangent_to_all
 from softfinger.proxy.kernels.contact.rest.among import Rest, drawn_after
 from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.contact.wrench import Wrench, outcome_of, wrench_of
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Finger, FingerState, Probe, Scene, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Finger, FingerState, Probe, Scene, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import any_multipoint
 from softfinger.proxy.kernels.query.objects import closest_to_within, deepest
@@ -153,8 +153,8 @@ def outcome_among_several(
     return Outcome(
         mode=one.after.mode,
         cause=cause,
-        place=active.first,
-        normal=active.n1,
+        place=active[0].body,
+        normal=active[0].normal,
         center=rest.center,
         shown=shown,
         contacts=(one.after, two.after, three.after),

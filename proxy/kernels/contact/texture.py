@@ -16,15 +16,14 @@ from typing import Any, NamedTuple
 
 from numba import literal_unroll
 
-from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet
 from softfinger.proxy.kernels.friction.laws import scaled
 from softfinger.proxy.kernels.friction.torsion import with_scaled_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.model import Grip, Material, Object, Relief, Texture, Vec3
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, Grip, Relief, Texture, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
-from softfinger.proxy.kernels.numerics.half_spaces import Depths
 from softfinger.proxy.kernels.numerics.scalars import clamp
 from softfinger.proxy.kernels.query.elements import contains, count, element
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
@@ -143,6 +142,12 @@ def raise_by_relief(
     return depth - at.inside * below, vec3.sub(normal, turn_out_of(body.pose, uphill))
 
 
+@jit
+def textured_constraint(objects: Any, constraint: Constraint, position: Vec3) -> Constraint:
+    depth, m = texture_depth_on(objects, constraint.body, constraint.depth, constraint.normal, position)
+    return Constraint(constraint.body, m, depth)
+
+
 @by_count
 def textured(objects: Any, active: ActiveSet, position: Vec3) -> Any:
     """`active` as the probe at `position` (3,) m feels it."""
@@ -150,22 +155,18 @@ def textured(objects: Any, active: ActiveSet, position: Vec3) -> Any:
 
 @textured.of(1)
 def textured_alone(objects: Any, active: ActiveSet, position: Vec3) -> ActiveSet:
-    depth, m = texture_depth(objects[0].texture, objects[0], active.push.first, active.n1, position)
-    return ActiveSet(
-        first=active.first, second=active.second, third=active.third, n1=m, n2=active.n2, n3=active.n3,
-        push=Depths(depth, active.push.second, active.push.third),
-    )  # fmt: skip
+    one, two, three = active
+    depth, m = texture_depth(objects[0].texture, objects[0], one.depth, one.normal, position)
+    return Constraint(one.body, m, depth), two, three
 
 
 @textured.of(2)
 def textured_among_several(objects: Any, active: ActiveSet, position: Vec3) -> ActiveSet:
-    push = active.push
-    d1, m1 = texture_depth_on(objects, active.first, push.first, active.n1, position)
-    d2, m2 = texture_depth_on(objects, active.second, push.second, active.n2, position)
-    d3, m3 = texture_depth_on(objects, active.third, push.third, active.n3, position)
-    return ActiveSet(
-        first=active.first, second=active.second, third=active.third, n1=m1, n2=m2, n3=m3, push=Depths(d1, d2, d3)
-    )  # fmt: skip
+    return (
+        textured_constraint(objects, active[0], position),
+        textured_constraint(objects, active[1], position),
+        textured_constraint(objects, active[2], position),
+    )
 
 
 @jit
@@ -213,24 +214,16 @@ def scale_friction_by_grip(
     grip: Grip, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3
 ) -> Any:
     factor = 1.0
-    if index == active.first or index == active.second or index == active.third:
-        normal = active.n1 if index == active.first else active.n2 if index == active.second else active.n3
+    one, two, three = active
+    if index == one.body or index == two.body or index == three.body:
+        normal = one.normal if index == one.body else two.normal if index == two.body else three.normal
         at = chart_at(body, center, normal)
         # At an edge of the object the texture ends at its highest value.
         z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
         factor = grip.low + (grip.high - grip.low) * z
     made_of = body.material
     friction, torsion = scaled(made_of.friction, factor), with_scaled_friction(made_of.torsion, factor)
-    return Object(
-        shape=body.shape,
-        pose=body.pose,
-        motion=body.motion,
-        material=Material(made_of.normal, friction, torsion, made_of.compliance),
-        number=body.number,
-        effects=body.effects,
-        was=body.was,
-        texture=body.texture,
-    )
+    return replace(body, "material", replace(made_of, "friction", friction, "torsion", torsion))
 
 
 @jit

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
 from softfinger.proxy.kernels.jit.dispatch import by_count
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.model import Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.elements import element
 from softfinger.proxy.kernels.query.motion import carried_along, moving_pose
@@ -12,15 +12,12 @@ from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
 
 class Touched(NamedTuple):
-    """Numbers of the up to three objects that hold the proxy, -1 for none, and the normals there; where (3,) m the
+    """The up to three constraints that hold the proxy, by the numbers of their objects, -1 for none; where (3,) m the
     probe was at the last tick."""
 
-    first: float
-    second: float
-    third: float
-    n1: Vec3
-    n2: Vec3
-    n3: Vec3
+    one: Constraint
+    two: Constraint
+    three: Constraint
     before: Vec3
 
 
@@ -60,12 +57,12 @@ def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched
     gap, _, normal, unsearched = closest_or_bound_on(body, contact.position)
     is_touched = 1.0
     # The contact's normal, not that of the nearest surface point: the probe may be through a thin body.
-    if body.number == touched.first:
-        normal = touched.n1
-    elif body.number == touched.second:
-        normal = touched.n2
-    elif body.number == touched.third:
-        normal = touched.n3
+    if body.number == touched.one.body:
+        normal = touched.one.normal
+    elif body.number == touched.two.body:
+        normal = touched.two.normal
+    elif body.number == touched.three.body:
+        normal = touched.three.normal
     else:
         is_touched = 0.0
     carrier, velocity = moving_pose(body.motion, body.pose), contact.velocity

@@ -1,8 +1,42 @@
-"""Tuples as long as others."""
+"""Tuples as long as others, and named tuples with some of their fields changed."""
 
 from typing import Any
 
+from numba import types
+from numba.core import cgutils
+from numba.core.errors import TypingError
+from numba.extending import intrinsic
+
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.jit.dispatch import by_count
+
+
+@intrinsic(prefer_literal=True)
+def replace(typing_context, given, *changes):  # type: ignore[no-untyped-def]
+    """The named tuple `given` with other values, of other types, too, in some fields: a field's name and its value,
+    again and again."""
+    names, kinds = [each.literal_value for each in changes[::2]], dict(zip(given.fields, given.types, strict=True))
+    if unknown := set(names) - set(given.fields):
+        raise TypingError(f"{given.instance_class.__name__} has no field {', '.join(sorted(unknown))}")
+    at = [given.fields.index(name) for name in names]
+    kinds |= {given.fields[place]: types.unliteral(kind) for place, kind in zip(at, changes[1::2], strict=True)}
+    result = types.BaseTuple.from_types(tuple(kinds.values()), given.instance_class)
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        values, new = cgutils.unpack_tuple(builder, args[0]), cgutils.unpack_tuple(builder, args[1])
+        for place, value in zip(at, new[1::2], strict=True):
+            values[place] = value
+        return context.make_tuple(builder, result, values)
+
+    return result(given, types.Tuple(changes)), generate
+
+
+def _replaced(given: Any, *changes: Any) -> Any:
+    return given._replace(**dict(zip(changes[::2], changes[1::2], strict=True)))
+
+
+if PLAIN:
+    replace = _replaced
 
 
 @by_count

@@ -54,6 +54,9 @@ from softfinger.proxy.kernels.model.shapes import (
 from softfinger.proxy.kernels.model.state import (
     NO_CONTACT,
     NO_OUTCOME,
+    NONE,
+    ActiveSet,
+    Constraint,
     Contact,
     ContactOutcome,
     ContactState,
@@ -68,9 +71,11 @@ from softfinger.proxy.kernels.model.textures import Grip, Relief, Texture
 from softfinger.proxy.kernels.model.vectors import ZERO, Quaternion, Vec3
 
 __all__ = [
+    "NONE",
     "NO_CONTACT",
     "NO_OUTCOME",
     "ZERO",
+    "ActiveSet",
     "Anchor",
     "Anisotropic",
     "Box",
@@ -79,6 +84,7 @@ __all__ = [
     "CappedCylinder",
     "Capsule",
     "ConstantForce",
+    "Constraint",
     "Contact",
     "ContactOutcome",
     "ContactState",

@@ -28,15 +28,37 @@ class Probe(NamedTuple):
     velocity: Vec3
 
 
-class ContactState(NamedTuple):
-    """What one patch of contact remembers from one tick to the next.
+NONE = -1.0
+"""The place of an object that is not there."""
 
-    body             place in the scene's tuple of the object that it is on, -1 for no patch
+
+class Constraint(NamedTuple):
+    """A tangent plane of an object, a fingertip's radius away, in front of which the proxy is held.
+
+    body    place of the object in the scene's tuple, -1 for none
+    normal  (3,) 1
+    depth   m, how far the probe lies behind the proxy along the normal: the normals, weighted by it, lead to the proxy
+    """
+
+    body: float
+    normal: Vec3
+    depth: float
+
+
+ActiveSet = tuple[Constraint, Constraint, Constraint]
+"""The constraints that hold the proxy, those of no object last; the first is of the object that is rolled on. While its
+rest is searched a height map may have several of them, one for each foot."""
+
+
+class ContactState(NamedTuple):
+    """What one contact remembers from one tick to the next.
+
+    body             place in the scene's tuple of the object that it is on, -1 for no contact
     normal           n: outward unit normal under it
     push             m, how far the object keeps the proxy from the probe along n
-    share            of the load, 0 to 1: the patch has this share of the coupling and of the torsional spring
+    share            of the load, 0 to 1: the contact has this share of the coupling and of the torsional spring
     mode             FREE, ROLLING or SLIDING
-    deflection       e: tangential, from the probe to where the patch sticks
+    deflection       e: tangential, from the probe to where the contact sticks
     rolled_part      p: the share of e that rolling has wound
     spin             phi: torsional wind-up, rad; under a contact patch in the unit of `contact_patch.winding_unit`
     slip_speed       low-passed plastic slip, m/s
@@ -76,7 +98,7 @@ NO_CONTACT = ContactState(
     spin_slip_angle=0.0,
     bend=(0.0, 0.0, 0.0),
 )
-"""A place for a patch, with none in it."""
+"""A place for a contact, with none in it."""
 
 
 class FingerState(NamedTuple):
@@ -84,9 +106,9 @@ class FingerState(NamedTuple):
 
     started          0 before the finger's first pose, then 1
     probe            at the last tick
-    mode             FREE, or the mode of its first patch
+    mode             FREE, or the mode of its first contact
     center           the proxy; among several objects the one that friction has not displaced
-    patches          tuple of ContactState: one in a scene of one object, else three, the most loaded first
+    contacts         tuple of ContactState: one in a scene of one object, else three, the most loaded first
     rolled           roll angle since touch, rad
     stuck            ticks in a row in which the proxy found no rest and stood still
     effects          states of the effects of the workspace and of every object: what they remember is about this
@@ -111,7 +133,7 @@ class State(NamedTuple):
 
 
 class FrictionInput(NamedTuple):
-    """What a patch brings to friction and torsion in a tick: see `ContactState` for the names.
+    """What a contact brings to friction and torsion in a tick: see `ContactState` for the names.
 
     deflection         e after this tick's motion and roll; with deflection_before and rolled_part in the
                        tangent plane of `normal`
@@ -156,10 +178,10 @@ class FrictionResult(NamedTuple):
 
 
 class ContactOutcome(NamedTuple):
-    """The outcome of one step for one patch; zeros, and -1 for the object, where there is none.
+    """The outcome of one step for one contact; zeros, and -1 for the object, where there is none.
 
     object  its number in the scene
-    point   m, where the patch is on it
+    point   m, where the contact is on it
     normal  of the object there
     force   N, on the hand
     spin    rad, torsional wind-up
@@ -188,7 +210,7 @@ class Contact(NamedTuple):
     patch_radius     m, 0 for a fingertip without a patch
     patch_normal     of the object, in the fingertip frame
     patch_stretch    m, of the skin against the fingertip along the surface, in the fingertip frame
-    patches          tuple of ContactOutcome, as many as FingerState has patches, in their order
+    contacts         tuple of ContactOutcome, as many as FingerState has contacts, in their order
     budget           1 if a mesh or height map could not be searched to the end: the proxy stays where it was, or it is
                      not known whether a first pose touches
     """

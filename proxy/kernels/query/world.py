@@ -9,6 +9,7 @@ from typing import Any
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Material, Object, Pose, World
 from softfinger.proxy.kernels.query.elements import element
 from softfinger.proxy.kernels.query.motion import moving_pose, pose_at
@@ -97,17 +98,8 @@ def place_of_rows(body: Any, pose: Any, was: Any) -> Any:
 
 
 @place.of(Object)
-def place_of_object(body: Object, pose: Any, was: Any) -> Object:
-    return Object(
-        shape=body.shape,
-        pose=standing(pose, body.pose),
-        motion=body.motion,
-        material=body.material,
-        number=body.number,
-        effects=body.effects,
-        was=was,
-        texture=body.texture,
-    )
+def place_of_object(body: Object, pose: Any, was: Any) -> Any:
+    return replace(body, "pose", standing(pose, body.pose), "was", was)
 
 
 @by_count
@@ -139,17 +131,9 @@ def bare_rows(body: Any) -> Any:
 
 
 @bare.of(Object)
-def bare_object(body: Object) -> Object:
-    return Object(
-        shape=body.shape,
-        pose=body.pose,
-        motion=body.motion,
-        material=Material(body.material.normal, None, None),
-        number=body.number,
-        effects=(),
-        was=body.was,
-        texture=None,
-    )
+def bare_object(body: Object) -> Any:
+    material = Material(body.material.normal, None, None)
+    return replace(body, "material", material, "effects", (), "texture", None)
 
 
 @by_count

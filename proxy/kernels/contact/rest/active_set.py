@@ -1,12 +1,12 @@
 """Which objects hold the proxy, and how hard."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import FACING, Depths
+from softfinger.proxy.kernels.numerics.half_spaces import FACING
 from softfinger.proxy.kernels.query.objects import closest_to_within, normal_law_of
 from softfinger.proxy.kernels.shapes.composite import Deepest
 from softfinger.proxy.kernels.shapes.protocol import direction
@@ -17,62 +17,48 @@ SAME_FOOT = 1.0 - 1e-4
 """Cosine between the normals of two feet on a height map above which they are taken for one."""
 FLAT = 1e-4
 """Volume spanned by three unit normals below which they lie in a plane, and may close in from all sides of it."""
-NONE = -1.0
-
-
-class ActiveSet(NamedTuple):
-    """Objects that hold the proxy. While its rest is searched a height map may be several of them, one for each foot.
-
-    first, second, third   places in the scene's tuple, -1 for none; the first is the one that is rolled on
-    n1, n2, n3             (3,) 1   normals
-    push                   m        weights: how far the probe lies behind the proxy along each normal
-    """
-
-    first: float
-    second: float
-    third: float
-    n1: Vec3
-    n2: Vec3
-    n3: Vec3
-    push: Depths
 
 
 @jit
-def one_constraint(first: float, normal: Vec3) -> ActiveSet:
+def one_constraint(index: float, normal: Vec3) -> ActiveSet:
     """One object alone, not yet pressed."""
-    return ActiveSet(first=first, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=Depths(0.0, 0.0, 0.0))
+    return Constraint(index, normal, 0.0), Constraint(NONE, normal, 0.0), Constraint(NONE, normal, 0.0)
 
 
 @jit
 def count_of(active: ActiveSet) -> int:
-    if active.second < 0.0:
+    if active[1].body < 0.0:
         return 1
-    return 2 if active.third < 0.0 else 3
+    return 2 if active[2].body < 0.0 else 3
 
 
 @jit
 def active_objects(active: ActiveSet) -> Vec3:
     """Places of the objects, -1 for none."""
-    return active.first, active.second, active.third
+    return active[0].body, active[1].body, active[2].body
+
+
+@jit
+def displaced_by(active: ActiveSet) -> Vec3:
+    """How far (3,) m they keep the proxy from the probe."""
+    one, two, three = active
+    way = vec3.add_scaled(vec3.scale(one.depth, one.normal), two.depth, two.normal)
+    return vec3.add_scaled(way, three.depth, three.normal)
 
 
 @jit
 def pressed(normal: Vec3, behind: Vec3) -> ActiveSet:
     """The only object, for a proxy on it that lies `behind` (3,) m ahead of the probe."""
-    push = Depths(max(vec3.dot(behind, normal), 0.0), 0.0, 0.0)
-    return ActiveSet(first=0.0, second=NONE, third=NONE, n1=normal, n2=normal, n3=normal, push=push)
+    one = Constraint(0.0, normal, max(vec3.dot(behind, normal), 0.0))
+    return one, Constraint(NONE, normal, 0.0), Constraint(NONE, normal, 0.0)
 
 
 @jit
 def with_another(active: ActiveSet, index: float, normal: Vec3) -> ActiveSet:
-    if active.second < 0.0:
-        return ActiveSet(
-            first=active.first, second=index, third=NONE, n1=active.n1, n2=normal, n3=normal, push=active.push
-        )  # fmt: skip
-    return ActiveSet(
-        first=active.first, second=active.second, third=index, n1=active.n1, n2=active.n2, n3=normal,
-        push=active.push,
-    )  # fmt: skip
+    one, two, three = active
+    if two.body < 0.0:
+        return one, Constraint(index, normal, two.depth), Constraint(NONE, normal, three.depth)
+    return one, two, Constraint(index, normal, three.depth)
 
 
 @jit
@@ -80,7 +66,8 @@ def with_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, n
     """And the object nearest to the proxy, if it touches it and there is room for one more; and what is left of the
     budget."""
     gap, at, left = near
-    if gap > radius * (1.0 + INSIDE) or active.third >= 0.0 or at == active.first or at == active.second:
+    one, two, three = active
+    if gap > radius * (1.0 + INSIDE) or three.body >= 0.0 or at == one.body or at == two.body:
         return active, left
     _, _, normal, left = closest_to_within(objects, at, center, left)
     return with_another(active, at, normal), left
@@ -88,45 +75,24 @@ def with_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, n
 
 @jit
 def without_weakest(active: ActiveSet) -> ActiveSet:
-    """Let go of the one of three that pushes least, to make room."""
-    push = active.push
-    if push.third <= push.second and push.third <= push.first:
-        return ActiveSet(
-            first=active.first, second=active.second, third=NONE, n1=active.n1, n2=active.n2, n3=active.n2, push=push
-        )  # fmt: skip
-    if push.second <= push.first:
-        return ActiveSet(
-            first=active.first, second=active.third, third=NONE, n1=active.n1, n2=active.n3, n3=active.n3, push=push
-        )  # fmt: skip
-    return ActiveSet(
-        first=active.second, second=active.third, third=NONE, n1=active.n2, n2=active.n3, n3=active.n3, push=push
-    )  # fmt: skip
-
-
-@jit
-def swapped(active: ActiveSet, third: bool) -> ActiveSet:
-    """The second or the third of them first."""
-    push = active.push
-    if third:
-        return ActiveSet(
-            first=active.third, second=active.second, third=active.first, n1=active.n3, n2=active.n2, n3=active.n1,
-            push=Depths(push.third, push.second, push.first),
-        )  # fmt: skip
-    return ActiveSet(
-        first=active.second, second=active.first, third=active.third, n1=active.n2, n2=active.n1, n3=active.n3,
-        push=Depths(push.second, push.first, push.third),
-    )  # fmt: skip
+    """Let go of the one of three that pushes least, to make room. What takes its place is taken to push as much."""
+    one, two, three = active
+    if three.depth <= two.depth and three.depth <= one.depth:
+        return one, two, Constraint(NONE, two.normal, three.depth)
+    if two.depth <= one.depth:
+        return one, three, Constraint(NONE, three.normal, two.depth)
+    return two, three, Constraint(NONE, three.normal, one.depth)
 
 
 @jit
 def loads_of(objects: Any, active: ActiveSet) -> Vec3:
     """Elastic normal forces, N, of the three; 0 for none."""
-    one = spring(normal_law_of(objects, active.first), active.push.first)
+    one = spring(normal_law_of(objects, active[0].body), active[0].depth)
     two, three = 0.0, 0.0
-    if active.second >= 0.0:
-        two = spring(normal_law_of(objects, active.second), active.push.second)
-    if active.third >= 0.0:
-        three = spring(normal_law_of(objects, active.third), active.push.third)
+    if active[1].body >= 0.0:
+        two = spring(normal_law_of(objects, active[1].body), active[1].depth)
+    if active[2].body >= 0.0:
+        three = spring(normal_law_of(objects, active[2].body), active[2].depth)
     return one, two, three
 
 
@@ -137,88 +103,80 @@ def strongest_first(objects: Any, active: ActiveSet) -> ActiveSet:
     A plain comparison would change between two equal walls with every rounding error.
     """
     load = loads_of(objects, active)
-    if active.second >= 0.0 and load[1] > 1.5 * load[0] and load[1] >= load[2]:
-        active = swapped(active, False)
-    elif active.third >= 0.0 and load[2] > 1.5 * load[0]:
-        active = swapped(active, True)
-    if active.third >= 0.0 and not active.push.third > 0.0:
-        active = ActiveSet(
-            first=active.first, second=active.second, third=NONE, n1=active.n1, n2=active.n2, n3=active.n2,
-            push=Depths(active.push.first, active.push.second, 0.0),
-        )  # fmt: skip
-    if active.second >= 0.0 and not active.push.second > 0.0:
-        active = ActiveSet(
-            first=active.first, second=active.third, third=NONE, n1=active.n1, n2=active.n3, n3=active.n3,
-            push=Depths(active.push.first, active.push.third, 0.0),
-        )  # fmt: skip
-    return active
+    one, two, three = active
+    if two.body >= 0.0 and load[1] > 1.5 * load[0] and load[1] >= load[2]:
+        one, two = two, one
+    elif three.body >= 0.0 and load[2] > 1.5 * load[0]:
+        one, three = three, one
+    if three.body >= 0.0 and not three.depth > 0.0:
+        three = Constraint(NONE, two.normal, 0.0)
+    if two.body >= 0.0 and not two.depth > 0.0:
+        two, three = three, Constraint(NONE, three.normal, 0.0)
+    return one, two, three
 
 
 @jit
 def leaves_no_room(active: ActiveSet) -> bool:
     """Whether two that hold the proxy face each other, or three close in on it from all sides."""
-    if active.second < 0.0:
+    one, two, three = active
+    if two.body < 0.0:
         return False
-    if vec3.dot(active.n1, active.n2) < FACING:
+    if vec3.dot(one.normal, two.normal) < FACING:
         return True
-    if active.third < 0.0:
+    if three.body < 0.0:
         return False
-    across = vec3.cross(active.n1, active.n2)
+    across = vec3.cross(one.normal, two.normal)
     return (
-        vec3.dot(active.n1, active.n3) < FACING
-        or vec3.dot(active.n2, active.n3) < FACING
-        or abs(vec3.dot(across, active.n3)) < FLAT
+        vec3.dot(one.normal, three.normal) < FACING
+        or vec3.dot(two.normal, three.normal) < FACING
+        or abs(vec3.dot(across, three.normal)) < FLAT
     )
+
+
+@jit
+def is_foot(constraint: Constraint, at: float, normal: Vec3) -> bool:
+    return at == constraint.body and vec3.dot(normal, constraint.normal) > SAME_FOOT
 
 
 @jit
 def is_support_point_of(active: ActiveSet, at: float, normal: Vec3) -> bool:
     """Whether that place of the height map `at`, given by its normal, is one of the feet."""
-    if at == active.first and vec3.dot(normal, active.n1) > SAME_FOOT:
-        return True
-    if at == active.second and vec3.dot(normal, active.n2) > SAME_FOOT:
-        return True
-    return at == active.third and vec3.dot(normal, active.n3) > SAME_FOOT
+    return is_foot(active[0], at, normal) or is_foot(active[1], at, normal) or is_foot(active[2], at, normal)
 
 
 @jit
 def merge_support_points(active: ActiveSet) -> ActiveSet:
     """The feet on one height map together: pushing along the sum of their pushes, by its length."""
-    push = active.push
-    if active.third >= 0.0 and (active.third == active.first or active.third == active.second):
-        if active.third == active.first:
-            first, n1 = together(push.first, active.n1, push.third, active.n3)
-            second, n2 = push.second, active.n2
+    one, two, three = active
+    if three.body >= 0.0 and (three.body == one.body or three.body == two.body):
+        if three.body == one.body:
+            one = together(one, three)
         else:
-            first, n1 = push.first, active.n1
-            second, n2 = together(push.second, active.n2, push.third, active.n3)
-        active = ActiveSet(
-            first=active.first, second=active.second, third=NONE, n1=n1, n2=n2, n3=n2, push=Depths(first, second, 0.0)
-        )  # fmt: skip
-    if active.second >= 0.0 and active.second == active.first:
-        push = active.push
-        first, n1 = together(push.first, active.n1, push.second, active.n2)
-        active = ActiveSet(
-            first=active.first, second=active.third, third=NONE, n1=n1, n2=active.n3, n3=active.n3,
-            push=Depths(first, push.third, 0.0),
-        )  # fmt: skip
-    return active
+            two = together(two, three)
+        three = Constraint(NONE, two.normal, 0.0)
+    if two.body >= 0.0 and two.body == one.body:
+        one, two = together(one, two), three
+        three = Constraint(NONE, two.normal, 0.0)
+    return one, two, three
 
 
 @jit
-def together(one: float, n1: Vec3, two: float, n2: Vec3) -> tuple[float, Vec3]:
-    return direction(vec3.add_scaled(vec3.scale(one, n1), two, n2), n1)
+def together(one: Constraint, two: Constraint) -> Constraint:
+    push = vec3.add_scaled(vec3.scale(one.depth, one.normal), two.depth, two.normal)
+    depth, normal = direction(push, one.normal)
+    return Constraint(one.body, normal, depth)
 
 
 @jit
 def tangent_to_all(active: ActiveSet, v: Vec3) -> Vec3:
     """Part of `v` along which all holding objects leave the proxy free."""
-    v = vec3.reject(v, active.n1)
-    if active.second >= 0.0:
-        across = vec3.reject(active.n2, active.n1)
+    one, two, three = active
+    v = vec3.reject(v, one.normal)
+    if two.body >= 0.0:
+        across = vec3.reject(two.normal, one.normal)
         size = vec3.dot(across, across)
         if size > 1e-18:
             v = vec3.add_scaled(v, -vec3.dot(v, across) / size, across)
-            if active.third >= 0.0:
+            if three.body >= 0.0:
                 return (0.0, 0.0, 0.0)
     return v

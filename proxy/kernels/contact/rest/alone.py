@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.rest.active_set import ActiveSet, pressed
+from softfinger.proxy.kernels.contact.rest.active_set import pressed
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Plane, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Plane, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on
@@ -32,7 +32,7 @@ def settle_on_one(
     """
     if not slips:
         return center, active, 0.0
-    center, normal, bounded = rest_on(objects[0].shape, objects[0], radius, probe, center, deflection, active.n1)
+    center, normal, bounded = rest_on(objects[0].shape, objects[0], radius, probe, center, deflection, active[0].normal)
     return center, pressed(normal, vec3.sub(center, probe)), bounded
 
 

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.contact.rest.active_set import (
     INSIDE,
-    ActiveSet,
     active_objects,
     count_of,
+    displaced_by,
     is_support_point_of,
     leaves_no_room,
     loads_of,
@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SETTLED, SLIDING
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, settle_by_planes
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import (
@@ -105,7 +105,7 @@ def settle_in_steps(
 ) -> Rest:
     rest, whole, held = Rest(center, active, True, 0), probe, active
     for budget in (3 * left // 4, left // 4):
-        goal = vec3.add(whole, displacement(held.push, held.n1, held.n2, held.n3))
+        goal = vec3.add(whole, displaced_by(held))
         if is_a_step(center, goal, radius):
             rest = settle_for(objects, radius, whole, start, center, held, budget)
             if not is_a_step(center, rest.center, radius):  # it may be on the other side of something
@@ -128,15 +128,16 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
 
     What crosses the way in a tick needs no sweep: beside a mesh no step is longer than `is_a_step` allows.
     """
-    there = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
+    there = vec3.add(probe, displaced_by(active))
     center, held, rests, budget = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, budget)
     on_nearest = False
     for turn in range(EDGES + 1):
-        beyond = held.first if held.second >= 0.0 else neighbour_on(objects, held.first, center)
-        on_nearest = beyond == held.first
+        index, alone = held[0].body, held[1].body < 0.0
+        beyond = neighbour_on(objects, index, center) if alone else index
+        on_nearest = beyond == index
         if on_nearest or turn == EDGES:
             break
-        held = one_constraint(beyond, held.n1)
+        held = one_constraint(beyond, held[0].normal)
         center, held, rests, budget = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, budget)
     behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
     nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
@@ -147,8 +148,8 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
             return Rest(center, strongest_first(objects, held), False, budget)
     stand = settle_by_planes(objects, radius, probe, anchor, active, budget)
     held = stand.active
-    if held.first < 0.0:
-        held = one_constraint(active.first, active.n1)
+    if held[0].body < 0.0:
+        held = one_constraint(active[0].body, active[0].normal)
     return Rest(stand.center, strongest_first(objects, held), stand.late, stand.budget)
 
 
@@ -167,13 +168,13 @@ def settle_for(
     wide = any_multipoint(objects)
     rounds = SLIDING_ROUNDS if wide else ROUNDS
     before, active_before = center, active
-    goal = vec3.add(probe, displacement(active.push, active.n1, active.n2, active.n3))
+    goal = vec3.add(probe, displaced_by(active))
     for _ in range(4):
         hit, stop, left = first_hit(objects, start, goal, radius, True, active_objects(active), left)
         if hit < 0.0:
             break
         _, point, normal, left = closest_to_within(objects, hit, stop, left)
-        if active.second >= 0.0 and active.third >= 0.0:
+        if count_of(active) == 3:
             # Three constraints already: stop short of the fourth, and let the next tick sort it out.
             goal = stop
             break
@@ -197,11 +198,11 @@ def settle_for(
             break
         if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * budget):
             lift = 2.0 * (radius - gap)
-        other = at != active.first and at != active.second and at != active.third
+        other = at != active[0].body and at != active[1].body and at != active[2].body
         if other or any_creases(objects):
             _, _, normal, left = closest_to_within(objects, at, center, left)
             if other or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
-                if active.second >= 0.0 and active.third >= 0.0:
+                if count_of(active) == 3:
                     active = without_weakest(active)
                 active = with_another(active, at, normal)
     late = not found
@@ -224,12 +225,12 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
     What is beside the facet is nearer at hand than what a search of the whole mesh finds, which then only agrees.
     """
     for _ in range(EDGES):
-        if active.second >= 0.0:
+        if active[1].body >= 0.0:
             break
-        beyond = neighbour_on(objects, active.first, goal)
-        if beyond == active.first:
+        beyond = neighbour_on(objects, active[0].body, goal)
+        if beyond == active[0].body:
             break
-        active = one_constraint(beyond, active.n1)
+        active = one_constraint(beyond, active[0].normal)
         goal, active = relax(objects, radius, probe, goal, active, 1)
     return goal, active
 
@@ -272,47 +273,51 @@ def relaxed_to_rest(
     """`relaxed`, and whether the last round moved the proxy no more."""
     rests = False
     near = (SETTLED * radius) ** 2
-    n1, n2, n3 = active.n1, active.n2, active.n3
-    push = active.push
+    one, two, three = active
+    n1, n2, n3 = one.normal, two.normal, three.normal
+    push = Depths(one.depth, two.depth, three.depth)
     inside1, inside2, inside3 = (
-        is_inside(objects, active.first), is_inside(objects, active.second), is_inside(objects, active.third)
+        is_inside(objects, one.body), is_inside(objects, two.body), is_inside(objects, three.body)
     )  # fmt: skip
     hollow = inside1 or inside2 or inside3
     p1, p2, p3 = 0.0, 0.0, 0.0
     for turn in range(rounds):
         at = seen_from(inside1, center, base, p2, n2, p3, n3)
-        point, n1, budget = constraint_of(objects, active.first, at, radius, n1, budget)
+        point, n1, budget = constraint_of(objects, one.body, at, radius, n1, budget)
         b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
         b2, b3 = b1, b1
-        if active.second < 0.0:
+        if two.body < 0.0:
             n2 = n1
         else:
             at = seen_from(inside2, center, base, p1, n1, p3, n3)
-            point, n2, budget = constraint_of(objects, active.second, at, radius, n2, budget)
+            point, n2, budget = constraint_of(objects, two.body, at, radius, n2, budget)
             b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
-        if active.third < 0.0:
+        if three.body < 0.0:
             n3 = n1
         else:
             at = seen_from(inside3, center, base, p1, n1, p2, n2)
-            point, n3, budget = constraint_of(objects, active.third, at, radius, n3, budget)
+            point, n3, budget = constraint_of(objects, three.body, at, radius, n3, budget)
             b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
         if hollow and turn == 0 and rounds > 1:  # what each alone would displace the probe by is near enough to begin
             p1 = max(b1, 0.0)
-            p2 = 0.0 if active.second < 0.0 else max(b2, 0.0)
-            p3 = 0.0 if active.third < 0.0 else max(b3, 0.0)
+            p2 = 0.0 if two.body < 0.0 else max(b2, 0.0)
+            p3 = 0.0 if three.body < 0.0 else max(b3, 0.0)
             continue
-        held = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
-        push = held.push
-        p1, p2, p3 = held.place
-        moved = vec3.add(base, displacement(held.place, n1, n2, n3))
+        solution = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
+        push = solution.push
+        p1, p2, p3 = solution.place
+        moved = vec3.add(base, displacement(solution.place, n1, n2, n3))
         step = vec3.sub(moved, center)
         center = moved
         rests = vec3.dot(step, step) <= (AT_REST * radius) ** 2
         if vec3.dot(step, step) <= near:
             break
-    return center, ActiveSet(
-        first=active.first, second=active.second, third=active.third, n1=n1, n2=n2, n3=n3, push=push
-    ), rests, budget  # fmt: skip
+    held = (
+        Constraint(one.body, n1, push.first),
+        Constraint(two.body, n2, push.second),
+        Constraint(three.body, n3, push.third),
+    )
+    return center, held, rests, budget
 
 
 @jit
@@ -325,6 +330,6 @@ def drawn_after(objects: Any, active: ActiveSet, behind: Vec3) -> Vec3:
     distance, (one, two, three) = vec3.norm(behind), loads_of(objects, active)
     pull = 0.0
     if distance > 0.0:
-        pull = spring(normal_law_of(objects, active.first), distance) / distance
-    borne = displacement(Depths(one, two, three), active.n1, active.n2, active.n3)
+        pull = spring(normal_law_of(objects, active[0].body), distance) / distance
+    borne = displacement(Depths(one, two, three), active[0].normal, active[1].normal, active[2].normal)
     return vec3.sub(vec3.scale(pull, behind), borne)

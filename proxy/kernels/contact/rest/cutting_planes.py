@@ -13,10 +13,10 @@ never added. (This is sequential convex programming with an inner approximation 
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, NONE, ActiveSet, active_objects, leaves_no_room
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, active_objects, leaves_no_room
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import is_mesh_at
@@ -185,32 +185,33 @@ def bodies_of(planes: Planes) -> Vec3:
 @jit
 def constraints_of(planes: Planes) -> ActiveSet:
     """What holds the proxy, as the contact sees it."""
-    one, two, three = planes.one, planes.two, planes.three
+    one, two, three, push = planes.one, planes.two, planes.three, planes.push
     n1 = one.normal
     n2 = two.normal if two.body >= 0.0 else n1
     n3 = three.normal if three.body >= 0.0 else n2
-    return ActiveSet(
-        first=one.body, second=two.body, third=three.body, n1=n1, n2=n2, n3=n3, push=planes.push
-    )  # fmt: skip
+    return (
+        Constraint(one.body, n1, push.first),
+        Constraint(two.body, n2, push.second),
+        Constraint(three.body, n3, push.third),
+    )
 
 
 @jit
-def touches(objects: Any, index: float, push: float, radius: float, center: Vec3) -> bool:
+def touches(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> bool:
     """Whether an object that pushes a proxy touches it there."""
-    if index < 0.0 or push <= 0.0:
+    if constraint.body < 0.0 or constraint.depth <= 0.0:
         return True
-    _, point, _, _ = closest_to_within(objects, index, center, BUDGET)
+    _, point, _, _ = closest_to_within(objects, constraint.body, center, BUDGET)
     return vec3.norm(vec3.sub(center, point)) <= radius * (1.0 + 3.0 * NEARLY)
 
 
 @jit
 def touches_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) -> bool:
     """Whether all that push a proxy touch it there."""
-    push = active.push
     return (
-        touches(objects, active.first, push.first, radius, center)
-        and touches(objects, active.second, push.second, radius, center)
-        and touches(objects, active.third, push.third, radius, center)
+        touches(objects, active[0], radius, center)
+        and touches(objects, active[1], radius, center)
+        and touches(objects, active[2], radius, center)
     )
 
 

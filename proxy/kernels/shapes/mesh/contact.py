@@ -8,7 +8,8 @@ from math import sqrt
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Facet, Mesh, Object, Vec3
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import Facet, Mesh, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
 from softfinger.proxy.kernels.shapes.budget import ROOM, SPENT, STRIDE
@@ -181,17 +182,8 @@ def mesh_contains(shape: Mesh, at: float, index: float) -> bool:
 
 
 @element_of_shape.of(Mesh)
-def facet_of_mesh(shape: Mesh, body: Any, number: float) -> Object:
-    return Object(
-        shape=Facet(shape, number),
-        pose=body.pose,
-        motion=body.motion,
-        material=body.material,
-        number=body.number,
-        effects=body.effects,
-        was=body.was,
-        texture=body.texture,
-    )
+def facet_of_mesh(shape: Mesh, body: Any, number: float) -> Any:
+    return replace(body, "shape", Facet(shape, number))
 
 
 @shaded.of(Facet)
