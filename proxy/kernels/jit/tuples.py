@@ -15,10 +15,10 @@ from softfinger.proxy.kernels.jit.dispatch import by_count
 def replace(typing_context, given, *changes):  # type: ignore[no-untyped-def]
     """The named tuple `given` with other values, of other types, too, in some fields: a field's name and its value,
     again and again."""
-    names, kinds = [each.literal_value for each in changes[::2]], dict(zip(given.fields, given.types, strict=True))
-    if unknown := set(names) - set(given.fields):
-        raise TypingError(f"{given.instance_class.__name__} has no field {', '.join(sorted(unknown))}")
-    at = [given.fields.index(name) for name in names]
+    names = [getattr(each, "literal_value", None) for each in changes[::2]]
+    if not set(names) <= set(given.fields):  # numba asks once more then, without the literals
+        raise TypingError(f"{given.instance_class.__name__} has no fields of these names: {changes[::2]}")
+    at, kinds = [given.fields.index(name) for name in names], dict(zip(given.fields, given.types, strict=True))
     kinds |= {given.fields[place]: types.unliteral(kind) for place, kind in zip(at, changes[1::2], strict=True)}
     result = types.BaseTuple.from_types(tuple(kinds.values()), given.instance_class)
 
