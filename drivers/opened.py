@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol, TypeVar
 
 END_S: Final = 2.0
-"""How long a device may take to stop or to close. One that takes longer hangs: the way out goes on without it."""
+"""How long a device may take to stop or to close. One that takes longer hangs: the shutdown goes on without it."""
 
 
 class Stoppable(Protocol):

@@ -13,7 +13,7 @@ from softfinger.config import schema
 from softfinger.config.errors import HapticError, RealtimeError
 from softfinger.drivers import base
 from softfinger.proxy.kernels.jit.decorators import PLAIN
-from softfinger.server.loop import realtime, wayout
+from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.publishing.setup import Shown
@@ -90,7 +90,7 @@ class Daemon:
                 opened.append(metrics.stop)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare)
         except BaseException as error:
-            wayout.every(*reversed(opened), first=error)
+            shutdown.every(*reversed(opened), first=error)
             raise
         self.public: Final = doors.public
         """Endpoints that other machines reach, by the name of their table."""
@@ -169,8 +169,8 @@ class Daemon:
             raise self._failure
         if ended.error is not None:
             raise ended.error
-        lost = wayout.device_failure(self.devices[ended.finger], ended, self._fingers[ended.finger])
-        failed = lost or wayout.loop_failure(ended, self.servo.ticks, self.servo.missed, self.servo.woken_late)
+        lost = shutdown.device_failure(self.devices[ended.finger], ended, self._fingers[ended.finger])
+        failed = lost or shutdown.loop_failure(ended, self.servo.ticks, self.servo.missed, self.servo.woken_late)
         if failed is not None:
             raise failed
         return True

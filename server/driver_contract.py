@@ -23,9 +23,9 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import END, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.servo_thread import Servo as Loop
+from softfinger.server.loop.shutdown import CRASHED, FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.loop.wayout import CRASHED, FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 
 Function = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))
 

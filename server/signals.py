@@ -202,7 +202,7 @@ def _leave(number: int) -> None:
 
 
 def _stop_all() -> None:
-    """Zero what is open. One that refuses is named and changes nothing else: not the way out, not the exit code."""
+    """Zero what is open. One that refuses is named and changes nothing else: not the shutdown, not the exit code."""
     for error in opened.stop_all():
         _say(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
 

@@ -24,9 +24,9 @@ from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.atomics import call_device, load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
-from softfinger.server.loop import realtime, wayout
+from softfinger.server.loop import realtime, shutdown
+from softfinger.server.loop.all_devices import put_wrench
 from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, period_ns, sleep_until
-from softfinger.server.loop.exchange import put_wrench
 from softfinger.server.loop.guard import DISENGAGED, Guard, Guarded, guard_wrench
 from softfinger.server.loop.health import STALL_POLL_S, Watchdog
 from softfinger.server.progress import progress
@@ -182,8 +182,8 @@ def exchange_loop(
     scratch: Scratch,
     rows: Array,
 ) -> tuple[int, int, int]:
-    """Exchange until the rows are full, or as `span` says; returns how it ended (server.loop.wayout), the device's last
-    status, and how many rows there are.
+    """Exchange until the rows are full, or as `span` says; returns how it ended (server.loop.shutdown), the device's
+    last status, and how many rows there are.
 
     words  (8,)           shared with Python
     rows   (n, ROW_SIZE)  a row a tick
@@ -192,14 +192,14 @@ def exchange_loop(
     """
     timespec, sample, wrench = scratch
     nominal = span.period_ns / NS_PER_S
-    guarded, number, ending, status = DISENGAGED, 0, wayout.FINISHED, 0
+    guarded, number, ending, status = DISENGAGED, 0, shutdown.FINISHED, 0
     ticks = load_acquire(words, _TICKS)
     begun = now_ns(timespec)
     pace = first_pace(begun, span.period_ns, 0)
 
     while span.waiting == 1 or number < rows.shape[0]:
         if load_acquire(words, _ENOUGH) != 0 or (span.waiting == 1 and load_acquire(words, _NEXT) != 0):
-            ending = wayout.STOPPED
+            ending = shutdown.STOPPED
             break
         if span.period_ns > 0:
             sleep_until(pace.deadline, timespec)
@@ -209,10 +209,10 @@ def exchange_loop(
         done = exchange_once(io, empty, guard, guarded, pushed(push, number * nominal), pace.dt, nominal, scratch)
         guarded, status = done.guarded, done.status
         if status < 0 or status == END:
-            ending = wayout.FINISHED if status == END else wayout.READ_FAILED
+            ending = shutdown.FINISHED if status == END else shutdown.READ_FAILED
             break
         if done.status_out < 0:
-            ending, status = wayout.WRITE_FAILED, done.status_out
+            ending, status = shutdown.WRITE_FAILED, done.status_out
             break
         if span.waiting == 0:
             fill_row(rows[number], begun, woke, woke - pace.deadline, done, sample)
@@ -220,7 +220,7 @@ def exchange_loop(
         store_release(words, _TICKS, ticks + number)
         pace = next_pace(pace, done.empty_wrote, span.period_ns)
 
-    wayout.write_zero(io.write, io.handle, wrench)
+    shutdown.write_zero(io.write, io.handle, wrench)
     return ending, status, 0 if span.waiting == 1 else number
 
 
@@ -260,7 +260,7 @@ class Exchange:
     def __init__(self, device: Device, rig: Rig, guard: Guard) -> None:
         self.device, self.rate_hz = device, rig.servo.rate_hz
         self.settings: list[realtime.Setting] = []
-        self.ended: wayout.Ended | None = None
+        self.ended: shutdown.Ended | None = None
         """How the device's exchange has ended by itself; None while it goes on."""
         self._servo, self._guard = rig.servo, guard
         self._period = period_ns(rig.servo.rate_hz)
@@ -287,7 +287,7 @@ class Exchange:
 
     def failure(self) -> Exception | None:
         """The error of a device that failed; None while it goes on, and at the end of a recording."""
-        return None if self.ended is None else wayout.device_failure(self.device, self.ended)
+        return None if self.ended is None else shutdown.device_failure(self.device, self.ended)
 
     def _record(self, part: _Part) -> Array:
         self._parts.put(part)
@@ -302,7 +302,7 @@ class Exchange:
                     f"{self.device.info.name}: no exchange for {idle_s:.2f} s after exchange {ticks}: "
                     "zero force was commanded; the device hangs, or this machine starves the thread"
                 )
-                wayout.every(lambda: wayout.stop(self.device), first=stalled)
+                shutdown.every(lambda: shutdown.stop(self.device), first=stalled)
                 raise stalled
         self._raise_crash()
         return part.rows if part.done.is_set() else part.rows[:0]
@@ -322,18 +322,18 @@ class Exchange:
                 except queue.Empty:
                     part = waiting
                 ending, status, count = exchange_loop(*self._arguments(part))
-                if ending in (wayout.READ_FAILED, wayout.WRITE_FAILED) or status == END:
-                    self.ended = wayout.Ended(ending, status)
+                if ending in (shutdown.READ_FAILED, shutdown.WRITE_FAILED) or status == END:
+                    self.ended = shutdown.Ended(ending, status)
                 part.rows = part.rows[:count]
                 if part is not waiting:
                     part.done.set()
         except BaseException as error:  # whatever it was, the device must be zeroed and the caller must learn of it
-            self.ended = wayout.Ended(wayout.CRASHED, 0, error)
+            self.ended = shutdown.Ended(shutdown.CRASHED, 0, error)
         first = None if self.ended is None else self.ended.error
         undo = [] if applied is None else [applied.undo]
-        failed = wayout.every(lambda: wayout.stop(self.device), *undo, first=first)
+        failed = shutdown.every(lambda: shutdown.stop(self.device), *undo, first=first)
         if self.ended is None and failed is not None:
-            self.ended = wayout.Ended(wayout.CRASHED, 0, failed)
+            self.ended = shutdown.Ended(shutdown.CRASHED, 0, failed)
         self._over.set()
 
     def _arguments(self, part: _Part) -> tuple[Any, ...]:
@@ -353,7 +353,7 @@ class Exchange:
     ) -> None:
         self._words[_ENOUGH] = 1
         if not self._over.wait(JOIN_S):
-            wayout.every(lambda: wayout.stop(self.device), first=error)
+            shutdown.every(lambda: shutdown.stop(self.device), first=error)
         elif error is None:
             self._raise_crash()
 

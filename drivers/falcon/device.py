@@ -1,4 +1,4 @@
-"""A Falcon behind the contract: memory of the exchange, homing, and zero force on every way out."""
+"""A Falcon behind the contract: memory of the exchange, homing, and zero force on every shutdown path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A HID device behind the contract: memory of the exchange, calibration, and zero force on every way out."""
+"""A HID device behind the contract: memory of the exchange, calibration, and zero force on every shutdown path."""
 
 from __future__ import annotations
 

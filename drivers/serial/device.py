@@ -1,4 +1,4 @@
-"""A device on a serial port behind the contract: woken when it is opened, and zero force on every way out."""
+"""A device on a serial port behind the contract: woken when it is opened, and zero force on every shutdown path."""
 
 from __future__ import annotations
 

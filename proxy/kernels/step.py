@@ -10,7 +10,7 @@ from softfinger.proxy.kernels.contact.detection import (
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import seen_by
 from softfinger.proxy.kernels.contact.one_object import friction_alone, outcome_alone, rest_alone
-from softfinger.proxy.kernels.contact.report import remember, remember_free, report, report_free
+from softfinger.proxy.kernels.contact.outcome import remember, remember_free, report, report_free
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.among import settle_among_several
 from softfinger.proxy.kernels.contact.several_objects import find_candidates, outcome_among_several

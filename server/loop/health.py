@@ -15,7 +15,7 @@ NO_POSE: Final = 5
 NO_FORCE: Final = 6
 STARVED: Final = 7
 JUMPING: Final = 8
-"""Faults, numbered on from the ends of the loop (server.loop.wayout)."""
+"""Faults, numbered on from the ends of the loop (server.loop.shutdown)."""
 
 SILENCE_MAX_S: Final = 0.5
 """Time of ticks without a usable pose, or without a finite force, less that of good ones. The hand feels nothing

@@ -17,8 +17,7 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
-from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, sleep_until
-from softfinger.server.loop.exchange import (
+from softfinger.server.loop.all_devices import (
     Io,
     Line,
     Stamp,
@@ -31,11 +30,12 @@ from softfinger.server.loop.exchange import (
     write_all,
     write_zeros,
 )
+from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, sleep_until
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
 from softfinger.server.loop.shared.ring import Ring, push
+from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, tick
-from softfinger.server.loop.wayout import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 
 _eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
 

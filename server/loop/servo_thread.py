@@ -21,15 +21,15 @@ from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import Device
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
+from softfinger.server.loop.all_devices import Io, make_line
 from softfinger.server.loop.clock import NS_PER_S, period_ns
-from softfinger.server.loop.exchange import Io, make_line
 from softfinger.server.loop.health import HELD_MAX_S
 from softfinger.server.loop.inputs.ramp import leaves, make_way
 from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
 from softfinger.server.loop.shared.ring import Feed, Ring, make_ring, take
+from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, Ended
 from softfinger.server.loop.tick import Tuning, begin
-from softfinger.server.loop.wayout import CRASHED, FINISHED, STOPPED, Ended
 
 log: Final = logging.getLogger(__name__)
 
@@ -169,7 +169,7 @@ class Servo:
         except BaseException as error:  # whatever it was, the device must be zeroed and join() must learn of it
             ended = Ended(CRASHED, 0, error)
         self._ended = ended
-        failed = wayout.every(lambda: wayout.stop_all(self.devices), *([undo] if undo else []), first=ended.error)
+        failed = shutdown.every(lambda: shutdown.stop_all(self.devices), *([undo] if undo else []), first=ended.error)
         if failed is not ended.error:
             if ended.ending in (STOPPED, FINISHED):
                 self._ended = Ended(CRASHED, ended.status, failed)
@@ -197,7 +197,7 @@ class Servo:
         """Between two loops, with the devices at zero."""
         if not handover.keeps:
             self._armed = False  # no tick is due until the next devices are armed
-            wayout.stop_all(self.devices)
+            shutdown.stop_all(self.devices)
         handover.left.set()
         handover.ready.wait()
         if handover.loop is None:

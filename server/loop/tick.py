@@ -6,7 +6,7 @@ The servo loop and `simulate` both run this, on the same poses to the same bits.
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
-from softfinger.proxy.kernels.contact.report import report_free
+from softfinger.proxy.kernels.contact.outcome import report_free
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.tuples import replace

@@ -11,7 +11,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
 import softfinger.server.metrics
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.metrics.counts import Counts
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
@@ -52,7 +52,7 @@ class Metrics(Worker):
         self._event("fault", "metrics", message=str(error))
 
     def stop(self) -> None:
-        failed = wayout.every(super().stop, self._bound.files.close)
+        failed = shutdown.every(super().stop, self._bound.files.close)
         if failed is not None:
             raise failed
 

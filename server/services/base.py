@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import Final, Protocol
 
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 
 log: Final = logging.getLogger(__name__)
 
@@ -64,5 +64,5 @@ class Worker(ABC):
 
 
 def stop_all(services: Iterable[Service], first: BaseException | None = None) -> BaseException | None:
-    """Stop services, the last of them first; the first error, as of `wayout.every`."""
-    return wayout.every(*(service.stop for service in reversed(list(services))), first=first)
+    """Stop services, the last of them first; the first error, as of `shutdown.every`."""
+    return shutdown.every(*(service.stop for service in reversed(list(services))), first=first)

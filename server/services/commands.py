@@ -22,7 +22,7 @@ from softfinger.config.words import near, shown
 from softfinger.drivers.simulated.lead import Wanted, hand_of
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
 from softfinger.server.services.description import described
 from softfinger.server.services.recordings import Recordings
@@ -94,7 +94,7 @@ class Commands:
         self._doing.serve(Answering(self._answer, self._each_period))
 
     def stop(self) -> None:
-        failed = wayout.every(self._scenes.stop, lambda: self._doing.serve(None))
+        failed = shutdown.every(self._scenes.stop, lambda: self._doing.serve(None))
         if failed is not None:
             raise failed
 

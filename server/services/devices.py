@@ -7,7 +7,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema.pairing import pair
 from softfinger.drivers import registry
 from softfinger.drivers.base import Device
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 
 
 def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
@@ -17,7 +17,7 @@ def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
         for each in pair(scene, rig):
             devices += (registry.open_device(each.device, rig.servo.rate_hz, each.table),)
     except BaseException as error:
-        wayout.every(lambda: wayout.close_all(devices), first=error)
+        shutdown.every(lambda: shutdown.close_all(devices), first=error)
         raise
     return devices
 

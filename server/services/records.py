@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, SafetyStop
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
 from softfinger.server.wire.native.relay import Tap
@@ -99,7 +99,7 @@ class Records(Worker):
 
     def stop(self) -> None:
         # Of a servo that was never started, or hangs, no last record will come.
-        failed = wayout.every(*([self._give_up] if self._servo.running else []), super().stop, self._release)
+        failed = shutdown.every(*([self._give_up] if self._servo.running else []), super().stop, self._release)
         if self._thread.ident is None:
             self._tap.close()
         if failed is not None:

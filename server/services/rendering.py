@@ -21,7 +21,7 @@ from softfinger.drivers.simulated.lead import Wanted, lead
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.servo_thread import Loop, Servo
 from softfinger.server.loop.tick import UNMOVED
@@ -83,7 +83,7 @@ class Rendering:
             with making("kernels that call the device"):
                 self.servo: Final = Servo(devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s)
         except BaseException as error:
-            wayout.every(lambda: wayout.close_all(devices), first=error)
+            shutdown.every(lambda: shutdown.close_all(devices), first=error)
             raise
 
     def start(self) -> None:
@@ -92,7 +92,7 @@ class Rendering:
 
     def stop(self) -> None:
         self._stopped = True
-        failed = wayout.every(self.servo.stop, self._join, self._close)
+        failed = shutdown.every(self.servo.stop, self._join, self._close)
         if failed is not None:
             raise failed
 
@@ -128,7 +128,7 @@ class Rendering:
                 self._tuning = with_armed(servo.tuning, 1.0)
             self.advance()
             if self._stopped:  # and did not wait until the devices were open
-                wayout.close_all(servo.devices)
+                shutdown.close_all(servo.devices)
             return first
 
     def check(self, scene: schema.Scene, rig: schema.Rig) -> None:
@@ -270,12 +270,12 @@ class Rendering:
 
     def _opened(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
         """A loop on devices that are opened in place of the present ones."""
-        wayout.close_all(self.servo.devices)
+        shutdown.close_all(self.servo.devices)
         devices = open_devices(scene, rig)
         try:
             return self._loop(scene, rig, devices)
         except BaseException as error:
-            wayout.every(lambda: wayout.close_all(devices), first=error)
+            shutdown.every(lambda: shutdown.close_all(devices), first=error)
             raise
 
     def _fade_out(self) -> None:
@@ -318,7 +318,7 @@ class Rendering:
 
     def _end(self) -> None:
         self.servo.stop()
-        wayout.stop_all(self.servo.devices)
+        shutdown.stop_all(self.servo.devices)
 
     def _ticked(self, count: int, timeout_s: float) -> bool:
         """Wait for so many more ticks; False where they do not come in time. With the loop's end there is no force."""
@@ -339,7 +339,7 @@ class Rendering:
         # Not while another device is being opened in its place, unless that takes too long.
         changed = self._handing_over.acquire(timeout=JOIN_S)
         try:
-            wayout.close_all(self.servo.devices)
+            shutdown.close_all(self.servo.devices)
         finally:
             if changed:
                 self._handing_over.release()

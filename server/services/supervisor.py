@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from softfinger.config.errors import HapticError, SafetyStop
-from softfinger.server.loop import health, wayout
+from softfinger.server.loop import health, shutdown
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
 
@@ -44,9 +44,9 @@ class Supervisor(Worker):
             f"no tick for {idle_s:.2f} s after tick {ticks}: zero force was commanded; "
             "a device's exchange hangs, or this machine starves the servo thread"
         )
-        wayout.every(
+        shutdown.every(
             lambda: self._fail(stalled),  # first: it takes no time, and stopping a device may
-            lambda: wayout.stop_all(self._servo.devices),
+            lambda: shutdown.stop_all(self._servo.devices),
             lambda: self._event("fault", "stalled", message=str(stalled)),
             first=stalled,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from softfinger.config.errors import HapticError, SafetyStop
 from softfinger.drivers.base import names
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.publisher import Publisher
@@ -24,7 +24,7 @@ class Telemetry:
         self._told = True
 
     def stop(self) -> None:
-        failed = wayout.every(self._tell_stopped, self._publisher.close)
+        failed = shutdown.every(self._tell_stopped, self._publisher.close)
         if failed is not None:
             raise failed
 

@@ -16,7 +16,7 @@ from softfinger.proxy.scene import explain
 from softfinger.server import signals
 from softfinger.server.app import Daemon
 from softfinger.server.arguments import duration
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.loop.realtime import Setting
 from softfinger.server.progress import counter, making
 from softfinger.server.viewer.door.process import Shown, check_viewer, shown_by
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
             first = sys.exception()
             pages = [] if page is None else [page.close]
             others = [*(watcher.dismiss for watcher in watchers), *pages]
-            failed = wayout.every(lambda: daemon.close(first), *others, first=first)
+            failed = shutdown.every(lambda: daemon.close(first), *others, first=first)
         if failed is not None and failed is not first:
             raise failed
     return signals.code_of_stop()

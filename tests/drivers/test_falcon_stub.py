@@ -41,7 +41,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
 from softfinger.server.loop import servo_thread as s
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.verbs import devices
 
@@ -204,7 +204,7 @@ def test_faults_leave_nothing_under_way(
     with bench.open() as device:
         stub.update(**{name: stub["steps"] + steps for name, steps in fault.items()})
         ended, _ = run(device, 2000)
-        assert (ended.ending, ended.status) in {(wayout.READ_FAILED, status), (wayout.WRITE_FAILED, status)}
+        assert (ended.ending, ended.status) in {(shutdown.READ_FAILED, status), (shutdown.WRITE_FAILED, status)}
     assert (stub["threads"], stub["misuse"], stub["flying"], stub["dropped"], stub["allocated"]) == (0, 0, 0, 0, 0)
     assert stub["opens"] == stub["closes"]
     assert stub["most"] > 50, "there was no force to take away"

@@ -1,4 +1,4 @@
-"""The exchange with a HID device: contract, loop closed on an emulated arm, silence, faults, zero on every way out."""
+"""The exchange with a HID device: contract, loop closed on an emulated arm, silence, faults, zero at every shutdown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HID through threads: what is carried, what waits, a device that hangs, zero force on every way out."""
+"""HID through threads: what is carried, what waits, a device that hangs, zero force on every shutdown path."""
 
 from __future__ import annotations
 

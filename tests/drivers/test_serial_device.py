@@ -1,5 +1,5 @@
 """The exchange with a serial device: contract, one answer for each frame, silences, damaged frames, a blocked port,
-zero on every way out. The port is a pseudo terminal: the system's own code of terminals, with an emulated board."""
+zero at every shutdown. The port is a pseudo terminal: the system's own code of terminals, with an emulated board."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several fingers in one servo: each with its own guard and contact, and zero for all on every way out."""
+"""Several fingers in one servo: each with its own guard and contact, and zero for all on every shutdown path."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, columns
 from softfinger.server import cli
 from softfinger.server.loop import servo_thread as s
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
 from softfinger.server.loop.health import JUMPING, NO_POSE
 from softfinger.server.loop.tick import begin
@@ -87,7 +87,11 @@ def test_two_replays_are_what_simulate_makes_of_their_recordings() -> None:
 @pytest.mark.parametrize("place", [0, 1])
 @pytest.mark.parametrize(
     ("fault", "ending", "status"),
-    [("lost", wayout.READ_FAILED, -1), ("timeout", wayout.READ_FAILED, -2), ("write_lost", wayout.WRITE_FAILED, -1)],
+    [
+        ("lost", shutdown.READ_FAILED, -1),
+        ("timeout", shutdown.READ_FAILED, -2),
+        ("write_lost", shutdown.WRITE_FAILED, -1),
+    ],
 )
 def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, status: int) -> None:
     """Whichever it is: force was on both, the last wrench of both is zero, and it is known whose device it was."""
@@ -97,7 +101,7 @@ def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, 
     for device in devices:
         assert np.abs(device.wrenches[-10:-2]).max() > 0.1 and not device.wrenches[-1].any()
         assert [act for act, *_ in device.acts] == ["arm", "stop"]
-    failure = wayout.device_failure(devices[ended.finger], ended, NAMES[ended.finger])
+    failure = shutdown.device_failure(devices[ended.finger], ended, NAMES[ended.finger])
     assert failure is not None and f"faulty, finger '{NAMES[place]}'" in str(failure)
 
 
@@ -152,7 +156,7 @@ def test_a_device_that_hangs_keeps_no_other_from_its_zero(
 
     devices = [Hanging(Options()) if k == place else FaultyDevice(Options()) for k in range(2)]
     devices[place].arm()
-    what = {"stop": wayout.stop_all, "close": wayout.close_all}
+    what = {"stop": shutdown.stop_all, "close": shutdown.close_all}
     said = {"stop": "be stopped", "close": "be closed"}
     with pytest.raises(DeviceError, match=rf"^faulty could not {said[act]} \(it has not come back.*switch it off"):
         what[act](devices)
@@ -265,10 +269,10 @@ def test_the_world_goes_on_over_a_refused_pose_and_is_not_felt_as_a_blow() -> No
 def test_a_close_that_fails_keeps_no_other_device_open() -> None:
     """Every one is closed, and the error is told."""
     first = FaultyDevice(Options())
-    wayout.close_all([first])
+    shutdown.close_all([first])
     assert [act for act, *_ in first.acts] == ["close", "stop"]
     with pytest.raises(DeviceError, match="could not be closed"):
-        wayout.close_all([FaultyDevice(Options(stop_fails=True)), first])
+        shutdown.close_all([FaultyDevice(Options(stop_fails=True)), first])
     assert [act for act, *_ in first.acts][-2:] == ["close", "stop"]
 
 

@@ -20,11 +20,11 @@ from softfinger.drivers.base import HELD, LOST, PROTOCOL, TIMEOUT, WITHHELD
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import run_for
 from softfinger.server.loop import servo_thread as s
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import GUARD_NAMES, POSE_FROZEN, POSE_JUMPED, POSE_REFUSED, RAMPING, SLEW_LIMITED
 from softfinger.server.loop.health import HELD_MAX_S, JUMPING, NO_POSE, SILENCE_MAX_S, STARVED
+from softfinger.server.loop.shutdown import WRITE_FAILED, device_failure
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.loop.wayout import WRITE_FAILED, device_failure
 from softfinger.server.wire.events import RecordEvents
 
 pytestmark = pytest.mark.real_time
@@ -65,10 +65,10 @@ def finish(servo: s.Servo) -> tuple[s.Ended, np.ndarray]:
     ("fault", "ending", "status"),
     [
         ("none", s.FINISHED, 0),
-        ("lost", wayout.READ_FAILED, -1),
-        ("timeout", wayout.READ_FAILED, -2),
-        ("protocol", wayout.READ_FAILED, -3),
-        ("write_lost", wayout.WRITE_FAILED, -1),
+        ("lost", shutdown.READ_FAILED, -1),
+        ("timeout", shutdown.READ_FAILED, -2),
+        ("protocol", shutdown.READ_FAILED, -3),
+        ("write_lost", shutdown.WRITE_FAILED, -1),
     ],
 )
 def test_every_end_of_the_loop_writes_zero(fault, ending, status):
@@ -158,7 +158,7 @@ def test_a_device_whose_stop_fails_is_told_zero_all_the_same(ticks, caplog):
     ended, _ = finish(servo)
     assert undone == [1] and not device.wrenches[-1].any() and device.wrenches[:-1].any()
     said = str(ended.error) if ticks else caplog.text  # where the device was lost first, that is the error
-    assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (wayout.READ_FAILED, LOST))
+    assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (shutdown.READ_FAILED, LOST))
     assert "could not be stopped" in said and "the port has gone" in said and "switch it off" in said
 
 

@@ -336,7 +336,7 @@ def test_a_signal_that_was_swallowed_is_not_lost() -> None:
 
 
 def test_a_second_signal_raises_nothing() -> None:
-    """The first one is raised; what comes while its way out is gone changes neither that way nor the exit code."""
+    """The first one is raised; what comes during its shutdown changes neither that nor the exit code."""
     before = signal.getsignal(signal.SIGINT)
     with signals.handled():
         signals.imported()

@@ -155,7 +155,7 @@ def identity(device: discovery.Attached) -> dict[str, Any]:
 def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | None, plot: Path | None) -> None:
     """Open the device, run the session, and put all of it into `report`, whatever ends it; draw the times to `plot`.
 
-    Zero force on every way out. Raises what opening raises, and the error of a device that failed in use.
+    Zero force on every shutdown path. Raises what opening raises, and the error of a device that failed in use.
     """
     compile_exchange()  # before the device is open: it would wait for its first exchange
     with open_device(single_device(rig), rig.servo.rate_hz) as device:

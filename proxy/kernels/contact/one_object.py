@@ -11,7 +11,7 @@ from softfinger.proxy.kernels.contact.detection import Approach
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of, velocity_at
 from softfinger.proxy.kernels.contact.normal import normal_force_of
-from softfinger.proxy.kernels.contact.report import Outcome
+from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.texture import textured, with_texture_friction

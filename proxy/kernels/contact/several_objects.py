@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.contact.contacts import (
 from softfinger.proxy.kernels.contact.detection import detect_among_several, has_ended, separated
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.hand_over import hand_over
-from softfinger.proxy.kernels.contact.report import Outcome
+from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, active_objects, tangent_to_all
 from softfinger.proxy.kernels.contact.rest.among import Rest, drawn_after
 from softfinger.proxy.kernels.contact.texture import with_texture_friction

@@ -1,4 +1,4 @@
-"""The way out: the last zero, every step whatever the one before it did, and the words for what ended a loop."""
+"""Shutdown: the last zero, each step whatever the one before it did, and the words for what ended a loop."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def every(*steps: Callable[[], object], first: BaseException | None = None) -> B
             if first is None:
                 first = error
             else:
-                log.error("on the way out besides: %s", error if str(error) else type(error).__name__)
+                log.error("during shutdown, besides: %s", error if str(error) else type(error).__name__)
     return first
 
 
@@ -105,7 +105,7 @@ def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) ->
         _failed(device, what, str(error)) if isinstance(error, TimeoutError) else error for device, error in failures
     ]
     for other in errors[1:]:
-        log.error("on the way out besides: %s", other)
+        log.error("during shutdown, besides: %s", other)
     if errors:
         raise errors[0]
 

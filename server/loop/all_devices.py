@@ -24,7 +24,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.record import AT
-from softfinger.server.loop import wayout
+from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import POSE_JUMPED, POSE_REFUSED
 from softfinger.server.loop.inputs.poses import doubt, nothing_seen
 from softfinger.server.loop.tick import elsewhere, held, let_go, record_wrench
@@ -268,7 +268,7 @@ def write_zeros(ios: Any, lines: Any) -> None:
 
 @write_zeros.of(1)
 def write_zero_to_one(ios: Any, lines: Any) -> None:
-    wayout.write_zero(ios[0].write, ios[0].handle, lines[0].wrench)
+    shutdown.write_zero(ios[0].write, ios[0].handle, lines[0].wrench)
 
 
 @write_zeros.of(2)
