@@ -401,6 +401,7 @@ def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
         subscribe(daemon.publisher.endpoint, ("event",)) as wire,
     ):
         daemon.start()
+        assert eventually(lambda: daemon.publisher.subscribers == 1)  # what is told before reaches nobody
         daemon.recordings.begin("a.mcap", "paper-plane")
         recorder = daemon.recordings._recorder
         assert eventually(lambda: recorder.recorded.ticks > 100)
