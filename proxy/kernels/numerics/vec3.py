@@ -34,12 +34,14 @@ LEAST = 1e-300
 @jit
 def faded(s: float, a: Vec3) -> Vec3:
     """s a, and 0 for what of `a` is below LEAST: what falls by a share in each tick would end as a denormal number, for
-    good. The number of before is compared, beside the product and not after it: ticks wait for this one."""
-    return (
-        0.0 if abs(a[0]) < LEAST else s * a[0],
-        0.0 if abs(a[1]) < LEAST else s * a[1],
-        0.0 if abs(a[2]) < LEAST else s * a[2],
-    )
+    good. A branch, which is foreseen, and not three choices: ticks wait for this number."""
+    if abs(a[0]) < LEAST or abs(a[1]) < LEAST or abs(a[2]) < LEAST:
+        return (
+            0.0 if abs(a[0]) < LEAST else s * a[0],
+            0.0 if abs(a[1]) < LEAST else s * a[1],
+            0.0 if abs(a[2]) < LEAST else s * a[2],
+        )
+    return scale(s, a)
 
 
 @jit
