@@ -19,7 +19,6 @@ from math import sqrt
 from typing import NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import (
@@ -169,7 +168,7 @@ def newton(p: Vec3, foot: Foot) -> tuple[float, float]:
     return axis[1] * across - axis[0] * along, -axis[1] * along - axis[0] * across
 
 
-@outlined
+@jit
 def descend(shape: Heightmap, p: Vec3, start: Place, reach: float) -> tuple[Foot, int]:
     """The foot of `p` that is downhill from `start`, or where the way to it goes farther than `reach`; and how many
     heights were looked at."""
