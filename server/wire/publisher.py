@@ -22,8 +22,8 @@ from softfinger.server.wire.doors import Doors, door
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.health import Health, together
 from softfinger.server.wire.link import Answering, Link
+from softfinger.server.wire.native.memory import LAYOUT
 from softfinger.server.wire.native.relay import Relay, Source
-from softfinger.server.wire.native.tick_memory import LAYOUT
 from softfinger.server.wire.protocol import (
     EVENT,
     HEALTH,

@@ -27,7 +27,7 @@ import pytest
 from softfinger.proxy.record import AT
 from softfinger.server.publishing.front import FILES_MAX, MEMORY_MAX
 from softfinger.server.wire.client import Subscription
-from softfinger.server.wire.native.tick_memory import Local
+from softfinger.server.wire.native.memory import Local
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time

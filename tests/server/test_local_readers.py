@@ -19,16 +19,16 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, RECORD_SIZE, columns
 from softfinger.server.app import Daemon
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.native import tick_memory
+from softfinger.server.wire.native import memory
+from softfinger.server.wire.native.memory import Local, make_memory, remove
 from softfinger.server.wire.native.relay import HANDED_ON
-from softfinger.server.wire.native.tick_memory import Local, make_memory, remove
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
 
 WAIT_S = 60.0
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
-INCLUDE = Path(tick_memory.__file__).parent
+INCLUDE = Path(memory.__file__).parent
 
 READER = """
 #include "softfinger_ring.h"
@@ -89,7 +89,7 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
     count = 2 * HANDED_ON
     with Publisher("tcp://127.0.0.1:*") as publisher:
         name = publisher.ring()["name"]
-        assert (tick_memory.FOLDER / name).stat().st_mode & 0o777 == 0o600
+        assert (memory.FOLDER / name).stat().st_mode & 0o777 == 0o600
         slow, killed, stopped = (opened(program, name, "slow") for _ in range(3))
         stopped.send_signal(signal.SIGSTOP)
         with Local(name) as witness:
@@ -127,7 +127,7 @@ def test_the_daemon_says_where_its_ticks_are():
                 assert control.describe()["ring"] == ring
             daemon.wait(WAIT_S)
             daemon.close()
-            assert not (tick_memory.FOLDER / ring["name"]).exists()
+            assert not (memory.FOLDER / ring["name"]).exists()
             while len(rows := ticks.take(WAIT_S)):
                 taken.append(rows.copy())
             assert ticks.ended and ticks.lost == 0
@@ -156,7 +156,7 @@ def test_a_reader_that_sleeps_is_woken_by_the_end_and_by_a_tick():
     made = make_memory(16, 4)
     code = (
         "import sys\n"
-        "from softfinger.server.wire.native.tick_memory import Local\n"
+        "from softfinger.server.wire.native.memory import Local\n"
         "ticks = Local(sys.argv[1])\n"
         "print('open', flush=True)\n"
         f"while len(rows := ticks.take({forever_s})):\n"
@@ -167,7 +167,7 @@ def test_a_reader_that_sleeps_is_woken_by_the_end_and_by_a_tick():
         assert process.stdout.readline() == "open\n"
         made.broadcast.slots[0] = 7.0
         made.broadcast.head[0] = 1
-        tick_memory.ring_readers(made.broadcast)
+        memory.ring_readers(made.broadcast)
         assert process.stdout.readline() == "[[7.0, 7.0, 7.0, 7.0]]\n"
         remove(made)
         assert process.wait(WAIT_S) == 0
@@ -175,7 +175,7 @@ def test_a_reader_that_sleeps_is_woken_by_the_end_and_by_a_tick():
 
 KILLED = """
 import sys, time
-from softfinger.server.wire.native.tick_memory import make_memory
+from softfinger.server.wire.native.memory import make_memory
 print(make_memory(16, 4).name, flush=True)
 time.sleep(1000)
 """
@@ -191,24 +191,24 @@ def test_what_a_killed_daemon_leaves_is_known_to_be_dead_and_cleared_away():
             process.kill()
             process.wait()
             assert len(ticks.take(WAIT_S)) == 0 and ticks.ended
-    left = tick_memory.FOLDER / name
+    left = memory.FOLDER / name
     assert left.exists()
     other = make_memory(16, 4)
-    assert not left.exists() and (tick_memory.FOLDER / living.name).exists()
+    assert not left.exists() and (memory.FOLDER / living.name).exists()
     for each in (living, other):
         remove(each)
-        assert not (tick_memory.FOLDER / each.name).exists()
+        assert not (memory.FOLDER / each.name).exists()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give files away")
 def test_what_another_user_left_is_not_cleared_away():
     """By a daemon that runs as root and could: it is not its own, though nobody holds the lock of it."""
-    theirs, own = (tick_memory.FOLDER / f"{tick_memory.PREFIX}{secrets.token_hex(8)}" for _ in range(2))
+    theirs, own = (memory.FOLDER / f"{memory.PREFIX}{secrets.token_hex(8)}" for _ in range(2))
     try:
         for path in (theirs, own):
             path.touch(0o600)
         os.chown(theirs, 65534, 65534)
-        tick_memory.clear_away()
+        memory.clear_away()
         assert theirs.exists() and not own.exists()
     finally:
         theirs.unlink()
@@ -216,7 +216,7 @@ def test_what_another_user_left_is_not_cleared_away():
 
 def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
     """No such name, a path, another layout, a file that is empty."""
-    monkeypatch.setattr(tick_memory, "FOLDER", tmp_path)
+    monkeypatch.setattr(memory, "FOLDER", tmp_path)
     with pytest.raises(ConfigError, match="ask it for one"):
         Local("../etc/passwd")
     with pytest.raises(ConfigError, match="does the daemon still run"):
@@ -231,7 +231,7 @@ def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
 
 def test_without_shared_memory_the_daemon_runs_all_the_same(tmp_path, monkeypatch, caplog):
     """As in a container that has none: it says so, and the readers in the process have theirs."""
-    monkeypatch.setattr(tick_memory, "FOLDER", tmp_path / "none")
+    monkeypatch.setattr(memory, "FOLDER", tmp_path / "none")
     with Publisher("tcp://127.0.0.1:*") as publisher:
         assert publisher.ring()["name"] == ""
         publisher.publish(synthetic(10))

@@ -26,7 +26,7 @@ from softfinger.server.services.commands import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import described
 from softfinger.server.wire import commands, envelope
 from softfinger.server.wire.link import LOG_PERIOD_S
-from softfinger.server.wire.native import tick_memory
+from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.relay import BELL_MS, HANDED_ON
 from softfinger.server.wire.protocol import (
     CONTACT_KEYS,
@@ -154,7 +154,7 @@ def test_lists_and_numbers_in_the_text_are_the_codes():
     assert f"`schema` is {SCHEMA}." in DOC
     assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{HANDED_ON} ticks behind" in DOC
     assert f"some {BELL_MS} ms of their tick" in DOC
-    assert f"newest {HANDED_ON} rows are there" in DOC and f"| 1 | layout, {tick_memory.LAYOUT}: another" in DOC
+    assert f"newest {HANDED_ON} rows are there" in DOC and f"| 1 | layout, {memory.LAYOUT}: another" in DOC
     assert f"{BACKLOG} messages are kept" in DOC and f"where none has come for {QUIET_S:g} s" in DOC
     assert f"a frame of {SUBSCRIPTION_MAX} bytes, {HANDSHAKE_MS / 1000.0:g} s for the handshake" in DOC
     assert f"There are some {FILES_MAX - 26} connections" in DOC  # the others are the publisher's own files

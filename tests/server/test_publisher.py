@@ -28,7 +28,7 @@ from softfinger.server.publishing.setup import Shown
 from softfinger.server.recording.summary import summary
 from softfinger.server.wire import link
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.native.tick_memory import Local
+from softfinger.server.wire.native.memory import Local
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time

@@ -24,8 +24,8 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows, write_row
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
 from softfinger.server.progress import making
+from softfinger.server.wire.native.memory import make_memory, remove, ring_readers, wake_readers
 from softfinger.server.wire.native.system import ring, silence, sleep_on
-from softfinger.server.wire.native.tick_memory import make_memory, remove, ring_readers, wake_readers
 
 log: Final = logging.getLogger(__name__)
 
