@@ -1,5 +1,6 @@
 """Where the proxy comes to rest among several objects, the triangles of a mesh among them, without friction."""
 
+from math import sqrt
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.normal import spring
@@ -129,7 +130,7 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
     What crosses the way in a tick needs no sweep: beside a mesh no step is longer than `is_a_step` allows.
     """
     there = vec3.add(probe, displaced_by(active))
-    center, held, rests, budget = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, budget)
+    center, held, moved, budget = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, budget)
     on_nearest = False
     for turn in range(EDGES + 1):
         index, alone = held[0].body, held[1].body < 0.0
@@ -138,11 +139,13 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
         if on_nearest or turn == EDGES:
             break
         held = one_constraint(beyond, held[0].normal)
-        center, held, rests, budget = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, budget)
+        center, held, moved, budget = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, budget)
+    if held[1].body < 0.0 and moved > SETTLED * radius:  # the last round may have led from an edge onto the face
+        center, held, moved, budget = relaxed_to_rest(objects, radius, probe, center, held, 1, budget)
     behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
     nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
     # Beyond its edge a facet's plane is tilted, and lifts the proxy by the square of that alone: no gap would tell.
-    if rests and on_nearest and nearer and is_a_step(anchor, center, radius):
+    if moved <= AT_REST * radius and on_nearest and nearer and is_a_step(anchor, center, radius):
         gap, _, budget = deepest(objects, center, radius, active_objects(held), budget)
         if gap >= radius * (1.0 - INSIDE):
             return Rest(center, strongest_first(objects, held), False, budget)
@@ -269,9 +272,9 @@ def seen_from(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: floa
 @jit
 def relaxed_to_rest(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
-) -> tuple[Vec3, ActiveSet, bool, int]:
-    """`relaxed`, and whether the last round moved the proxy no more."""
-    rests = False
+) -> tuple[Vec3, ActiveSet, float, int]:
+    """`relaxed`, and how far, m, the last round moved the proxy."""
+    far = 1e300
     near = (SETTLED * radius) ** 2
     one, two, three = active
     n1, n2, n3 = one.normal, two.normal, three.normal
@@ -309,15 +312,15 @@ def relaxed_to_rest(
         moved = vec3.add(base, displacement(solution.place, n1, n2, n3))
         step = vec3.sub(moved, center)
         center = moved
-        rests = vec3.dot(step, step) <= (AT_REST * radius) ** 2
-        if vec3.dot(step, step) <= near:
+        far = vec3.dot(step, step)
+        if far <= near:
             break
     held = (
         Constraint(one.body, n1, push.first),
         Constraint(two.body, n2, push.second),
         Constraint(three.body, n3, push.third),
     )
-    return center, held, rests, budget
+    return center, held, sqrt(far), budget
 
 
 @jit
