@@ -122,7 +122,7 @@ def out_of_contact(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, budget: int
 ) -> tuple[FingerState, Contact]:
     """Free space; or, with a `budget` below 0, a first pose that was not searched to the end."""
-    nothing = one_constraint(NONE, (0.0, 0.0, 1.0))
+    nothing = one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     effects = effects_of_tick(scene, finger, objects, state, nothing, probe, dt)
     unsearched = 1.0 if budget < 0 else effects.unknown
     return (

@@ -526,8 +526,8 @@ def test_a_scene_without_effects_has_none_to_compile() -> None:
 PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}
 
 
-@pytest.mark.parametrize(("aside", "deep"), [(0.002, 0.001), (0.001, 0.002)])
-def test_only_motion_against_the_viscous_object_counts(aside: float, deep: float) -> None:
+@pytest.mark.parametrize(("sideways", "depth"), [(0.002, 0.001), (0.001, 0.002)])
+def test_viscosity_goes_by_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
     """The hand rests in a corner of a viscous floor, which rests, and a wall, which slides along. No viscous force
     acts, whether the wall or the floor carries the larger load."""
     spring = {"stiffness_n_per_m": 1000.0}
@@ -537,8 +537,10 @@ def test_only_motion_against_the_viscous_object_counts(aside: float, deep: float
     given = [{**floor, "material": spring}, {**wall, **sliding, "material": spring}]
     running = Engine({"fingertip": {"radius_m": 0.01}, "object": given})
     for _ in range(200):  # until the filtered velocity has faded
-        found = running.step([0.01 - aside, 0.0, 0.01 - deep], [1.0, 0.0, 0.0, 0.0])
-    assert found.force == pytest.approx([1000.0 * aside, 0.0, 1000.0 * deep], abs=1e-9)  # the springs; rounding
+        found = running.step([0.01 - sideways, 0.0, 0.01 - depth], [1.0, 0.0, 0.0, 0.0])
+    assert found.force == pytest.approx(
+        [1000.0 * sideways, 0.0, 1000.0 * depth], abs=1e-9
+    )  # two springs; 1e-9 N is rounding
 
 
 def test_viscosity_of_a_moving_object_is_against_it() -> None:

@@ -263,11 +263,11 @@ def test_a_plate_is_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases) -> Non
     for _ in range(cases(300, 30_000)):
         vertex, z = pitch * rng.integers(30, 48, 2), radius * rng.uniform(-3.0, 0.9)
         angles = rng.uniform(0.0, 2.0 * np.pi, 2)
-        (aside, towards) = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        end = vertex + 10.0 ** rng.uniform(-10.0, -7.0) * aside
-        begin = vertex + 1e-3 * towards
+        (end_direction, start_direction) = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        end = vertex + 10.0 ** rng.uniform(-10.0, -7.0) * end_direction
+        begin = vertex + 1e-3 * start_direction
         down = np.column_stack([np.tile(begin, (60, 1)), np.linspace(1.1 * radius, z, 60)])
-        over = np.column_stack([vertex + np.linspace(1e-3, 2e-4, 6)[:, None] * towards, np.full(6, z)])
+        over = np.column_stack([vertex + np.linspace(1e-3, 2e-4, 6)[:, None] * start_direction, np.full(6, z)])
         running.reset()
         last = np.asarray(running.run(posed(np.concatenate([down, over, [[*end, z]]]))))[-1]
         proxy = last[AT.proxy_position : AT.proxy_position + 3]

@@ -23,7 +23,6 @@ from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NONE,
     ActiveSet,
-    Constraint,
     Finger,
     FingerState,
     Probe,
@@ -143,7 +142,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     start, budget = position, BUDGET // 2
     if any_creases(objects):  # on the way over a height map a fingertip asks more often
         budget = 3 * BUDGET // 4
-    left, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0))
+    left, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     if state.started == 0.0:
         index, known, left = touched_at_first(objects, radius, position, left)
         if not known:
@@ -170,8 +169,8 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
                     return Meeting(start, position, nothing, SPENT)
             else:
                 center = raised_clear_of(objects, index, center, radius)
-        depth, beside = max(vec3.dot(vec3.sub(center, position), normal), 0.0), Constraint(NONE, normal, 0.0)
-        active = (Constraint(index, normal, depth), beside, beside)
+        depth = max(vec3.dot(vec3.sub(center, position), normal), 0.0)
+        active = one_constraint(index, normal, depth)
         ended = state.mode != FREE and depth <= INSIDE * radius
         if ended and is_outside(objects, radius, state.center, position, left):
             active, center = nothing, position  # what has just ended, rounded

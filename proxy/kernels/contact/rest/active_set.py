@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import FACING
+from softfinger.proxy.kernels.numerics.half_spaces import FACING, Depths, displacement
 from softfinger.proxy.kernels.query.objects import closest_to_within, normal_law_of
 from softfinger.proxy.kernels.shapes.composite import Deepest
 from softfinger.proxy.kernels.shapes.protocol import direction
@@ -20,9 +20,9 @@ FLAT = 1e-4
 
 
 @jit
-def one_constraint(index: float, normal: Vec3) -> ActiveSet:
-    """One object alone, not yet pressed."""
-    return Constraint(index, normal, 0.0), Constraint(NONE, normal, 0.0), Constraint(NONE, normal, 0.0)
+def one_constraint(body: float, normal: Vec3, depth: float) -> ActiveSet:
+    """That of one object alone."""
+    return Constraint(body, normal, depth), Constraint(NONE, normal, 0.0), Constraint(NONE, normal, 0.0)
 
 
 @jit
@@ -42,15 +42,13 @@ def active_objects(active: ActiveSet) -> Vec3:
 def displaced_by(active: ActiveSet) -> Vec3:
     """How far (3,) m they keep the proxy from the probe."""
     one, two, three = active
-    way = vec3.add_scaled(vec3.scale(one.depth, one.normal), two.depth, two.normal)
-    return vec3.add_scaled(way, three.depth, three.normal)
+    return displacement(Depths(one.depth, two.depth, three.depth), one.normal, two.normal, three.normal)
 
 
 @jit
 def pressed(normal: Vec3, behind: Vec3) -> ActiveSet:
     """The only object, for a proxy on it that lies `behind` (3,) m ahead of the probe."""
-    one = Constraint(0.0, normal, max(vec3.dot(behind, normal), 0.0))
-    return one, Constraint(NONE, normal, 0.0), Constraint(NONE, normal, 0.0)
+    return one_constraint(0.0, normal, max(vec3.dot(behind, normal), 0.0))
 
 
 @jit

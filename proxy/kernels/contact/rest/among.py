@@ -138,7 +138,7 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
         on_nearest = beyond == index
         if on_nearest or turn == EDGES:
             break
-        held = one_constraint(beyond, held[0].normal)
+        held = one_constraint(beyond, held[0].normal, 0.0)
         center, held, moved, budget = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, budget)
     if held[1].body < 0.0 and moved > SETTLED * radius:  # the last round may have led from an edge onto the face
         center, held, moved, budget = relaxed_to_rest(objects, radius, probe, center, held, 1, budget)
@@ -152,7 +152,7 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
     stand = settle_by_planes(objects, radius, probe, anchor, active, budget)
     held = stand.active
     if held[0].body < 0.0:
-        held = one_constraint(active[0].body, active[0].normal)
+        held = one_constraint(active[0].body, active[0].normal, 0.0)
     return Rest(stand.center, strongest_first(objects, held), stand.late, stand.budget)
 
 
@@ -233,7 +233,7 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
         beyond = neighbour_on(objects, active[0].body, goal)
         if beyond == active[0].body:
             break
-        active = one_constraint(beyond, active[0].normal)
+        active = one_constraint(beyond, active[0].normal, 0.0)
         goal, active = relax(objects, radius, probe, goal, active, 1)
     return goal, active
 
@@ -274,7 +274,7 @@ def relaxed_to_rest(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, float, int]:
     """`relaxed`, and how far, m, the last round moved the proxy."""
-    far = 1e300
+    square = 1e300
     near = (SETTLED * radius) ** 2
     one, two, three = active
     n1, n2, n3 = one.normal, two.normal, three.normal
@@ -312,15 +312,15 @@ def relaxed_to_rest(
         moved = vec3.add(base, displacement(solution.place, n1, n2, n3))
         step = vec3.sub(moved, center)
         center = moved
-        far = vec3.dot(step, step)
-        if far <= near:
+        square = vec3.dot(step, step)
+        if square <= near:
             break
     held = (
         Constraint(one.body, n1, push.first),
         Constraint(two.body, n2, push.second),
         Constraint(three.body, n3, push.third),
     )
-    return center, held, sqrt(far), budget
+    return center, held, sqrt(square), budget
 
 
 @jit
