@@ -27,6 +27,7 @@ from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.health import HELD_MAX_S
 from softfinger.server.loop.inputs.ramp import leaves, make_way
 from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
+from softfinger.server.loop.shared.bell import wait_for
 from softfinger.server.loop.shared.ring import Feed, Ring, make_ring, take
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, Ended
 from softfinger.server.loop.tick import Tuning, begin
@@ -336,7 +337,7 @@ class Servo:
 
     def wait_record(self) -> None:
         """Sleep until there is a record to take, or the loop has ended. One thread only."""
-        os.eventfd_read(self._wake_fd)
+        wait_for(self._wake_fd)
 
     def take(self, out: NDArray[np.float64]) -> int:
         """Move the oldest records into `out` (n, width), a row a tick; returns how many. One thread only."""

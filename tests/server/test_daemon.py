@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import signal
@@ -37,6 +38,7 @@ from softfinger.server.services.records import Sink
 pytestmark = pytest.mark.real_time
 
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+SYS_TGKILL = {"x86_64": 234, "aarch64": 131}
 
 
 @contextmanager
@@ -279,6 +281,29 @@ def test_a_stall_that_leaves_no_force_in_a_hand_ends_nothing(faulty):
         running.start()
         assert running.wait(60.0)
         assert running.servo.ticks == 400
+
+
+def test_a_signal_ends_no_thread_whichever_the_system_gives_it_to():
+    """A signal for the process goes to any of its threads: each is given many, of those of libraries too."""
+    given, number = ctypes.CDLL(None).syscall, SYS_TGKILL[os.uname().machine]
+    before = signal.signal(signal.SIGUSR1, lambda *_: None)
+    try:
+        with Daemon(
+            load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*"}), load_scene("paper-plane")
+        ) as running:
+            running.start()
+            threads = [int(each) for each in os.listdir("/proc/self/task")]
+            assert len(threads) > 5
+            for _ in range(50):
+                for thread in threads:
+                    given(number, os.getpid(), thread, signal.SIGUSR1)
+                time.sleep(0.005)
+            ticks = running.servo.ticks
+            assert eventually(lambda: running.servo.ticks > ticks + 100)
+            running.stop()
+            assert running.wait(60.0)
+    finally:
+        signal.signal(signal.SIGUSR1, before)
 
 
 def eventually(what, seconds=20.0):

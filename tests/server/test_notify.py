@@ -84,7 +84,9 @@ def test_a_daemon_is_ready_with_ticks_and_alive_by_them(manager: Manager, tmp_pa
     """READY comes with ticks, the sign of life goes, stops and comes back with them; STOPPING at the end."""
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
-    process = subprocess.Popen(command, env=os.environ | manager.environment, stderr=subprocess.DEVNULL)
+    said = tmp_path / "stderr"
+    with said.open("w") as stderr:
+        process = subprocess.Popen(command, env=os.environ | manager.environment, stderr=stderr)
     try:
         first = manager.until("READY=1")
         ticks = [int(line.split("=")[1].split()[0]) for line in first if line.startswith("STATUS=")]
@@ -96,7 +98,7 @@ def test_a_daemon_is_ready_with_ticks_and_alive_by_them(manager: Manager, tmp_pa
         manager.until("WATCHDOG=1")
         last = manager.until("STOPPING=1", process.terminate)
         assert "WATCHDOG_USEC=0" in last  # a closing that takes its time is not taken for a servo that hangs
-        assert process.wait(60) == 0
+        assert process.wait(60) == 0, said.read_text()
     finally:
         process.kill()
         process.wait()

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.loop.shared.bell import wait_for
 from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows, write_row
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
 from softfinger.server.progress import making
@@ -143,7 +144,7 @@ class Tap:
 
     def wait(self) -> None:
         """Sleep until there may be records, or the end of them."""
-        os.eventfd_read(self._bell_fd)
+        wait_for(self._bell_fd)
 
     def wake(self) -> None:
         """End a `wait`, from any thread, as long as the relay is there."""
