@@ -69,10 +69,14 @@ def load_scene(
     if isinstance(scene, Scene):
         return overridden(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
-        return _with_overrides(Scene, scene, "scene", overrides or {}, sources or {})
+        return _with_geoms(_with_overrides(Scene, scene, "scene", overrides or {}, sources or {}))
     loaded = _load(Scene, scene, overrides or {}, sources or {})
     folder = find(scene, Scene).parent
-    return msgspec.structs.replace(loaded, object=tuple(_beside(folder, thing) for thing in loaded.object))
+    things = tuple(_beside(folder, thing) for thing in loaded.object)
+    world = loaded.world
+    if world is not None:
+        world = msgspec.structs.replace(world, model=str(folder / world.model))
+    return _with_geoms(msgspec.structs.replace(loaded, object=things, world=world))
 
 
 def load_rig(
@@ -229,6 +233,15 @@ def _with_overrides(
     if homeless:  # and not for a fault of the file's own
         raise ConfigError("; ".join(homeless))
     return config
+
+
+def _with_geoms(scene: Scene) -> Scene:
+    """With the objects of its world: what they demand of the scene and of each other is looked at, too."""
+    if scene.world is None:
+        return scene
+    from softfinger.config.mjcf import with_geoms  # it needs MuJoCo
+
+    return build(Scene, describe(with_geoms(scene)), f"{scene.world.model} in the scene")
 
 
 def _beside(folder: Path, thing: Object) -> Object:

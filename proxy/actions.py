@@ -7,6 +7,7 @@ from math import hypot
 from typing import Any
 
 from softfinger.config import schema
+from softfinger.proxy.bodies import RigidBodies
 from softfinger.proxy.kernels import model
 
 
@@ -67,8 +68,8 @@ def _region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegio
     return model.SphereRegion(region.position_m, region.radius_m, region.edge_m)
 
 
-def kernel_motion(motion: schema.Motion | None) -> model.Sinusoid | model.Turntable | model.Driven | None:
-    """Kernel motion of an object; None for one that stands still."""
+def kernel_motion(motion: schema.Motion | None, bodies: RigidBodies | None = None) -> Any:
+    """Kernel motion of an object; None for one that stands still. One that rides on a body needs the `bodies`."""
     match motion:
         case schema.Sinusoid():
             axis = _unit(motion.axis)
@@ -79,6 +80,8 @@ def kernel_motion(motion: schema.Motion | None) -> model.Sinusoid | model.Turnta
             return model.Turntable(_unit(motion.axis), motion.rate_rad_per_s, motion.pivot_m)
         case schema.Driven():
             return model.Driven()
+        case schema.Body() if bodies is not None:
+            return model.Simulated(bodies.block, float(bodies.number_of(motion.body)))
     return None
 
 

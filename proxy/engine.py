@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import SceneSource, load_scene, overridden
+from softfinger.proxy.bodies import RigidBodies, begin_bodies
 from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_contacts
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.model import Scene
+from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
 from softfinger.proxy.records import Records
@@ -130,6 +132,7 @@ def step_many(
         state, contacts = step(parameters, state, probes, dt)
         rows = rows_of(parameters.fingers, records[i], 0)
         write_contacts(contacts, rows, probes, first_tick + i, dt)
+        step_bodies(parameters.bodies)
     pack(state_values, state)
 
 
@@ -174,6 +177,7 @@ class Engine:
         if not 1.0 / DT_MAX_S <= rate_hz <= 1.0 / DT_MIN_S:
             raise ConfigError(f"rate_hz = {rate_hz}: must be a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz")
         self.dt = 1.0 / rate_hz
+        begin_bodies(self.scene, self.dt)
         self._values = flatten(self.scene)
         self._start = flatten(start_state(self.scene))
         self._state = self._start.copy()
@@ -190,9 +194,27 @@ class Engine:
         return f"<Engine: {fingers}objects {objects}; {1.0 / self.dt:g} Hz, after {self._tick} ticks>"
 
     def reset(self) -> None:
-        """Forget the contact: the next step is the first."""
+        """Forget the contact, and put the bodies of a [world] back: the next step is the first."""
         self._state = self._start.copy()
         self._tick = 0
+        begin_bodies(self.scene, self.dt)
+
+    @property
+    def model(self) -> Any:
+        """MuJoCo's MjModel of the scene's [world]; ConfigError in a scene without."""
+        return self._world.model
+
+    @property
+    def data(self) -> Any:
+        """MuJoCo's MjData of the scene's [world]; ConfigError in a scene without."""
+        return self._world.data
+
+    @property
+    def _world(self) -> RigidBodies:
+        if self.scene.bodies is None:
+            raise ConfigError("the scene has no [world], and so neither a model nor data")
+        owner: RigidBodies = self.scene.bodies.block.owner
+        return owner
 
     @overload
     def set(self, changes: str, value: Any) -> None: ...
@@ -209,14 +231,14 @@ class Engine:
         """
         wanted = {changes: value} if isinstance(changes, str) else changes
         config = overridden(self.config, wanted, "set")
-        tree = build_scene(config)
+        tree = build_scene(config, self.scene)
         if numba.typeof(tree) != numba.typeof(self.scene):
             raise ConfigError(f"set: {other_model(self.config, wanted)}: make another Engine")
         self._take(config, tree)
 
     def tune(self, scene: schema.Scene) -> None:
         """Change parameters and keep the contact; ValueError if the scene has other parts than the compiled one."""
-        tree = build_scene(scene)
+        tree = build_scene(scene, self.scene)
         if numba.typeof(tree) != numba.typeof(self.scene):
             raise ValueError("the new scene has other parts than the one compiled: make another engine")
         self._take(scene, tree)

@@ -12,6 +12,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import overridden
 from softfinger.proxy.actions import kernel_effects, kernel_motion
+from softfinger.proxy.bodies import bodies_of
 from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
@@ -36,16 +37,19 @@ class Body(NamedTuple):
     orientation: model.Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-def build_scene(scene: schema.Scene) -> model.Scene:
+def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model.Scene:
     """The scene as named tuples of float64; a table the file leaves out becomes None.
+
+    before  what was built with other parameters: the bodies of its world go on in this one
 
     Raises ConfigError where the file of a texture or a height map cannot be used, and for more than APART_MAX objects
     that cannot share their code.
     """
-    materials = _materials(scene)
-    bodies = []
+    materials, rigid = _materials(scene), bodies_of(scene, before)
+    bodies, riders = [], []
     for number, (thing, material) in enumerate(zip(scene.object, materials, strict=True)):
-        motion, effects = kernel_motion(thing.motion), kernel_effects(thing.effect)
+        motion, effects = kernel_motion(thing.motion, rigid), kernel_effects(thing.effect)
+        riders.append(motion.body if isinstance(motion, model.Simulated) else 0.0)
         texture = kernel_texture(thing)
         for part, (shape, position, orientation) in enumerate(shape_bodies(thing)):
             fixed = motion is None and texture is None
@@ -59,6 +63,7 @@ def build_scene(scene: schema.Scene) -> model.Scene:
         objects=_entries(bodies),
         rolling=_rolling(scene),
         effects=kernel_effects(scene.effect),
+        bodies=None if rigid is None else rigid.kernel(tuple(riders)),
     )
 
 
@@ -109,7 +114,9 @@ def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.
     k_tau = None if rolling is None else rolling.torque_stiffness_n_per_m
     return model.Finger(
         radius=given.radius_m,
-        coupling=model.Coupling(coupling.stiffness_n_per_m, coupling.damping_ns_per_m),
+        coupling=model.Coupling(
+            coupling.stiffness_n_per_m, coupling.damping_ns_per_m, coupling.torsional_damping_nms_per_rad
+        ),
         torque_stiffness=coupling.stiffness_n_per_m if k_tau is None else k_tau,
         velocity_time_constant=probe.velocity_time_constant_s,
         position_resolution=probe.position_resolution_m,

@@ -26,6 +26,7 @@ from softfinger.server.services.records import Records, Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.services.supervisor import Supervisor
 from softfinger.server.services.telemetry import Telemetry
+from softfinger.server.services.world import WorldState
 from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.publisher import Publisher
@@ -82,6 +83,7 @@ class Daemon:
                 guard_names=GUARD_NAMES,
                 fingers=fingers,
                 priority=0 if rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
+                bodies=scene.world is not None,
             )
             opened.append(self.publisher.close)
             metrics = None
@@ -218,6 +220,7 @@ class Daemon:
             Records(self.servo, self.publisher.tap, taking, self.fail, self._event),
             self.supervisor,
             HotplugWatch(hotplug, self._event),
+            WorldState(self.servo, self.publisher.world, self._event),
             *others,
             *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,

@@ -7,6 +7,7 @@ Each is a chain of minimum-jerk moves, so velocity and acceleration are continuo
 has a radius of 10 mm: its centre touches the plane at z = 0.010 m and presses 1 mm at 0.009 m.
 All start and end at rest in free space, in one pose, and so loop without a return. Those of a pinch are one for each
 of two fingers and of equal length: they press the sides of a box of 40 mm, x = -0.02 m and x = 0.02 m.
+So are those of a lift, whose box stands on z = 0.
 """
 
 from __future__ import annotations
@@ -134,6 +135,26 @@ def pinch(side: float, slide: float) -> list[Move]:
     ]
 
 
+def lift(side: float) -> list[Move]:
+    """One finger of a lift, from `side` -1 or 1 of the box: press; up by 100 mm, hold, down again; release."""
+
+    def inwards(seconds: float, way: float) -> Move:
+        return Move(seconds, (-side * way, 0.0, 0.0))
+
+    press_m, height = ABOVE_M - RADIUS_M + SQUEEZE_M, 0.1
+    return [
+        hold(0.3),
+        inwards(0.6, press_m),
+        hold(0.2),
+        Move(1.2, (0.0, 0.0, height)),
+        hold(1.0),
+        Move(1.2, (0.0, 0.0, -height)),
+        hold(0.2),
+        inwards(0.5, -press_m),
+        hold(0.3),
+    ]
+
+
 class Script(NamedTuple):
     """Where a recording starts and ends (m), upright, and what it does in between."""
 
@@ -143,6 +164,10 @@ class Script(NamedTuple):
 
 OVER_THE_PLANE: Final = (0.0, 0.0, ABOVE_M)
 HALF_BOX_M: Final = 0.020
+SQUEEZE_M: Final = 0.006
+"""How far the hands of a lift mean to press into the box: with a hand as stiff as the box 3 N, half of it each."""
+OFF_CENTRE_M: Final = 0.008
+"""How far beside the centre of mass they take it: the box hangs by the torsion of the contacts."""
 INDEX_THINNER_M: Final = 0.002
 """Of the scene `pinch`: the index finger's radius is so much less, and it starts nearer by it."""
 
@@ -152,6 +177,8 @@ RECORDINGS: Final[dict[str, Script]] = {
     "tap": Script(OVER_THE_PLANE, tap),
     "pinch-thumb": Script((-HALF_BOX_M - ABOVE_M, 0.0, 0.0), lambda: pinch(-1.0, 0.0)),
     "pinch-index": Script((HALF_BOX_M + ABOVE_M - INDEX_THINNER_M, 0.0, 0.0), lambda: pinch(1.0, 0.004)),
+    "lift-thumb": Script((-HALF_BOX_M - ABOVE_M, OFF_CENTRE_M, HALF_BOX_M), lambda: lift(-1.0)),
+    "lift-index": Script((HALF_BOX_M + ABOVE_M, OFF_CENTRE_M, HALF_BOX_M), lambda: lift(1.0)),
 }
 
 

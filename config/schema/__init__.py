@@ -49,7 +49,7 @@ from softfinger.config.schema.fields import (
     within,
 )
 from softfinger.config.schema.materials import Friction, Material, Normal, Torsion, TorsionModel
-from softfinger.config.schema.motions import Driven, Motion, Sinusoid, Turntable
+from softfinger.config.schema.motions import Body, Driven, Motion, Sinusoid, Turntable
 from softfinger.config.schema.patch import Patch
 from softfinger.config.schema.rig import (
     BESIDE,
@@ -87,9 +87,11 @@ from softfinger.config.schema.shapes import (
     add_shape,
 )
 from softfinger.config.schema.textures import Texture
+from softfinger.config.schema.world import GeomMaterial, World
 
 __all__ = [
     "BESIDE",
+    "Body",
     "Boundary",
     "Box",
     "Capsule",
@@ -109,6 +111,7 @@ __all__ = [
     "FingerParts",
     "Fingertip",
     "Friction",
+    "GeomMaterial",
     "Guard",
     "Heightmap",
     "Length",
@@ -155,6 +158,7 @@ __all__ = [
     "Turntable",
     "Vibration",
     "Viscosity",
+    "World",
     "add_shape",
     "commands_beside",
     "endpoint_complaint",

@@ -139,12 +139,20 @@ class Rolling(Table, frozen=True, kw_only=True):
 
 
 class Coupling(Table, frozen=True, kw_only=True):
-    """Tangential spring and damper between the proxy and the probe."""
+    """Tangential spring and damper between the proxy and the probe, and the damper of torsion."""
 
     stiffness_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "tangential stiffness (K_t)", 1000.0)] = 1000.0
     damping_ns_per_m: Annotated[
         float, within(limits.DAMPING_NS_PER_M, "tangential damping (B); acts while rolling only", 1.0)
     ] = 1.0
+    torsional_damping_nms_per_rad: Annotated[
+        float,
+        within(
+            limits.TORSIONAL_DAMPING_NMS_PER_RAD,
+            "damping of torsion (B_z), within the torsional limit; objects that move by themselves need it",
+            0.0002,
+        ),
+    ] = 0.0
 
 
 class Probe(Table, frozen=True, kw_only=True):

@@ -46,6 +46,7 @@ def said(meaning: str, example: Any = None) -> Meta:
 
 _UNITS: Final = {
     "_rad_per_s": "rad/s",
+    "_nms_per_rad": "N m s/rad",
     "_nm_per_rad": "N m/rad",
     "_nm_per_s": "N m/s",
     "_ns_per_m": "N s/m",

@@ -6,7 +6,16 @@ from collections.abc import Iterator
 from typing import Annotated, ClassVar
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import Complaint, Component, Coordinate, Table, direction_faults, said, within
+from softfinger.config.schema.fields import (
+    Complaint,
+    Component,
+    Coordinate,
+    Table,
+    direction_faults,
+    said,
+    sized,
+    within,
+)
 
 Axis = Annotated[
     tuple[Component, Component, Component],
@@ -52,5 +61,12 @@ class Driven(Table, frozen=True, kw_only=True, tag_field="kind", tag="driven"):
     kind: ClassVar[str] = "driven"
 
 
-Motion = Sinusoid | Turntable | Driven
+class Body(Table, frozen=True, kw_only=True, tag_field="kind", tag="body"):
+    """Riding on a body of the scene's [world]; the pose at rest is that in the body's frame."""
+
+    kind: ClassVar[str] = "body"
+    body: Annotated[str, sized(limits.NAME_LENGTH, "name of the body, or its number where it has none", "box")]
+
+
+Motion = Sinusoid | Turntable | Driven | Body
 """Any motion of an object."""

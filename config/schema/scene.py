@@ -11,8 +11,10 @@ from softfinger.config import limits
 from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Probe, Rolling
 from softfinger.config.schema.effects import Effect
 from softfinger.config.schema.fields import Complaint, Table, known, sized
+from softfinger.config.schema.motions import Body
 from softfinger.config.schema.patch import Patch
 from softfinger.config.schema.shapes import Object
+from softfinger.config.schema.world import World
 
 
 class FingerParts(NamedTuple):
@@ -40,8 +42,9 @@ class Scene(Table, frozen=True, kw_only=True):
     coupling: Coupling = Coupling()
     probe: Probe = Probe()
     passivity: Passivity | None = None
-    object: Annotated[tuple[Object, ...], sized(limits.OBJECTS, "objects to touch")]
+    object: Annotated[tuple[Object, ...], sized(limits.OBJECTS, "objects to touch")] = ()
     effect: Annotated[tuple[Effect, ...], sized(limits.EFFECTS, "effects of the workspace")] = ()
+    world: World | None = None
 
     @property
     def fingers(self) -> tuple[FingerParts, ...]:
@@ -68,6 +71,7 @@ class Scene(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         yield from _finger_faults(self)
+        yield from _world_faults(self)
         yield from _patch_faults(self)
         yield from _coupling_faults(self)
         yield from _object_faults(self)
@@ -114,6 +118,25 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
                         "subscribes to the telemetry of the shorter would get both; choose another",
                     )
             first.setdefault(given, index)
+
+
+def _world_faults(scene: Scene) -> Iterator[Complaint]:
+    """Objects there must be, and those that ride on bodies need a world, and no force of their own."""
+    if not known(scene.world, scene.object):
+        return
+    if scene.world is None and not scene.object:
+        yield "object", msgspec.UNSET, "is missing: add at least one table [[object]]"
+    for index, item in enumerate(scene.object):
+        if not known(item) or not known(item.motion) or not isinstance(item.motion, Body):
+            continue
+        if scene.world is None:
+            yield f"object[{index}].motion", "body", "needs a table [world], with the model that the body is of"
+        elif known(item.effect) and item.effect:
+            yield (
+                f"object[{index}].effect",
+                item.effect[0].kind,
+                "would push the hand and not the body: leave it out, or let the object stand still",
+            )
 
 
 def _patch_faults(scene: Scene) -> Iterator[Complaint]:
@@ -291,7 +314,7 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
     materials = [item.material if known(item) else msgspec.UNSET for item in scene.object]
     if scene.rolling is None or not known(scene.rolling, *materials):
         return
-    if all(item.material.friction is None for item in scene.object):
+    if scene.object and all(item.material.friction is None for item in scene.object):
         yield (
             "rolling",
             msgspec.UNSET,

@@ -15,16 +15,17 @@ from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.among import settle_among_several
 from softfinger.proxy.kernels.contact.several_objects import find_candidates, outcome_among_several
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
-from softfinger.proxy.kernels.model import NONE, Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
-from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.model import NONE, Bodies, Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.query.bodies import SUBSTEPS, push_bodies, step_bodies
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
 
 @jit
 def step(scene: Scene, state: State, poses: Any, dt: float) -> tuple[State, Any]:
-    """Advance the world by one tick, and every finger over it.
+    """Advance the world by one tick, and every finger over it; what bodies are pushed by is with them for their step.
 
     scene     Scene   what is modelled, with its parameters
     state     State   what the last tick left
@@ -32,10 +33,57 @@ def step(scene: Scene, state: State, poses: Any, dt: float) -> tuple[State, Any]
     dt        s       time since the last tick; 0 freezes velocity and damping
     returns   State, and a Contact for each finger
     """
+    return step_with(scene.bodies, scene, state, poses, dt)
+
+
+@by_type
+def step_with(bodies: Any, scene: Scene, state: State, poses: Any, dt: float) -> Any:
+    """`step`, by whether bodies move by themselves."""
+
+
+@step_with.of(None)
+def step_without_bodies(bodies: None, scene: Scene, state: State, poses: Any, dt: float) -> Any:
     world = advance(scene.objects, state.world, dt)
     objects = place_all(scene.objects, world.poses, world.was)
     fingers, contacts = step_fingers(scene.fingers, scene, objects, state.fingers, poses, dt)
     return State(world=world, fingers=fingers), contacts
+
+
+@step_with.of(Bodies)
+def step_with_bodies(bodies: Bodies, scene: Scene, state: State, poses: Any, dt: float) -> Any:
+    """In substeps of equal length, the fingers going straight from their last poses to these."""
+    count = bodies.block[SUBSTEPS]
+    begin = state.fingers
+    state, contacts = step_without_bodies(None, scene, state, on_the_way(begin, poses, 1.0 / count), dt / count)
+    push_bodies(bodies, contacts, state.fingers)
+    for i in range(1, count):
+        step_bodies(bodies)
+        there = on_the_way(begin, poses, (i + 1.0) / count)
+        state, contacts = step_without_bodies(None, scene, state, there, dt / count)
+        push_bodies(bodies, contacts, state.fingers)
+    return state, contacts
+
+
+@by_count
+def on_the_way(fingers: Any, poses: Any, share: float) -> Any:
+    """Poses a share of the way from those of each FingerState to the given ones; a finger without one is there."""
+
+
+@on_the_way.of(1)
+def one_on_its_way(fingers: Any, poses: Any, share: float) -> Any:
+    probe, pose = fingers[0].probe, poses[0]
+    if share == 1.0 or fingers[0].started == 0.0:
+        return (pose,)
+    way = vec3.sub(pose.position, probe.position)
+    turn = rotations.log(rotations.relative(pose.orientation, probe.orientation))
+    turned = rotations.multiply(rotations.exp(vec3.scale(share, turn)), probe.orientation)
+    return (Pose(vec3.add_scaled(probe.position, share, way), turned),)
+
+
+@on_the_way.of(2)
+def several_on_their_way(fingers: Any, poses: Any, share: float) -> Any:
+    # numba joins tuples of known types, and does not unpack one inside another.
+    return one_on_its_way(fingers[:1], poses[:1], share) + on_the_way(fingers[1:], poses[1:], share)
 
 
 @by_count

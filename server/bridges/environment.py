@@ -22,6 +22,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, load_rig, load_scene
 from softfinger.drivers.simulated.options import Hand, Options, simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
+from softfinger.proxy.bodies import begin_bodies
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.proxy.records import Records
@@ -107,7 +108,7 @@ class Touch(gymnasium.Env[Observation, Array]):
         options = Options(position_m=self.setup.home_m, hand=self.setup.hand)
         self._device = simulation(options, self.setup.rate_hz)
         self._tuning = packed(make_tuning(self.config, guard))
-        self._begin = begin(make_tuning(self.config, guard).scene)
+        self._begin = begin(self._tuning.like.scene)
         self._dt = 1.0 / self.setup.rate_hz
         self._speeds = np.array([self.setup.speed_m_per_s] * 3 + [self.setup.turn_rad_per_s] * 3)
         self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)
@@ -158,6 +159,7 @@ class Touch(gymnasium.Env[Observation, Array]):
         return False
 
     def _start(self) -> None:
+        begin_bodies(self._tuning.like.scene, self._dt)
         self._memory, self._state = packed(self._begin), packed(self._device.state)
         self._line = np.zeros(LINE_SIZE)
         self._goal: Array = np.array([*self.setup.home_m, 1.0, 0.0, 0.0, 0.0])

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from softfinger.drivers.base import END
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
-from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
+from softfinger.proxy.kernels.query.bodies import move_bodies
 from softfinger.server.loop.all_devices import (
     Io,
     Line,
@@ -30,7 +31,7 @@ from softfinger.server.loop.all_devices import (
     write_all,
     write_zeros,
 )
-from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, sleep_until
+from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
 from softfinger.server.loop.shared.ring import Ring, push
@@ -52,14 +53,16 @@ class Schedule(NamedTuple):
 
 class Shared(NamedTuple):
     """Memory the loop shares with Python: stop word, ticks and misses so far, of the loops before it too, and whether
-    it was woken late when it ended for want of time, parameter slot, ring of records, eventfd that wakes its reader.
-    The ring has a row a tick: the records of all fingers, one after the other."""
+    it was woken late when it ended for want of time, parameter slot, ring of records, eventfd that wakes its reader,
+    slot of the motion of bodies (query.bodies). The ring has a row a tick: the records of all fingers, one after the
+    other."""
 
     stop: NDArray[np.int64]
     progress: NDArray[np.int64]
     tuning: Slot
     ring: Ring
     wake_fd: int
+    motion: Slot
 
 
 class Scratch(NamedTuple):
@@ -71,6 +74,41 @@ class Scratch(NamedTuple):
     row: NDArray[np.float64]
     lines: tuple[Line, ...]
     way: Way
+    motion: NDArray[np.float64]
+
+
+@jit
+def newest_parameters(
+    slot: Slot, seen: int, scratch: Scratch, tuning_like: Tuning, tuning: Tuning
+) -> tuple[int, Tuning]:
+    """The parameters of this tick, on their way to the newest that are wanted, and the version of those."""
+    newest = refresh(slot, seen, scratch.values)
+    if newest != seen:
+        head_for(scratch.way, scratch.values)
+    if scratch.way.left[0] > 0:
+        advance(scratch.way)
+        tuning = unpack(tuning_like, scratch.way.now)
+    return newest, tuning
+
+
+@jit
+def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
+    """The loop's part of a record: when it was due, began and was written, ns; `busy` is of the tick before."""
+    return Stamp(
+        timestamp=(woke + schedule.epoch_ns) / NS_PER_S,
+        late=(woke - pace.deadline) / NS_PER_S,
+        exec=(wrote - woke) / NS_PER_S,
+        missed=pace.missed,
+        busy=busy / NS_PER_S,
+    )
+
+
+@jit
+def hand_over_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
+    """Give a tick's records to their reader, and wake it; `ticks` are done with this one."""
+    push(shared.ring, row)
+    store_release(shared.progress, 0, ticks)
+    _eventfd_write(shared.wake_fd, 1)
 
 
 @entry
@@ -85,8 +123,7 @@ def servo_loop(
     timespec, lines = scratch.timespec, scratch.lines
     seen = refresh(shared.tuning, -1, scratch.values)
     stay(scratch.way, scratch.values)
-    tuning = unpack(tuning_like, scratch.way.now)
-    memory = start
+    tuning, memory = unpack(tuning_like, scratch.way.now), start
     nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
     health, dt = HEALTHY, nominal
@@ -99,14 +136,7 @@ def servo_loop(
         sleep_until(pace.deadline, timespec)
         woke = now_ns(timespec)
 
-        newest = refresh(shared.tuning, seen, scratch.values)
-        if newest != seen:
-            seen = newest
-            head_for(scratch.way, scratch.values)
-        if scratch.way.left[0] > 0:
-            advance(scratch.way)
-            tuning = unpack(tuning_like, scratch.way.now)
-
+        seen, tuning = newest_parameters(shared.tuning, seen, scratch, tuning_like, tuning)
         befores, statuses = read_all(ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
         place, status = ended(statuses)
         if place >= 0:
@@ -116,25 +146,17 @@ def servo_loop(
         memory = tick(tuning, start, memory, samples_of(lines), dt, nominal, number, records_of(lines))
         hands, statuses_out = write_all(ios, lines, tuning.tools, start.fingers, befores, memory.fingers)
         wrote = now_ns(timespec)
+        warned = move_bodies(tuning.scene.bodies, number, shared.motion, scratch.motion)
         place, status_out = ended(statuses_out)
         if place >= 0:
             ending, status, finger = WRITE_FAILED, status_out, place
             break
         memory = Memory(memory.world, hands)
 
-        late = (woke - pace.deadline) / NS_PER_S
-        stamp = Stamp(
-            timestamp=(woke + schedule.epoch_ns) / NS_PER_S,
-            late=late,
-            exec=(wrote - woke) / NS_PER_S,
-            missed=pace.missed,
-            busy=busy / NS_PER_S,
-        )
+        stamp = stamp_of(schedule, pace, woke, wrote, busy)
         stamp_all(lines, stamp, statuses, statuses_out)
-        push(shared.ring, scratch.row)
         number += 1
-        store_release(shared.progress, 0, number)
-        _eventfd_write(shared.wake_fd, 1)
+        hand_over_record(shared, scratch.row, number)
 
         done = now_ns(timespec)
         busy = done - woke
@@ -142,7 +164,7 @@ def servo_loop(
         store_release(shared.progress, 1, pace.missed)
         dt = nominal if schedule.own_clock else pace.dt
         bits, place = guarded_bits(lines)
-        health, fault = examine(health, bits, late, dt, nominal)
+        health, fault = examine(health, bits, warned, stamp.late, dt, nominal)
         if fault != 0:
             ending, finger = fault, place
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import Device
+from softfinger.proxy.bodies import begin_bodies, motion_size
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import shutdown
@@ -115,6 +116,7 @@ class Servo:
     def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
         """A loop for this servo: the first one, or one to `replace` it, with as many fingers."""
         values, period = leaves(tuning), period_ns(rate_hz)
+        begin_bodies(tuning.scene, period / NS_PER_S)
         row = np.zeros(len(devices) * RECORD_SIZE)
         held_max = int(HELD_MAX_S * rate_hz)
         lines = tuple(make_line(record, held_max) for record in np.split(row, len(devices)))
@@ -122,7 +124,8 @@ class Servo:
         ring = self._rings[-1] if self._rings else None
         if ring is None or len(ring.slots) != capacity:
             ring = make_ring(capacity, len(row))
-        shared = Shared(*self._words, make_slot(values), ring, self._wake_fd)
+        motion = np.zeros(motion_size(tuning.scene))
+        shared = Shared(*self._words, make_slot(values), ring, self._wake_fd, make_slot(motion))
         arguments = (
             tuning,
             begin(tuning.scene),
@@ -135,6 +138,7 @@ class Servo:
                 row,
                 lines,
                 make_way(tuning, round(self._ramp_s * rate_hz)),
+                motion,
             ),
         )
         return Loop(tuple(devices), tuning, shared, arguments)

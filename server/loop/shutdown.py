@@ -165,6 +165,11 @@ def loop_failure(ended: Ended, ticks: int, missed: int, woken_late: bool) -> Hap
             f"the scene gave no finite force for {health.SILENCE_MAX_S:g} s: zero force was commanded; "
             "softfinger check names values that do not go together, else report the scene"
         )
+    if ended.ending == health.DIVERGED:
+        return SafetyStop(
+            "the bodies of [world] can be simulated no further (a number that is none, or memory that is full): zero "
+            "force was commanded; lower stiffness_n_per_m, raise damping_ns_per_m or world.substeps, then start again"
+        )
     if ended.ending != health.STARVED:
         return None
     where, remedy = "in the device's exchange", "see to the device and its cable, or take a lower servo.rate_hz"

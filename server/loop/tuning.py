@@ -57,7 +57,7 @@ def _built(scene: schema.Scene) -> model.Scene:
 
 def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
     """The tuning with other parameters of its scene, and the same guard."""
-    return tuning._replace(scene=build_scene(scene), passivity=_passivity(scene.passivity))
+    return tuning._replace(scene=build_scene(scene, tuning.scene), passivity=_passivity(scene.passivity))
 
 
 def _tell_what_is_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo) -> None:

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Plant, PlantState, advance, goal_at, sense
+from softfinger.proxy.bodies import begin_bodies
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
@@ -101,6 +103,7 @@ def close_loop(
         x, q = sense(plant, state), state.orientation
         sample: Any = (x[0], x[1], x[2], q[0], q[1], q[2], q[3])
         contact = tick(tuning, start, contact, (sample,), dt, dt, number, (NOWHERE,))
+        step_bodies(tuning.scene.bodies)
         force = contact.fingers[0].guarded.force
         goal, orientation = goal_at(drive.intention, drive.poses, number + 1)
         before = state.position
@@ -144,6 +147,7 @@ def record_ticks(
         x, q = sense(plant, state), state.orientation
         sample: Any = (x[0], x[1], x[2], q[0], q[1], q[2], q[3])
         memory = tick(tuning, start, memory, (sample,), dt, dt, first + i, (records[i],))
+        step_bodies(tuning.scene.bodies)
         records[i, 0] = (first + i) * dt
         goal, orientation = goal_at(drive.intention, drive.poses, first + i + 1)
         state = advance(plant, state, memory.fingers[0].guarded.force, goal, orientation, drive.line)
@@ -158,6 +162,7 @@ def run_closed_loop(tuning: Tuning, device: Simulation, rate_hz: float, ticks: i
     timing and device are 0.
     """
     dt = period_ns(rate_hz) / NS_PER_S
+    begin_bodies(tuning.scene, dt)
     scene_and_guard, memory, state = packed(tuning), packed(begin(tuning.scene)), packed(device.state)
     drive = Drive(device.intention, device.poses, np.zeros(LINE_SIZE))
     with progress("simulating", ticks) as done:

@@ -17,10 +17,12 @@ from softfinger.config.schema.pairing import single_device
 from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
+from softfinger.proxy.bodies import begin_bodies
 from softfinger.proxy.engine import check_poses
 from softfinger.proxy.kernels.fingers import rows_of
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
+from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.clock import NS_PER_S, period_ns
@@ -53,6 +55,7 @@ def tick_many(
     for i in range(poses.shape[0]):
         samples, rows = rows_of(memory.fingers, poses[i], 0), rows_of(memory.fingers, records[i], 0)
         memory = tick(tuning, start, memory, samples, dts[i], period, first + i, rows)
+        step_bodies(tuning.scene.bodies)
     pack(memory_packed.values, memory)
 
 
@@ -79,6 +82,7 @@ def over_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Array]:
         check_poses(poses[:, place])
     dt = period_ns(rate_hz) / NS_PER_S
     dts = np.full(min(len(poses), CHUNK), dt)
+    begin_bodies(tuning.scene, dt)
     scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
     with progress("simulating", len(poses)) as done:
         for first in range(0, len(poses), CHUNK):

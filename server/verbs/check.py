@@ -26,6 +26,7 @@ from softfinger.config.schema import (
     Servo,
     Texture,
     Textured,
+    World,
 )
 from softfinger.config.words import near, shown
 
@@ -161,7 +162,17 @@ def scene_summary(scene: Scene) -> list[tuple[str, str]]:
     for item in scene.object:
         rows += _object_rows(item, scene.soft)
     rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
-    return rows
+    return rows + ([] if scene.world is None else _world_rows(scene.world))
+
+
+def _world_rows(world: World) -> list[tuple[str, str]]:
+    """The model, and how its geoms were taken where that is not as they are."""
+    from softfinger.config.mjcf import taken
+
+    geoms = list(taken(world))
+    touched = sum(geom.object is not None for geom in geoms)
+    rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
+    return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
 
 
 def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
@@ -175,6 +186,8 @@ def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
     drags = "left out: nothing sticks"
     if any(item.material.friction is not None for item in scene.object):
         drags = f"{coupling.stiffness_n_per_m:g} N/m, {coupling.damping_ns_per_m:g} N s/m"
+        if coupling.torsional_damping_nms_per_rad:
+            drags += f", torsion damped by {coupling.torsional_damping_nms_per_rad:g} N m s/rad"
     what, moved = ("fingertip", "") if not finger.name else (f"finger '{finger.name}'", f", moved by {finger.device}")
     within = "" if not finger.name else "  "
     return [

@@ -9,7 +9,8 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_rig, load_scene, shipped
+from softfinger.config.schema import Rig
 from softfinger.drivers import base
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.proxy.scene import explain
@@ -45,7 +46,11 @@ OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", help=f"rig file or the name of a shipped one (default: {RIG}; with --view {LED_RIG})")
+    parser.add_argument(
+        "--rig",
+        help=f"rig file or the name of a shipped one (default: simulated-SCENE where there is one, else {RIG}, with "
+        f"--view {LED_RIG})",
+    )
     parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
     for flag, _, kind, metavar, text in OVERRIDES:
         parser.add_argument(flag, type=kind, metavar=metavar, help=text)
@@ -69,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if args.view:
         check_viewer()
     with making("kernels that call the device"):  # as its driver is imported
-        rig = load_rig(args.rig or (LED_RIG if args.view else RIG), changes, sources)
+        rig = load_rig(args.rig or default_rig(args.scene, args.view), changes, sources)
     scene = load_scene(args.scene)
     rate = rig.servo.rate_hz
     ticks = None if args.duration is None else max(1, round(args.duration * rate))
@@ -118,6 +123,14 @@ def run(args: argparse.Namespace) -> int:
         if failed is not None and failed is not first:
             raise failed
     return signals.code_of_stop()
+
+
+def default_rig(scene: str, view: bool) -> str:
+    """The rig of a run that names none: the shipped one of its scene, or one that fits every scene of one finger."""
+    own = f"simulated-{scene}"
+    if own in shipped(Rig):
+        return own
+    return LED_RIG if view else RIG
 
 
 def report_settings(settings: list[Setting]) -> None:

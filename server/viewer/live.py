@@ -80,6 +80,7 @@ class LivePage:
         self._handles.step()
         for finger, rows in news.ticks.items():
             self._hand.see(finger, rows[-1])
+        self._page.ride(news.bodies)
         self._page.show({finger: rows[rows[:, AT.tick] >= self._first] for finger, rows in news.ticks.items()})
 
     def _look(self) -> None:

@@ -7,7 +7,7 @@ import html
 import io
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +19,7 @@ from softfinger.config.load import build
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.controls import on_slider
 from softfinger.server.viewer.door.access import Access
-from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server.viewer.nodes.bodies import Began, Bodies, Place
 from softfinger.server.viewer.nodes.camera import Camera, camera_of
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.looks import Looks
@@ -121,6 +121,11 @@ class Page:
         """A driven object of the scene has been moved."""
         if self._bodies is not None:
             self._bodies.drive(number, position, orientation)
+
+    def ride(self, bodies: Mapping[str, Place]) -> None:
+        """Bodies of the scene's [world] are there, by name."""
+        if self._bodies is not None and not self._paused.value:
+            self._bodies.ride(bodies)
 
     def draw(self, number: int, mesh: Mesh) -> None:
         """The triangles of an object of the scene that is made of a file."""

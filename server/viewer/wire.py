@@ -14,7 +14,7 @@ from softfinger.config.errors import HapticError
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client import record_of, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, finger_of
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, finger_of
 
 KEPT: Final = 8192
 """Ticks of a finger that are kept until they are taken."""
@@ -23,19 +23,21 @@ WAIT_S: Final = 0.2
 
 
 class News(NamedTuple):
-    """What has come since the last time: records (n, RECORD_SIZE) by finger, and events."""
+    """What has come since the last time: records (n, RECORD_SIZE) by finger, events, and where bodies are by name."""
 
     ticks: dict[str, NDArray[np.float64]]
     events: list[dict[str, Any]]
+    bodies: dict[str, Any]
 
 
 class Live:
     """What a running daemon publishes. `problem` says why nothing comes that can be shown, or is empty."""
 
     def __init__(self, endpoint: str, keys: ClientKeys | None) -> None:
-        self._samples = subscribe(endpoint, (CONTACT, FINGERS, EVENT), keys=keys)
+        self._samples = subscribe(endpoint, (CONTACT, FINGERS, EVENT, WORLD), keys=keys)
         self._rows: dict[str, deque[list[float]]] = {}
         self._events = deque[dict[str, Any]](maxlen=KEPT)
+        self._bodies: dict[str, Any] = {}
         self._closing = threading.Event()
         self.problem = ""
         self._thread = threading.Thread(target=self._gather, name="ticks", daemon=True)
@@ -51,7 +53,9 @@ class Live:
             if sample is None:
                 continue
             finger = finger_of(sample.topic)
-            if finger is None:
+            if sample.topic == WORLD:
+                self._bodies = {body.name: (body.position, body.orientation) for body in sample.data.bodies}
+            elif finger is None:
                 self._events.append(sample.data)
             else:
                 self._rows.setdefault(finger, deque(maxlen=KEPT)).append(record_of(sample))
@@ -59,7 +63,7 @@ class Live:
     def take(self) -> News:
         """What has come since the last time."""
         ticks = {finger: np.array(rows) for finger, held in list(self._rows.items()) if (rows := _emptied(held))}
-        return News(ticks, _emptied(self._events))
+        return News(ticks, _emptied(self._events), self._bodies)
 
     def close(self) -> None:
         self._closing.set()

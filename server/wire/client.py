@@ -27,7 +27,16 @@ from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
-from softfinger.server.wire.protocol import CONTACT, FINGERS, TOPICS, ProtocolError, contact_topic, decode, finger_of
+from softfinger.server.wire.protocol import (
+    CONTACT,
+    FINGERS,
+    TOPICS,
+    WORLD,
+    ProtocolError,
+    contact_topic,
+    decode,
+    finger_of,
+)
 from softfinger.server.wire.waits import milliseconds
 
 DEFAULT_ENDPOINT: Final = "tcp://127.0.0.1:5555"
@@ -95,11 +104,11 @@ class Subscription(Closing):
         self, endpoint: str, topics: Sequence[str], timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
         topics = [topics] if isinstance(topics, str) else topics
-        unknown = [topic for topic in topics if topic not in TOPICS and not topic.startswith(FINGERS)]
+        unknown = [topic for topic in topics if topic not in (*TOPICS, WORLD) and not topic.startswith(FINGERS)]
         if unknown or not topics:
             raise ConfigError(
-                f"topics = {list(topics)}: choose from {', '.join(TOPICS)}, {FINGERS}NAME for one of several fingers, "
-                f"or {FINGERS} for all of them"
+                f"topics = {list(topics)}: choose from {', '.join((*TOPICS, WORLD))}, {FINGERS}NAME for one of "
+                f"several fingers, or {FINGERS} for all of them"
             )
         self.endpoint = endpoint
         self.topics: Final = tuple(topics)

@@ -26,10 +26,15 @@ EVENT: Final = "event"
 HEALTH: Final = "health"
 STATE: Final = "state"
 SCHEMA_TOPIC: Final = "schema"
+WORLD: Final = "world"
+"""Of a scene whose bodies move by themselves."""
 TOPICS: Final = (CONTACT, EVENT, HEALTH, STATE, SCHEMA_TOPIC)
 """Of a server with a single finger."""
 FINGERS: Final = poses.FINGERS
 """Of several fingers each has a topic of its own in place of `contact`: this and its name."""
+
+WORLD_HZ: Final = 60.0
+"""How often `world` is sent: as often as a picture is drawn."""
 
 STATE_HZ: Final = 200.0
 """How often `state` is sent: one tick in so many that it comes nearest to this."""
@@ -172,6 +177,17 @@ STATE_KEYS: Final = (
 )
 """Those of hapticore's state message, and no other: its client takes it into a record of exactly these."""
 
+WORLD_KEYS: Final = (
+    _SCHEMA_KEY,
+    Key("timestamp", "float", "s", "", "when it was sent, since the epoch"),
+    _TICK_KEY,
+    Key("bodies[].name", "str", "", "", "name of the body in the model, or its number"),
+    Key("bodies[].position", "float[3]", "m", "world", "origin of its frame"),
+    Key("bodies[].orientation", "float[4]", "1", "world", "quaternion w, x, y, z, body to world"),
+    Key("bodies[].velocity", "float[3]", "m/s", "world", "velocity of the origin"),
+    Key("bodies[].rate", "float[3]", "rad/s", "world", "angular velocity"),
+)
+
 SCHEMA_KEYS: Final = (
     _SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "when the server was started, since the epoch"),
@@ -208,6 +224,7 @@ def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
 ContactMessage: Final = _struct("ContactMessage", CONTACT_KEYS)
 HealthMessage: Final = _struct("HealthMessage", HEALTH_KEYS)
 StateMessage: Final = _struct("StateMessage", STATE_KEYS)
+WorldMessage: Final = _struct("WorldMessage", WORLD_KEYS)
 _EventHead: Final = _struct("EventHead", EVENT_KEYS)
 _SchemaHead: Final = _struct("SchemaHead", SCHEMA_KEYS[:2])
 
@@ -217,6 +234,7 @@ _DECODERS: Final[dict[str, msgspec.msgpack.Decoder[Any]]] = {
     HEALTH: msgspec.msgpack.Decoder(HealthMessage),
     EVENT: msgspec.msgpack.Decoder(_EventHead),
     STATE: msgspec.msgpack.Decoder(StateMessage),
+    WORLD: msgspec.msgpack.Decoder(WorldMessage),
     SCHEMA_TOPIC: msgspec.msgpack.Decoder(_SchemaHead),
 }
 _OPEN: Final = (EVENT, SCHEMA_TOPIC)
@@ -252,16 +270,15 @@ def encode(message: dict[str, Any]) -> bytes:
 def decode(topic: bytes, body: bytes) -> Any:
     """Decode one message strictly.
 
-    Returns a struct for `contact`, `finger/...`, `health` and `state`, a dict for `event`, whose keys depend on its
-    kind, and `schema`.
-    Unknown keys are ignored. Raises ProtocolError for whatever is not in docs/protocol.md.
+    Returns a struct for `contact`, `finger/...`, `health`, `state` and `world`, a dict for `event`, whose keys depend
+    on its kind, and `schema`. Unknown keys are ignored. Raises ProtocolError for whatever is not in docs/protocol.md.
     """
     name = topic.decode("ascii", "replace")
     decoder = _DECODERS.get(CONTACT if name.startswith(FINGERS) else name)
     if decoder is None:
         raise ProtocolError(
-            f"unknown topic {name[:40]!r}: expected one of {', '.join(TOPICS)} or {FINGERS}NAME; is another program "
-            "publishing here?"
+            f"unknown topic {name[:40]!r}: expected one of {', '.join((*TOPICS, WORLD))} or {FINGERS}NAME; is another "
+            "program publishing here?"
         )
     if len(body) > MAX_BYTES:
         raise ProtocolError(f"{name} message of {len(body)} bytes is longer than the limit {MAX_BYTES}")
@@ -294,7 +311,7 @@ def _schema_of(body: bytes) -> int | None:
 def wire_schema() -> dict[str, Any]:
     """All messages and their keys as plain data, for `softfinger schema`."""
     tables: dict[str, Sequence[Key]] = {CONTACT: CONTACT_KEYS, EVENT: EVENT_KEYS, HEALTH: HEALTH_KEYS}
-    tables |= {STATE: STATE_KEYS, SCHEMA_TOPIC: SCHEMA_KEYS}
+    tables |= {STATE: STATE_KEYS, WORLD: WORLD_KEYS, SCHEMA_TOPIC: SCHEMA_KEYS}
     tables |= {f"{EVENT} of kind {kind}": keys for kind, keys in EVENT_EXTRA_KEYS.items()}
     return {
         "schema": SCHEMA,

@@ -32,6 +32,7 @@ from softfinger.server.wire.protocol import (
     SCHEMA_TOPIC,
     STATE,
     STATE_HZ,
+    WORLD,
     contact_topic,
     encode,
     wire_schema,
@@ -59,6 +60,7 @@ class Publisher(Closing):
 
     backlog   messages kept for a subscriber that stalls
     priority  of SCHED_FIFO that the process asks for; 0: for none
+    bodies    whether `world` may be called
     """
 
     def __init__(
@@ -71,11 +73,12 @@ class Publisher(Closing):
         commands: str | None = None,
         backlog: int = BACKLOG,
         priority: int = 0,
+        bodies: bool = False,
     ) -> None:
         if every < 1:
             raise ConfigError(f"[telemetry] every = {every} is below 1: 1 publishes each tick, 10 one in ten")
         self._lock = threading.Lock()
-        self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, SCHEMA_TOPIC]
+        self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *([WORLD] if bodies else []), SCHEMA_TOPIC]
         self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
         self._backlog, self._priority, self._shown, self._health_body = backlog, priority, Shown(), b""
         self._events = [RecordEvents(guard_names, finger, place == 0) for place, finger in enumerate(fingers)]
@@ -216,6 +219,13 @@ class Publisher(Closing):
                 EVENT, fields | {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
             )
 
+    def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
+        """Send where the bodies of a scene were in a tick: maps with the keys of WORLD_KEYS; from any thread."""
+        with self._lock:
+            if not self._closed:
+                content = {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "bodies": bodies}
+                self._send(WORLD, content)
+
     def close(self) -> None:
         """Send what is under way, for at most LINGER_S, and free the endpoint. Any number of times."""
         with self._lock:
@@ -233,7 +243,7 @@ class Publisher(Closing):
             return
         if topic == HEALTH:
             self._health_body = body
-        self._link.say(Kind.RETAINED if topic == HEALTH else Kind.MESSAGE, topic.encode(), body)
+        self._link.say(Kind.RETAINED if topic in (HEALTH, WORLD) else Kind.MESSAGE, topic.encode(), body)
 
 
 def _tick_of(event: dict[str, Any]) -> int:

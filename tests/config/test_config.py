@@ -227,7 +227,7 @@ SCENE_FAULTS = [
     ("object[0]", 5, ["object[0] = 5: must be a table"]),
     ("object", [], ["object = []: must be a list of 1 to 256 tables, this has 0"]),
     ("object", {}, ["object = a table: must be a list of 1 to 256 tables: write [[object]]"]),
-    ("object", ..., ["object is missing: add at least one table [[object]]"]),
+    ("object", ..., ["object: is missing: add at least one table [[object]]"]),
 ]
 
 RIG_FAULTS = [
@@ -521,7 +521,7 @@ def test_ceilings_cannot_be_raised_by_a_file() -> None:
         (b"a = " + b"9" * 5000, ["not usable", "4300"]),
         (b"a = " + b"[" * 5000, ["bad.toml"]),
         (b"#" * (1 << 20) + b"#", ["larger than 1048576 bytes"]),
-        (b"", ["fingertip: is missing", "object is missing"]),
+        (b"", ["fingertip: is missing", "object: is missing"]),
     ],
     ids=["syntax", "twice", "latin-1", "huge", "deep", "large", "empty"],
 )
@@ -564,7 +564,7 @@ def test_byte_order_mark_and_nan_in_a_file(tmp_path: Path) -> None:
     text = str(caught.value)
     assert "fingertip.radius_m = nan" in text
     assert "coupling.stiffness_n_per_m = inf" in text
-    assert "marked.toml: object is missing" in text
+    assert "marked.toml: object: is missing" in text
 
 
 # --- overrides -----------------------------------------------------------------------------------

@@ -51,6 +51,7 @@ STAND_INS = {
     "effects.objects.effects_of_none",
     "effects.objects.effects_of_one",
     "query.motion.pose_at_rest",
+    "friction.torsion.damped_nothing",
     "query.motion.no_moving_pose",
     "query.motion.not_carried",
     "shapes.protocol.never_hollow",

@@ -66,7 +66,7 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
     assert "replay: rig, usable" in out
     for part in [
         "fingertip.radius_m = 0",
-        "object is missing",
+        "object: is missing",
         "rig.toml [device]: lop is not a key here (did you mean 'loop'?)",
         "driver.toml: device.driver = 'replya'",
         "both.toml: both scene (fingertip) and rig (device)",

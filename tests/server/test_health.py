@@ -11,7 +11,7 @@ T = 0.001
 
 @entry
 def examined(health, bits, late, dt, period):
-    return h.examine(health, bits, late, dt, period)
+    return h.examine(health, bits, 0, late, dt, period)
 
 
 def after(ticks, health=h.HEALTHY):

@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import msgpack
+import numpy as np
 import pytest
 import zmq
 from helpers.telemetry_records import join, put, synthetic
@@ -24,6 +25,7 @@ from softfinger.server.publishing.readers import SUBSCRIPTION_MAX
 from softfinger.server.publishing.setup import REQUEST_MAX
 from softfinger.server.services.commands import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import described
+from softfinger.server.services.world import told
 from softfinger.server.wire import commands, envelope
 from softfinger.server.wire.link import LOG_PERIOD_S
 from softfinger.server.wire.native import memory
@@ -39,6 +41,8 @@ from softfinger.server.wire.protocol import (
     STATE_HZ,
     STATE_KEYS,
     TOPICS,
+    WORLD,
+    WORLD_KEYS,
     wire_schema,
 )
 from softfinger.server.wire.publisher import BACKLOG, LINGER_S, Publisher
@@ -52,6 +56,7 @@ CODE_TABLES = {
     "event": EVENT_KEYS,
     "health": HEALTH_KEYS,
     "state": STATE_KEYS,
+    "world": WORLD_KEYS,
     "schema": SCHEMA_KEYS,
     **{f"event {kind}": keys for kind, keys in EVENT_EXTRA_KEYS.items()},
 }
@@ -116,9 +121,12 @@ def real_messages():
     put(records[30:], "servo.missed", 2)
     found = []
     context = zmq.Context.instance()
-    with Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES) as publisher, context.socket(zmq.SUB) as socket:
+    with (
+        Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES, bodies=True) as publisher,
+        context.socket(zmq.SUB) as socket,
+    ):
         socket.rcvhwm = 10_000
-        for topic in TOPICS[:-1]:
+        for topic in (*TOPICS[:-1], WORLD):
             socket.subscribe(topic)
         socket.connect(publisher.endpoint)
         join(publisher, socket)
@@ -126,6 +134,7 @@ def real_messages():
         publisher.publish(records)
         puck = Attached("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
         publisher.event("device", "attached", **described(puck))
+        publisher.world(5, told(["box"], np.arange(14.0)))
         publisher.event("command", "arm", command_id="a1", what={"armed": True})
         publisher.event("mark", "mark", command_id="a2", label="x", data={"a": {"b": 1}})
         publisher.event("lifecycle", "stopped")

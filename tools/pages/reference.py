@@ -84,6 +84,7 @@ when each event is sent. A scene with several fingers has the topic `finger/NAME
         "## `event`": protocol.EVENT_KEYS,
         **{f"### Kind `{kind}`": keys for kind, keys in protocol.EVENT_EXTRA_KEYS.items()},
         "## `health`": protocol.HEALTH_KEYS,
+        "## `world`": protocol.WORLD_KEYS,
         "## `schema`": protocol.SCHEMA_KEYS,
     }
     parts = [part for heading, keys in tables.items() for part in (heading, keys_table(keys))]

@@ -166,6 +166,7 @@ def outcome_alone(
         bending = vec3.scale(ease * ease, bending)
     pressing = vec3.scale(load, rest.felt[0].normal)
     torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    torque = vec3.add(torque, bending)
     reported = ContactOutcome(
         object=number_of(shapes, 0.0),
         point=point_under(finger.form, finger.radius, probe.orientation, rest.center, normal),
@@ -173,6 +174,7 @@ def outcome_alone(
         force=vec3.add(pressing, tangential),
         mode=kept.mode,
         spin=kept.spin,
+        torque=torque,
     )
     cause = kept.cause if kept.cause != CAUSE_NONE else candidate.cause
     return Outcome(
@@ -189,7 +191,7 @@ def outcome_alone(
         tangential=tangential,
         effects=effects.force,
         effect_states=effects.states,
-        torque=vec3.add(torque, bending),
+        torque=torque,
         torsion=moment,
         spin=kept.spin,
         radius=friction.area.radius,

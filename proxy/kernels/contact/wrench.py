@@ -68,7 +68,11 @@ def wrench_of(rolling: Any, finger: Finger, objects: Any, contact: ContactState,
     kept = stick_slip(
         turned(material.friction, pose_of(objects, contact.body).orientation),
         torsion_under(share_of(material.torsion, share), area),
-        Coupling(share * finger.coupling.stiffness, share * finger.coupling.damping),
+        Coupling(
+            share * finger.coupling.stiffness,
+            share * finger.coupling.damping,
+            share * finger.coupling.torsional_damping,
+        ),
         share * finger.torque_stiffness,
         seen,
     )
@@ -117,4 +121,5 @@ def outcome_of(objects: Any, wrench: Wrench, finger: Finger, orientation: Quater
         force=vec3.add(wrench.normal_force, wrench.tangential_force),
         mode=contact.mode,
         spin=wrench.spin,
+        torque=wrench.torque,
     )

@@ -12,7 +12,7 @@ from typing import Any
 from softfinger.proxy.kernels.friction.laws import cone, load_size
 from softfinger.proxy.kernels.friction.limit_surface import room, slide
 from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_to_the_letter
-from softfinger.proxy.kernels.friction.torsion import wind
+from softfinger.proxy.kernels.friction.torsion import damped, wind
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import (
@@ -57,7 +57,8 @@ def slide_freely(
     return FrictionResult(
         mode=float(SLIDING), cause=float(CAUSE_NONE), deflection=zero, rolled_part=zero, slip_speed=0.0,
         slip_deflection=0.0, spin=wound.spin, spin_slip_speed=wound.slip_speed, spin_slip_angle=wound.slip_angle,
-        force=zero, moment=wound.moment,
+        force=zero,
+        moment=damped(torsion, coupling.torsional_damping, wound.moment, wound.spin - given.spin, given),
     )  # fmt: skip
 
 
@@ -186,7 +187,8 @@ def stick_slip_by_law(
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled_part, slip_speed=slip_speed,
         slip_deflection=slip_deflection, spin=now.spin, spin_slip_speed=now.slip_speed,
-        spin_slip_angle=now.slip_angle, force=force, moment=now.moment,
+        spin_slip_angle=now.slip_angle, force=force,
+        moment=damped(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ Contact breaking is the contact's own, not the paper's f_N = 0.
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.torsion import wind
+from softfinger.proxy.kernels.friction.torsion import damped, wind
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResult, PaperFriction
 from softfinger.proxy.kernels.numerics import vec3
@@ -62,5 +62,6 @@ def stick_slip_to_the_letter(
     )
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled, slip_speed=0.0, slip_deflection=0.0,
-        spin=now.spin, spin_slip_speed=now.slip_speed, spin_slip_angle=now.slip_angle, force=force, moment=now.moment,
+        spin=now.spin, spin_slip_speed=now.slip_speed, spin_slip_angle=now.slip_angle, force=force,
+        moment=damped(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
     )  # fmt: skip

@@ -9,7 +9,14 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import LimitSurface, PatchTorsion, PowerTorsion, SoftFingerProxy, Torsion
+from softfinger.proxy.kernels.model import (
+    FrictionInput,
+    LimitSurface,
+    PatchTorsion,
+    PowerTorsion,
+    SoftFingerProxy,
+    Torsion,
+)
 
 SPIN_SLIP_TIME_CONSTANT_S = 0.010
 """Low-pass of the anchor's slip, as that of the tangential slip."""
@@ -156,6 +163,39 @@ def share_of_limit_surface(torsion: LimitSurface, share: float) -> LimitSurface:
 @share_of.of(SoftFingerProxy)
 def share_of_soft_finger(torsion: SoftFingerProxy, share: float) -> SoftFingerProxy:
     return SoftFingerProxy(share_of(torsion.law, share), torsion.kinetic_share)
+
+
+@by_type
+def damped(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> Any:
+    """The moment of the spring with that of a damper beside it, N m, both together within the torsional limit.
+
+    damping  N m s/rad
+    wound    rad        change of the wind-up in this tick: an anchor that slips damps nothing
+    """
+
+
+@damped.of(None)
+def damped_nothing(torsion: None, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
+    return moment
+
+
+@damped.otherwise
+def damped_spring(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
+    if damping == 0.0 or given.dt <= 0.0:
+        return moment
+    limit = torsional_limit(torsion, given.normal_force)
+    both: float = min(max(moment - damping * wound / given.dt, -limit), limit)
+    return both
+
+
+@torsional_limit.of(LimitSurface)
+def limit_of_surface(torsion: LimitSurface, normal_force: float) -> float:
+    return torsional_limit(torsion.law, normal_force)
+
+
+@torsional_limit.of(SoftFingerProxy)
+def limit_of_soft_finger(torsion: SoftFingerProxy, normal_force: float) -> float:
+    return torsional_limit(torsion.law, normal_force)
 
 
 @wind.of(None)

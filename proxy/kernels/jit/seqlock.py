@@ -1,4 +1,4 @@
-"""Numbers into the running servo: a sequence lock with one writer, which readers never hold up.
+"""Numbers into the running servo, and out of it: a sequence lock with one writer, which readers never hold up.
 
 The counter is odd while the writer is at work. A reader that meets a write, or is overtaken by one,
 keeps what it had and tries again at its next tick.
@@ -34,15 +34,27 @@ def make_slot(values: NDArray[np.float64]) -> Slot:
     return Slot(np.zeros(8, np.int64), values.copy())
 
 
-@entry
-def publish(slot: Slot, values: NDArray[np.float64]) -> None:
-    """Replace the slot's values (n,). One thread only."""
+@jit
+def store(slot: Slot, values: NDArray[np.float64]) -> None:
+    """Replace the slot's values (n,), from a kernel. One thread only."""
     sequence = load_relaxed(slot.sequence, 0)
     store_relaxed(slot.sequence, 0, sequence + 1)
     fence_release()
     for i in range(slot.values.shape[0]):
         slot.values[i] = values[i]
     store_release(slot.sequence, 0, sequence + 2)
+
+
+@entry
+def publish(slot: Slot, values: NDArray[np.float64]) -> None:
+    """`store` for Python."""
+    store(slot, values)
+
+
+@entry
+def read(slot: Slot, seen: int, values: NDArray[np.float64]) -> int:
+    """`refresh` for Python."""
+    return refresh(slot, seen, values)
 
 
 @jit

@@ -32,10 +32,10 @@ from softfinger.proxy.kernels.model.laws import (
     Torsion,
 )
 from softfinger.proxy.kernels.model.methods import EulerZxz, EulerZyx, Midpoint, MontanaRk4, MontanaRk45, RotationVector
-from softfinger.proxy.kernels.model.motions import Driven, Place, Pose, Sinusoid, Turntable
+from softfinger.proxy.kernels.model.motions import Driven, Place, Pose, Simulated, Sinusoid, Turntable
 from softfinger.proxy.kernels.model.normal import HuntCrossley, LinearNormal, PowerNormal
 from softfinger.proxy.kernels.model.patch import HertzPatch, PatchTorsion, PowerPatch, RollingLoss
-from softfinger.proxy.kernels.model.scene import Coupling, EllipsoidTip, Finger, Material, Object, Scene
+from softfinger.proxy.kernels.model.scene import Bodies, Coupling, EllipsoidTip, Finger, Material, Object, Scene
 from softfinger.proxy.kernels.model.shapes import (
     Box,
     CappedCylinder,
@@ -78,6 +78,7 @@ __all__ = [
     "ActiveSet",
     "Anchor",
     "Anisotropic",
+    "Bodies",
     "Box",
     "BoxBoundary",
     "BoxRegion",
@@ -131,6 +132,7 @@ __all__ = [
     "RollingLoss",
     "RotationVector",
     "Scene",
+    "Simulated",
     "Sinusoid",
     "SoftFingerProxy",
     "SpeedFriction",

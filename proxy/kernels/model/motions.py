@@ -1,6 +1,6 @@
 """Where a body is, and how it moves by itself."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
 
@@ -38,3 +38,14 @@ class Turntable(NamedTuple):
 
 class Driven(NamedTuple):
     """Moved from outside: its pose is changed while running, by a command or a script."""
+
+
+class Simulated(NamedTuple):
+    """Moved by forces: rides on a body of a simulation.
+
+    block  ReadOnly  of the simulation's addresses (query.bodies)
+    body             number of the body in it
+    """
+
+    block: Any
+    body: float

@@ -41,10 +41,11 @@ class Object(NamedTuple):
 
 
 class Coupling(NamedTuple):
-    """Tangential spring (N/m) and damper (N s/m) between computed and measured position."""
+    """Tangential spring (N/m) and damper (N s/m) between computed and measured position; torsion damper (N m s/rad)."""
 
     stiffness: float
     damping: float
+    torsional_damping: float = 0.0
 
 
 class EllipsoidTip(NamedTuple):
@@ -79,6 +80,19 @@ class Finger(NamedTuple):
     form: Any = None
 
 
+class Bodies(NamedTuple):
+    """A simulation of rigid bodies, and who rides on them.
+
+    block   ReadOnly  of the simulation's addresses (query.bodies)
+    moving  ReadOnly  numbers of the bodies that can move
+    riders            for each object of the scene file the number of its body, 0 for one that rides on none
+    """
+
+    block: Any
+    moving: Any
+    riders: tuple[float, ...]
+
+
 class Scene(NamedTuple):
     """Everything the contact step is compiled for.
 
@@ -86,9 +100,11 @@ class Scene(NamedTuple):
     objects   tuple of Object
     rolling   a rolling method or None
     effects   tuple of effects of the workspace
+    bodies    Bodies that move by themselves, or None
     """
 
     fingers: Any
     objects: Any
     rolling: Any
     effects: Any
+    bodies: Any = None

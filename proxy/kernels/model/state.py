@@ -185,6 +185,7 @@ class ContactOutcome(NamedTuple):
     normal  of the object there
     force   N, on the hand
     spin    rad, torsional wind-up
+    torque  N m, on the hand about the fingertip's centre
     """
 
     object: float
@@ -193,10 +194,17 @@ class ContactOutcome(NamedTuple):
     force: Vec3
     mode: float
     spin: float
+    torque: Vec3
 
 
 NO_OUTCOME = ContactOutcome(
-    object=-1.0, point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), mode=0.0, spin=0.0
+    object=-1.0,
+    point=(0.0, 0.0, 0.0),
+    normal=(0.0, 0.0, 0.0),
+    force=(0.0, 0.0, 0.0),
+    mode=0.0,
+    spin=0.0,
+    torque=(0.0, 0.0, 0.0),
 )
 
 

@@ -12,9 +12,10 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import Driven, Pose, Quaternion, Sinusoid, Turntable, Vec3
+from softfinger.proxy.kernels.model import Driven, Pose, Quaternion, Simulated, Sinusoid, Turntable, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
+from softfinger.proxy.kernels.query.bodies import pose_of_body
 
 TURNS_CEILING = 1e15
 """Past this many turns float64 has no fraction of a turn left."""
@@ -83,6 +84,12 @@ def pose_of_turntable(motion: Turntable, pose: Pose, time: float) -> Pose:
     """Turned by rate * t about the axis through the pivot, a point of the object that stays."""
     turn = turned(motion.axis, angle_after(motion.rate * time / (2.0 * pi)))
     return carried(pose, vec3.sub(motion.pivot, rotations.rotate(turn, motion.pivot)), turn)
+
+
+@pose_at.of(Simulated)
+def pose_of_simulated(motion: Simulated, pose: Pose, time: float) -> Pose:
+    """The pose of rest is that in the body's frame."""
+    return carried(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
 
 
 @by_type

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.model import Pose
-from softfinger.proxy.kernels.query.motion import pose_at
+from softfinger.proxy.kernels.query.motion import carried, pose_at
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.nodes.board import add_board
@@ -59,12 +60,16 @@ class Bodies:
         self.places: Final[list[Place]] = []
         """Where each is: position (3,) m and orientation, object to world."""
         self._moving: Final[dict[int, tuple[Any, Pose]]] = {}
+        self._riding: Final[dict[int, tuple[str, Place]]] = {}
+        """Those that ride on a body: its name, and the place in its frame."""
         for number, thing in enumerate(scene.object):
             place = (thing.position_m, thing.orientation_wxyz)
             self.places.append(place)
             self._frames.append(api.add_frame(f"/objects/{number}", show_axes=False))
             self._put(number)
-            if thing.motion is not None:
+            if isinstance(thing.motion, schema.Body):
+                self._riding[number] = (thing.motion.body, place)
+            elif thing.motion is not None:
                 self._moving[number] = (kernel_motion(thing.motion), Pose(*place))
             _draw(api, f"/objects/{number}", thing, _colour(number, thing))
 
@@ -81,6 +86,14 @@ class Bodies:
             pose = pose_at(motion, rest, time)
             self.places[number] = (pose.position, pose.orientation)
             self._put(number)
+
+    def ride(self, bodies: Mapping[str, Place]) -> None:
+        """Put those that ride on bodies where these are, in the world, by name."""
+        for number, (name, (position, turn)) in self._riding.items():
+            if name in bodies:
+                there = carried(Pose(*bodies[name]), position, turn)
+                self.places[number] = (there.position, there.orientation)
+                self._put(number)
 
     def drive(self, number: int, position: Any, orientation: Any = None) -> None:
         """A driven object has been moved."""

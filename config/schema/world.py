@@ -1,0 +1,51 @@
+"""Rigid bodies that move as MuJoCo says, and what their geometry feels like."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated
+
+import msgspec
+
+from softfinger.config import limits
+from softfinger.config.schema.fields import Complaint, Table, known, said, sized, within
+from softfinger.config.schema.materials import Material
+
+
+class GeomMaterial(Table, frozen=True, kw_only=True):
+    """A material for some geoms of the model: those that have all of what is given here."""
+
+    name: Annotated[str, sized(limits.NAME_LENGTH, "name of the geom", "box")] | None = None
+    group: Annotated[int, within(limits.GEOM_GROUP, "number of its group", 0)] | None = None
+    default: Annotated[str, sized(limits.NAME_LENGTH, "name of its class of defaults", "rubber")] | None = None
+    material: Material
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.name, self.group, self.default) and not any(
+            each is not None for each in (self.name, self.group, self.default)
+        ):
+            yield "name", msgspec.UNSET, "is missing, and group and default are too: give one, or use world.material"
+
+
+class World(Table, frozen=True, kw_only=True):
+    """Bodies of a MuJoCo model: they move as MuJoCo says, and fingers touch their geoms. Needs softfinger[world]."""
+
+    model: Annotated[
+        str,
+        sized(limits.FILE_NAME_LENGTH, "MJCF or URDF file; a relative path starts at the scene's folder", "box.xml"),
+    ]
+    substeps: Annotated[
+        int, within(limits.SUBSTEPS, "contact and simulation steps in a tick; very light bodies need several", 1)
+    ] = 1
+    material: Annotated[
+        Material | None,
+        said("material of every geom that [[world.geom]] gives none; without it those geoms are not touched"),
+    ] = None
+    geom: Annotated[
+        tuple[GeomMaterial, ...],
+        sized(limits.GEOM_MATERIALS, "materials of certain geoms; of several that fit the last one counts"),
+    ] = ()
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.model) and not self.model.lower().endswith((".xml", ".mjcf", ".urdf")):
+            yield "model", self.model, "must end in .xml, .mjcf or .urdf: the model as a file of MuJoCo"

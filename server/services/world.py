@@ -1,0 +1,63 @@
+"""Where the bodies of a scene are, published some 60 times a second; nothing in a scene without a [world]."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.kernels.jit.seqlock import read
+from softfinger.proxy.kernels.query.bodies import MOTION_SIZE
+from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.services.base import Worker
+from softfinger.server.wire.protocol import WORLD_HZ
+
+
+class WorldState(Worker):
+    """Reads what the servo tells of the bodies.
+
+    publish  sends where they were in a tick (`Publisher.world`)
+    event    publishes an event
+    """
+
+    def __init__(
+        self, servo: Servo, publish: Callable[[int, list[dict[str, Any]]], None], event: Callable[..., Any]
+    ) -> None:
+        super().__init__("world")
+        self._servo, self._publish, self._event = servo, publish, event
+
+    def work(self) -> None:
+        shared, seen, values = None, -1, np.empty(0)
+        while not self.closing.wait(1.0 / WORLD_HZ):
+            scene = self._servo.tuning.scene
+            if scene.bodies is None:
+                continue
+            if shared is not self._servo.shared:  # another loop has begun, or the first
+                shared, seen = self._servo.shared, 0
+                values = np.empty_like(shared.motion.values)
+                read.compile(tuple(map(numba.typeof, (shared.motion, seen, values))))  # type: ignore[attr-defined]
+            newest = read(shared.motion, seen, values)
+            if newest != seen:
+                seen = newest
+                self._publish(int(values[0]), told(scene.bodies.block.owner.names, values))
+
+    def failed(self, error: Exception) -> None:
+        """The page stands still; what is felt goes on."""
+        self._event("fault", "world", message=str(error))
+
+
+def told(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """The bodies of a message, from what `query.bodies.tell_motion` has written."""
+    return [
+        {
+            "name": name,
+            "position": row[:3],
+            "orientation": row[3:7],
+            "velocity": row[7:10],
+            "rate": row[10:13],
+        }
+        for name, row in zip(names, values[1:].reshape(-1, MOTION_SIZE).tolist(), strict=True)
+    ]

@@ -1,0 +1,427 @@
+"""Bodies that move by themselves: MuJoCo moves them, and our contacts push them; against closed forms and MuJoCo."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import ellipk
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_scene
+from softfinger.config.mjcf import taken
+from softfinger.proxy.bodies import RigidBodies, bodies_of
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.query.bodies import step_bodies
+from softfinger.proxy.kernels.query.objects import closest_on
+from softfinger.proxy.kernels.query.world import advance, place_all
+from softfinger.proxy.record import SLIDING
+from softfinger.proxy.scene import start_state
+
+pytestmark = pytest.mark.plain
+
+Array = NDArray[np.float64]
+G = 9.81
+R = 0.008
+HALF = 0.02
+MASS = 0.1
+STIFFNESS = 500.0
+TORSION = 0.05
+"""N m/rad, of each finger."""
+
+BOX = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast" gravity="0 0 {gravity}"/>
+  <worldbody>
+    {floor}
+    <body name="box" pos="0 0 {height}">
+      <freejoint/>
+      <geom name="box" type="box" size="0.02 0.02 0.02" mass="{mass}"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+FLOOR = '<geom name="floor" type="plane" size="1 1 0.1"/>'
+RUBBER = {
+    "stiffness_n_per_m": STIFFNESS,
+    "damping_ns_per_m": 2.0,
+    "friction": {"static": 0.8, "kinetic": 0.7},
+    "torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": 0.004},
+}
+DAMPED = {"stiffness_n_per_m": STIFFNESS, "damping_ns_per_m": 1.0, "torsional_damping_nms_per_rad": 1.5e-3}
+
+
+def box(folder: Path, mass: float = MASS, gravity: float = -G, floor: str = "", height: float = 0.0) -> str:
+    """A box as a model's file."""
+    path = folder / "box.xml"
+    path.write_text(BOX.format(mass=mass, gravity=gravity, floor=floor, height=height), encoding="utf-8")
+    return str(path)
+
+
+def held_by_two(
+    path: str, material: dict[str, Any] = RUBBER, coupling: dict[str, Any] = DAMPED, **world: Any
+) -> Engine:
+    """Two fingers for the bodies of a model."""
+    fingers = [{"name": name, "radius_m": R} for name in ("thumb", "index")]
+    tables = {"finger": fingers, "coupling": coupling, "rolling": {"method": "midpoint"}}
+    return Engine(tables | {"world": {"model": path, "material": material, **world}})
+
+
+def pinch(ticks: int, force: float, beside: float = 0.0, height: float = 0.0, press: int = 100) -> dict[str, Array]:
+    """Poses of two fingers that take the box along x, each with `force` N after `press` ticks, and then hold it."""
+    u = np.clip(np.arange(ticks) / press, 0.0, 1.0)
+    depth = force / STIFFNESS * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    poses = {}
+    for name, side in (("thumb", -1.0), ("index", 1.0)):
+        poses[name] = np.zeros((ticks, 7))
+        poses[name][:, 0] = side * (HALF + R - depth)
+        poses[name][:, 1], poses[name][:, 2], poses[name][:, 3] = beside, height, 1.0
+    return poses
+
+
+def tilt(engine: Engine) -> float:
+    """Rotation of the box about x, rad."""
+    w, x = engine.data.qpos[3:5]
+    return 2.0 * math.atan2(x, w)
+
+
+def test_a_box_is_lifted_and_hangs_by_the_torsion_of_two_fingers(tmp_path: Path) -> None:
+    """8 mm beside its centre of mass it turns by theta = m g d cos(theta) / (2 k_z), and no more than 5 degrees."""
+    engine, rise = held_by_two(box(tmp_path, floor=FLOOR, height=HALF)), 1200
+    way = pinch(200 + rise + 400, 3.0, beside=0.008, height=HALF)
+    u = np.clip((np.arange(len(way["thumb"])) - 200) / rise, 0.0, 1.0)
+    for poses in way.values():
+        poses[:, 2] += 0.1 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    most = 0.0
+    for first in range(0, len(u), 20):
+        engine.run({name: poses[first : first + 20] for name, poses in way.items()})
+        most = max(most, abs(tilt(engine)))
+    arm = MASS * G * 0.008 / (2.0 * TORSION)
+    theta = arm * math.cos(arm)  # the cosine of theta itself changes it by 1e-5
+    assert tilt(engine) == pytest.approx(theta, rel=0.01)
+    assert math.degrees(most) < 5.0
+    sag = MASS * G / (2.0 * STIFFNESS)  # two springs carry it
+    soft = 0.2e-3  # MuJoCo's floor: it was taken so much lower
+    assert engine.data.qpos[2] == pytest.approx(0.12 - sag - 0.008 * math.sin(theta), abs=soft)
+
+
+def test_without_torsion_it_swings_as_a_pendulum_does(tmp_path: Path) -> None:
+    """About the line of the contacts, 8 mm from its centre, let go at 90 degrees: period by the elliptic integral."""
+    material = {name: part for name, part in RUBBER.items() if name != "torsion"}
+    engine, arm = held_by_two(box(tmp_path, gravity=0.0), material), 0.008
+    way = pinch(2000, 3.0, beside=arm)
+    engine.run({name: poses[:200] for name, poses in way.items()})
+    engine.model.opt.gravity[2] = -G
+    turning = []
+    for tick in range(200, 1100):
+        engine.run({name: poses[tick : tick + 1] for name, poses in way.items()})
+        turning.append(engine.data.qvel[3])
+    turns = np.flatnonzero(np.sign(turning[1:]) * np.sign(turning[:-1]) < 0)
+    inertia = MASS * ((2 * HALF) ** 2 / 6.0 + arm**2)
+    period = 4.0 * math.sqrt(inertia / (MASS * G * arm)) * ellipk(0.5)
+    assert 2.0 * turns[0] * 1e-3 == pytest.approx(period, rel=0.02)
+    assert abs(tilt(engine)) > 0.5 or len(turns) > 1  # it swings on
+
+
+@pytest.mark.parametrize("model_of_torsion", ["independent", "limit_surface"])
+def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path) -> None:
+    """Pulled with 60 % of the friction cone and twisted more and more: at the torsional limit, or at what the limit
+    surface leaves of it; and pulled alone, at the cone. To 1 %."""
+    press, static, length = 2.0, 0.8, 0.004
+    step = 4  # ticks: at the rates below a step is 0.4 % of the limit
+    material = RUBBER | {
+        "friction": {"static": static, "kinetic": static},
+        "torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": length, "model": model_of_torsion},
+    }
+
+    def slips_at(pulled: float, pull_rate: float, twist_rate: float) -> tuple[float, float]:
+        """Force on each finger (N) along z and torque (N m) about x when the first contact slips or spins."""
+        slow = DAMPED | {"torsional_damping_nms_per_rad": 1e-4}  # at 0.2 rad/s it bears 2e-5 N m
+        engine = held_by_two(box(tmp_path, gravity=0.0), material, slow)
+        way = pinch(200, press)
+        engine.run(way)
+        hold = {name: np.repeat(poses[-1:], step, axis=0) for name, poses in way.items()}
+        pull = twist = 0.0
+        for tick in range(0, 3000, step):
+            pull = pulled * min(tick / 300.0, 1.0) + pull_rate * tick * 1e-3
+            twist = twist_rate * max(tick - 600, 0) * 1e-3
+            engine.data.qfrc_applied[2], engine.data.qfrc_applied[3] = 2.0 * pull, 2.0 * twist
+            thumb = engine.run(hold)["thumb"]
+            spun = abs(thumb["contact.torsion"][-1]) > 0.999 * length * press
+            if thumb["contact.mode"][-1] == SLIDING or spun:
+                break
+        return pull, twist
+
+    cone = static * press
+    assert slips_at(0.0, 1.5, 0.0)[0] == pytest.approx(cone, rel=0.01)
+    left = math.sqrt(1.0 - 0.6**2) if model_of_torsion == "limit_surface" else 1.0
+    assert slips_at(0.6 * cone, 0.0, 0.01)[1] == pytest.approx(left * length * press, rel=0.01)
+
+
+def test_what_a_finger_feels_its_body_is_given(tmp_path: Path) -> None:
+    """Each tick minus the sum of the wrenches on the hands acts on the box, about any point; to 1e-12."""
+    engine = held_by_two(box(tmp_path, floor=FLOOR, height=HALF))
+    way = pinch(160, 3.0, beside=0.006, height=HALF - 0.003)
+    pressed = 0
+    for tick in range(160):
+        center = engine.data.xipos[1].copy()
+        rows = engine.run({name: poses[tick : tick + 1] for name, poses in way.items()})
+        force, torque = np.zeros(3), np.zeros(3)
+        for name, records in rows.items():
+            force -= records["force"][0]
+            torque -= records["torque"][0] + np.cross(way[name][tick, :3] - center, records["force"][0])
+        pressed += bool(force.any() or torque.any())
+        np.testing.assert_allclose(engine.data.xfrc_applied[1], [*force, *torque], rtol=0, atol=1e-12)
+    assert pressed > 20
+
+
+REST = pytest.mark.exhaustive
+BODIES = [(0.01, 1), (0.001, 4), *(pytest.param(mass, 1, marks=REST) for mass in (0.03, 0.1, 0.3, 1.0))]
+"""Masses, kg, and substeps."""
+
+
+@pytest.mark.parametrize(("mass", "substeps"), BODIES)
+@pytest.mark.parametrize("stiffness", [*(pytest.param(each, marks=REST) for each in (200.0, 1000.0)), 3000.0])
+def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float, tmp_path: Path) -> None:
+    """10 g to 1 kg at 1 kHz, 1 g with four substeps, from soft to hard: taken and struck, it swings less and less."""
+    path = box(tmp_path, mass, gravity=0.0)
+    Path(path).write_text(Path(path).read_text().replace('"0.001" integ', f'"{0.001 / substeps}" integ'))
+    coupling = DAMPED | {"stiffness_n_per_m": stiffness}
+    if mass < 0.1:
+        coupling["torsional_damping_nms_per_rad"] = 1e-4
+    engine = held_by_two(path, RUBBER | {"stiffness_n_per_m": stiffness}, coupling, substeps=substeps)
+    way = pinch(200, 3.0 * STIFFNESS / stiffness, beside=0.004)
+    engine.run({name: poses[:150] for name, poses in way.items()})
+    engine.data.qvel[:] = [0.01, 0.02, -0.03, 0.5, -0.3, 0.4]
+    hold = {name: np.repeat(poses[-1:], 50, axis=0) for name, poses in way.items()}
+    fastest = []
+    windows = 16 if mass < 0.1 else 40
+    for _ in range(windows):
+        engine.run(hold)
+        fastest.append(np.abs(engine.data.qvel).max())
+    assert max(fastest[-windows // 4 :]) < 0.8 * max(fastest[: windows // 4]) < 0.8
+
+
+def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
+    """Again after a reset, and in another engine; a parameter that is set leaves the bodies where they are."""
+    way = pinch(150, 3.0, beside=0.008, height=HALF)
+    engine, other = (held_by_two(box(tmp_path, floor=FLOOR, height=HALF)) for _ in range(2))
+    first = engine.run(way)["thumb"].copy()
+    place = engine.data.qpos.copy()
+    engine.set("coupling.damping_ns_per_m", 1.5)
+    np.testing.assert_array_equal(engine.data.qpos, place)
+    engine.set("coupling.damping_ns_per_m", 1.0)
+    engine.reset()
+    for again in (engine, other):
+        np.testing.assert_array_equal(again.run(way)["thumb"], first)
+        np.testing.assert_array_equal(again.data.qpos, place)
+
+
+def test_a_step_by_address_is_mujocos_own(tmp_path: Path) -> None:
+    """What `_address` of model and data leads to, with mujoco-core 4.0.1: the state after steps, to the bit."""
+    path = box(tmp_path, floor=FLOOR, height=0.05)
+    scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": RUBBER}})
+    ours = bodies_of(scene)
+    assert ours is not None
+    ours.begin(0.001)
+    data = mujoco.MjData(ours.model)
+    mujoco.mj_step1(ours.model, data)
+    for _ in range(150):
+        assert step_bodies(ours.kernel((0.0, 1.0))) == 0
+        mujoco.mj_step2(ours.model, data)
+        mujoco.mj_step1(ours.model, data)
+    np.testing.assert_array_equal(ours.data.qpos, data.qpos)
+    assert data.ncon > 0
+
+
+SHAPES = """
+<mujoco>
+  <option timestep="0.001" gravity="0 0 0"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" pos="0 0 -0.2" euler="5 3 0"/>
+    <body name="carrier" pos="0.01 0.02 0.03" euler="20 -30 40">
+      <freejoint/>
+      <geom name="sphere" type="sphere" size="0.02" pos="0.1 0 0"/>
+      <geom name="capsule" type="capsule" size="0.01 0.03" pos="0 0.1 0" euler="40 0 0"/>
+      <geom name="ellipsoid" type="ellipsoid" size="0.02 0.03 0.015" pos="-0.1 0 0" euler="0 50 0"/>
+      <geom name="cylinder" type="cylinder" size="0.015 0.02" pos="0 -0.1 0" euler="10 20 30"/>
+      <geom name="box" type="box" size="0.01 0.02 0.03" pos="0 0 0.1" euler="30 0 10"/>
+    </body>
+    <body name="point" mocap="true"><geom name="point" type="sphere" size="0.001" contype="0" conaffinity="0"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_geoms_are_touched_where_mujoco_has_them(tmp_path: Path) -> None:
+    """Distances of points from each of our shapes, on a body that has moved, and from MuJoCo's geoms."""
+    path = tmp_path / "shapes.xml"
+    path.write_text(SHAPES)
+    engine = Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
+    engine.data.qvel[:] = [0.3, -0.2, 0.1, 2.0, 3.0, -1.0]
+    engine.run([[0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]] * 50)
+    world = advance(engine.scene.objects, start_state(engine.scene).world, 1e-3)
+    objects = place_all(engine.scene.objects, world.poses, world.was)
+    random = np.random.default_rng(1)
+    for thing, placed in zip(engine.config.object, objects, strict=True):
+        geom = engine.model.geom(thing.name).id
+        for _ in range(20):
+            x = engine.data.geom_xpos[geom] + random.uniform(-0.1, 0.1, 3)
+            engine.data.mocap_pos[0] = x
+            mujoco.mj_kinematics(engine.model, engine.data)
+            theirs = mujoco.mj_geomDistance(engine.model, engine.data, geom, engine.model.geom("point").id, 1.0, None)
+            ours = closest_on(placed, tuple(x))[0]
+            # MuJoCo searches ellipsoids and cylinders to its tolerance of 1e-6 m; inside it measures another distance
+            if theirs > 0.0:
+                assert ours - 0.001 == pytest.approx(theirs, abs=2e-6), thing.name
+
+
+def test_how_each_geom_was_taken_is_said(tmp_path: Path) -> None:
+    """By name, by group, by class of defaults, the last that fits; and what does not collide is not touched."""
+    path = tmp_path / "some.xml"
+    path.write_text(
+        '<mujoco><default><default class="soft"><geom rgba="1 0 0 1"/></default></default><worldbody>'
+        '<geom name="a" type="sphere" size="1"/><geom name="b" type="sphere" size="1" group="2"/>'
+        '<geom name="c" class="soft" type="sphere" size="1"/><geom type="sphere" size="1" contype="0" conaffinity="0"/>'
+        '<geom name="d" type="plane" size="1 1 1"/></worldbody></mujoco>'
+    )
+    rules = [
+        {"group": 2, "material": {"stiffness_n_per_m": 2.0}},
+        {"default": "soft", "material": {"stiffness_n_per_m": 3.0}},
+        {"name": "a", "material": {"stiffness_n_per_m": 4.0}},
+        {"name": "d", "material": {"stiffness_n_per_m": 5.0}},
+    ]
+    scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": str(path), "geom": rules}})
+    assert {thing.name: thing.material.stiffness_n_per_m for thing in scene.object} == {"a": 4, "b": 2, "c": 3, "d": 5}
+    assert scene.world is not None
+    notes = {each.name: each.note for each in taken(scene.world)}
+    assert "does not collide" in notes["geom-3"] and "without an end" in notes["d"]
+
+
+OPTION = '<option timestep="0.001"/>'
+BALL = '<body><freejoint/><geom size="0.1"/></body>'
+BOMB = (
+    '<!DOCTYPE mujoco [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">'
+    '<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]><mujoco model="&c;"/>'
+)
+HOSTILE = {
+    "nothing": ("", "no XML"),
+    "no XML": ("<mujoco", "no XML"),
+    "another root": ("<robots/>", "robots"),
+    "an entity that grows": (BOMB, "declares entities"),
+    "an unknown element": ("<mujoco><wheel/></mujoco>", "wheel"),
+    "no mass": (
+        f'<mujoco>{OPTION}<worldbody><body><freejoint/><geom size="0.1" mass="0"/></body></worldbody></mujoco>',
+        "mass",
+    ),
+    "an inertia that is none": (
+        f'<mujoco>{OPTION}<worldbody><body><freejoint/><inertial pos="0 0 0" mass="nan" diaginertia="1 1 1"/>'
+        '<geom size="0.1"/></body></worldbody></mujoco>',
+        "",
+    ),
+    "a missing mesh": ('<mujoco><asset><mesh name="m" file="none.stl"/></asset></mujoco>', "none.stl"),
+    "a file outside": ('<mujoco><include file="../../etc/passwd"/></mujoco>', "outside of its folder"),
+    "a folder outside": ('<mujoco><compiler meshdir="/etc"/></mujoco>', "outside of its folder"),
+    "another time step": (f"<mujoco><worldbody>{BALL}</worldbody></mujoco>", "0.002 s"),
+    "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 1100}</worldbody></mujoco>", "1101 bodies"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_model_that_cannot_be_used_is_one_clear_error(name: str, tmp_path: Path) -> None:
+    """Before the first tick, with the file and what is wrong."""
+    text, said = HOSTILE[name]
+    path = tmp_path / "hostile.xml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as error:
+        Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
+    assert said in str(error.value) and "hostile.xml" in str(error.value)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 500
+
+
+WRONG: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "no such file": lambda scene: scene["world"].update(model="none.xml"),
+    "no model": lambda scene: scene["world"].update(model="scene.toml"),
+    "a body without a world": lambda scene: (
+        scene.pop("world"),
+        scene.update(object=[ball(motion={"kind": "body", "body": "box"})]),
+    ),
+    "no such body": lambda scene: scene.update(object=[ball(motion={"kind": "body", "body": "bix"})]),
+    "a force that nobody exerts": lambda scene: scene.update(
+        object=[
+            ball(
+                motion={"kind": "body", "body": "box"},
+                effect=[{"kind": "constant_force", "force_n": [0.0, 0.0, 1.0]}],
+            )
+        ]
+    ),
+    "nothing to touch": lambda scene: scene.pop("world"),
+    "a material for nothing": lambda scene: scene["world"].update(geom=[{"material": RUBBER}]),
+}
+
+
+def ball(**further: Any) -> dict[str, Any]:
+    return {"name": "ball", "shape": "sphere", "radius_m": 0.01, "material": RUBBER, **further}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_scene_that_does_not_fit_its_world_is_refused(name: str, tmp_path: Path) -> None:
+    scene: dict[str, Any] = {
+        "fingertip": {"radius_m": R},
+        "world": {"model": box(tmp_path, height=0.1), "material": RUBBER},
+    }
+    WRONG[name](scene)
+    with pytest.raises(ConfigError) as error:
+        Engine(scene)
+    assert "\n" not in str(error.value)
+
+
+def test_an_object_of_the_scene_stands_for_a_geom_and_rides_on_a_body(tmp_path: Path) -> None:
+    """A geom's name taken by the scene; a shape that MuJoCo has not, on the body: both pushed as the box is."""
+    ring = {"name": "ring", "shape": "torus", "major_radius_m": 0.03, "minor_radius_m": 0.005, "material": RUBBER}
+    engine = Engine(
+        {
+            "fingertip": {"radius_m": 0.005},
+            "world": {"model": box(tmp_path, gravity=0.0), "material": RUBBER},
+            "object": [ring | {"motion": {"kind": "body", "body": "box"}}],
+        }
+    )
+    assert [thing.name for thing in engine.config.object] == ["ring", "box"]
+    engine.run([[0.03, 0.0, 0.02 - 1e-4 * k, 1.0, 0.0, 0.0, 0.0] for k in range(120)])
+    assert engine.data.qvel[2] < 0.0 and engine.data.qvel[4] > 0.0  # pushed down, and turned by the arm
+
+
+def test_a_scene_without_a_world_does_without_mujoco() -> None:
+    """It is not imported; and `model` and `data` are of no such scene."""
+    code = (
+        "import sys; from softfinger import Engine; e = Engine('paper-plane'); "
+        "e.step([0, 0, 0.0095], [1, 0, 0, 0]); assert 'mujoco' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"NUMBA_DISABLE_JIT": "1"})
+    with pytest.raises(ConfigError, match="no \\[world\\]"):
+        Engine("paper-plane").data  # noqa: B018
+
+
+def test_a_world_without_mujoco_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ConfigError, match="softfinger\\[world\\]"):
+        load_scene({"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "material": RUBBER}})
+
+
+def test_a_world_that_diverges_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A velocity without end: MuJoCo's warnings are counted from the next step on, and leave no file."""
+    monkeypatch.chdir(tmp_path)
+    bodies = RigidBodies(load_scene("lift-a-box").world)  # type: ignore[arg-type]
+    bodies.begin(0.001)
+    bodies.data.qvel[0] = math.inf
+    assert step_bodies(bodies.kernel((0.0, 1.0))) > 0
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,109 @@
+"""Bodies that move by themselves under the daemon: what is published, that it is what `simulate` computes, and how it
+ends where they cannot be simulated.
+
+Compiles a servo for a key on a spring.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.config import schema
+from softfinger.config.errors import SafetyStop
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
+from softfinger.proxy.record import AT
+from softfinger.server.app import Daemon
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.simulate import simulate
+from softfinger.server.services.records import Sink
+from softfinger.server.wire.client import subscribe
+
+pytestmark = pytest.mark.real_time
+
+KEY = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast" gravity="0 0 0"/>
+  <worldbody>
+    <body name="key" pos="0 0 -0.01">
+      <joint type="slide" axis="0 0 1" stiffness="300" damping="1"/>
+      <geom name="key" type="box" size="0.02 0.02 0.01" mass="0.05"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+PRESSED_M = 1e-3
+"""How deep the recording goes into the key at rest."""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> schema.Scene:
+    """A key that the fingertip of the shipped taps presses."""
+    (tmp_path / "key.xml").write_text(KEY)
+    material = {"stiffness_n_per_m": 500.0, "damping_ns_per_m": 2.0}
+    world = {"model": str(tmp_path / "key.xml"), "material": material}
+    return load_scene({"fingertip": {"radius_m": 0.01}, "world": world})
+
+
+def rig(**changes: Any) -> schema.Rig:
+    keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
+    return load_rig("replay", keys | {"device.recording": "tap", **changes})
+
+
+def heights(endpoint: str) -> Iterator[tuple[int, float]]:
+    """Tick and height of the key, in the messages as they come."""
+    with subscribe(endpoint, ("world",), timeout_s=20.0) as samples:
+        for sample in samples:
+            (body,) = sample.bodies
+            assert body.name == "key"
+            assert body.orientation == (1.0, 0.0, 0.0, 0.0) and body.rate == (0.0, 0.0, 0.0)
+            yield sample.tick, body.position[2]
+
+
+def test_what_is_pressed_gives_way_and_is_published(scene: schema.Scene) -> None:
+    """Two springs in series: the key goes down by its share, and comes back; the records are those of `simulate`."""
+    rows: list[np.ndarray] = []
+    ticks = 1100
+    keep = Sink("test", lambda records, drops: rows.append(records.copy()))
+    with Daemon(rig(), scene, ticks, sinks=[keep]) as running:
+        seen = []
+        running.start()
+        for tick, height in heights(running.publisher.endpoint):
+            seen.append((tick, height + 0.01))
+            if not running.servo.running or tick > ticks - 60:
+                break
+        assert running.wait(60.0)
+    order = [tick for tick, _ in seen]
+    assert order == sorted(set(order)) and len(order) > 10
+    share = 500.0 / (500.0 + 300.0)
+    assert min(down for _, down in seen) == pytest.approx(-share * PRESSED_M, rel=0.3)  # of a tap: it swings
+    assert seen[-1][1] > -1e-4
+
+    records = np.concatenate(rows)
+    poses = resample(load_poses("tap"), 1000.0)[:ticks]
+    again = simulate(make_tuning(scene, rig().guard), poses, 1000.0)
+    for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
+        np.testing.assert_array_equal(records[:, field], again[: len(records), field])
+    assert np.abs(records[:, AT.force + 2]).max() > 0.1
+
+
+def test_bodies_that_cannot_be_simulated_end_the_run_without_a_force(scene: schema.Scene) -> None:
+    """A velocity without end, put in from outside: the run ends by name, within the tick that sees it."""
+    with Daemon(rig(**{"servo.rate_hz": 1000.0}), scene) as running:
+        running.start()
+        bodies = running.servo.tuning.scene.bodies
+        assert bodies is not None
+        until = time.monotonic() + 20.0
+        while running.servo.ticks < 200 and time.monotonic() < until:
+            time.sleep(0.01)
+        bodies.block.owner.data.qvel[0] = math.inf
+        with pytest.raises(SafetyStop, match="simulated no further"):
+            running.wait(20.0)
