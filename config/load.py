@@ -69,14 +69,14 @@ def load_scene(
     if isinstance(scene, Scene):
         return overridden(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
-        return _with_geoms(_with_overrides(Scene, scene, "scene", overrides or {}, sources or {}))
+        return completed(_with_overrides(Scene, scene, "scene", overrides or {}, sources or {}))
     loaded = _load(Scene, scene, overrides or {}, sources or {})
     folder = find(scene, Scene).parent
     things = tuple(_beside(folder, thing) for thing in loaded.object)
     world = loaded.world
     if world is not None:
         world = msgspec.structs.replace(world, model=str(folder / world.model))
-    return _with_geoms(msgspec.structs.replace(loaded, object=things, world=world))
+    return completed(msgspec.structs.replace(loaded, object=things, world=world))
 
 
 def load_rig(
@@ -235,8 +235,11 @@ def _with_overrides(
     return config
 
 
-def _with_geoms(scene: Scene) -> Scene:
-    """With the objects of its world: what they demand of the scene and of each other is looked at, too."""
+def completed(scene: Scene) -> Scene:
+    """A scene with an object for each geom of its world: what these demand of it and of each other is looked at, too.
+
+    `load_scene` has done it. Raises ConfigError for a model that cannot be used.
+    """
     if scene.world is None:
         return scene
     from softfinger.config.mjcf import with_geoms  # it needs MuJoCo

@@ -56,9 +56,9 @@ class RigidBodies:
         self.moving: Final = [body for body in range(1, self.model.nbody) if moves(self.model, body)]
         """Numbers of the bodies that can move, and their names, or numbers where they have none."""
         self.names: Final = [self.model.body(body).name or str(body) for body in self.moving]
-        library = _library(package)
-        library.mju_setLogConfig(_LogConfig())  # warnings are counted: a servo thread writes no file
-        self.block: Final = Block(self._words(library), self)
+        self._library: Final = _library(package)
+        self._library.mju_setLogConfig(_LogConfig())  # warnings are counted: a servo thread writes no file
+        self.block: Final = Block(self._words(self._library), self)
 
     def _words(self, library: ctypes.CDLL) -> Any:
         data, words = self.data, np.zeros(at.BLOCK_SIZE, np.int64)
@@ -82,6 +82,12 @@ class RigidBodies:
         words[at.SUBSTEPS], words[at.MOVING] = self.world.substeps, len(self.moving)
         words[at.WARNING_COUNT], words[at.WARNING_BYTES] = len(counters), counters.strides[0]
         return words
+
+    def park_on_errors(self) -> None:
+        """From here on a thread in which MuJoCo meets an error sleeps for ever: by default the process would end there,
+        with whatever force a device displays. Python's own calls of MuJoCo raise as before."""
+        self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
+        self._library.mju_setLogHandler(at.park_on_error.address)
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
         """What kernels take; `riders` as of Bodies."""
@@ -110,8 +116,11 @@ class RigidBodies:
                 f"{self.world.substeps} times, is not a tick of {period_s:g} s: write "
                 f'<option timestep="{period_s / self.world.substeps:g}"/>, or take another rate'
             )
-        package.mj_resetData(self.model, self.data)
-        package.mj_forward(self.model, self.data)
+        try:
+            package.mj_resetData(self.model, self.data)
+            package.mj_forward(self.model, self.data)
+        except package.FatalError as error:
+            raise ConfigError(f"{self.world.model}: {' '.join(str(error).split())}") from error
         warned = {name: int(count) for name, count in zip(_WARNINGS, self.data.warning.number, strict=False) if count}
         if warned or not np.isfinite(self.data.qacc).all():
             raise ConfigError(f"{self.world.model}: cannot be simulated as it begins: {warned or 'no acceleration'}")

@@ -305,7 +305,7 @@ def _end(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> int:
     """The first row (or one past the last) from which on the scene is not known."""
     for event in run.events:
         name, kind = event["name"], event["kind"]
-        unknown = (kind, name) in (("command", "set_scene"), ("lifecycle", "replaced"))
+        unknown = (kind, name) in (("command", "set_scene"), ("command", "reset_world"), ("lifecycle", "replaced"))
         if kind == "command" and name in _CHANGING:
             unknown = _changed(scene, event) is None
         if unknown:

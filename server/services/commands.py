@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
-from softfinger.config.load import build, describe, load_scene, numbered, overridden, shipped, value_at
+from softfinger.config.load import build, completed, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
 from softfinger.drivers.simulated.lead import Wanted, hand_of
 from softfinger.proxy.pictures import Filed, picture_of
@@ -111,8 +111,8 @@ class Commands:
             if too_much:
                 raise Declined("busy", "too many requests from this client: ask more slowly")
             self._heard_s = time.monotonic()
-            if request.method == "set_scene":
-                self._set_scene(client, request)
+            if request.method in ("set_scene", "reset_world"):
+                (self._set_scene if request.method == "set_scene" else self._reset_world)(client, request)
                 return None
             return answered(command_id, getattr(self, f"_{request.method}")(request))
         except Exception as error:
@@ -201,19 +201,31 @@ class Commands:
                 )
             scene = load_scene(asked.scene)
         else:
-            scene = build(schema.Scene, asked.scene, "set_scene")
+            scene = completed(build(schema.Scene, asked.scene, "set_scene"))
         if asked.overrides:
             scene = overridden(scene, asked.overrides, "set_scene")
         self._rendering.check(scene, self._rendering.rig)  # before it is compiled
         name = asked.name or (asked.scene if isinstance(asked.scene, str) else "unnamed")
+        self._go_on_with(scene, name, client, request, lambda tick: wire.SceneSet(name, tick))
+
+    def _reset_world(self, client: bytes, request: Request) -> None:
+        scene = self._rendering.scene
+        if scene.world is None:
+            raise Declined("refused", "the scene has no [world]: there is nothing to be put back")
+        self._go_on_with(scene, self._scene_name, client, request, wire.Applied)
+
+    def _go_on_with(
+        self, scene: schema.Scene, name: str, client: bytes, request: Request, result: Callable[[int], Any]
+    ) -> None:
+        """Have a scene compiled and rendered from zero force on, and answer with the `result` of its first tick."""
 
         def done(outcome: int | Exception) -> None:
             if isinstance(outcome, Exception):
                 self._doing.reply(client, declined(self._declined(outcome), request.command_id))
                 return
             self._scene_name = name
-            self._tell("set_scene", request.command_id, {"scene": name, "tick": outcome})
-            self._doing.reply(client, answered(request.command_id, wire.SceneSet(name, outcome)))
+            self._tell(request.method, request.command_id, {"scene": name, "tick": outcome})
+            self._doing.reply(client, answered(request.command_id, result(outcome)))
 
         self._scenes.ask(Change(scene, name, done))
 

@@ -107,7 +107,9 @@ def no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
 
 def time_for(method: str, timeout_s: float | None) -> float:
     """How long (s) to wait for an answer: what the user says, else what the method needs."""
-    return timeout_s if timeout_s is not None else SCENE_TIMEOUT_S if method == "set_scene" else TIMEOUT_S
+    if timeout_s is not None:
+        return timeout_s
+    return SCENE_TIMEOUT_S if method in ("set_scene", "reset_world") else TIMEOUT_S
 
 
 def scene_of(scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None, name: str) -> SetScene:

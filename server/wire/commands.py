@@ -218,6 +218,7 @@ METHODS: Final = {
     "heartbeat": Method(Empty, Alive, "Send a sign of life; restores the force that a missed heartbeat removed."),
     "set_params": Method(Values, Changed, "Change parameters of the scene, all between the same two ticks or none."),
     "set_scene": Method(SetScene, SceneSet, "Compile another scene, then switch to it at zero force."),
+    "reset_world": Method(Empty, Applied, "Put the bodies of [world] back where they began, at zero force."),
     "drive": Method(Drive, Applied, "Set the pose of a driven object."),
     "hand": Method(Hand, Applied, "Set the goal of the hand on a simulated device."),
     "arm": Method(Empty, Armed, "Fade the force in."),

@@ -121,6 +121,10 @@ class Control(Closing):
         """Another scene, from zero force: the name of a shipped one or a mapping like a file. It is compiled first."""
         return self._ask("set_scene", scene_of(scene, overrides, name), SceneSet)
 
+    def reset_world(self) -> Applied:
+        """The bodies of the scene's [world] back where they began, from zero force."""
+        return self._ask("reset_world", Empty(), Applied)
+
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
         """Put a driven object, by name or number, at a place (m, world) with an orientation (w, x, y, z)."""
         return self._ask("drive", pose_of(what, position_m, orientation_wxyz), Applied)
@@ -234,6 +238,9 @@ class AsyncControl:
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
     ) -> SceneSet:
         return await self._ask("set_scene", scene_of(scene, overrides, name), SceneSet)
+
+    async def reset_world(self) -> Applied:
+        return await self._ask("reset_world", Empty(), Applied)
 
     async def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
         return await self._ask("drive", pose_of(what, position_m, orientation_wxyz), Applied)

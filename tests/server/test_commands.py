@@ -246,6 +246,7 @@ def test_what_every_command_tells_is_recorded(rig, tmp_path):
             "get_state": control.get_state,
             "describe": control.describe,
             "heartbeat": control.heartbeat,
+            "reset_world": lambda: refused(control.reset_world),
             "mesh": lambda: refused(lambda: control.mesh(7)),
             "hand": lambda: refused(lambda: control.hand((0.0, 0.0, 0.1))),
         }
@@ -353,6 +354,9 @@ REFUSED = [
     ("set_scene", {"scene": "/etc/passwd"}, "bad_params", "given whole"),
     ("set_scene", {"scene": {"object": []}}, "bad_params", "fingertip: is missing"),
     ("set_scene", {"scene": "sphere", "overrides": {"object.7.name": "x"}}, "bad_params", "there is no object[7]"),
+    ("set_scene", {"scene": {"fingertip": {"radius_m": 0.01}, "world": {"model": "none.xml"}}}, "bad_params",
+     "none.xml: cannot be read"),
+    ("reset_world", {}, "refused", "no [world]"),
     ("drive", {"object": "table", "position_m": [0, 0, 0]}, "bad_params", "there are lid.top"),
     ("drive", {"object": 1, "position_m": [0, 0, 0]}, "bad_params", "there are lid.top"),
     ("drive", {"object": -1, "position_m": [0, 0, 0]}, "bad_params", ">= 0"),

@@ -26,6 +26,7 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.control import Control
 
 pytestmark = pytest.mark.real_time
 
@@ -34,7 +35,7 @@ KEY = """
   <option timestep="0.001" integrator="implicitfast" gravity="0 0 0"/>
   <worldbody>
     <body name="key" pos="0 0 -0.01">
-      <joint type="slide" axis="0 0 1" stiffness="300" damping="1"/>
+      <joint type="slide" axis="0 0 1" stiffness="300" damping="1" frictionloss="1e-6"/>
       <geom name="key" type="box" size="0.02 0.02 0.01" mass="0.05"/>
     </body>
   </worldbody>
@@ -93,6 +94,33 @@ def test_what_is_pressed_gives_way_and_is_published(scene: schema.Scene) -> None
     for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
         np.testing.assert_array_equal(records[:, field], again[: len(records), field])
     assert np.abs(records[:, AT.force + 2]).max() > 0.1
+
+
+def test_an_error_of_mujoco_ends_the_run_and_not_the_process(scene: schema.Scene) -> None:
+    """By default MuJoCo would end the process, from the servo thread: the supervisor takes the force off instead."""
+    with Daemon(rig(), scene) as running:
+        running.start()
+        bodies = running.servo.tuning.scene.bodies
+        assert bodies is not None
+        bodies.block.owner.model.opt.solver = 77
+        with pytest.raises(SafetyStop, match="no tick for"):
+            running.wait(60.0)
+
+
+def test_bodies_are_put_back_by_command(scene: schema.Scene, tmp_path: Path) -> None:
+    """The key that was pushed away is back; a scene without a world refuses."""
+    with Daemon(rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), scene) as running:
+        running.start()
+        bodies = running.servo.tuning.scene.bodies
+        assert bodies is not None
+        owner = bodies.block.owner
+        owner.model.jnt_stiffness[:] = owner.model.dof_damping[:] = 0.0
+        owner.data.qvel[0] = -0.3
+        before = next(height for _, height in heights(running.publisher.endpoint) if height < -0.05)
+        with Control(f"ipc://{tmp_path}/c") as control:
+            tick = control.reset_world().tick
+        after = next(height for at, height in heights(running.publisher.endpoint) if at >= tick)
+        assert before < -0.05 and after > -0.02
 
 
 def test_bodies_that_cannot_be_simulated_end_the_run_without_a_force(scene: schema.Scene) -> None:

@@ -17,8 +17,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.load import build
+from softfinger.config.load import build, describe, load_scene
 from softfinger.config.schema import Scene
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.pages import sketches
@@ -137,6 +139,28 @@ def passivity(axes: Any) -> None:
     axes.set(xlabel="presses", ylabel="energy E [mJ]")
 
 
+def bodies(axes: Any) -> None:
+    """A box that two fingertips lift, 8 mm beside its centre of mass: height, and turn about the line between them."""
+    hands = {name: resample(load_poses(f"lift-{name}"), 1000.0)[700:3200] for name in ("thumb", "index")}
+    block = 10
+    for name, torsion in (("with torsion", True), ("without torsion", False)):
+        mapping = describe(load_scene("lift-a-box"))
+        for table in (mapping["world"], *mapping["object"]):
+            if not torsion:
+                del table["material"]["torsion"]
+        engine = Engine(mapping)
+        states = []
+        for first in range(0, len(hands["thumb"]), block):
+            engine.run({finger: poses[first : first + block] for finger, poses in hands.items()})
+            states.append(engine.data.qpos.copy())
+        height, turn = np.array(states)[:, 2], np.array(states)[:, 3:5]
+        time = 1e-3 * block * np.arange(len(states))
+        axes[0].plot(time, 1e3 * height, label=name)
+        axes[1].plot(time, np.degrees(np.unwrap(2.0 * np.arctan2(turn[:, 1], turn[:, 0]))))
+    axes[0].set(xlabel="time [s]", ylabel="height of the box [mm]")
+    axes[1].set(xlabel="time [s]", ylabel="turn of the box [deg]")
+
+
 FIGURES: Final[Mapping[str, tuple[Callable[[Any], None], int]]] = {
     "contact": (sketches.contact, 1),
     "conventions": (sketches.conventions, 2),
@@ -150,6 +174,7 @@ FIGURES: Final[Mapping[str, tuple[Callable[[Any], None], int]]] = {
     "heightmap": (sketches.heightmap, 1),
     "mesh": (sketches.mesh, 1),
     "passivity": (passivity, 1),
+    "bodies": (bodies, 2),
 }
 """What draws the figure of each page, and on how many axes; the page on several patches has one of the study."""
 

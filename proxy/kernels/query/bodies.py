@@ -8,7 +8,9 @@ step late, which bodies of less than 100 g would not bear.
 
 from typing import Any, Final
 
-from softfinger.proxy.kernels.jit.decorators import jit
+from numba import types
+
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.jit.foreign import call_void
 from softfinger.proxy.kernels.jit.memory import float64_at, int32_at
@@ -47,6 +49,18 @@ BLOCK_SIZE: Final = 16
 
 MOTION_SIZE: Final = 13
 """Numbers that tell of a body's motion: position (3,) m, orientation w, x, y, z, velocity (3,) m/s, rate (3,) rad/s."""
+
+
+LOG_ERROR: Final = 3
+"""Level of a message (mjtLogLevel), its first int32."""
+_pause: Any = types.ExternalFunction("pause", types.int32())
+
+
+@c_function(types.void(types.int64), on_demand=True)
+def park_on_error(message: int) -> None:
+    """Handler of MuJoCo's messages: a warning is passed over, for it is counted; behind an error it may not return."""
+    while int32_at(message)[0] == LOG_ERROR:
+        _pause()
 
 
 @jit

@@ -208,6 +208,20 @@ def test_a_body_that_moves_is_drawn_where_it_was_touched(own_clock: bool) -> Non
             assert bodies.places[0][0][2] == pytest.approx(row[AT.contact_point + 2], abs=1e-12)  # a sum's rounding
 
 
+def test_what_rides_on_a_body_is_drawn_where_that_is() -> None:
+    """Its place is in the body's frame; a message that does not know the body moves nothing."""
+    ball = {"name": "ball", "shape": "sphere", "radius_m": 0.01, "position_m": [0.0, 0.1, 0.0]}
+    ball |= {"material": {"stiffness_n_per_m": 500.0}, "motion": {"kind": "body", "body": "arm"}}
+    mapping = {"fingertip": {"radius_m": 0.01}, "world": {"model": "arm.xml"}, "object": [ball]}
+    bodies = Bodies(Frames(), build(schema.Scene, mapping, "test scene"), Began(0, 0, 1e-3, True))
+    half = np.sqrt(0.5).item()
+    bodies.ride({"arm": ((1.0, 2.0, 3.0), (half, 0.0, 0.0, half)), "leg": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))})
+    position, turn = bodies.places[0]
+    assert position == pytest.approx((0.9, 2.0, 3.0)) and turn == pytest.approx((half, 0.0, 0.0, half))
+    bodies.ride({})
+    assert bodies.places[0] == (position, turn)
+
+
 @given(units, st.floats(-0.05, 0.05))
 def test_the_ground_is_straight_below_on_the_highest_plane(normal: np.ndarray, height: float) -> None:
     """On planes up to 60 degrees steep; none of those is above the point, and there may be none."""
