@@ -115,7 +115,11 @@ def taken(world: schema.World) -> Iterator[Taken]:
         if material is None:
             yield Taken(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
             continue
-        yield _object(name, geom.id, material, model, data)
+        mesh = spec.mesh(geom.meshname) if geom.meshname else None
+        if mesh is not None and (problem := _no_file_of_ours(mesh)):
+            yield Taken(name, None, problem)
+            continue
+        yield _object(name, geom.id, material, model, data, mesh and _file_of(world, spec, mesh))
 
 
 def _material(world: schema.World, geom: Any) -> schema.Material | None:
@@ -129,18 +133,39 @@ def _material(world: schema.World, geom: Any) -> schema.Material | None:
     return material
 
 
-def _object(name: str, geom: int, material: schema.Material, model: Any, data: Any) -> Taken:
+def _no_file_of_ours(mesh: Any) -> str:
+    """Why a mesh cannot be touched; empty where it can."""
+    if not mesh.file.lower().endswith(schema.Mesh.endings):
+        return f"is a mesh from no file that ends in {', '.join(schema.Mesh.endings)}"
+    if len(set(mesh.scale)) > 1 or mesh.scale[0] <= 0.0:
+        return f"is a mesh with the scale {mesh.scale.tolist()}, which has to be the same along x, y and z, and above 0"
+    if any(mesh.refpos) or list(mesh.refquat) != [1.0, 0.0, 0.0, 0.0]:
+        return "is a mesh with refpos or refquat: move its geom instead"
+    return ""
+
+
+def _file_of(world: schema.World, spec: Any, mesh: Any) -> dict[str, Any]:
+    """File and scale of an object in place of a mesh."""
+    folder = Path(world.model).parent / (spec.meshdir or "")
+    return {"file": str(folder / mesh.file), "scale": float(mesh.scale[0])}
+
+
+def _object(
+    name: str, geom: int, material: schema.Material, model: Any, data: Any, of_file: dict[str, Any] | None
+) -> Taken:
     kinds = mujoco_module().mjtGeom
     x, y, z = (float(each) for each in model.geom_size[geom])
     body = int(model.geom_bodyid[geom])
     place: dict[str, Any] = {"name": name, "material": material}
+    there = model.geom_pos[geom], model.geom_quat[geom]
+    if of_file is not None:  # MuJoCo has moved its vertices to their centre of mass and along their axes of inertia
+        number = model.geom_dataid[geom]
+        there = _on(there, _inverse((model.mesh_pos[number], model.mesh_quat[number])))
     if moves(model, body):
         place["motion"] = schema.Body(body=model.body(body).name or str(body))
-        place["position_m"] = _numbers(model.geom_pos[geom])
-        place["orientation_wxyz"] = _numbers(model.geom_quat[geom])
     else:
-        place["position_m"] = _numbers(data.geom_xpos[geom])
-        place["orientation_wxyz"] = _turned(data.xquat[body], model.geom_quat[geom])
+        there = _on((data.xpos[body], data.xquat[body]), there)
+    place["position_m"], place["orientation_wxyz"] = map(_numbers, there)
     match model.geom_type[geom]:
         case kinds.mjGEOM_PLANE:
             return Taken(name, schema.Plane(**place), "without an end" if x or y else "")
@@ -154,6 +179,8 @@ def _object(name: str, geom: int, material: schema.Material, model: Any, data: A
             return Taken(name, schema.Cylinder(radius_m=x, length_m=2.0 * y, **place), "")
         case kinds.mjGEOM_BOX:
             return Taken(name, schema.Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z), **place), "")
+    if of_file is not None:
+        return Taken(name, schema.Mesh(**of_file, **place), "is touched as it is; other geoms meet its convex hull")
     kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
     return Taken(name, None, f"is of the type {kind}, which fingers do not touch")
 
@@ -172,7 +199,15 @@ def _numbers(values: Any) -> Any:
     return tuple(float(each) for each in values)
 
 
-def _turned(body: Any, geom: Any) -> Any:
-    out = np.zeros(4)
-    mujoco_module().mju_mulQuat(out, body, geom)
-    return _numbers(out)
+def _on(outer: Any, inner: Any) -> Any:
+    """The pose `inner`, given in the frame `outer`, where that frame is given."""
+    package, place, turn = mujoco_module(), np.zeros(3), np.zeros(4)
+    package.mju_mulPose(place, turn, outer[0], outer[1], inner[0], inner[1])
+    return place, turn
+
+
+def _inverse(pose: Any) -> Any:
+    """The pose of the outer frame in the inner one."""
+    package, place, turn = mujoco_module(), np.zeros(3), np.zeros(4)
+    package.mju_negPose(place, turn, pose[0], pose[1])
+    return place, turn

@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from scipy.special import ellipk
 
@@ -22,8 +23,9 @@ from softfinger.config.mjcf import taken
 from softfinger.proxy.bodies import RigidBodies, bodies_of
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.query.bodies import step_bodies
-from softfinger.proxy.kernels.query.objects import closest_on
+from softfinger.proxy.kernels.query.objects import NOBODY, closest_on, closest_to_within, deepest
 from softfinger.proxy.kernels.query.world import advance, place_all
+from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import SLIDING
 from softfinger.proxy.scene import start_state
 
@@ -285,6 +287,30 @@ def test_geoms_are_touched_where_mujoco_has_them(tmp_path: Path) -> None:
                 assert ours - 0.001 == pytest.approx(theirs, abs=2e-6), thing.name
 
 
+@pytest.mark.parametrize("free", [True, False], ids=["on a body", "that stands"])
+def test_a_mesh_is_touched_where_mujoco_has_it(free: bool, tmp_path: Path) -> None:
+    """MuJoCo moves a mesh to its centre of mass and axes of inertia: its vertices and ours are in the same places."""
+    blob = trimesh.creation.icosphere(subdivisions=1)
+    blob.apply_scale([30.0, 20.0, 10.0])
+    blob.apply_translation([5.0, 3.0, 1.0])
+    blob.export(tmp_path / "blob.stl")
+    path = tmp_path / "blob.xml"
+    path.write_text(
+        '<mujoco><option timestep="0.001"/><asset><mesh name="blob" file="blob.stl" scale="0.001 0.001 0.001"/></asset>'
+        f'<worldbody><body name="b" pos="0.1 0.2 0.3" euler="10 20 30">{"<freejoint/>" if free else ""}'
+        '<geom name="blob" type="mesh" mesh="blob" pos="0.01 0.02 0.03" euler="40 0 10"/></body></worldbody></mujoco>'
+    )
+    engine = Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
+    world = advance(engine.scene.objects, start_state(engine.scene).world, 1e-3)
+    placed = place_all(engine.scene.objects, world.poses, world.was)
+    theirs = engine.model.mesh_vert @ engine.data.geom_xmat[0].reshape(3, 3).T + engine.data.geom_xpos[0]
+    for vertex in theirs[::5]:
+        x = tuple(vertex.tolist())
+        place = deepest(placed, x, 1.0, NOBODY, BUDGET).place
+        gap, point, _, _ = closest_to_within(placed, place, x, BUDGET)
+        assert abs(gap) < 1e-8 and np.abs(np.array(point) - vertex).max() < 1e-8  # they are kept in 32 bits
+
+
 def test_how_each_geom_was_taken_is_said(tmp_path: Path) -> None:
     """By name, by group, by class of defaults, the last that fits; and what does not collide is not touched."""
     path = tmp_path / "some.xml"
@@ -364,6 +390,7 @@ WRONG: dict[str, Callable[[dict[str, Any]], Any]] = {
             )
         ]
     ),
+    "an observer of the hand": lambda scene: scene.update(passivity={"mode": "observe"}),
     "nothing to touch": lambda scene: scene.pop("world"),
     "a material for nothing": lambda scene: scene["world"].update(geom=[{"material": RUBBER}]),
 }

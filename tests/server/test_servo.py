@@ -1,17 +1,14 @@
 """The servo loop: what it may call, what it must not do, and how it ends."""
 
 import ctypes
-import os
 import resource
-import shutil
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.allocations import HAS_COMPILER, counted
 from helpers.faulty_device import FaultyDevice, Options
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
@@ -411,18 +408,6 @@ def test_no_page_fault_in_the_loop():
     assert faults_of(5000) - faults_of(50) <= kept_by_device + 2
 
 
-SHIM = """
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <stddef.h>
-static __thread long count;
-long allocations(void) { return count; }
-extern void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t);
-void *malloc(size_t n) { count++; return __libc_malloc(n); }
-void *calloc(size_t n, size_t m) { count++; return __libc_calloc(n, m); }
-void *realloc(void *p, size_t n) { count++; return __libc_realloc(p, n); }
-"""
-
 COUNT = """
 import ctypes, sys
 sys.path[:0] = sys.argv[1:]
@@ -443,19 +428,10 @@ print(count(10), count(8000))
 """
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="counting calls of malloc needs a C compiler to build the shim")
+@pytest.mark.skipif(not HAS_COMPILER, reason="counting calls of malloc needs a C compiler to build the shim")
 def test_loop_never_calls_malloc(tmp_path):
     """A shim that counts every malloc of the servo thread counts the same for ten ticks and for eight thousand."""
-    source, library = tmp_path / "shim.c", tmp_path / "shim.so"
-    source.write_text(SHIM)
-    subprocess.run(["cc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
-    done = subprocess.run(
-        [sys.executable, "-c", COUNT, str(Path(__file__).parents[1]), str(Path(__file__).parent)],
-        cwd=tmp_path,
-        env=os.environ | {"LD_PRELOAD": "./shim.so"},  # a list with blanks between, and the folder's name may have one
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    few, many = map(int, done.stdout.split())
+    few, many = map(int, counted(tmp_path, COUNT, str(Path(__file__).parents[1]), str(Path(__file__).parent)).split())
     assert few > 0  # the shim does count: entering the loop from Python allocates
     assert many == few
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.allocations import HAS_COMPILER, counted
 
 from softfinger.config import schema
 from softfinger.config.errors import SafetyStop
@@ -94,6 +95,58 @@ def test_what_is_pressed_gives_way_and_is_published(scene: schema.Scene) -> None
     for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
         np.testing.assert_array_equal(records[:, field], again[: len(records), field])
     assert np.abs(records[:, AT.force + 2]).max() > 0.1
+
+
+FULL = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast" iterations="50"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" pos="0 0 -0.1"/>
+    <body name="key" pos="0 0 -0.01">
+      <joint type="slide" axis="0 0 1" stiffness="300" damping="1" frictionloss="0.01" limited="true" range="-0.1 0"/>
+      <geom name="key" type="box" size="0.02 0.02 0.01" mass="0.05"/>
+    </body>
+    <body pos="0.1 0 -0.07"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>
+    <body pos="0.1 0.01 -0.02"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>
+    <body pos="-0.1 0 -0.05"><freejoint/><geom type="ellipsoid" size="0.02 0.03 0.01"/></body>
+  </worldbody>
+</mujoco>
+"""
+COUNT = """
+import ctypes, sys
+sys.path.insert(0, sys.argv[1])
+from helpers.faulty_device import FaultyDevice, Options
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.tuning import make_tuning
+shim = ctypes.CDLL(None)
+shim.allocations.restype = ctypes.c_long
+geom = {"name": "key", "material": {"stiffness_n_per_m": 500.0, "damping_ns_per_m": 2.0}}
+scene = load_scene({"fingertip": {"radius_m": 0.01}, "world": {"model": sys.argv[2], "geom": [geom]}})
+def count(ticks):
+    seen, device = [], FaultyDevice(Options())
+    def prepare():
+        seen.append(shim.allocations())
+        return lambda: seen.append(shim.allocations())
+    servo = Servo([device], make_tuning(scene, load_rig("replay").guard, [device.info]), 1000.0, ticks, prepare)
+    servo.compile()
+    servo.start()
+    assert servo.join(60.0).ending == 1
+    servo.close()
+    return seen[1] - seen[0], servo.tuning.scene.bodies.block.owner.data.ncon
+count(10)
+few, many = count(10), count(3000)
+print(few[0], many[0], many[1])
+"""
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="counting calls of malloc needs a C compiler to build the shim")
+def test_the_step_of_bodies_allocates_nothing(tmp_path: Path) -> None:
+    """With contacts, friction and a limit of a joint: as many mallocs of the servo in ten ticks as in thousands."""
+    (tmp_path / "full.xml").write_text(FULL)
+    few, many, contacts = map(int, counted(tmp_path, COUNT, str(Path(__file__).parents[1]), "full.xml").split())
+    assert contacts > 4 and few > 0  # the shim does count: entering the loop from Python allocates
+    assert many == few
 
 
 def test_an_error_of_mujoco_ends_the_run_and_not_the_process(scene: schema.Scene) -> None:
