@@ -280,7 +280,8 @@ def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
     )
     assert news(lambda s: {effect.kind for effect in s.effect}) == kinds(schema.Effect)
     assert news(lambda s: {effect.kind for t in s.object for effect in t.effect}) == kinds(schema.ObjectEffect)
-    assert news(lambda s: {t.motion.kind for t in s.object if t.motion}) == kinds(schema.Motion)
+    # What a body costs is up to its model.
+    assert news(lambda s: {t.motion.kind for t in s.object if t.motion}) == kinds(schema.Motion) - {"body"}
     both = {"height_m", "friction_scale"}
     textures = news(
         lambda s: {key for t in s.object for key in both if getattr(getattr(t, "texture", None), key, None)}

@@ -176,8 +176,8 @@ def wall_and_weight(
         shape=shape, pose=None, motion=None, material=material, number=0.0, effects=(), was=None, texture=None
     )
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
-    finger = Finger(RADIUS_M, Coupling(1.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)
-    scene = Scene(fingers=(finger,), objects=(wall,), rolling=None, effects=(weight,))
+    finger = Finger(RADIUS_M, Coupling(1.0, 0.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)
+    scene = Scene(fingers=(finger,), objects=(wall,), rolling=None, effects=(weight,), bodies=None)
     # The observer is always there: with a largest damping of 0 it leaves the force alone.
     return Tuning(
         scene, (Guard(inf, inf, inf, inf, 0.0, 1.0, inf, inf, 0.0, 1.0),), Passivity(passivity_damping), (None,)
