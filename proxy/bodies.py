@@ -131,14 +131,17 @@ _WARNINGS: Final = ("inertia", "contacts full", "constraints full", "bad qpos", 
 
 
 def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> RigidBodies | None:
-    """The world of a scene, None for one without; that of a scene `before` where the model is the same."""
+    """The world of a scene, None for one without; that of a scene `before` goes on, and has to be the same."""
     if scene.world is None:
         return None
-    if before is not None and before.bodies is not None:
-        owner: RigidBodies = before.bodies.block.owner
-        if (owner.world.model, owner.world.substeps) == (scene.world.model, scene.world.substeps):
-            return owner
-    return RigidBodies(scene.world)
+    if before is None or before.bodies is None:
+        return RigidBodies(scene.world)
+    owner: RigidBodies = before.bodies.block.owner
+    for key in ("model", "substeps"):
+        now, given = getattr(owner.world, key), getattr(scene.world, key)
+        if now != given:
+            raise ConfigError(f"world.{key} = {given!r}: is {now!r} as long as it runs: begin anew with another scene")
+    return owner
 
 
 def motion_size(scene: kernels.Scene) -> int:

@@ -313,6 +313,8 @@ class Engine:
     def _check_dt(self, dt: float) -> float:
         if not (dt == 0.0 or DT_MIN_S <= dt <= DT_MAX_S):
             raise PoseError(f"dt = {dt}: a time step is 0 or from {DT_MIN_S:g} to {DT_MAX_S:g} s")
+        if self.scene.bodies is not None and dt != self.dt:
+            raise PoseError(f"dt = {dt}: the bodies of [world] go on by {self.dt:g} s in each tick")
         return float(dt)
 
 

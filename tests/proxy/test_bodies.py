@@ -21,7 +21,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.config.mjcf import taken
 from softfinger.proxy.bodies import RigidBodies, bodies_of
-from softfinger.proxy.engine import Engine
+from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_on, closest_to_within, deepest
 from softfinger.proxy.kernels.query.world import advance, place_all
@@ -222,6 +222,10 @@ def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
     engine.set("coupling.damping_ns_per_m", 1.5)
     np.testing.assert_array_equal(engine.data.qpos, place)
     engine.set("coupling.damping_ns_per_m", 1.0)
+    with pytest.raises(ConfigError, match="as long as it runs"):
+        engine.set("world.substeps", 2)
+    with pytest.raises(PoseError, match="the bodies of"):
+        engine.run(way, 0.002)
     engine.reset()
     for again in (engine, other):
         np.testing.assert_array_equal(again.run(way)["thumb"], first)
