@@ -9,6 +9,7 @@ changed. The box begins in the air without weight; once the fingers hold it, gra
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,15 +24,15 @@ BOX = """
 </mujoco>
 """
 RADIUS_M, STIFFNESS, TORSION, ARM_M = 0.008, 500.0, 0.05, 0.008
-MATERIAL = {
+MATERIAL: dict[str, Any] = {
     "stiffness_n_per_m": STIFFNESS,
     "damping_ns_per_m": 2.0,
     "friction": {"static": 0.8, "kinetic": 0.7},
 }
-SOFT = {"torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": 0.004}}
+SOFT: dict[str, Any] = {"torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": 0.004}}
 
 
-def hold(material: dict, folder: Path) -> float:
+def hold(material: dict[str, Any], folder: Path) -> float:
     """Largest turn of the box about the line between the fingers, in 0.6 s under its weight, rad."""
     model = folder / "box.xml"
     model.write_text(BOX)

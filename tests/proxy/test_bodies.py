@@ -22,6 +22,7 @@ from softfinger.config.load import load_scene
 from softfinger.config.mjcf import taken
 from softfinger.proxy.bodies import RigidBodies, bodies_of
 from softfinger.proxy.engine import Engine, PoseError
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_on, closest_to_within, deepest
 from softfinger.proxy.kernels.query.world import advance, place_all
@@ -60,6 +61,11 @@ RUBBER = {
     "torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": 0.004},
 }
 DAMPED = {"stiffness_n_per_m": STIFFNESS, "damping_ns_per_m": 1.0, "torsional_damping_nms_per_rad": 1.5e-3}
+
+
+ASKED_FROM_PYTHON = pytest.mark.skipif(
+    not PLAIN, reason="asks kernels that only kernels call: plain Python can, `make test` does"
+)
 
 
 def box(folder: Path, mass: float = MASS, gravity: float = -G, floor: str = "", height: float = 0.0) -> str:
@@ -232,6 +238,7 @@ def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
         np.testing.assert_array_equal(again.data.qpos, place)
 
 
+@ASKED_FROM_PYTHON
 def test_a_step_by_address_is_mujocos_own(tmp_path: Path) -> None:
     """What `_address` of model and data leads to, with mujoco-core 4.0.1: the state after steps, to the bit."""
     path = box(tmp_path, floor=FLOOR, height=0.05)
@@ -268,6 +275,7 @@ SHAPES = """
 """
 
 
+@ASKED_FROM_PYTHON
 def test_geoms_are_touched_where_mujoco_has_them(tmp_path: Path) -> None:
     """Distances of points from each of our shapes, on a body that has moved, and from MuJoCo's geoms."""
     path = tmp_path / "shapes.xml"
@@ -291,6 +299,7 @@ def test_geoms_are_touched_where_mujoco_has_them(tmp_path: Path) -> None:
                 assert ours - 0.001 == pytest.approx(theirs, abs=2e-6), thing.name
 
 
+@ASKED_FROM_PYTHON
 @pytest.mark.parametrize("free", [True, False], ids=["on a body", "that stands"])
 def test_a_mesh_is_touched_where_mujoco_has_it(free: bool, tmp_path: Path) -> None:
     """MuJoCo moves a mesh to its centre of mass and axes of inertia: its vertices and ours are in the same places."""
@@ -448,6 +457,7 @@ def test_a_world_without_mujoco_says_what_to_install(tmp_path: Path, monkeypatch
         load_scene({"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "material": RUBBER}})
 
 
+@ASKED_FROM_PYTHON
 def test_a_world_that_diverges_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A velocity without end: MuJoCo's warnings are counted from the next step on, and leave no file."""
     monkeypatch.chdir(tmp_path)

@@ -141,7 +141,7 @@ def passivity(axes: Any) -> None:
 
 def bodies(axes: Any) -> None:
     """A box that two fingertips lift, 8 mm beside its centre of mass: height, and turn about the line between them."""
-    hands = {name: resample(load_poses(f"lift-{name}"), 1000.0)[700:3200] for name in ("thumb", "index")}
+    hands = {name: resample(load_poses(f"lift-{name}"), 1000.0)[800:2600] for name in ("thumb", "index")}
     block = 10
     for name, torsion in (("with torsion", True), ("without torsion", False)):
         mapping = describe(load_scene("lift-a-box"))
