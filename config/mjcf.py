@@ -54,7 +54,7 @@ def read_model(path: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"world.model {name}: cannot be read: {reason}") from error
-    _check_folders(text, Path(path), name)
+    _check_folders(text, Path(path), name, set())
     try:
         spec = package.MjSpec.from_file(path)
         model = spec.compile()
@@ -65,8 +65,12 @@ def read_model(path: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     return spec, model
 
 
-def _check_folders(text: str, path: Path, name: str) -> None:
-    """A model is read with the files beside it and below, and no others."""
+def _check_folders(text: str, path: Path, name: str, seen: set[Path]) -> None:
+    """A model reads the files beside it and below, and no others; so do those that it includes, and theirs.
+
+    path  of the model, in whose folder MuJoCo looks for the files of all of them
+    seen  included files that were checked already
+    """
     from xml.etree import ElementTree
 
     if "<!ENTITY" in text:
@@ -85,6 +89,13 @@ def _check_folders(text: str, path: Path, name: str) -> None:
                     f"world.model {name}: <{element.tag} {key}={given!r}> is outside of its folder: put the file "
                     "beside the model"
                 )
+            if given and element.tag == "include" and (part := home / given) not in seen:
+                seen.add(part)
+                try:
+                    inner = read_input(part, SIZE_MAX).decode("utf-8-sig")
+                except (OSError, ValueError):
+                    continue  # MuJoCo says what is wrong with it
+                _check_folders(inner, path, f"{name}, {given}", seen)
 
 
 def with_geoms(scene: schema.Scene) -> schema.Scene:

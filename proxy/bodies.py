@@ -1,6 +1,6 @@
 """The rigid bodies of a scene's [world]: MuJoCo's model and data, and their addresses for the kernels.
 
-`_address` of MuJoCo's objects is the one thing here that it does not document: test_bodies.py sees to it.
+MuJoCo does not document `_address` of its objects, which this file alone uses; tests/proxy/test_bodies.py checks it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from softfinger.config import schema
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.mjcf import moves, mujoco_module, read_model
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
@@ -140,7 +140,9 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
     for key in ("model", "substeps"):
         now, given = getattr(owner.world, key), getattr(scene.world, key)
         if now != given:
-            raise ConfigError(f"world.{key} = {given!r}: is {now!r} as long as it runs: begin anew with another scene")
+            raise ConfigError(
+                f"world.{key} cannot change while the scene runs (now {now!r}, given {given!r}): load it anew"
+            )
     return owner
 
 
@@ -150,16 +152,32 @@ def motion_size(scene: kernels.Scene) -> int:
     return 1 + at.MOTION_SIZE * moving
 
 
-def begin_bodies(scene: kernels.Scene, period_s: float) -> None:
+def begin_bodies(scene: kernels.Scene, period_s: float, in_servo: bool = False) -> None:
     """Put the bodies of a scene, if it has any, where its model has them, for ticks of `period_s`; see
-    `RigidBodies.begin`."""
+    `RigidBodies.begin`. `in_servo`: a device may hold a force when MuJoCo meets an error."""
     if scene.bodies is not None:
         scene.bodies.block.owner.begin(period_s)
+        if in_servo:
+            scene.bodies.block.owner.park_on_errors()
+
+
+def diverged() -> SafetyStop:
+    """The error of bodies that have no next state, with what to do."""
+    return SafetyStop(
+        "the bodies of [world] cannot be simulated any further: a value is not finite, or MuJoCo's memory is full; "
+        "lower stiffness_n_per_m, or raise damping_ns_per_m or world.substeps, then start again"
+    )
+
+
+def check_bodies(scene: kernels.Scene) -> None:
+    """Raise `diverged` if MuJoCo has warned since the bodies of a scene, if it has any, began."""
+    if scene.bodies is not None and scene.bodies.block.owner.data.warning.number.any():
+        raise diverged()
 
 
 def _library(package: Any) -> ctypes.CDLL:
     folder = Path(package.__file__).parent
     found = sorted(folder.glob("libmujoco.so*")) + sorted(folder.glob("libmujoco*.dylib"))
     if not found:
-        raise ConfigError(f"[world]: there is no libmujoco in {folder}: install the package mujoco-core anew")
+        raise ConfigError(f"[world]: {folder} has no libmujoco: reinstall the package mujoco-core")
     return ctypes.CDLL(str(found[0]))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import SceneSource, load_scene, overridden
-from softfinger.proxy.bodies import RigidBodies, begin_bodies
+from softfinger.proxy.bodies import RigidBodies, begin_bodies, check_bodies
 from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_contacts
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
@@ -306,6 +306,7 @@ class Engine:
             self._advance = compiled(self.scene)
         self._advance(None, self._values, None, self._state, poses, dt, self._tick, records)
         self._tick += len(poses)
+        check_bodies(self.scene)
 
     def _several(self) -> PoseError:
         return PoseError(f"the scene has the fingers {', '.join(self.fingers)}: give `run` poses of each by its name")

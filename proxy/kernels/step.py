@@ -25,7 +25,7 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 
 @jit
 def step(scene: Scene, state: State, poses: Any, dt: float) -> tuple[State, Any]:
-    """Advance the world by one tick, and every finger over it; what bodies are pushed by is with them for their step.
+    """Advance the world by one tick, and every finger over it; the reaction of each contact is put on its body.
 
     scene     Scene   what is modelled, with its parameters
     state     State   what the last tick left
@@ -41,12 +41,18 @@ def step_with(bodies: Any, scene: Scene, state: State, poses: Any, dt: float) ->
     """`step`, by whether bodies move by themselves."""
 
 
-@step_with.of(None)
-def step_without_bodies(bodies: None, scene: Scene, state: State, poses: Any, dt: float) -> Any:
+@jit
+def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
+    """The contact step of all fingers, with every object where the world has it now."""
     world = advance(scene.objects, state.world, dt)
     objects = place_all(scene.objects, world.poses, world.was)
     fingers, contacts = step_fingers(scene.fingers, scene, objects, state.fingers, poses, dt)
     return State(world=world, fingers=fingers), contacts
+
+
+@step_with.of(None)
+def step_without_bodies(bodies: None, scene: Scene, state: State, poses: Any, dt: float) -> Any:
+    return step_once(scene, state, poses, dt)
 
 
 @step_with.of(Bodies)
@@ -54,12 +60,12 @@ def step_with_bodies(bodies: Bodies, scene: Scene, state: State, poses: Any, dt:
     """In substeps of equal length, the fingers going straight from their last poses to these."""
     count = bodies.block[SUBSTEPS]
     begin = state.fingers
-    state, contacts = step_without_bodies(None, scene, state, on_the_way(begin, poses, 1.0 / count), dt / count)
+    state, contacts = step_once(scene, state, on_the_way(begin, poses, 1.0 / count), dt / count)
     push_bodies(bodies, contacts, state.fingers)
     for i in range(1, count):
         step_bodies(bodies)
         there = on_the_way(begin, poses, (i + 1.0) / count)
-        state, contacts = step_without_bodies(None, scene, state, there, dt / count)
+        state, contacts = step_once(scene, state, there, dt / count)
         push_bodies(bodies, contacts, state.fingers)
     return state, contacts
 

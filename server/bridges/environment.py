@@ -22,7 +22,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, load_rig, load_scene
 from softfinger.drivers.simulated.options import Hand, Options, simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
-from softfinger.proxy.bodies import begin_bodies
+from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.proxy.records import Records
@@ -180,6 +180,7 @@ class Touch(gymnasium.Env[Observation, Array]):
         drive = Drive(intention, np.ascontiguousarray(goals).reshape(-1), self._line)
         # From tick 0 on, as the goals are numbered; what the first tick of all does is in the memory.
         record_ticks(self._tuning, self._memory, self._device.plant, self._state, drive, self._dt, 0, records)
+        check_bodies(self._tuning.like.scene)
         named = Records(records)
         named["timestamp"][:] += self._ticks * self._dt
         records[:, 1] += self._ticks

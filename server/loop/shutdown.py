@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.drivers import opened
 from softfinger.drivers.base import FORCE_OFF, PROTOCOL, TIMEOUT, Device
+from softfinger.proxy.bodies import diverged
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.server.loop import health
@@ -166,10 +167,7 @@ def loop_failure(ended: Ended, ticks: int, missed: int, woken_late: bool) -> Hap
             "softfinger check names values that do not go together, else report the scene"
         )
     if ended.ending == health.DIVERGED:
-        return SafetyStop(
-            "the bodies of [world] can be simulated no further (a number that is none, or memory that is full): zero "
-            "force was commanded; lower stiffness_n_per_m, raise damping_ns_per_m or world.substeps, then start again"
-        )
+        return SafetyStop(f"zero force was commanded: {diverged()}")
     if ended.ending != health.STARVED:
         return None
     where, remedy = "in the device's exchange", "see to the device and its cable, or take a lower servo.rate_hz"

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Plant, PlantState, advance, goal_at, sense
-from softfinger.proxy.bodies import begin_bodies
+from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
 from softfinger.proxy.kernels.numerics import vec3
@@ -169,6 +169,7 @@ def run_closed_loop(tuning: Tuning, device: Simulation, rate_hz: float, ticks: i
         for first in range(0, ticks, CHUNK):
             records = np.zeros((min(CHUNK, ticks - first), RECORD_SIZE))
             record_ticks(scene_and_guard, memory, device.plant, state, drive, dt, first, records)
+            check_bodies(tuning.scene)
             yield records[:, None]
             done(first + len(records))
 

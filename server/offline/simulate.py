@@ -17,7 +17,7 @@ from softfinger.config.schema.pairing import single_device
 from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
-from softfinger.proxy.bodies import begin_bodies
+from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.engine import check_poses
 from softfinger.proxy.kernels.fingers import rows_of
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -90,6 +90,7 @@ def over_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Array]:
             records = np.zeros((*some.shape[:2], RECORD_SIZE))
             records[:, :, AT.timestamp] = np.arange(first, first + len(some))[:, None] * dt
             tick_many(scene_and_guard, memory, some, dts, dt, first, records)
+            check_bodies(tuning.scene)
             yield records
             done(first + len(some))
 

@@ -20,6 +20,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import describe, numbered, overridden
 from softfinger.drivers.base import HELD, WITHHELD, DeviceInfo
+from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.pack import Packed, flatten, packed
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
@@ -134,6 +135,8 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
                 columns[some, :, _PLACES["contact.mode"]][..., 0], columns[some, :, _PLACES["servo.guard"]][..., 0]
             )
             rests[:settle] = False
+            if part.scene.world is not None:  # where its bodies were is not recorded
+                rests[:] = False
             start += int(np.argmax(rests)) if rests.any() else len(rests)
         right[start : part.stop] = True
         left_out += _span(ticks, part.start, start, part.why)
@@ -156,6 +159,7 @@ def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, columns: Arra
     """What is kept (n, fingers, ...) of the poses (n, fingers, 7) of a part, from where nothing is remembered."""
     period = period_ns(run.rate_hz) / NS_PER_S
     first, start = run.first, begin(tuning.scene)
+    begin_bodies(tuning.scene, period)
     number = int(first["tick"][part.start])
     # A device with a clock of its own is stepped a period each tick, any other one for a missed deadline too.
     own = all(info.own_clock for info in _devices(run))
@@ -168,6 +172,7 @@ def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, columns: Arra
         some = slice(done, done + CHUNK)
         rows = records[: len(poses[some])]
         tick_many(scene_and_guard, carried, poses[some], dts[some], period, number + done, rows)
+        check_bodies(tuning.scene)
         columns[some] = rows[:, :, _COLUMNS]
 
 

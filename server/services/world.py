@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.proxy.bodies import motion_size
 from softfinger.proxy.kernels.jit.seqlock import read
 from softfinger.proxy.kernels.query.bodies import MOTION_SIZE
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
 from softfinger.server.wire.protocol import WORLD_HZ
+
+IDLE_S: Final = 0.2
+"""How often it is looked whether another scene has bodies."""
 
 
 class WorldState(Worker):
@@ -31,12 +35,14 @@ class WorldState(Worker):
 
     def work(self) -> None:
         shared, seen, values = None, -1, np.empty(0)
-        while not self.closing.wait(1.0 / WORLD_HZ):
-            scene = self._servo.tuning.scene
-            if scene.bodies is None:
-                continue
-            if shared is not self._servo.shared:  # another loop has begun, or the first
-                shared, seen = self._servo.shared, 0
+        wait_s = IDLE_S
+        while not self.closing.wait(wait_s):
+            newest_shared, scene = self._servo.shared, self._servo.tuning.scene
+            wait_s = IDLE_S if scene.bodies is None else 1.0 / WORLD_HZ
+            if scene.bodies is None or len(newest_shared.motion.values) != motion_size(scene):
+                continue  # no bodies, or a loop with others begins just now
+            if shared is not newest_shared:
+                shared, seen = newest_shared, 0
                 values = np.empty_like(shared.motion.values)
                 read.compile(tuple(map(numba.typeof, (shared.motion, seen, values))))  # type: ignore[attr-defined]
             newest = read(shared.motion, seen, values)

@@ -1,4 +1,4 @@
-"""A thread of Python that sleeps on an eventfd."""
+"""How a Python thread waits for an eventfd."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import os
 
 
 def wait_for(fd: int) -> None:
-    """Sleep until an eventfd rings, and take back what rang.
+    """Sleep until an eventfd counts above zero, and reset it.
 
-    The system gives a signal to any thread, and Python repeats this call for none that a handler interrupted.
+    The kernel may deliver a signal to any thread, and Python does not retry this call after EINTR.
     """
     while True:
         try:
