@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.bodies import motion_size
-from softfinger.proxy.kernels.jit.seqlock import read
+from softfinger.proxy.kernels.jit.seqlock import Slot, read
 from softfinger.proxy.kernels.query.bodies import MOTION_SIZE
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
@@ -32,23 +32,29 @@ class WorldState(Worker):
     ) -> None:
         super().__init__("world")
         self._servo, self._publish, self._event = servo, publish, event
+        self._motion: Slot | None = None
+        self._sequence, self._values = 0, np.empty(0)
 
     def work(self) -> None:
-        shared, seen, values = None, -1, np.empty(0)
         wait_s = IDLE_S
         while not self.closing.wait(wait_s):
-            newest_shared, scene = self._servo.shared, self._servo.tuning.scene
-            wait_s = IDLE_S if scene.bodies is None else 1.0 / WORLD_HZ
-            if scene.bodies is None or len(newest_shared.motion.values) != motion_size(scene):
-                continue  # no bodies, or a loop with others begins just now
-            if shared is not newest_shared:
-                shared, seen = newest_shared, 0
-                values = np.empty_like(shared.motion.values)
-                read.compile(tuple(map(numba.typeof, (shared.motion, seen, values))))  # type: ignore[attr-defined]
-            newest = read(shared.motion, seen, values)
-            if newest != seen:
-                seen = newest
-                self._publish(int(values[0]), told(scene.bodies.block.owner.names, values))
+            wait_s = self._look()
+
+    def _look(self) -> float:
+        """Publish what is new; returns after how long (s) to look again. Nothing of a loop that ended is held on to."""
+        shared, scene = self._servo.shared, self._servo.tuning.scene
+        if scene.bodies is None or len(shared.motion.values) != motion_size(scene):  # or a loop with others begins now
+            self._motion = None
+            return IDLE_S
+        if self._motion is not shared.motion:  # another loop has begun, or the first
+            self._motion, self._sequence = shared.motion, 0
+            self._values = np.empty_like(shared.motion.values)
+            read.compile(tuple(map(numba.typeof, (self._motion, self._sequence, self._values))))  # type: ignore[attr-defined]
+        newest = read(self._motion, self._sequence, self._values)
+        if newest != self._sequence:
+            self._sequence = newest
+            self._publish(int(self._values[0]), told(scene.bodies.block.owner.names, self._values))
+        return 1.0 / WORLD_HZ
 
     def failed(self, error: Exception) -> None:
         """The page stands still; what is felt goes on."""
