@@ -96,3 +96,13 @@ HAND_MASS_KG: Final = Range(0.0, 10.0, "0 is no hand; past 10 kg it is a whole b
 DEVICE_FRICTION_N: Final = Range(0.0, 40.0, "no more than the strongest desktop device could overcome")
 LAG_S: Final = Range(0.0, 0.1, "amplifiers slower than a tenth of a second display no contact")
 DELAY_TICKS: Final = Range(0, 16, "what a chain of buffers may hold; the ring of forces under way has this size")
+
+# Injected faults.
+FAULTS: Final = Range(1, 256, "each is looked at in every tick")
+FAULT_TICK: Final = Range(0, 100_000_000, "a day at 1 kHz")
+FAULT_TIME_S: Final = Range(0.0, 100_000.0, "a day")
+FAULT_EVERY: Final = Range(1, 100_000, "more seldom is a fault of its own")
+FAULT_BLOCK_S: Final = Range(0.0, 60.0, "a call that takes a minute does not come back")
+FAULT_NUMBERS: Final = Range(0, 9, "a sample has ten numbers, and a whole one is no fault")
+FAULT_SEED: Final = Range(1, 1_000_000_000, "as many runs as anybody repeats")
+FAULT_BUTTONS: Final = Range(1, (1 << 32) - 1, "devices have up to 32 buttons")

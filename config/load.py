@@ -1,4 +1,4 @@
-"""Read scenes and rigs: TOML to structs, all faults at once.
+"""Read scenes, rigs and faults to be injected: TOML to structs, all mistakes at once.
 
     scene = load_scene("paper-plane")                     # shipped
     rig = load_rig("bench.toml", {"servo.rate_hz": 500.0}, {"servo.rate_hz": "command line --rate"})
@@ -19,7 +19,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.schema import Heightmap, Mesh, Object, Rig, Scene, Textured
+from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
 from softfinger.config.toml import parse_toml
 from softfinger.config.validate import Fault, examine
 from softfinger.config.words import near, shown
@@ -29,8 +29,12 @@ SceneSource = str | Path | Mapping[str, Any] | Scene
 """What a scene may be given as."""
 
 _HERE: Final = Path(__file__).resolve().parent
-FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {Scene: _HERE / "scenes", Rig: _HERE / "rigs"}
-_KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig"}
+FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {
+    Scene: _HERE / "scenes",
+    Rig: _HERE / "rigs",
+    Faults: _HERE / "faults",
+}
+_KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig", Faults: "file of faults"}
 _SIZE_MAX: Final = 1 << 20
 _ENTRY: Final = re.compile(r"\[(\d+)\]")
 _NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
@@ -95,6 +99,11 @@ def load_rig(
     return msgspec.structs.replace(rig, security=msgspec.structs.replace(rig.security, **paths))
 
 
+def load_faults(path_or_name: str | Path) -> Faults:
+    """Faults to be injected from a file, or one of the shipped ones by name; raises as `load_scene`."""
+    return _load(Faults, path_or_name, {}, {})
+
+
 def build(struct_type: type[T], mapping: object, where: str) -> T:
     """`mapping` as a `struct_type`; ConfigError with every fault, each naming `where` and its key."""
     return _built(struct_type, mapping, where, {})
@@ -133,12 +142,12 @@ def describe(config: msgspec.Struct) -> dict[str, Any]:
 
 
 def shipped(struct_type: type[msgspec.Struct]) -> list[str]:
-    """Names of the scenes or rigs that come with the program."""
+    """Names of the files of a kind that come with the program."""
     return sorted(path.stem for path in FOLDERS[struct_type].glob("*.toml"))
 
 
 def find(path_or_name: str | Path, struct_type: type[msgspec.Struct]) -> Path:
-    """Where a scene or rig is. A text without a folder and without .toml is a shipped name first.
+    """Where a scene, rig or file of faults is. A text without a folder and without .toml is a shipped name first.
 
     The path need not exist, unless the text is neither a shipped name nor a file: then ConfigError.
     """
@@ -154,9 +163,10 @@ def find(path_or_name: str | Path, struct_type: type[msgspec.Struct]) -> Path:
     except (OSError, ValueError):
         pass
     kind = _KINDS[struct_type]
+    own = f"my-{kind.split()[-1]}.toml"
     raise ConfigError(
         f"no {kind} is called {shown(path_or_name)}{near(path_or_name, names)}; "
-        f"shipped are {', '.join(names)}; a file of your own is named with its ending, such as my-{kind}.toml"
+        f"shipped are {', '.join(names)}; a file of your own is named with its ending, such as {own}"
     )
 
 

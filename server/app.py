@@ -50,6 +50,7 @@ class Daemon:
     report       called from the servo thread with the outcome of each real-time setting
     sinks        take every record besides the publisher
     scene_name   what the scene is called
+    faults       to be injected between the devices and the loop
 
     Raises what opening a device or binding an endpoint raises; nothing stays open then.
     """
@@ -62,6 +63,7 @@ class Daemon:
         report: Callable[[list[realtime.Setting]], None] | None = None,
         sinks: Sequence[Sink] = (),
         scene_name: str = "unnamed",
+        faults: schema.Faults | None = None,
     ) -> None:
         if PLAIN:
             raise RealtimeError("NUMBA_DISABLE_JIT is set, and the servo loop needs machine code: unset it")
@@ -90,7 +92,7 @@ class Daemon:
             if rig.metrics.endpoint is not None:
                 metrics = self._metrics(rig.metrics.endpoint)
                 opened.append(metrics.stop)
-            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare)
+            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults)
         except BaseException as error:
             shutdown.every(*reversed(opened), first=error)
             raise

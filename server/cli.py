@@ -57,6 +57,7 @@ VERBS: Final = {
     "scenes": Verb("softfinger.server.verbs.shipped", "the scenes that are shipped, a line each"),
     "rigs": Verb("softfinger.server.verbs.shipped", "the rigs that are shipped, a line each"),
     "recordings": Verb("softfinger.server.verbs.shipped", "the recordings that are shipped, a line each"),
+    "faults": Verb("softfinger.server.verbs.shipped", "the faults that are shipped for `run --inject`, a line each"),
     "check": Verb("softfinger.server.verbs.check", "validate rig and scene files"),
     "schema": Verb("softfinger.server.verbs.schema", "JSON Schema of rigs and scenes, schema of the telemetry"),
     "install": Verb("softfinger.server.install.verb", "udev rules, limits, service, man page, completion; and back"),

@@ -119,9 +119,9 @@ def test_the_types_of_the_installed_wheel_are_seen(installed: Path, tmp_path: Pa
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("kind", ["scenes", "rigs", "recordings"])
+@pytest.mark.parametrize("kind", ["scenes", "rigs", "recordings", "faults"])
 def test_the_wheel_ships_data(wheel: Path, kind: str) -> None:
-    """Scenes, rigs and recordings are in the wheel, so `softfinger run` works without a checkout."""
+    """Scenes, rigs, recordings and faults are in the wheel, so `softfinger run` works without a checkout."""
     assert [name for name in zipfile.ZipFile(wheel).namelist() if name.startswith(f"softfinger/config/{kind}/")]
 
 

@@ -35,6 +35,7 @@ from softfinger.config.schema.effects import (
     Vibration,
     Viscosity,
 )
+from softfinger.config.schema.faults import Faults, Injection
 from softfinger.config.schema.fields import (
     Complaint,
     Component,
@@ -107,6 +108,7 @@ __all__ = [
     "Effect",
     "EffectBase",
     "Ellipsoid",
+    "Faults",
     "Finger",
     "FingerParts",
     "Fingertip",
@@ -114,6 +116,7 @@ __all__ = [
     "GeomMaterial",
     "Guard",
     "Heightmap",
+    "Injection",
     "Length",
     "Magnet",
     "Material",

@@ -20,7 +20,7 @@ PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq
 
 def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
     """The answer to `describe`, but for the wire itself; plain values."""
-    servo, scene = rendering.servo, rendering.scene
+    servo, scene, faults = rendering.servo, rendering.scene, rendering.faults
     return {
         "rig": describe(rendering.rig),
         "scene": describe(scene),
@@ -48,4 +48,4 @@ def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
             "cache": str(CACHE_DIR),
             "not_kept": KEPT.problem() or "",
         },
-    }
+    } | ({} if faults is None else {"faults": describe(faults)["fault"]})

@@ -22,6 +22,25 @@ def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
     return devices
 
 
+def injected(
+    devices: tuple[Device, ...], scene: schema.Scene, faults: schema.Faults | None, rate_hz: float
+) -> tuple[Device, ...]:
+    """The devices of a scene's fingers with faults injected, as they are without any; ConfigError for a fault of a
+    finger that there is not."""
+    if faults is None:
+        return devices
+    names = [finger.name for finger in scene.fingers]
+    for fault in faults.fault:
+        if fault.finger not in ("", *names):
+            raise ConfigError(
+                f"a fault of kind '{fault.kind}' has finger = '{fault.finger}': the scene has "
+                f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: leave it out"
+            )
+    from softfinger.drivers.injected import Injected  # its kernels are compiled with it
+
+    return tuple(Injected(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
+
+
 def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
     """What the device of each finger holds."""
     return [each.device.tool for each in pair(scene, rig)]

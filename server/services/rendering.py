@@ -28,7 +28,7 @@ from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import fading_out, make_tuning, seconds_to_zero, with_armed, with_scene
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
-from softfinger.server.services.devices import check_replacement, open_devices, tools
+from softfinger.server.services.devices import check_replacement, injected, open_devices, tools
 
 PAUSE_TICKS: Final = 3
 """The first begun before may still carry a force, the second is zero, and the third says that it was written."""
@@ -53,15 +53,22 @@ class Rendering:
 
     rig, scene      validated configuration
     ticks, prepare  as of `Servo`
+    faults          to be injected between the devices and the loop
 
     Its failures are how the servo ends: `Servo.join` has them. Raises what opening a device raises, and ConfigError for
     a rig that has no device for a finger; nothing stays open then.
     """
 
     def __init__(
-        self, rig: schema.Rig, scene: schema.Scene, ticks: int | None, prepare: Callable[[], Callable[[], None]]
+        self,
+        rig: schema.Rig,
+        scene: schema.Scene,
+        ticks: int | None,
+        prepare: Callable[[], Callable[[], None]],
+        faults: schema.Faults | None = None,
     ) -> None:
         self._rig, self._scene = rig, scene
+        self.faults: Final = faults
         self._started = self._stopped = False
         self._since = 0
         self._pauses = 0
@@ -77,7 +84,7 @@ class Rendering:
         """Ticks after which `advance` may change it."""
         self._moved = 0
         """How many ticks had begun when an offset was set last."""
-        devices = open_devices(scene, rig)
+        devices = self._open(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
             with making("kernels that call the device"):
@@ -271,9 +278,17 @@ class Rendering:
     def _opened(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
         """A loop on devices that are opened in place of the present ones."""
         shutdown.close_all(self.servo.devices)
-        devices = open_devices(scene, rig)
+        devices = self._open(scene, rig)
         try:
             return self._loop(scene, rig, devices)
+        except BaseException as error:
+            shutdown.every(lambda: shutdown.close_all(devices), first=error)
+            raise
+
+    def _open(self, scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
+        devices = open_devices(scene, rig)
+        try:
+            return injected(devices, scene, self.faults, rig.servo.rate_hz)
         except BaseException as error:
             shutdown.every(lambda: shutdown.close_all(devices), first=error)
             raise

@@ -9,8 +9,8 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_rig, load_scene, shipped
-from softfinger.config.schema import Rig
+from softfinger.config.load import load_faults, load_rig, load_scene, shipped
+from softfinger.config.schema import Faults, Rig
 from softfinger.drivers import base
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.proxy.scene import explain
@@ -59,6 +59,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--watcher", action="store_true", help="a small process that takes the force off if this one is killed"
     )
     parser.add_argument("--record", metavar="FILE", help="record every tick and event into a new .mcap file")
+    parser.add_argument(
+        "--inject", metavar="FILE", help="faults between device and loop, to try what becomes of them: file or name"
+    )
     parser.add_argument("--view", action="store_true", help="open a page in the browser, with a mouse for a hand")
     parser.add_argument("--duration", type=duration, metavar="S", help="stop after so many seconds of ticks")
 
@@ -82,7 +85,9 @@ def run(args: argparse.Namespace) -> int:
     if args.forces is not None and len(rig.tables) > 1:
         raise ConfigError("--forces: one file cannot keep the force of several fingers: give each its own in the rig")
 
-    daemon, watchers = Daemon(rig, scene, ticks, report_settings, scene_name=args.scene), list[Watcher]()
+    faults = None if args.inject is None else load_faults(args.inject)
+    daemon = Daemon(rig, scene, ticks, report_settings, scene_name=args.scene, faults=faults)
+    watchers = list[Watcher]()
     page = None
     try:
         if args.view:
@@ -94,6 +99,8 @@ def run(args: argparse.Namespace) -> int:
             watchers = watch_over(daemon)
         log.info("scene %s: %s", args.scene, explain(scene))
         log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rate, daemon.publisher.endpoint)
+        if faults is not None:
+            log.warning("faults are injected, from %s: %s", args.inject, told(faults, rate))
         log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
         if (daemon.commands_endpoint or "").startswith("tcp:"):
             log.warning("commands by tcp: every user of this machine may command; ipc:///PATH keeps others out")
@@ -123,6 +130,11 @@ def run(args: argparse.Namespace) -> int:
         if failed is not None and failed is not first:
             raise failed
     return signals.code_of_stop()
+
+
+def told(faults: Faults, rate_hz: float) -> str:
+    """What is injected, and when."""
+    return ", ".join(f"{fault.kind} from tick {fault.window(rate_hz)[0]} on" for fault in faults.fault)
 
 
 def default_rig(scene: str, view: bool) -> str:

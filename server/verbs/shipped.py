@@ -1,4 +1,4 @@
-"""`scenes`, `rigs`, `recordings`: what is shipped, a line each."""
+"""`scenes`, `rigs`, `recordings`, `faults`: what is shipped, a line each."""
 
 from __future__ import annotations
 
@@ -11,12 +11,23 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.load import FOLDERS
-from softfinger.config.schema import Rig, Scene
+from softfinger.config.schema import Faults, Rig, Scene
 from softfinger.drivers.poses import SHIPPED
 
-FOLDER_OF: Final = {"scenes": FOLDERS[Scene], "rigs": FOLDERS[Rig], "recordings": SHIPPED}
+FOLDER_OF: Final = {
+    "scenes": FOLDERS[Scene],
+    "rigs": FOLDERS[Rig],
+    "recordings": SHIPPED,
+    "faults": FOLDERS[Faults],
+}
 
-OPTIONS: Final = {"--scene": "scenes", "--rig": "rigs", "--recording": "recordings", "--poses": "recordings"}
+OPTIONS: Final = {
+    "--scene": "scenes",
+    "--rig": "rigs",
+    "--recording": "recordings",
+    "--poses": "recordings",
+    "--inject": "faults",
+}
 """Options that take a name of those that a verb lists, or a file."""
 
 _SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")

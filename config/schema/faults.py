@@ -1,0 +1,170 @@
+"""Faults that are injected between a device and the loop: which, when, and for how long.
+
+A file of `[[fault]]` tables, for `softfinger run --inject` and for tests. `drivers/injected.py` carries them out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Final, Literal
+
+from msgspec import UNSET
+
+from softfinger.config import limits
+from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
+
+Number = Literal["x", "y", "z", "qw", "qx", "qy", "qz"]
+Side = Literal["read", "write"]
+
+NUMBERS: Final[tuple[Number, ...]] = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Of a pose, in the order of a sample (drivers.base)."""
+
+
+class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
+    """When a fault acts. Ticks are counted by the reads of the device, from 0."""
+
+    kind: ClassVar[str]
+    at_tick: Annotated[int, within(limits.FAULT_TICK, "first tick with the fault", 500)] | None = None
+    at_s: Annotated[float, within(limits.FAULT_TIME_S, "the same as a time of ticks", 0.5)] | None = None
+    ticks: Annotated[int, within(limits.FAULT_TICK, "how many ticks it lasts; 1 where neither is given", 100)] | (
+        None
+    ) = None
+    for_s: Annotated[float, within(limits.FAULT_TIME_S, "the same as a time of ticks", 0.1)] | None = None
+    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "of those it acts in one of so many", 1)] = 1
+    finger: Annotated[str, said("finger of whose device it is; empty: of each", "thumb")] = ""
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.at_tick, self.at_s) and (self.at_tick is None) == (self.at_s is None):
+            if self.at_tick is None:
+                yield "at_tick", UNSET, "is missing, and at_s is too: give one of them"
+            else:
+                yield "at_s", self.at_s, "at_tick says when already: leave one of the two out"
+        if known(self.ticks, self.for_s) and self.ticks is not None and self.for_s is not None:
+            yield "for_s", self.for_s, "ticks says how long already: leave one of the two out"
+
+    def window(self, rate_hz: float) -> tuple[int, int]:
+        """The first tick, and the first behind the last."""
+        first = round((self.at_s or 0.0) * rate_hz) if self.at_tick is None else self.at_tick
+        count = self.ticks if self.for_s is None else math.ceil(self.for_s * rate_hz)
+        return first, first + (1 if count is None else count)
+
+
+class Stale(FaultBase, frozen=True, kw_only=True, tag="stale"):
+    """The device has no new sample: the one of before again, and the driver says so."""
+
+    kind: ClassVar[str] = "stale"
+
+
+class Frozen(FaultBase, frozen=True, kw_only=True, tag="frozen"):
+    """The sample of before again, as if it were new."""
+
+    kind: ClassVar[str] = "frozen"
+
+
+class NotANumber(FaultBase, frozen=True, kw_only=True, tag="nan"):
+    """A number of the pose is NaN."""
+
+    kind: ClassVar[str] = "nan"
+    number: Annotated[Number, said("which of the pose", "x")] = "x"
+
+
+class Infinite(FaultBase, frozen=True, kw_only=True, tag="infinite"):
+    """A number of the pose is infinite."""
+
+    kind: ClassVar[str] = "infinite"
+    number: Annotated[Number, said("which of the pose", "z")] = "x"
+
+
+class Teleport(FaultBase, frozen=True, kw_only=True, tag="teleport"):
+    """The position is elsewhere."""
+
+    kind: ClassVar[str] = "teleport"
+    offset_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("added to the position", [0.0, 0.0, -0.05])]
+
+
+class Slow(FaultBase, frozen=True, kw_only=True, tag="slow"):
+    """A call of the driver blocks."""
+
+    kind: ClassVar[str] = "slow"
+    block_s: Annotated[float, within(limits.FAULT_BLOCK_S, "for so long", 0.003)]
+    on: Annotated[Side, said("which call", "read")] = "read"
+
+
+class Short(FaultBase, frozen=True, kw_only=True, tag="short"):
+    """A sample arrives in part: the numbers behind the first ones are 0."""
+
+    kind: ClassVar[str] = "short"
+    numbers: Annotated[int, within(limits.FAULT_NUMBERS, "of the ten that arrive", 3)]
+
+
+class Corrupt(FaultBase, frozen=True, kw_only=True, tag="corrupt"):
+    """One bit of the pose is another one, at random."""
+
+    kind: ClassVar[str] = "corrupt"
+    seed: Annotated[int, within(limits.FAULT_SEED, "of the random numbers", 1)] = 1
+
+
+class Bounce(FaultBase, frozen=True, kw_only=True, tag="bounce"):
+    """Buttons bounce: they are the other way round in every other tick."""
+
+    kind: ClassVar[str] = "bounce"
+    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "of those it acts in one of so many", 2)] = 2
+    buttons: Annotated[int, within(limits.FAULT_BUTTONS, "which, a bit each", 1)] = 1
+
+
+class Disconnect(FaultBase, frozen=True, kw_only=True, tag="disconnect"):
+    """The device is gone: no call reaches it, and each says so. It is back when the time is over."""
+
+    kind: ClassVar[str] = "disconnect"
+
+
+class Timeout(FaultBase, frozen=True, kw_only=True, tag="timeout"):
+    """The device does not answer in time. A write that fails does not reach it."""
+
+    kind: ClassVar[str] = "timeout"
+    on: Annotated[Side, said("which call", "write")] = "read"
+
+
+class Protocol(FaultBase, frozen=True, kw_only=True, tag="protocol"):
+    """The device answers what is not in its protocol. A write that fails does not reach it."""
+
+    kind: ClassVar[str] = "protocol"
+    on: Annotated[Side, said("which call", "write")] = "read"
+
+
+class ForceOff(FaultBase, frozen=True, kw_only=True, tag="force_off"):
+    """The device turns its own force off, and says so."""
+
+    kind: ClassVar[str] = "force_off"
+
+
+class Withheld(FaultBase, frozen=True, kw_only=True, tag="withheld"):
+    """The driver writes zero in place of the force, and says so."""
+
+    kind: ClassVar[str] = "withheld"
+
+
+class Held(FaultBase, frozen=True, kw_only=True, tag="held"):
+    """The device does not take the force, keeps the one of before, and the driver says so."""
+
+    kind: ClassVar[str] = "held"
+
+
+class Swallowed(FaultBase, frozen=True, kw_only=True, tag="swallowed"):
+    """The force never arrives: the device keeps the one of before, and the driver says that it was taken."""
+
+    kind: ClassVar[str] = "swallowed"
+
+
+Injection = (
+    Stale | Frozen | NotANumber | Infinite | Teleport | Slow | Short | Corrupt | Bounce | Disconnect | Timeout
+    | Protocol | ForceOff | Withheld | Held | Swallowed
+)  # fmt: skip
+"""Any fault."""
+
+
+class Faults(Table, frozen=True, kw_only=True):
+    """Faults to be injected, each at its time; several may act in one tick."""
+
+    fault: Annotated[list[Injection], sized(limits.FAULTS, "faults, each with its kind and time")]

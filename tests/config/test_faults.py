@@ -1,0 +1,78 @@
+"""Files of faults to be injected: what they may say, and what a mistake in one leads to."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, load_faults, shipped
+from softfinger.config.schema import Faults, Injection
+from softfinger.drivers.injected import BEHIND, EVERY, FIRST, table
+
+pytestmark = pytest.mark.plain
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "operate" / "faults.md"
+KINDS = {kind.kind for kind in get_args(Injection)}
+
+
+def faults(**given: Any) -> Faults:
+    return build(Faults, {"fault": [{"kind": "stale", **given}]}, "faults")
+
+
+def test_a_file_is_shipped_for_every_kind() -> None:
+    """Each shipped file can be read, and together they have every kind that there is."""
+    found = {fault.kind for name in shipped(Faults) for fault in load_faults(name).fault}
+    assert found == KINDS
+
+
+def test_the_page_lists_every_kind() -> None:
+    """The table of the page has a row for every kind, and no other."""
+    rows = re.findall(r"^\| (`.+`) \| .* \| .* \|$|^\| (`.+?`) \|", PAGE.read_text("utf-8"), re.MULTILINE)
+    assert {name for row in rows for name in re.findall(r"`(\w+)`", "".join(row))} - {"kind"} == KINDS
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, r"fault\[0\]\.at_tick: is missing, and at_s is too: give one of them"),
+        ({"at_tick": 5, "at_s": 1.0}, r"fault\[0\]\.at_s = 1\.0: at_tick says when already"),
+        ({"at_tick": 5, "ticks": 3, "for_s": 1.0}, r"fault\[0\]\.for_s = 1\.0: ticks says how long already"),
+        ({"at_tick": -1}, r"fault\[0\]\.at_tick = -1: must be a whole number from 0"),
+        ({"at_s": 1.0, "kind": "stael"}, r"fault\[0\]\.kind = 'stael'.*did you mean 'stale'"),
+        ({"at_s": 1.0, "offset_m": [0, 0, 1]}, r"fault\[0\]\.offset_m"),
+        ({"at_s": 1.0, "kind": "teleport"}, r"fault\[0\]\.offset_m.* is missing"),
+        ({"at_s": 1.0, "kind": "slow", "block_s": 1e9}, r"fault\[0\]\.block_s = 1000000000\.0: must be .* 60 s"),
+        ({"at_s": 1.0, "kind": "nan", "number": "w"}, r"fault\[0\]\.number = 'w': must be"),
+    ],
+)
+def test_a_mistake_is_told_with_its_key(given: dict[str, Any], words: str) -> None:
+    """Which key, the value, what it may be: one line for one mistake."""
+    with pytest.raises(ConfigError, match=words) as told:
+        faults(**given)
+    assert "\n" not in str(told.value)
+
+
+def test_an_unknown_name_is_told_with_a_near_one() -> None:
+    """A name that is not shipped: what is, and the nearest."""
+    with pytest.raises(ConfigError, match=r"no file of faults is called 'teleprt'.*did you mean 'teleport'"):
+        load_faults("teleprt")
+
+
+@pytest.mark.parametrize(
+    ("given", "window"),
+    [
+        ({"at_tick": 7}, (7, 8)),
+        ({"at_tick": 7, "ticks": 3}, (7, 10)),
+        ({"at_s": 0.1}, (200, 201)),
+        ({"at_s": 0.1, "for_s": 0.01}, (200, 220)),
+        ({"at_tick": 7, "for_s": 0.0001}, (7, 8)),  # part of a period is one
+    ],
+)
+def test_times_become_ticks_of_the_rate(given: dict[str, Any], window: tuple[int, int]) -> None:
+    """By tick, or by the time that so many ticks take at 2 kHz."""
+    (row,) = table(faults(**given, every_ticks=2).fault, 2000.0)
+    assert (row[FIRST], row[BEHIND], row[EVERY]) == (*window, 2)
