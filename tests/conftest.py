@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -88,6 +89,16 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop("NUMBA_DISABLE_JIT", None)
     config.pluginmanager.register(Patience(config.getoption("--put-off")))
     config.pluginmanager.register(CompilationReport())
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A servo loop needs machine code: with kernels as plain Python tests that run one are skipped, with this reason.
+    `make test` runs them in a process of their own."""
+    if "numba" not in sys.modules or not sys.modules["numba"].config.DISABLE_JIT:
+        return
+    for item in items:
+        if item.get_closest_marker("real_time"):
+            item.add_marker(pytest.mark.skip(reason="it runs a servo, and NUMBA_DISABLE_JIT is set"))
 
 
 @pytest.fixture(scope="session")

@@ -146,6 +146,7 @@ def real_messages():
     return found
 
 
+@pytest.mark.real_time
 def test_real_messages_have_the_documented_keys_and_types():
     """Every message has exactly the keys of its tables, each with a value of the type written there."""
     tables = {title: {row[0].strip("`"): row[1] for row in rows[2:]} for title, rows in doc_tables().items()}
@@ -197,6 +198,7 @@ def test_schema_of_the_commands_has_every_method():
     assert drive["required"] == ["object", "position_m"] and drive["additionalProperties"] is False
 
 
+@pytest.mark.real_time
 def test_command_program_on_the_page_runs():
     """The program that commands, with the endpoint put in, changes a parameter of a real daemon."""
     (program,) = [each for each in re.findall(r"```python\n(.*?)```", DOC, re.DOTALL) if "set_params" in each]
