@@ -138,6 +138,13 @@ class Device(ABC):
         """What the device itself says of its last failure; empty where it says nothing. After the loop has ended."""
         return ""
 
+    def warning(self) -> str:
+        """What the device has to say while it goes on working, such as that its motors get hot; empty: nothing.
+
+        From any thread. The same words as long as nothing changes: each is told once.
+        """
+        return ""
+
     def hand(self) -> Led | None:
         """The hand on it, where it is computed and may be led; None where a person's is, or something else leads it."""
         return None

@@ -19,6 +19,7 @@ from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.publishing.setup import Shown
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.commands import Commands, Doing
+from softfinger.server.services.device_warnings import DeviceWarnings
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import Notify
 from softfinger.server.services.recordings import Recordings
@@ -222,6 +223,7 @@ class Daemon:
             Records(self.servo, self.publisher.tap, taking, self.fail, self._event),
             self.supervisor,
             HotplugWatch(hotplug, self._event),
+            DeviceWarnings(lambda: self.devices, self._event),
             WorldState(self.servo, self.publisher.world, self._event),
             *others,
             *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),

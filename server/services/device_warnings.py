@@ -1,0 +1,44 @@
+"""What devices have to say while they go on working: into the log, and to subscribers."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from softfinger.drivers.base import Device
+from softfinger.server.services.base import Worker
+
+log: Final = logging.getLogger(__name__)
+
+PERIOD_S: Final = 0.5
+NAME: Final = "device_warning"
+
+
+class DeviceWarnings(Worker):
+    """Asks the devices that are rendered on for their warnings, and tells each once, when it begins or changes.
+
+    devices  those of now: another rig brings others
+    """
+
+    def __init__(self, devices: Callable[[], Sequence[Device]], event: Callable[..., Any]) -> None:
+        super().__init__("device warnings")
+        self._devices, self._event = devices, event
+        self._told: set[tuple[str, str]] = set()
+
+    def work(self) -> None:
+        while not self.closing.wait(PERIOD_S):
+            self.look()
+
+    def look(self) -> None:
+        """Tell what is new since the last look."""
+        now = {(device.info.name, device.warning()) for device in self._devices()}
+        for name, warning in sorted(now - self._told):
+            if warning:
+                log.warning("%s: %s", name, warning)
+                self._event("fault", NAME, message=f"{name}: {warning}")
+        self._told = now
+
+    def failed(self, error: Exception) -> None:
+        """What is rendered needs none of it: the run goes on."""
+        self._event("fault", NAME, message=f"warnings of devices are not told any more: {error}")

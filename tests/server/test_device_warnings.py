@@ -1,0 +1,35 @@
+"""What a device says while it works: told once, and again when it changes or comes back."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from softfinger.server.services.device_warnings import NAME, DeviceWarnings
+
+pytestmark = pytest.mark.plain
+
+
+def test_each_warning_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """A warning is an event and a line of the log when it begins, when its words change and when it comes back."""
+    said, told = [""], []
+    device: Any = SimpleNamespace(info=SimpleNamespace(name="arm"), warning=lambda: said[0])
+
+    def event(kind: str, name: str, message: str) -> None:
+        told.append((kind, name, message))
+
+    watch = DeviceWarnings(lambda: [device], event)
+    for words in ("", "hot", "hot", "hotter", "", "", "hot"):
+        said[0] = words
+        watch.look()
+    assert told == [("fault", NAME, f"arm: {words}") for words in ("hot", "hotter", "hot")]
+    assert caplog.text.count("arm: hot") == 3
+
+
+def test_a_failing_look_ends_no_run() -> None:
+    """What fails in it is an event; nobody is asked any more."""
+    told = []
+    DeviceWarnings(list, lambda *_, message: told.append(message)).failed(ValueError("broken"))
+    assert told == ["warnings of devices are not told any more: broken"]
