@@ -160,8 +160,11 @@ def plane_scene() -> SceneFactory:
 def endpoints(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str]]:
     """Telemetry and commands of a daemon that replays the shipped recording on the paper's plane."""
     from softfinger.config.load import load_rig, load_scene
+    from softfinger.proxy.kernels.jit.decorators import PLAIN
     from softfinger.server.app import Daemon
 
+    if PLAIN:
+        pytest.skip("a daemon needs machine code, and NUMBA_DISABLE_JIT is set")
     folder = tmp_path_factory.mktemp("daemon")
     telemetry, commands = (f"ipc://{folder}/{name}" for name in ("telemetry", "commands"))
     rig = {"telemetry.endpoint": telemetry, "commands.endpoint": commands, "servo.realtime": "off"}
