@@ -1,0 +1,99 @@
+"""A servo on a device with faults injected, watched and recorded as a daemon has it, without sockets."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softfinger.config.errors import HapticError
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.config.schema import Faults
+from softfinger.drivers.base import Device
+from softfinger.drivers.injected import Injected
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server.loop import servo_thread as s
+from softfinger.server.loop import shutdown
+from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.recording.reader import End, Event, Ticks, contents
+from softfinger.server.recording.recorder import Recorder
+from softfinger.server.services.supervisor import Supervisor
+
+RAMP_S = 0.02
+FROZEN_S = 0.1
+WAIT_S = 30.0
+
+
+class Seen(NamedTuple):
+    """What became of a run: its error, None where it went on to its last tick; names of the recording's events, and of
+    those that the supervisor told; ticks done, and those in the recording (n, RECORD_SIZE)."""
+
+    error: HapticError | None
+    events: list[str]
+    ticks: int
+    recorded: np.ndarray
+
+
+def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float, folder: Path) -> Seen:
+    """Run so many ticks on the paper's plane, with everything that watches over them; the device is closed in the end.
+
+    folder  for the recording
+    """
+    injected = Injected(device, build(Faults, {"fault": faults}, "faults"), rate_hz)
+    guard = load_rig("replay", {"guard.ramp_s": RAMP_S, "guard.frozen_s": FROZEN_S}).guard
+    servo = s.Servo([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
+    servo.compile()
+    told: list[str] = []
+    failures: list[HapticError] = []
+
+    def fail(error: HapticError) -> None:
+        failures.append(error)
+        servo.stop()
+
+    path = folder / "run.mcap"
+    recorder = Recorder(path.open("wb", buffering=0), [""], {}, lambda *_: None, GUARD_NAMES)
+    supervisor = Supervisor(servo, fail, lambda kind, name, **_: told.append(name))
+    reader = threading.Thread(target=_hand_on, args=(servo, recorder.take))
+    try:
+        servo.start()
+        supervisor.start()
+        reader.start()
+        ended = servo.join(WAIT_S)
+        assert ended is not None, "the servo has not ended"
+    finally:
+        servo.stop()
+        reader.join(WAIT_S)
+        supervisor.stop()
+        injected.close()
+        recorder.stop(WAIT_S)
+    error = failures[0] if failures else ended.error
+    error = error or shutdown.device_failure(injected, ended)
+    error = error or shutdown.loop_failure(ended, servo.ticks, servo.missed, servo.woken_late)
+    done = servo.ticks
+    servo.close()
+    events, recorded = read(path)
+    return Seen(error, events + told, done, recorded)
+
+
+def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None]) -> None:
+    out = np.empty((1024, RECORD_SIZE))
+    running = True
+    while running:
+        servo.wait_record()
+        running = servo.running
+        while (count := servo.take(out)) > 0:
+            take(out[:count])
+
+
+def read(path: Path) -> tuple[list[str], np.ndarray]:
+    """Names of a whole recording's events, and its ticks."""
+    parts = list(contents(path))
+    (end,) = [part for part in parts if isinstance(part, End)]
+    assert end.cut == ""
+    ticks = [part.records() for part in parts if isinstance(part, Ticks)]
+    rows = np.concatenate(ticks) if ticks else np.empty((0, RECORD_SIZE))
+    return [part.event["name"] for part in parts if isinstance(part, Event)], rows
