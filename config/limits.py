@@ -26,6 +26,12 @@ RAMP_S: Final = Range(0.01, 10.0, "a ramp of a few ticks is none; past 10 s an e
 SPEED_MAX_M_PER_S: Final = Range(0.1, 1e3, "slower is a stroke of every day; past 1000 nothing is a jump")
 TURN_MAX_RAD_PER_S: Final = Range(1.0, 1e4, "slower is a turn of every day; past 10 000 nothing is a jump")
 FROZEN_S: Final = Range(0.0, 60.0, "0 is no limit; past a minute nobody is helped")
+HANDLE_SPEED_MAX_M_PER_S: Final = Range(0.1, 1e3, "slower is a stroke of every day; past 1000 nothing is fast")
+CONTINUOUS_FORCE_N: Final = Range(0.1, 40.0, "less is no force; no more than the guard may let through")
+HEAT_TIME_S: Final = Range(0.1, 3600.0, "faster is a fuse; past an hour the whole device warms")
+ENERGY_MAX_J: Final = Range(1e-3, 1e3, "a spring of 1000 N/m at 12 N holds 0.07 J; past 1000 nothing is much")
+WORKSPACE_SIZE_M: Final = Range(1e-3, 10.0, "less is no workspace; no desk has more than 10 m")
+WALL_STIFFNESS_N_PER_M: Final = Range(1.0, 2000.0, "less is not felt; more is no soft wall")
 
 # The loop.
 RATE_HZ: Final = Range(100.0, 8_000.0, "below, walls chatter; above, there is no USB frame short enough")

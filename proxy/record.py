@@ -121,6 +121,9 @@ class Offsets(NamedTuple):
             "unknown; 2 if the proxy has yet to come to rest on it: the force is not the sum of `contacts` then"
         ),
     ]
+    limits_speed: Annotated[int, 1, "float", "m/s", "", "smoothed speed of the handle; 0 without that limit"]
+    limits_heat: Annotated[int, 1, "float", "1", "", "heat of the motors, 1 that of the continuous force for ever"]
+    limits_energy: Annotated[int, 1, "float", "J", "", "energy that contacts gave to the hand and that still counts"]
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,7 @@ _UNITS: Final = {
     "_ticks": "ticks",
     "_m": "m",
     "_n": "N",
+    "_j": "J",
     "_s": "s",
 }
 

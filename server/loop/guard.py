@@ -1,4 +1,4 @@
-"""The guard between contact step and device: every wrench passes, there is no way around.
+"""The guard, last of the output before the device: every wrench passes, there is no way around.
 
 In order: what is not finite becomes zero, the ramp after engaging, the clamp by norm (the direction
 is kept), the limit on change per tick. The ramp scales the wrench and the limit of the clamp alike: else a stiff wall,
@@ -18,10 +18,11 @@ from typing import Final, NamedTuple
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.server.loop.limits import UNLIMITED, Limits
 
 GUARD_NAMES: Final = (
     "pose_refused", "not_finite", "ramping", "force_clamped", "torque_clamped", "slew_limited", "disarmed",
-    "pose_jumped", "pose_frozen",
+    "pose_jumped", "pose_frozen", "too_fast", "motor_hot", "energy_spent", "workspace_edge",
 )  # fmt: skip
 """Name of each bit of `servo.guard`, lowest first."""
 POSE_REFUSED: Final = 1
@@ -33,11 +34,16 @@ SLEW_LIMITED: Final = 32
 DISARMED: Final = 64
 POSE_JUMPED: Final = 128
 POSE_FROZEN: Final = 256
+TOO_FAST: Final = 512
+MOTOR_HOT: Final = 1024
+ENERGY_SPENT: Final = 2048
+WORKSPACE_EDGE: Final = 4096
 
 
 class Guard(NamedTuple):
     """Limits: N, N m, N/s, N m/s, s; `armed` 1 or 0. Of the poses that it believes: m/s, rad/s, and how long (s) one
-    may repeat bit for bit under force, 0 for ever. `turns`: 1 where the hand is given the torque, 0 where it is not."""
+    may repeat bit for bit under force, 0 for ever. `turns`: 1 where the hand is given the torque, 0 where it is not.
+    `limits`: those that look back or at the place, which `output.py` applies before these."""
 
     force_max: float
     torque_max: float
@@ -49,6 +55,7 @@ class Guard(NamedTuple):
     turn_max: float = inf
     frozen: float = 0.0
     turns: float = 1.0
+    limits: Limits = UNLIMITED
 
 
 class Guarded(NamedTuple):

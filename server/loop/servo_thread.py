@@ -31,7 +31,7 @@ from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
 from softfinger.server.loop.shared.bell import wait_for
 from softfinger.server.loop.shared.ring import Feed, Ring, make_ring, take
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, Ended
-from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tick import Tuning, begin, carried_over
 
 log: Final = logging.getLogger(__name__)
 
@@ -207,7 +207,7 @@ class Servo:
         handover.ready.wait()
         if handover.loop is None:
             raise handover.error or SafetyStop("there was no loop to go on with")
-        self._loop, self._handover = handover.loop, None
+        self._loop, self._handover = self._carried_over(handover.loop), None
         if self._loop.shared.ring is not self._rings[-1]:
             self._rings.append(self._loop.shared.ring)
             self._turns[0] += 1
@@ -218,6 +218,11 @@ class Servo:
             self._arm()
         handover.first, self._missed_before = self.ticks, self.missed
         handover.begun.set()
+
+    def _carried_over(self, loop: Loop) -> Loop:
+        """The loop with what the limits remember of the last tick."""
+        start = carried_over(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
+        return loop._replace(arguments=(loop.arguments[0], start, *loop.arguments[2:]))
 
     def replace(self, make: Callable[[], Loop], keeps: bool) -> int:
         """End the loop with zero force and begin another in the same thread; returns the number of its first tick.

@@ -13,12 +13,14 @@ from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
 from softfinger.proxy.kernels.numerics.rotations import normalize
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
-from softfinger.proxy.kernels.numerics.vec3 import scale
+from softfinger.proxy.kernels.numerics.vec3 import norm
 from softfinger.proxy.kernels.record_writer import put3, write_contact
 from softfinger.proxy.kernels.step import step
-from softfinger.proxy.record import AT, POSITION_MAX_M
+from softfinger.proxy.record import AT, POSITION_MAX_M, RECORD_SIZE
 from softfinger.proxy.scene import start_state
-from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, Guard, Guarded, guard_wrench
+from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, TOO_FAST, Guard, Guarded
+from softfinger.server.loop.limits import COLD, SPEED_S, Limited
+from softfinger.server.loop.output import Instant, Passed, at_rest, felt, output_wrench
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, keep_passive
 
 UNMOVED: Final = (-0.0, -0.0, -0.0)
@@ -42,11 +44,13 @@ class Tuning(NamedTuple):
 
 
 class FingerMemory(NamedTuple):
-    """What a tick leaves for the next of one finger: its contact's state, the guard's, the energy so far."""
+    """What a tick leaves for the next of one finger: its contact's state, the guard's, the energy so far, and that of
+    the limits, which lasts whatever becomes of the others."""
 
     contact: FingerState
     guarded: Guarded
     energy: Energy
+    limited: Limited = COLD
 
 
 class Memory(NamedTuple):
@@ -65,36 +69,41 @@ class Output(NamedTuple):
     tools: Any
 
 
-class Instant(NamedTuple):
-    """Number of a tick, time since the last one (s), and the nominal length of a tick (s)."""
-
-    number: int
-    dt: float
-    period: float
-
-
 def begin(scene: Scene) -> Memory:
     """Memory before the first tick."""
     state = start_state(scene)
-    return Memory(state.world, tuple(FingerMemory(finger, DISENGAGED, NO_ENERGY) for finger in state.fingers))
+    return Memory(state.world, tuple(FingerMemory(finger, DISENGAGED, NO_ENERGY, COLD) for finger in state.fingers))
+
+
+def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
+    """Memory before the first tick of a loop that takes over after a tick with these records, one after the other: new
+    guards do not cool the motors, nor slow the handle."""
+    fingers = []
+    for place, (finger, guard) in enumerate(zip(start.fingers, guards, strict=True)):
+        record = row[place * RECORD_SIZE :]
+        wait = max(guard.limits.slow_s, SPEED_S) if int(record[AT.servo_guard]) & TOO_FAST else 0.0
+        limited = COLD._replace(wait=wait, heat=float(record[AT.limits_heat]), work=-float(record[AT.limits_energy]))
+        fingers.append(finger._replace(limited=limited))
+    return start._replace(fingers=tuple(fingers))
 
 
 @jit
 def let_go(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
     """What is remembered after the hand was given no force, whatever was commanded: the guard's begins anew."""
-    return FingerMemory(hand.contact, start.guarded, hand.energy)
+    return FingerMemory(hand.contact, start.guarded, hand.energy, hand.limited)
 
 
 @jit
 def elsewhere(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
     """What is remembered of a finger that is somewhere else now, without a way there: its contact begins anew."""
-    return FingerMemory(start.contact, hand.guarded, hand.energy)
+    return FingerMemory(start.contact, hand.guarded, hand.energy, hand.limited)
 
 
 @jit
 def held(before: Guarded, hand: FingerMemory) -> FingerMemory:
     """What is remembered after the hand was left the force of `before`: the guard counts on from that one."""
-    return FingerMemory(hand.contact, Guarded(before.force, before.torque, hand.guarded.gain), hand.energy)
+    guarded = Guarded(before.force, before.torque, hand.guarded.gain)
+    return FingerMemory(hand.contact, guarded, hand.energy, hand.limited)
 
 
 @jit
@@ -157,12 +166,6 @@ def arrive_with_several(hands: Any, tools: Any, world: World, samples: Any) -> A
     return finger + fingers, pose + poses
 
 
-@jit
-def felt(guard: Guard, given: Guarded) -> Guarded:
-    """What of a wrench a hand is given: no torque where the device displays none, whatever it senses."""
-    return Guarded(given.force, scale(guard.turns, given.torque), given.gain)
-
-
 @by_count
 def command(hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any) -> Any:
     """After the step: FingerMemories with the wrench to be commanded, one for each finger.
@@ -187,17 +190,23 @@ def command_one(
             output.passivity, hand.energy, felt(guard, hand.guarded), motion, contact.mode, contact.force, instant.dt
         )
         torque = about_handle(tool, orientation, force, contact.torque)
-        guarded, bits = guard_wrench(guard, hand.guarded, force, torque, instant.dt, instant.period)
+        passed = Passed(hand.guarded, hand.limited)
+        passed, bits = output_wrench(guard, passed, motion, contact.mode, force, torque, instant)
+        guarded, limited = passed.guarded, passed.limited
     else:
         position, orientation = before.probe.position, before.probe.orientation
         contact = report_free(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
         state, guarded, energy, bits = start.contact, start.guarded, start.energy, POSE_REFUSED
+        limited = at_rest(guard, hand.limited, instant.dt)
     torque = about_tip(tool, orientation, guarded.force, guarded.torque)
     write_contact(record, instant.number, instant.dt, position, orientation, contact, guarded.force, torque)
     record[AT.servo_guard] = bits
     record[AT.passivity_energy] = energy.work
     record[AT.passivity_damping] = energy.damping
-    return (FingerMemory(state, guarded, energy),)
+    record[AT.limits_speed] = norm(limited.velocity)
+    record[AT.limits_heat] = limited.heat
+    record[AT.limits_energy] = 0.0 - min(limited.work, 0.0)
+    return (FingerMemory(state, guarded, energy, limited),)
 
 
 @command.of(2)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import Final
 
 from softfinger.config import schema
 from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.limits import NO_WALL, SLOW_S, Limits, Workspace
 from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import UNMOVED, Tuning
 from softfinger.server.progress import progress
@@ -93,7 +96,34 @@ def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard
         limits = limits._replace(turns=0.0)
     if device is None or not device.holds_a_force:
         return limits
-    return limits._replace(speed_max=guard.speed_max_m_per_s, turn_max=guard.turn_max_rad_per_s, frozen=guard.frozen_s)
+    doubting = {"speed_max": guard.speed_max_m_per_s, "turn_max": guard.turn_max_rad_per_s, "frozen": guard.frozen_s}
+    return limits._replace(**doubting, limits=hand_limits(guard))
+
+
+def hand_limits(guard: schema.Guard) -> Limits:
+    """The limits for a hand that a device may harm: its speed, the motors' heat, energy given, the workspace."""
+    slow_s = SLOW_S if guard.arm == "automatic" else inf
+    continuous = inf if guard.continuous_force_n is None else guard.continuous_force_n
+    speed, wall = guard.handle_speed_max_m_per_s, _wall(guard.workspace)
+    return Limits(speed, slow_s, continuous, guard.heat_time_s, guard.energy_max_j, wall)
+
+
+def _wall(asked: schema.Workspace | None) -> Workspace:
+    if asked is None:
+        return NO_WALL
+    x, y, z = (0.0, 0.0, 0.0) if asked.size_m is None else asked.size_m
+    half, radius = (0.5 * x, 0.5 * y, 0.5 * z), 0.0 if asked.radius_m is None else asked.radius_m
+    return Workspace(asked.center_m, half, radius, asked.stiffness_n_per_m, asked.force_max_n)
+
+
+def with_offsets(tuning: Tuning, offsets: tuple[Vec3, ...]) -> Tuning:
+    """The tuning with other offsets of the positions that devices say; the workspace of each goes along."""
+    guards = []
+    for guard, before, after in zip(tuning.guards, tuning.offsets, offsets, strict=True):
+        wall = guard.limits.workspace
+        center = tuple(x + (b + 0.0) - (a + 0.0) for x, a, b in zip(wall.center, before, after, strict=True))
+        guards.append(guard._replace(limits=guard.limits._replace(workspace=wall._replace(center=center))))
+    return tuning._replace(offsets=offsets, guards=tuple(guards))
 
 
 def _passivity(wanted: schema.Passivity | None) -> Passivity | None:

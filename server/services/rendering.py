@@ -25,7 +25,7 @@ from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.servo_thread import Loop, Servo
 from softfinger.server.loop.tick import UNMOVED
-from softfinger.server.loop.tuning import fading_out, make_tuning, seconds_to_zero, with_armed, with_scene
+from softfinger.server.loop.tuning import fading_out, make_tuning, seconds_to_zero, with_armed, with_offsets, with_scene
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.devices import check_replacement, injected, open_devices, tools
@@ -205,7 +205,7 @@ class Rendering:
             if position is not None:
                 at, before = seen[AT.probe_position : AT.probe_position + 3].tolist(), self.offsets[finger]
                 offsets[finger] = tuple(p - (x - b) for p, x, b in zip(position, at, before, strict=True))
-            self._tuning = self._tuning._replace(offsets=tuple(offsets))
+            self._tuning = with_offsets(self._tuning, tuple(offsets))
             self._moved = self._tune()
             return self._moved
 
@@ -272,7 +272,7 @@ class Rendering:
         infos = [device.info for device in devices]
         tuning = with_armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.armed))
         if not given:  # an offset is of a device, and stays with it
-            tuning = tuning._replace(offsets=self._tuning.offsets)
+            tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
 
     def _opened(self, scene: schema.Scene, rig: schema.Rig) -> Loop:

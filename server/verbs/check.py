@@ -26,6 +26,7 @@ from softfinger.config.schema import (
     Servo,
     Texture,
     Textured,
+    Workspace,
     World,
 )
 from softfinger.config.words import near, shown
@@ -305,10 +306,27 @@ def rig_summary(rig: Rig) -> list[tuple[str, str]]:
         ("servo", f"{servo.rate_hz:g} Hz, real time {servo.realtime}, priority {servo.priority}, {processor}"),
         ("guard, force", f"{guard.force_max_n:g} N, {guard.force_slew_n_per_s:g} N/s, ramp {guard.ramp_s:g} s"),
         ("guard, torque", f"{guard.torque_max_nm:g} N m, {guard.torque_slew_nm_per_s:g} N m/s"),
+        ("guard, hand", _hand_limits(guard)),
+        ("guard, workspace", _workspace(guard.workspace)),
         ("telemetry", telemetry.endpoint + (f", one tick in {telemetry.every}" if telemetry.every > 1 else "")),
         ("commands", rig.commands_endpoint or "off"),
         ("metrics", rig.metrics.endpoint or "off"),
     ]
+
+
+def _hand_limits(guard: Guard) -> str:
+    heat = "no heat limit"
+    if guard.continuous_force_n is not None:
+        heat = f"{guard.continuous_force_n:g} N for ever, heated in {guard.heat_time_s:g} s"
+    return f"handle up to {guard.handle_speed_max_m_per_s:g} m/s, {guard.energy_max_j:g} J given, {heat}"
+
+
+def _workspace(workspace: Workspace | None) -> str:
+    if workspace is None:
+        return "no soft wall"
+    form = f"sphere of {workspace.radius_m} m" if workspace.size_m is None else f"box of {shown(workspace.size_m)} m"
+    wall = f"soft wall of {workspace.stiffness_n_per_m:g} N/m up to {workspace.force_max_n:g} N"
+    return f"{form} about {shown(workspace.center_m)} m of the device, {wall}"
 
 
 def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:

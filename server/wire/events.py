@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT, CAUSE_NAMES, FREE, ROLLING, SLIDING
+from softfinger.server.faults import ADVICE
 from softfinger.server.wire.protocol import SCHEMA
 
 Map = dict[str, Any]
@@ -113,7 +114,7 @@ class RecordEvents:
             if key[0] == "servo":
                 event["total"] = missed
             else:
-                event["finger"] = self._finger
+                event |= {"finger": self._finger, "message": ADVICE.get(key[1], "")}
             self._sent_s[key] = now
             events.append(event)
         return events

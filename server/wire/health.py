@@ -69,6 +69,9 @@ class Health:
             "energy_total": self._energy_total,
             "passivity.owed": max(0.0, -float(counted[:, AT.passivity_energy].min(initial=0.0))),
             "passivity.damped": int(np.count_nonzero(counted[:, AT.passivity_damping])),
+            "limits.speed": float(counted[:, AT.limits_speed].max(initial=0.0)),
+            "limits.heat": float(counted[:, AT.limits_heat].max(initial=0.0)),
+            "limits.energy": float(counted[:, AT.limits_energy].max(initial=0.0)),
         }
         for name, at in (("late", AT.servo_late), ("exec", AT.servo_exec)):
             quantiles = np.percentile(counted[:, at], list(_QUANTILES.values())).tolist()
@@ -85,6 +88,8 @@ def together(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
             first[key] += other[key]
         first["passivity"]["owed"] = max(first["passivity"]["owed"], other["passivity"]["owed"])
         first["passivity"]["damped"] += other["passivity"]["damped"]
+        for limit in first["limits"]:
+            first["limits"][limit] = max(first["limits"][limit], other["limits"][limit])
         for mode in first["modes"]:
             first["modes"][mode] += other["modes"][mode]
     return first

@@ -108,7 +108,11 @@ EVENT_EXTRA_KEYS: Final = {
         Key("point", "float[3]", "m", "world", "contact point on the object"),
         _FINGER_KEY,
     ),
-    "guard": (Key("count", "int", "1", "", "interventions since the last event of this name"), _FINGER_KEY),
+    "guard": (
+        Key("count", "int", "1", "", "interventions since the last event of this name"),
+        _FINGER_KEY,
+        Key("message", "str", "", "", "what to do, empty where nothing is"),
+    ),
     "servo": (
         Key("count", "int", "1", "", "deadlines missed since the last event of this name"),
         Key("total", "int", "1", "", "deadlines missed since the servo started"),
@@ -149,6 +153,9 @@ HEALTH_KEYS: Final = (
     Key("energy_total", "float", "J", "", "the same, since the servo started"),
     Key("passivity.owed", "float", "J", "", "largest energy that the rendering generated in a contact"),
     Key("passivity.damped", "int", "1", "", "ticks in which the passivity controller added damping"),
+    Key("limits.speed", "float", "m/s", "", "largest smoothed speed of the handle; 0 without that limit"),
+    Key("limits.heat", "float", "1", "", "largest heat of the motors; at 1 they have the continuous force"),
+    Key("limits.energy", "float", "J", "", "largest energy that contacts gave to the hand"),
     Key("modes.free", "int", "1", "", "ticks in mode free"),
     Key("modes.rolling", "int", "1", "", "ticks in mode rolling"),
     Key("modes.sliding", "int", "1", "", "ticks in mode sliding"),

@@ -500,8 +500,12 @@ def test_ceilings_cannot_be_raised_by_a_file() -> None:
         "speed_max_m_per_s": limits.SPEED_MAX_M_PER_S,
         "turn_max_rad_per_s": limits.TURN_MAX_RAD_PER_S,
         "frozen_s": limits.FROZEN_S,
+        "handle_speed_max_m_per_s": limits.HANDLE_SPEED_MAX_M_PER_S,
+        "continuous_force_n": limits.CONTINUOUS_FORCE_N,
+        "heat_time_s": limits.HEAT_TIME_S,
+        "energy_max_j": limits.ENERGY_MAX_J,
     }
-    assert set(ceilings) == set(schema.Guard.__struct_fields__)
+    assert set(ceilings) | {"arm", "workspace"} == set(schema.Guard.__struct_fields__)
     for key, span in ceilings.items():
         built = build(Rig, put(rig(), f"guard.{key}", span.high), "f.toml")
         assert getattr(built.guard, key) == span.high

@@ -1,0 +1,320 @@
+"""Limits that look back or at the place: each against a closed form, and all of them over random wrenches."""
+
+import math
+from math import inf
+
+import numpy as np
+import pytest
+from helpers.examples import examples
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, load_rig, load_scene, shipped
+from softfinger.drivers.base import DeviceInfo
+from softfinger.drivers.poses import load_poses, shipped_names
+from softfinger.drivers.resample import resample
+from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
+from softfinger.server.loop import guard as g
+from softfinger.server.loop import limits as lim
+from softfinger.server.loop.output import BEGUN, Instant, at_rest, output_wrench
+from softfinger.server.loop.passivity import Motion
+from softfinger.server.loop.tick import begin, carried_over
+from softfinger.server.loop.tuning import guard_limits, make_tuning, with_offsets
+from softfinger.server.offline.simulate import simulate
+
+pytestmark = pytest.mark.plain
+
+T = 0.001
+NONE = (0.0, 0.0, 0.0)
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+ARM = DeviceInfo("arm", 3, 3, 40.0, 2.0, 5000.0, 30.0, (-0.1,) * 3, (0.1,) * 3)
+"""A device that holds a force in a hand."""
+
+
+def limited(force_max=12.0, ramp=0.0, slew=1e9, **limits):
+    """A guard with some limits, the others off."""
+    return g.Guard(force_max, 0.3, slew, slew, ramp, 1.0, limits=lim.UNLIMITED._replace(**limits))
+
+
+def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE):
+    """One tick of a handle that has come to `at` by `moved`."""
+    before = tuple(a - m for a, m in zip(at, moved, strict=True))
+    motion = Motion(Pose(before, LEVEL), Pose(at, LEVEL), None)
+    return output_wrench(guard, passed, motion, float(mode), force, torque, Instant(0, T, T))
+
+
+@pytest.mark.parametrize("speed", [2.1, 3.0, 5.0])
+def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
+    """A constant speed v shows as v (1 - r^n) after n ticks, r = tau / (tau + T): the force is zero from the first n
+    with that above the limit, and there before."""
+    guard, passed, forces = limited(speed=2.0, slow_s=0.5), BEGUN, []
+    for _ in range(100):
+        passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (0.0, speed * T, 0.0))
+        forces.append(passed.guarded.force[0])
+        assert bool(bits & g.TOO_FAST) == (passed.guarded == g.DISENGAGED)
+    ratio = lim.SPEED_S / (lim.SPEED_S + T)
+    first = math.floor(math.log(1.0 - 2.0 / speed) / math.log(ratio)) + 1
+    assert forces == [5.0] * (first - 1) + [0.0] * (100 - first + 1)
+
+
+def test_one_displaced_pose_is_no_fast_hand():
+    """The largest step that is no jump, once or there and back, counts as d / (tau + T): 0.91 m/s, and no more."""
+    guard, passed = limited(speed=2.0, slow_s=0.5), BEGUN
+    step = 10.0 * T
+    for moved in (step, 0.0, -step, step, 0.0):
+        passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (moved, 0.0, 0.0))
+        assert bits == 0 and passed.guarded.force[0] == 5.0
+        assert math.hypot(*passed.limited.velocity) <= step / (lim.SPEED_S + T) * (1 + 1e-12)
+
+
+def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
+    """Armed automatically: after SLOW_S below half of the limit, from zero along the ramp; motion begins it anew."""
+    guard, passed = limited(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), BEGUN
+    for _ in range(100):
+        passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
+    assert bits & g.TOO_FAST
+    still = 0
+    for n in range(2000):
+        passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (1.5 * T if n == 300 else 0.0, 0.0, 0.0))
+        slow = math.hypot(*passed.limited.velocity) <= 1.0
+        still = still + 1 if slow else 0
+        if not bits & g.TOO_FAST:
+            break
+    # 500 subtractions of 1 ms may leave a rounding for one more tick.
+    assert still in (500, 501)
+    assert passed.guarded.force[0] == pytest.approx(5.0 * T / 0.5)
+
+
+def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
+    """However long the handle is slow there is no force, until it was disarmed; while it is fast, disarming is none."""
+    guard, passed = limited(speed=2.0, slow_s=inf), BEGUN
+    off = guard._replace(armed=0.0)
+    for _ in range(100):
+        passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
+    passed, bits = tick(off, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
+    assert bits == g.TOO_FAST | g.DISARMED
+    for _ in range(2000):
+        passed, bits = tick(guard, passed, (5.0, 0.0, 0.0))
+        assert bits == g.TOO_FAST and passed.guarded == g.DISENGAGED
+    passed, bits = tick(off, passed, (5.0, 0.0, 0.0))
+    assert bits == g.DISARMED
+    passed, bits = tick(guard, passed, (5.0, 0.0, 0.0))
+    assert bits == 0 and passed.guarded.force[0] == 5.0
+
+
+def test_heat_is_that_of_a_body_that_warms_and_cools():
+    """Under F the heat is (F / F_c)^2 (1 - r^n), r = tau / (tau + T); without force and without pose it falls by r."""
+    guard, passed = limited(continuous=4.0, heat_s=2.0), BEGUN
+    ratio = 2.0 / (2.0 + T)
+    for n in range(1, 1001):
+        passed, bits = tick(guard, passed, (3.0, 0.0, 0.0))
+        # A thousand steps, each rounded.
+        assert bits == 0 and passed.limited.heat == pytest.approx(0.5625 * (1.0 - ratio**n), rel=1e-11)
+    hot = passed.limited.heat
+    cooled = at_rest(guard, passed.limited, T).heat
+    passed, _ = tick(guard, passed)
+    assert cooled == passed.limited.heat == pytest.approx(hot * ratio, rel=1e-15)
+
+
+def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
+    """Twice the continuous force for long: whole until the heat is WARM, after -tau ln(1 - WARM / 4); then its square
+    follows dh/dt = (F^2 / F_c^2 - h) / tau with F^2 falling by 3 / (1 - WARM) a unit of heat, so that 1 - h falls with
+    a rate of (1 + 3 / (1 - WARM)) / tau; never by more than the rate of that."""
+    guard, passed, heats, forces = limited(force_max=8.0, continuous=4.0, heat_s=2.0), BEGUN, [], []
+    for _ in range(4000):
+        passed, bits = tick(guard, passed, (0.0, 8.0, 0.0))
+        heats.append(passed.limited.heat)
+        forces.append(passed.guarded.force[1])
+    first = next(n for n, force in enumerate(forces) if force < 8.0)
+    whole_s = -2.0 * math.log(1.0 - lim.WARM / 4.0)
+    assert first * T == pytest.approx(whole_s, abs=2 * T)  # a tick of delay, and steps in place of a curve
+    rate = (1.0 + 3.0 / (1.0 - lim.WARM)) / 2.0
+    left = (1.0 - heats[first - 1]) * np.exp(-rate * T * np.arange(1, 300))
+    # Steps in place of a curve: of first order, rate T / 2 = 0.4 % over a time of 1 / rate.
+    np.testing.assert_allclose(1.0 - np.array(heats[first : first + 299]), left, rtol=0.03)
+    assert bits & g.MOTOR_HOT and max(heats) <= 1.0
+    assert forces[-1] == pytest.approx(4.0, rel=1e-9) and min(forces) >= 4.0
+    assert max(-np.diff(forces)) < 8.0 * rate * T  # smoothly: below a hundredth of the slew limit
+
+
+def test_a_motor_that_bears_the_largest_force_is_never_hot():
+    """Where the continuous force is no less than the guard's, nothing is taken away, however hot it shows."""
+    assert lim.coolest(lim.UNLIMITED._replace(continuous=8.0), 1.5, 8.0) == 8.0
+    assert lim.coolest(lim.UNLIMITED, 1.5, 8.0) == 8.0
+
+
+def test_energy_given_in_a_contact_fades_the_force():
+    """A hand pushed along with constant power P: after n ticks it was given P tau (1 - r^n), r = tau / (tau + T), and
+    from the limit E on the force has the share 2 - given / E: in the end E (1 + s) = s P tau."""
+    guard, passed = limited(energy=0.1), BEGUN
+    shares, ratio = [], lim.FORGET_S / (lim.FORGET_S + T)
+    for n in range(8000):
+        passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.1 * T, 0.0, 0.0), ROLLING)
+        shares.append(passed.guarded.force[0] / 4.0)
+        given = -passed.limited.work
+        if not bits & g.ENERGY_SPENT:  # the first tick has no force before it
+            expected = 0.4 * T * ratio * (1.0 - ratio**n) / (1.0 - ratio)
+            assert given == pytest.approx(expected, rel=1e-9) and given <= 0.1  # a thousand rounded steps
+    whole = next(n for n, share in enumerate(shares) if share < 1.0)
+    assert whole * T == pytest.approx(-math.log(1.0 - 0.1 / 0.4), abs=3 * T)
+    # s P tau = E (2 - s): s = 2 E / (P tau + E) = 0.4; the work of a tick is forgotten a tick late, a thousandth.
+    assert shares[-1] == pytest.approx(0.4, rel=2e-3)
+
+
+def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
+    """Pressed in and let out again nothing was given; a surplus of friction does not pay for the next contact."""
+    guard, passed = limited(energy=0.1), BEGUN
+    for moved in [-0.001] * 100 + [0.001] * 100:
+        passed, bits = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, moved), ROLLING)
+        assert bits == 0
+    assert abs(passed.limited.work) <= 4.0 * 0.001 * (1 + 1e-9)  # the first tick had no force yet
+    for _ in range(200):
+        passed, _ = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, -0.001), ROLLING)
+    assert passed.limited.work > 0.7
+    passed, _ = tick(guard, passed)
+    assert passed.limited.work == 0.0
+
+
+def test_free_motion_under_an_effect_gives_nothing():
+    """What a pull in free space does counts in no contact."""
+    guard, passed = limited(energy=0.01), BEGUN
+    for _ in range(1000):
+        passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.001, 0.0, 0.0))
+        assert bits == 0 and passed.limited.work == 0.0
+
+
+BOX = lim.Workspace((0.01, 0.0, 0.0), (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
+BALL = lim.Workspace((0.01, 0.0, 0.0), NONE, 0.07, 500.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("wall", "at", "force"),
+    [
+        (BALL, (0.01, 0.07, 0.0), NONE),
+        (BALL, (0.01, 0.072, 0.0), (0.0, -1.0, 0.0)),
+        (BALL, (0.01, 0.0, -0.2), (0.0, 0.0, 4.0)),
+        (BOX, (0.06, -0.04, 0.03), NONE),
+        (BOX, (0.063, 0.0, 0.0), (-1.5, 0.0, 0.0)),
+        (BOX, (0.063, -0.044, 0.0), (-1.5, 2.0, 0.0)),
+        (BOX, (0.01, 0.3, 0.0), (0.0, -4.0, 0.0)),
+        (lim.NO_WALL, (9.0, 9.0, 9.0), NONE),
+    ],
+)
+def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
+    """Stiffness times depth, straight back to the nearest point inside, up to the largest; nothing inside."""
+    found, out = lim.wall_force(wall, at)
+    np.testing.assert_allclose(found, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
+    assert out == any(force)
+    passed, bits = tick(limited(workspace=wall), BEGUN, at=at)
+    np.testing.assert_allclose(passed.guarded.force, force, atol=1e-13)
+    assert bits == (g.WORKSPACE_EDGE if out else 0)
+
+
+def test_the_wall_cannot_push_past_the_guard():
+    """A wall that may push with 40 N, on top of a scene that does: together the guard's limit, along its slew limit."""
+    wall = BALL._replace(stiffness=2000.0, force_max=40.0)
+    passed, bits = tick(limited(workspace=wall, slew=2000.0), BEGUN, (0.0, -40.0, 0.0), at=(0.01, 0.2, 0.0))
+    assert passed.guarded.force == pytest.approx((0.0, -2.0, 0.0))
+    assert bits == g.WORKSPACE_EDGE | g.FORCE_CLAMPED | g.SLEW_LIMITED
+
+
+any_force = st.tuples(*[st.one_of(st.floats(-50, 50), st.floats(allow_nan=True, allow_infinity=True))] * 3)
+any_way = st.tuples(*[st.floats(-0.01, 0.01)] * 3)
+
+
+@given(st.lists(st.tuples(any_force, any_force, any_way, st.sampled_from([FREE, ROLLING])), min_size=1, max_size=80))
+@pytest.mark.scaled
+@examples(100, 3000)
+def test_no_limit_is_ever_passed(steps):
+    """Over any wrenches and motions: the force is finite, below the guard's and the heat's limit, zero while the
+    handle has been too fast; heat stays below 1; given is no more than twice the energy and the work of one tick."""
+    wall = BALL._replace(force_max=40.0)
+    guard = limited(speed=2.0, slow_s=0.01, continuous=3.0, heat_s=0.02, energy=0.01, workspace=wall, slew=2000.0)
+    passed, at = BEGUN, NONE
+    for force, torque, moved, mode in steps:
+        before, at = passed, tuple(a + m for a, m in zip(at, moved, strict=True))
+        passed, bits = tick(guard, passed, force, moved, mode, at, torque)
+        size = math.hypot(*passed.guarded.force)
+        assert all(map(math.isfinite, (*passed.guarded.force, *passed.guarded.torque)))
+        # The slew limit brings a force down in ticks: what is allowed, or less than the tick before.
+        allowed = lim.coolest(guard.limits, before.limited.heat, 12.0)
+        fading = max(allowed, math.hypot(*before.guarded.force) - 2.0)
+        assert size <= min(12.0, fading) * (1 + 1e-9)
+        assert (size == 0.0) or not bits & g.TOO_FAST
+        assert bool(bits & g.TOO_FAST) == (passed.limited.wait > 0.0)
+        if before.limited.wait == 0.0 and math.hypot(*passed.limited.velocity) <= 2.0:
+            assert not bits & g.TOO_FAST
+        # Those ticks of the slew limit heat as well: at most six, from 12 N, each (12 / 3)^2 of 1 in 21.
+        assert passed.limited.heat <= 1.0 + 6 * 16.0 / 21.0
+        # As for the heat: six ticks of 12 N along what this test moves a handle in one.
+        assert -passed.limited.work <= 0.02 + 7 * 12.0 * 0.01 * math.sqrt(3.0)
+
+
+def test_only_a_device_that_holds_a_force_is_limited():
+    """Recorded and simulated devices have none of these limits; arming by hand makes the speed limit wait for it."""
+    rig = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
+    limits = guard_limits(rig, ARM).limits
+    wall = lim.Workspace(NONE, (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
+    assert limits == lim.Limits(2.0, lim.SLOW_S, 3.0, 30.0, 0.5, wall)
+    assert guard_limits(schema.Guard(arm="button"), ARM).limits.slow_s == inf
+    assert guard_limits(schema.Guard(workspace=schema.Workspace(radius_m=0.07)), ARM).limits.workspace.radius == 0.07
+    for recorded in (DeviceInfo("r", 6, 6, 40.0, 2.0, 1e9, 1e3, NONE, NONE, own_clock=True), None):
+        assert guard_limits(rig, recorded).limits == lim.UNLIMITED
+
+
+def test_a_workspace_goes_along_with_the_zero_of_its_device():
+    """The wall is around what the device says: with an offset on that it is offset, and back without it."""
+    rig = schema.Guard(workspace=schema.Workspace(radius_m=0.07, center_m=(0.0, 0.0, 0.01)))
+    tuning = make_tuning(load_scene("paper-plane"), rig, [ARM])
+    moved = with_offsets(tuning, ((0.5, 0.0, -0.25),))
+    assert moved.guards[0].limits.workspace.center == (0.5, 0.0, -0.24)
+    assert with_offsets(moved, tuning.offsets).guards[0].limits.workspace.center == pytest.approx((0.0, 0.0, 0.01))
+
+
+@pytest.mark.parametrize("asked", [{}, {"radius_m": 0.07, "size_m": [0.1, 0.1, 0.1]}])
+def test_a_workspace_is_a_sphere_or_a_box(asked):
+    """Neither, or both, is refused with what to give."""
+    with pytest.raises(ConfigError, match="radius_m"):
+        build(schema.Rig, {"device": {"driver": "x"}, "guard": {"workspace": asked}}, "rig.toml")
+
+
+def test_a_scene_that_is_replaced_does_not_cool_the_motors():
+    """The next loop begins with the heat, the energy given, and the handle that was too fast, of each finger."""
+    tuning = make_tuning(load_scene("pinch"), schema.Guard(), [ARM, ARM])
+    row = np.zeros(2 * RECORD_SIZE)
+    second = row[RECORD_SIZE:]
+    second[AT.limits_heat], second[AT.limits_energy], second[AT.servo_guard] = 0.9, 0.2, g.TOO_FAST | g.RAMPING
+    first, other = carried_over(begin(tuning.scene), tuning.guards, row).fingers
+    assert first.limited == lim.COLD
+    assert other.limited == lim.Limited(NONE, lim.SLOW_S, 0.9, -0.2, 0.0)
+
+
+def test_a_recorded_hand_comes_to_no_limit():
+    """The shipped recording on the shipped plane, on a device with all limits of an omega.6: no bit of theirs."""
+    tuning = make_tuning(load_scene("paper-plane"), load_rig("omega-6").guard, [ARM])
+    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 1000.0), 1000.0)
+    assert not (records[:, AT.servo_guard].astype(int) & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE)).any()
+    assert 0.0 < records[:, AT.limits_speed].max() < 0.5 * 2.0
+    assert records[:, AT.limits_energy].max() < 0.1 * 0.5
+
+
+RECORDED = {"pinch": ("pinch-thumb", "pinch-index"), "lift-a-box": ("lift-thumb", "lift-index")}
+"""Recordings that are for a scene of several fingers; all others are for one."""
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", shipped(schema.Scene))
+def test_no_shipped_scene_comes_to_a_limit_with_its_recordings(name):
+    """Every shipped scene under every recording that fits it, on devices with the limits of an omega.6: no bit."""
+    scene, several = load_scene(name), {each for names in RECORDED.values() for each in names}
+    fitting = [RECORDED[name]] if name in RECORDED else [(each,) for each in shipped_names() if each not in several]
+    for recordings in fitting:
+        poses = [resample(load_poses(each), 1000.0) for each in recordings]
+        count = min(map(len, poses))
+        tuning = make_tuning(scene, load_rig("omega-6").guard, [ARM] * len(recordings))
+        records = simulate(tuning, np.stack([each[:count] for each in poses], axis=1), 1000.0)
+        bits = records[:, :, AT.servo_guard].astype(int)
+        assert not (bits & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE | g.MOTOR_HOT)).any(), recordings
