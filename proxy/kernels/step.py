@@ -16,9 +16,11 @@ from softfinger.proxy.kernels.contact.rest.among import settle_among_several
 from softfinger.proxy.kernels.contact.several_objects import find_candidates, outcome_among_several
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.model import NONE, Bodies, Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.bodies import SUBSTEPS, push_bodies, step_bodies
+from softfinger.proxy.kernels.query.kinds import moves_by_itself
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
@@ -111,7 +113,7 @@ def step_several_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, 
     return (state,) + others, (contact,) + contacts  # noqa: RUF005
 
 
-@jit
+@outlined_where(moves_by_itself)
 def step_finger(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, pose: Pose, dt: float
 ) -> tuple[FingerState, Contact]:

@@ -6,7 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import pytest
@@ -130,15 +130,32 @@ def test_a_caller_has_a_call_and_not_the_code() -> None:
 
 
 def test_only_numbers_come_back() -> None:
-    """A return annotation that says nothing is refused where the kernel is first called."""
+    """A return annotation of a text is refused where the kernel is first called."""
 
     @outlined.outlined
-    def vague(x: float) -> Any:
-        return x
+    def named(x: float) -> str:
+        return "x"
 
-    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: vague(x))
+    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: named(x))
     with pytest.raises(TypeError, match="outlined kernel returns numbers"):
         outermost(1.0)
+
+
+class Pair(NamedTuple):
+    first: float
+    rest: Any
+
+
+def test_an_annotation_without_a_type_is_inferred() -> None:
+    """What comes back has the type that the compiler finds: here that of the argument."""
+
+    @outlined.outlined
+    def swapped(pair: Pair) -> tuple[Pair, float]:
+        return Pair(pair.first + 1.0, pair.rest), pair.first
+
+    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda pair: swapped(pair))
+    assert outermost(Pair(1.0, (2.0, None))) == (Pair(2.0, (2.0, None)), 1.0)
+    assert all(UNIT in code for code in outermost.inspect_llvm().values())
 
 
 def test_where_says_for_which_types() -> None:

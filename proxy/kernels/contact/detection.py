@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_mesh_or_heightmap
+from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, takes_long
 from softfinger.proxy.kernels.query.objects import (
     NOBODY,
     closest_to_within,
@@ -131,7 +131,7 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     return left >= 0 and gap >= radius
 
 
-@outlined_where(has_mesh_or_heightmap)
+@outlined_where(takes_long)
 def detect_among_several(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Meeting:
     """First contact on the way of the last proxy, in free space the last probe, to the probe, as each object sees it.
 

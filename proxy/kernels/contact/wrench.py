@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.kinds import has_mesh_or_heightmap
+from softfinger.proxy.kernels.query.kinds import takes_long
 from softfinger.proxy.kernels.query.objects import material_of, number_of, pose_of
 from softfinger.proxy.record import CAUSE_NONE
 
@@ -49,7 +49,7 @@ class Wrench(NamedTuple):
     radius: float
 
 
-@outlined_where(has_mesh_or_heightmap)
+@outlined_where(takes_long)
 def wrench_of(rolling: Any, finger: Finger, objects: Any, contact: ContactState, motion: Motion) -> Wrench:
     """Friction and torsion of one of several contacts: with its own load, its own law, and its share of the springs."""
     zero = (0.0, 0.0, 0.0)

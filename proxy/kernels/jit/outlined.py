@@ -12,9 +12,10 @@ kernel of every scene calls:
         return nearest_triangle(shape, x)
 
 The return annotation says of which type the result is. Whoever calls the kernel needs to know no more, so what is on
-the disk is loaded without a look at the source. A call passes two addresses, of its arguments and of where the result
-goes. The linker finds the code by a symbol, in which kernel, types and sources are hashed; before a kept kernel is
-loaded all that it calls is (`numba_internals.load`).
+the disk is loaded without a look at the source. Where the annotation names no type (`Any`, or a tuple that has one),
+the compiler infers it. A call passes two addresses, of its arguments and of where the result goes. The linker finds the
+code by a symbol, in which kernel, types and sources are hashed; before a kept kernel is loaded all that it calls is
+(`numba_internals.load`).
 """
 
 import functools
@@ -37,14 +38,18 @@ _ADDRESS: Final = ir.IntType(8).as_pointer()
 
 
 def _example(annotation: Any) -> Any:
-    """A value of the type that an annotation names."""
+    """A value of the type that an annotation names, None where it names none."""
     if annotation in (float, int, bool):
         return annotation(0)
+    if annotation is Any:
+        return None
     if typing.get_origin(annotation) is tuple:
-        return tuple(_example(each) for each in typing.get_args(annotation))
+        parts = [_example(each) for each in typing.get_args(annotation)]
+        return None if None in parts else tuple(parts)
     if hasattr(annotation, "_fields"):
         hints = typing.get_type_hints(annotation)
-        return annotation(*(_example(hints[name]) for name in annotation._fields))
+        parts = [_example(hints[name]) for name in annotation._fields]
+        return None if None in parts else annotation(*parts)
     raise TypeError(f"{annotation}: an outlined kernel returns numbers, and tuples of them")
 
 
@@ -66,17 +71,20 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
         return entry(function)
 
     @functools.cache
-    def returned() -> types.Type:
-        return numba.typeof(_example(typing.get_type_hints(function)["return"]))
+    def annotated() -> types.Type | None:
+        example = _example(typing.get_type_hints(function)["return"])
+        return None if example is None else numba.typeof(example)
 
     @functools.cache
-    def symbol_for(given: types.Type) -> str:
-        return link_unit(function, KEPT, given, lambda: _in_and_out(inner, given, returned()))
+    def symbol_for(given: types.Type, result: types.Type) -> str:
+        return link_unit(function, KEPT, given, lambda: _in_and_out(inner, given, result))
 
     @intrinsic
     def call_unit(typing_context, *args):  # type: ignore[no-untyped-def]
-        given, result = types.Tuple(args), returned()
-        symbol = symbol_for(given)
+        given, result = types.Tuple(args), annotated()
+        if result is None:
+            result = typing_context.resolve_function_type(numba.typeof(inner), args, {}).return_type
+        symbol = symbol_for(given, result)
 
         def generate(context, builder, signature, values):  # type: ignore[no-untyped-def]
             there = cgutils.alloca_once(builder, context.get_value_type(given))

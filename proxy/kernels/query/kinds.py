@@ -9,15 +9,21 @@ from softfinger.proxy.kernels.jit.cache import kinds_in
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
 from softfinger.proxy.kernels.jit.rows import Rows
-from softfinger.proxy.kernels.model import Heightmap, Mesh
+from softfinger.proxy.kernels.model import Heightmap, Mesh, Simulated
 from softfinger.proxy.kernels.query.elements import contains, count
 from softfinger.proxy.kernels.shapes.composite import has_creases, is_mesh_shape
 
 
-def has_mesh_or_heightmap(*given: Any) -> bool:
-    """Whether there is a mesh or a height map among arguments of those types: what is asked of one is large, and takes
-    long enough for a call by address not to count."""
-    return not {Mesh, Heightmap}.isdisjoint(kinds_in(given))
+def moves_by_itself(*given: Any) -> bool:
+    """Whether there is an object on a body of a simulation among arguments of those types: such a tick takes
+    microseconds, and the code of each finger, compiled into each of its callers, would take a minute."""
+    return Simulated in kinds_in(given)
+
+
+def takes_long(*given: Any) -> bool:
+    """Whether there is one, a mesh or a height map: what is asked of them takes long enough for a call by address not
+    to count."""
+    return moves_by_itself(*given) or not {Mesh, Heightmap}.isdisjoint(kinds_in(given))
 
 
 SINGLE_POINT: Final = "single point"

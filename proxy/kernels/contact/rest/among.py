@@ -34,7 +34,7 @@ from softfinger.proxy.kernels.query.kinds import (
     any_multipoint,
     by_multipoint,
     has_creases_at,
-    has_mesh_or_heightmap,
+    takes_long,
 )
 from softfinger.proxy.kernels.query.objects import (
     closest_to_within,
@@ -61,7 +61,7 @@ class Rest(NamedTuple):
     budget: int
 
 
-@outlined_where(has_mesh_or_heightmap)
+@outlined_where(takes_long)
 def settle_among_several(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Rest:
