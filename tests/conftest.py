@@ -71,7 +71,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("softfinger")
     group.addoption("--compiled", action="store_true", help="list every file whose tests compile kernels")
     group.addoption("--exhaustive", action="store_true", help="all cases of tests marked `scaled`")
-    group.addoption("--put-off", metavar="FILE", help="name tests here that failed while the machine stood still")
+    group.addoption("--put-off", metavar="FILE", help="name tests of real time here that failed")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -10,7 +10,7 @@ Parts:
     compiled    all others; one process, so it goes before those that are two
     real time   marked `real_time`: they wait for the clock more than they compute, so they share the processors with
                 the other parts, which give way to them
-    put off     of those, the ones that failed while the machine stood still; last, with nothing beside them
+    put off     of those, the ones that failed; last, with nothing beside them, where a failure is one
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
 
 
 def quick(words: Sequence[str], covered: bool) -> list[Running]:
-    """All of `make test`; last, with nothing beside them, the tests that failed while the machine stood still."""
+    """All of `make test`; last, with nothing beside them, the tests of real time that failed beside others."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "put-off"
         ended = run([*QUICK, REAL_TIME._replace(words=(*REAL_TIME.words, f"--put-off={file}"))], words, covered)

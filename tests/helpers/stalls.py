@@ -6,9 +6,9 @@ failed, and so has one that failed three times while the machine stood still. Th
 was run again, and what it said.
 
 Two more ways out, both of them told as skipped. `--put-off FILE` is for a run beside which others compute: a test that
-would fail after three such times is named in FILE, for a run beside which nothing does. And where the host of a virtual
-machine took the processors for longer than a driver waits for its device (the kernel counts that time), each time, no
-test of real time has a result.
+would fail is named in FILE, for a run beside which nothing does, and which alone decides. And where the host of a
+virtual machine took the processors for longer than a driver waits for its device (the kernel counts that time), each
+time, no test of real time has a result.
 
 What this process does to itself no sleeper sees: looking for garbage among all that numba has made takes a tenth of a
 second, in which no thread of a test can answer. That is put off until the test has ended.
@@ -130,25 +130,27 @@ class Patience:
             reports = runtestprotocol(item, nextitem=nextitem, log=False)
             stall_s = self._sleepers.longest_s()
             failed = [report for report in reports if report.failed]
-            if not failed or stall_s < STALL_S:
+            kept_time = stall_s < STALL_S
+            if not failed or (kept_time and not self._put_off):
                 break
             always_taken &= min(stall_s, taken_s() - before_s) >= TAKEN_S
             why = failed[0].longreprtext.strip().splitlines()[-1]
             told = (REPEATED, f"{item.nodeid}: overslept {stall_s * 1e3:.0f} ms; {why}")
-            if turn < TURNS:
+            if turn < TURNS and not kept_time:
                 item.user_properties.append(told)
                 self._sleepers.rest()
             else:
                 failed[0].user_properties.append(told)
                 if self._put_off:
                     failed[0].user_properties.append((PUT_OFF, item.nodeid))
-                    why = "put off until no other tests run: the machine stood still"
+                    why = "put off until no other tests run"
                 elif always_taken:
                     why = "no result: the host took the processors in each of three turns"
                 else:
                     break
                 for report in failed:
                     skip(report, why)
+                break
         gc.enable()
         for report in reports:
             item.ihook.pytest_runtest_logreport(report=report)
@@ -159,7 +161,7 @@ class Patience:
         reports = [report for kind in ("passed", "failed", "skipped") for report in terminalreporter.getreports(kind)]
         told = [said for report in reports for said in report.user_properties]
         if repeated := [text for name, text in told if name == REPEATED]:
-            terminalreporter.section("repeated, since the machine stood still")
+            terminalreporter.section("repeated")
             for line in repeated:
                 terminalreporter.line(str(line))
         if self._put_off:
