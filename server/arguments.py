@@ -72,6 +72,15 @@ def keep_apart(flag: str, written: str | Path, read: Iterable[str | Path]) -> No
             raise ConfigError(f"{flag} {written}: is {each}, which is read: name another file")
 
 
+def default_rig(scene: str, otherwise: str) -> str:
+    """The rig of a run that names none: the shipped one of its scene, else another."""
+    from softfinger.config.load import shipped
+    from softfinger.config.schema import Rig
+
+    own = f"simulated-{scene}"
+    return own if own in shipped(Rig) else otherwise
+
+
 def duration(text: str) -> float:
     """A time of the command line, s."""
     seconds = float(text)

@@ -7,7 +7,7 @@ Each is a chain of minimum-jerk moves, so velocity and acceleration are continuo
 has a radius of 10 mm: its centre touches the plane at z = 0.010 m and presses 1 mm at 0.009 m.
 All start and end at rest in free space, in one pose, and so loop without a return. Those of a pinch are one for each
 of two fingers and of equal length: they press the sides of a box of 40 mm, x = -0.02 m and x = 0.02 m.
-So are those of a lift, whose box stands on z = 0.
+So are those of a lift, whose box stands on z = 0. Each scene with bodies that move has a motion, or two, of its own.
 """
 
 from __future__ import annotations
@@ -155,6 +155,112 @@ def lift(side: float) -> list[Move]:
     ]
 
 
+def turn_a_knob() -> list[Move]:
+    """Press the top of a knob, turn it by 1 rad, let go, and turn back in the air: each round turns it further."""
+    down = (0.0, 0.0, PRESSED_M - ABOVE_M - 0.002)
+    return [
+        hold(0.3),
+        Move(0.6, down),
+        hold(0.2),
+        spin(1.0, 1.0),
+        hold(0.3),
+        Move(0.4, _back(down)),
+        spin(0.8, -1.0),
+        hold(0.3),
+    ]
+
+
+def open_a_drawer() -> list[Move]:
+    """Down behind the handle, 100 mm towards the hand; the other way, on the front, until it is shut; up."""
+    down, pull, clearance = (0.0, 0.0, -0.045), 0.1, 0.006
+    return [
+        hold(0.3),
+        Move(0.6, down),
+        hold(0.1),
+        Move(1.4, (0.0, -pull, 0.0)),
+        hold(0.4),
+        Move(1.4, (0.0, pull + clearance, 0.0)),
+        hold(0.2),
+        Move(0.3, (0.0, -clearance, 0.0)),
+        Move(0.6, _back(down)),
+        hold(0.3),
+    ]
+
+
+def open_a_door() -> list[Move]:
+    """Straight on against the door, wait, and back: it follows."""
+    push = (0.0, 0.085, 0.0)
+    return [hold(0.3), Move(1.4, push), hold(0.6), Move(1.4, _back(push)), hold(1.0)]
+
+
+def press_a_button() -> list[Move]:
+    """Down to the cap, slowly through the click, wait, and slowly back through the other one."""
+    near, through = (0.0, 0.0, -0.0095), (0.0, 0.0, -0.005)
+    return [
+        hold(0.3),
+        Move(0.4, near),
+        Move(1.2, through),
+        hold(0.3),
+        Move(1.2, _back(through)),
+        Move(0.4, _back(near)),
+    ]
+
+
+def roll_a_pencil() -> list[Move]:
+    """On the pencil, 10 mm across it, and back."""
+    down, across = (0.0, 0.0, PRESSED_M - ABOVE_M - 0.001), (PENCIL_WAY_M, 0.0, 0.0)
+    return [
+        hold(0.3),
+        Move(0.6, down),
+        hold(0.2),
+        Move(1.0, across),
+        hold(0.3),
+        Move(1.0, _back(across)),
+        hold(0.2),
+        Move(0.6, _back(down)),
+        hold(0.3),
+    ]
+
+
+def push_a_ball() -> list[Move]:
+    """Behind the ball, push it up the side of its bowl, and away: it rolls back and swings."""
+    down, along, away = (0.0, 0.0, -0.026), (0.04, 0.0, 0.0), (-0.005, 0.0, 0.026)
+    return [
+        hold(0.3),
+        Move(0.5, down),
+        Move(1.0, along),
+        hold(0.2),
+        Move(0.15, away),
+        hold(4.0),
+        Move(0.8, (-along[0] - away[0], 0.0, -down[2] - away[2])),
+        hold(0.2),
+    ]
+
+
+def stack(side: float) -> list[Move]:
+    """One finger of two that put a box on a stack, from `side` -1 or 1 of it: take, lift, carry, set down, let go;
+    and all of it backwards."""
+    take = (-side * (ABOVE_M - RADIUS_M + 0.004), 0.0, 0.0)
+    lift_m, lower_m, carry = (0.0, 0.0, 0.064), (0.0, 0.0, -0.0045), (0.0, 0.06, 0.0)
+    there = [
+        Move(0.6, take),
+        hold(0.2),
+        Move(0.9, lift_m),
+        Move(0.8, carry),
+        hold(0.2),
+        Move(0.4, lower_m),
+        hold(0.2),
+        Move(0.5, _back(take)),
+    ]
+    back = [move if move.travel == (0.0, 0.0, 0.0) else Move(move.seconds, _back(move.travel)) for move in there[::-1]]
+    return [hold(0.3), *there, hold(1.0), *back, hold(0.3)]
+
+
+def _back(travel: Vector) -> Vector:
+    x, y, z = travel
+    return (-x, -y, -z)
+
+
 class Script(NamedTuple):
     """Where a recording starts and ends (m), upright, and what it does in between."""
 
@@ -168,6 +274,9 @@ SQUEEZE_M: Final = 0.006
 """How far the hands of a lift mean to press into the box: with a hand as stiff as the box 3 N, half of it each."""
 OFF_CENTRE_M: Final = 0.008
 """How far beside the centre of mass they take it: the box hangs by the torsion of the contacts."""
+PENCIL_WAY_M: Final = 0.01
+HALF_SMALL_BOX_M: Final = 0.015
+"""Of a box of the scene `stack-boxes`."""
 INDEX_THINNER_M: Final = 0.002
 """Of the scene `pinch`: the index finger's radius is so much less, and it starts nearer by it."""
 
@@ -179,6 +288,14 @@ RECORDINGS: Final[dict[str, Script]] = {
     "pinch-index": Script((HALF_BOX_M + ABOVE_M - INDEX_THINNER_M, 0.0, 0.0), lambda: pinch(1.0, 0.004)),
     "lift-thumb": Script((-HALF_BOX_M - ABOVE_M, OFF_CENTRE_M, HALF_BOX_M), lambda: lift(-1.0)),
     "lift-index": Script((HALF_BOX_M + ABOVE_M, OFF_CENTRE_M, HALF_BOX_M), lambda: lift(1.0)),
+    "turn-a-knob": Script((0.0, 0.0, 0.015 + ABOVE_M), turn_a_knob),
+    "open-a-drawer": Script((0.0, 0.039, 0.075), open_a_drawer),
+    "open-a-door": Script((0.04, -0.035, 0.0), open_a_door),
+    "press-a-button": Script((0.0, 0.0, 0.030), press_a_button),
+    "roll-a-pencil": Script((-0.25 * PENCIL_WAY_M, 0.0, 0.008 + ABOVE_M), roll_a_pencil),
+    "push-a-ball": Script((-0.04, 0.0, 0.050), push_a_ball),
+    "stack-thumb": Script((-HALF_SMALL_BOX_M - ABOVE_M, 0.0, HALF_SMALL_BOX_M), lambda: stack(-1.0)),
+    "stack-index": Script((HALF_SMALL_BOX_M + ABOVE_M, 0.0, HALF_SMALL_BOX_M), lambda: stack(1.0)),
 }
 
 

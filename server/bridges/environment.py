@@ -24,11 +24,11 @@ from softfinger.drivers.simulated.options import Hand, Options, simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.pack import packed
-from softfinger.proxy.record import RECORD_SIZE
+from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import record_ticks
+from softfinger.server.offline.closed_loop import Held, record_ticks
 
 try:
     import gymnasium
@@ -160,7 +160,7 @@ class Touch(gymnasium.Env[Observation, Array]):
 
     def _start(self) -> None:
         begin_bodies(self._tuning.like.scene, self._dt)
-        self._memory, self._state = packed(self._begin), packed(self._device.state)
+        self._memory, self._state = packed(self._begin), packed((self._device.state,))
         self._line = np.zeros(LINE_SIZE)
         self._goal: Array = np.array([*self.setup.home_m, 1.0, 0.0, 0.0, 0.0])
         self._ticks = self._steps = 0
@@ -175,16 +175,17 @@ class Touch(gymnasium.Env[Observation, Array]):
 
     def _run(self, goals: Array) -> Records:
         """Records of the ticks that lead along goals (ticks + 1, 7), the first of which is where it is."""
-        records = np.zeros((len(goals) - 1, RECORD_SIZE))
+        records = np.zeros((len(goals) - 1, 1, RECORD_SIZE))
         intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
         drive = Drive(intention, np.ascontiguousarray(goals).reshape(-1), self._line)
         # From tick 0 on, as the goals are numbered; what the first tick of all does is in the memory.
-        record_ticks(self._tuning, self._memory, self._device.plant, self._state, drive, self._dt, 0, records)
+        hands = (Held(self._device.plant, drive),)
+        record_ticks(self._tuning, self._memory, hands, self._state, self._dt, 0, records)
         check_bodies(self._tuning.like.scene)
-        named = Records(records)
+        named = Records(records[:, 0])
         named["timestamp"][:] += self._ticks * self._dt
-        records[:, 1] += self._ticks
-        self._ticks += len(records)
+        records[:, 0, AT.tick] += self._ticks
+        self._ticks += len(named)
         self._goal = goals[-1]
         return named
 

@@ -1,6 +1,6 @@
-"""The servo's tick and a simulated device in one compiled loop, without a clock: as fast as it goes.
+"""The servo's tick and simulated devices in one compiled loop, without a clock: as fast as it goes.
 
-`run_closed_loop` leaves a record of every tick, the bits that the daemon computes with the same device.
+`run_closed_loop` leaves a record of every tick, the bits that the daemon computes with the same devices.
 `close_loop` keeps figures only and is for kernels of a study, which call it for case after case;
 `close_many` does that for rows of parameters.
 """
@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import sqrt
 from typing import Any, Final, NamedTuple
 
@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Plant, PlantState, advance, goal_at, sense
 from softfinger.proxy.bodies import begin_bodies, check_bodies
+from softfinger.proxy.kernels.fingers import rows_of
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
+from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.bodies import step_bodies
@@ -122,55 +124,95 @@ def close_loop(
     return Outcome(contact, state, float(done), left, sqrt(far), sqrt(strongest), energy)
 
 
+class Held(NamedTuple):
+    """A simulated device in a hand: what does not change of it, and what drives it."""
+
+    plant: Plant
+    drive: Drive
+
+
+@by_count
+def samples_of(hands: Any, states: Any) -> Any:
+    """What each device says of itself: its pose in a tuple of seven."""
+
+
+@samples_of.of(1)
+def sample_of_one(hands: Any, states: Any) -> Any:
+    x, q = sense(hands[0].plant, states[0]), states[0].orientation
+    return ((x[0], x[1], x[2], q[0], q[1], q[2], q[3]),)
+
+
+@samples_of.of(2)
+def samples_of_several(hands: Any, states: Any) -> Any:
+    return samples_of(hands[:1], states[:1]) + samples_of(hands[1:], states[1:])
+
+
+@by_count
+def advance_all(hands: Any, states: Any, fingers: Any, number: int) -> Any:
+    """States of all devices at tick `number`, after what `fingers`, a FingerMemory of each, command of them."""
+
+
+@advance_all.of(1)
+def advance_one(hands: Any, states: Any, fingers: Any, number: int) -> Any:
+    plant, drive = hands[0].plant, hands[0].drive
+    goal, orientation = goal_at(drive.intention, drive.poses, number)
+    return (advance(plant, states[0], fingers[0].guarded.force, goal, orientation, drive.line),)
+
+
+@advance_all.of(2)
+def advance_several(hands: Any, states: Any, fingers: Any, number: int) -> Any:
+    first = advance_all(hands[:1], states[:1], fingers[:1], number)
+    return first + advance_all(hands[1:], states[1:], fingers[1:], number)
+
+
 @entry
 def record_ticks(
     tuning_packed: Packed,
     memory_packed: Packed,
-    plant: Plant,
-    state_packed: Packed,
-    drive: Drive,
+    hands: Any,
+    states_packed: Packed,
     dt: float,
     first: int,
     records: Array,
 ) -> None:
-    """As many ticks of `dt` s as `records` (n, RECORD_SIZE) has rows, from tick `first`.
+    """As many ticks of `dt` s as `records` (n, fingers, RECORD_SIZE) has rows, from tick `first`.
 
     tuning_packed  Tuning
     memory_packed  Memory, as it is before the first tick of all; its leaves are those of now, and carried on
-    state_packed   PlantState, the same
+    hands          a Held for each finger, in a tuple
+    states_packed  a PlantState of each in a tuple, carried on as the memory
     """
     start = memory_packed.like
     tuning = unpack(tuning_packed.like, tuning_packed.values)
     memory = unpack(start, memory_packed.values)
-    state = unpack(state_packed.like, state_packed.values)
+    states = unpack(states_packed.like, states_packed.values)
     for i in range(records.shape[0]):
-        x, q = sense(plant, state), state.orientation
-        sample: Any = (x[0], x[1], x[2], q[0], q[1], q[2], q[3])
-        memory = tick(tuning, start, memory, (sample,), dt, dt, first + i, (records[i],))
+        rows = rows_of(memory.fingers, records[i], 0)
+        memory = tick(tuning, start, memory, samples_of(hands, states), dt, dt, first + i, rows)
         step_bodies(tuning.scene.bodies)
-        records[i, 0] = (first + i) * dt
-        goal, orientation = goal_at(drive.intention, drive.poses, first + i + 1)
-        state = advance(plant, state, memory.fingers[0].guarded.force, goal, orientation, drive.line)
+        records[i, :, 0] = (first + i) * dt
+        states = advance_all(hands, states, memory.fingers, first + i + 1)
     pack(memory_packed.values, memory)
-    pack(state_packed.values, state)
+    pack(states_packed.values, states)
 
 
-def run_closed_loop(tuning: Tuning, device: Simulation, rate_hz: float, ticks: int) -> Iterator[Array]:
-    """Simulate a scene felt through a device, as the daemon computes it, and yield the records.
+def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: float, ticks: int) -> Iterator[Array]:
+    """Simulate a scene felt through a device for each finger, as the daemon computes it, and yield the records.
 
-    Blocks (m, 1, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt, and the fields of servo
+    Blocks (m, fingers, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt, and the fields of servo
     timing and device are 0.
     """
     dt = period_ns(rate_hz) / NS_PER_S
     begin_bodies(tuning.scene, dt)
-    scene_and_guard, memory, state = packed(tuning), packed(begin(tuning.scene)), packed(device.state)
-    drive = Drive(device.intention, device.poses, np.zeros(LINE_SIZE))
+    scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
+    states = packed(tuple(device.state for device in devices))
+    hands = tuple(Held(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices)
     with progress("simulating", ticks) as done:
         for first in range(0, ticks, CHUNK):
-            records = np.zeros((min(CHUNK, ticks - first), RECORD_SIZE))
-            record_ticks(scene_and_guard, memory, device.plant, state, drive, dt, first, records)
+            records = np.zeros((min(CHUNK, ticks - first), len(devices), RECORD_SIZE))
+            record_ticks(scene_and_guard, memory, hands, states, dt, first, records)
             check_bodies(tuning.scene)
-            yield records[:, None]
+            yield records
             done(first + len(records))
 
 

@@ -1,8 +1,9 @@
-"""The servo's tick offline: over poses, or with a device that is computed."""
+"""The servo's tick offline: over poses, or with devices that are computed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, overload
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, build, load_rig, load_scene
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import Moved, pair
 from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
@@ -174,28 +175,33 @@ def poses_of(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_
     return np.stack([poses[:count] for poses in each], axis=1)
 
 
-def with_device(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
-    """Simulate a scene felt through the rig's simulated device, and yield the records in blocks (m, 1, RECORD_SIZE).
+def with_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
+    """Simulate a scene felt through the rig's simulated devices, and yield records in blocks (m, fingers, RECORD_SIZE).
 
-    Raises ConfigError for a device that is not computed.
+    Raises ConfigError for a device that is not computed, and for fingers without one.
     """
     # Compiled when imported, which a run over poses need not wait for.
     from softfinger.server.offline.closed_loop import run_closed_loop
 
-    rate, config = rig.servo.rate_hz, single_device(rig)
+    rate, pairs = rig.servo.rate_hz, pair(scene, rig)
+    with ExitStack() as opened:
+        devices = [opened.enter_context(_computed(each, rate)) for each in pairs]
+        ticks = max(1, round(seconds * rate))
+        once = [int(each.simulation.intention.length) for each in devices if not each.simulation.intention.loop]
+        tuning = make_tuning(scene, rig.guard, [each.info for each in devices], [each.device.tool for each in pairs])
+        yield from run_closed_loop(tuning, [each.simulation for each in devices], rate, min([ticks, *once]))
+
+
+def _computed(moved: Moved, rate_hz: float) -> Any:
+    """The device of a finger, opened; ConfigError for one that needs a clock."""
+    config = moved.device
     driver = registry.load(config.driver)
     if not hasattr(driver, "simulation"):
         raise ConfigError(
             f"device '{config.driver}' cannot be run without a clock: take the device `simulated`, or --poses"
         )
-    options = build(driver.Options, config.options, "[device]")
+    options = build(driver.Options, config.options, moved.table)
     if getattr(options, "puck", None) is not None:
         raise ConfigError("a hand that a puck leads cannot be run without a clock: use `run`, or leave puck out")
     # The records hold the forces; a file of what a servo wrote would be empty.
-    with driver.open_device(msgspec.structs.replace(options, forces=None), rate) as device:
-        ticks = max(1, round(seconds * rate))
-        intention = device.simulation.intention
-        if not intention.loop:
-            ticks = min(ticks, int(intention.length))
-        tuning = make_tuning(scene, rig.guard, [device.info], [single_device(rig).tool])
-        yield from run_closed_loop(tuning, device.simulation, rate, ticks)
+    return driver.open_device(msgspec.structs.replace(options, forces=None), rate_hz)

@@ -9,14 +9,14 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_faults, load_rig, load_scene, shipped
-from softfinger.config.schema import Faults, Rig
+from softfinger.config.load import load_faults, load_rig, load_scene
+from softfinger.config.schema import Faults
 from softfinger.drivers import base
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.proxy.scene import explain
 from softfinger.server import signals
 from softfinger.server.app import Daemon
-from softfinger.server.arguments import duration
+from softfinger.server.arguments import default_rig, duration
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.realtime import Setting
 from softfinger.server.progress import counter, making
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     if args.view:
         check_viewer()
     with making("kernels that call the device"):  # as its driver is imported
-        rig = load_rig(args.rig or default_rig(args.scene, args.view), changes, sources)
+        rig = load_rig(args.rig or default_rig(args.scene, LED_RIG if args.view else RIG), changes, sources)
     scene = load_scene(args.scene)
     rate = rig.servo.rate_hz
     ticks = None if args.duration is None else max(1, round(args.duration * rate))
@@ -135,14 +135,6 @@ def run(args: argparse.Namespace) -> int:
 def told(faults: Faults, rate_hz: float) -> str:
     """What is injected, and when."""
     return ", ".join(f"{fault.kind} from tick {fault.window(rate_hz)[0]} on" for fault in faults.fault)
-
-
-def default_rig(scene: str, view: bool) -> str:
-    """The rig of a run that names none: the shipped one of its scene, or one that fits every scene of one finger."""
-    own = f"simulated-{scene}"
-    if own in shipped(Rig):
-        return own
-    return LED_RIG if view else RIG
 
 
 def report_settings(settings: list[Setting]) -> None:

@@ -1,4 +1,4 @@
-"""`simulate`: the servo's tick offline, as fast as it goes, over poses or with a device that is computed."""
+"""`simulate`: the servo's tick offline, as fast as it goes, over poses or with devices that are computed."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
-from softfinger.server.arguments import by_finger, duration, keep_apart
+from softfinger.server.arguments import by_finger, default_rig, duration, keep_apart
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.results import write_blocks
 from softfinger.server.offline.run_figure import DRAWN, draw_run
-from softfinger.server.offline.simulate import over_poses, poses_of, with_device
+from softfinger.server.offline.simulate import over_poses, poses_of, with_devices
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="CSV, npz or MCAP file, or a shipped recording; of several fingers an MCAP of all, or NAME=P for each",
     )
-    felt.add_argument("--device", metavar="D", help="a device that is computed: simulated; it feels the force")
+    felt.add_argument("--device", metavar="D", help="devices that are computed: simulated; they feel the force")
     parser.add_argument("--out", required=True, type=Path, help="where to: .csv, .npz or .mcap")
     parser.add_argument(
         "--plot", type=plot_file, metavar="FILE.png", help="draw depth, force, angles and modes (.png, .svg)"
@@ -43,22 +43,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--method", help="rolling method in place of the scene's")
     parser.add_argument("--rate", type=float, metavar="HZ", help="tick rate in place of the rig's (1000)")
     parser.add_argument(
-        "--rig", help="rig whose guard limits the force, and whose options the device has (replay, simulated)"
+        "--rig",
+        help="rig whose guard limits the force, and whose options the device has (replay; with --device "
+        "simulated-SCENE, or simulated where there is none)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     scene_changes = {} if args.method is None else {"rolling.method": args.method}
     rig_changes = {} if args.rate is None else {"servo.rate_hz": args.rate}
-    rig_name = args.rig or ("replay" if args.device is None else "simulated")
+    rig_name = args.rig or ("replay" if args.device is None else default_rig(args.scene, "simulated"))
     if args.device is not None:
-        rig_changes["device.driver"] = args.device
+        rig_changes |= {f"{table}.driver": args.device for table in load_rig(rig_name).tables}
     elif args.duration is not None:
         raise ConfigError("--duration goes with --device: poses last as long as they do")
     scene = load_scene(args.scene, scene_changes, {"rolling.method": "command line --method"})
-    rig = load_rig(
-        rig_name, rig_changes, {"servo.rate_hz": "command line --rate", "device.driver": "command line --device"}
-    )
+    sources = {key: f"command line --{'rate' if key == 'servo.rate_hz' else 'device'}" for key in rig_changes}
+    rig = load_rig(rig_name, rig_changes, sources)
     fingers = [finger.name for finger in scene.fingers]
     rate = rig.servo.rate_hz
     if args.device is None:
@@ -66,10 +67,8 @@ def run(args: argparse.Namespace) -> int:
         keep_apart("--out", args.out, files.values())
         poses = poses_of(fingers, files, rate)
         blocks = over_poses(make_tuning(scene, rig.guard), poses, rate)
-    elif len(fingers) > 1:
-        raise ConfigError("--device: several fingers are simulated on recordings: give --poses NAME=P for each")
     else:
-        blocks = with_device(scene, rig, DURATION_S if args.duration is None else args.duration)
+        blocks = with_devices(scene, rig, DURATION_S if args.duration is None else args.duration)
     summaries = [Summary(args.plot is not None) for _ in fingers]
     write_blocks(args.out, fingers, summarised(blocks, summaries))
     for name, each in zip(fingers, summaries, strict=True):

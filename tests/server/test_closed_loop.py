@@ -60,7 +60,7 @@ def test_servo_and_closed_loop_are_bit_identical() -> None:
         assert servo.join(60.0).ending == FINISHED
         servo.close()
         written = device.written()
-    records = whole(run_closed_loop(tuning, simulation(options, 1000.0), 1000.0, ticks))
+    records = whole(run_closed_loop(tuning, [simulation(options, 1000.0)], 1000.0, ticks))
     assert np.abs(records[:, FORCE]).max() > 0.1
     assert written.read[:ticks].tolist() == list(range(ticks))
     assert written.wrench[:ticks, :3].tobytes() == records[:, FORCE].tobytes()
@@ -75,7 +75,7 @@ def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFix
     options = build(Options, load_rig("simulated").device.options, "rig")
     with open_device(options, 1000.0) as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("simulated").guard, [device.info])
-        records = whole(run_closed_loop(tuning, device.simulation, 1000.0, 2000))
+        records = whole(run_closed_loop(tuning, [device.simulation], 1000.0, 2000))
     with np.load(tmp_path / "out.npz") as saved:
         np.testing.assert_array_equal(saved["force"], records[:, FORCE])
     rig = tmp_path / "rig.toml"
@@ -119,7 +119,7 @@ def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -
     tuning = ice(k, damping)
     plant = make_plant(period, Handle((m,) * 3, (b,) * 3, delay=delay))
     device = Simulation(plant, at_rest((0.0, 0.0, 0.008)), ALOFT, resting_at(0.008))
-    records = whole(run_closed_loop(tuning, device, 1.0 / period, count))
+    records = whole(run_closed_loop(tuning, [device], 1.0 / period, count))
 
     a, g, *_ = cont2discrete(
         (np.array([[0.0, 1.0], [0.0, -b / m]]), np.array([[0.0], [1.0 / m]]), np.eye(2), 0), period
@@ -145,7 +145,7 @@ def test_figures_are_those_of_the_records() -> None:
     plant = make_plant(0.001, Handle((0.2,) * 3, (1.0,) * 3), Impedance(mass=0.1, damping=2.0, stiffness=300.0))
     poses = resting_at(0.008)
     device = Simulation(plant, at_rest((0.0, 0.0, 0.02))._replace(goal=(0.0, 0.0, 0.008)), ALOFT, poses)
-    records = whole(run_closed_loop(tuning, device, 1000.0, ticks + 1))
+    records = whole(run_closed_loop(tuning, [device], 1000.0, ticks + 1))
     drive = Drive(ALOFT, poses, np.zeros(LINE_SIZE))
     end = go_on(tuning, begin(tuning.scene), plant, device.state, drive, Run(0, ticks, 0.001), inf)
     x, force = records[:, POSITION], records[:-1, FORCE]

@@ -1,0 +1,55 @@
+"""The hands of a shipped rig on the bodies of its scene, some ticks at a time, without a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.config.schema.pairing import pair
+from softfinger.drivers.simulated.options import Options, simulation
+from softfinger.drivers.simulated.plant import LINE_SIZE, Drive
+from softfinger.proxy.bodies import begin_bodies, check_bodies
+from softfinger.proxy.kernels.jit.pack import packed
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.proxy.records import Records
+from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.closed_loop import Held, record_ticks
+
+DT = 1e-3
+
+
+class SimulatedHands:
+    """What `softfinger run --scene NAME` computes, until a time.
+
+    name         a shipped scene; its rig plays `instead`, what `load_scene` takes, where that is given
+    model, data  MuJoCo's own
+    """
+
+    def __init__(self, name: str, instead: Mapping[str, Any] | None = None) -> None:
+        scene, rig = load_scene(instead or name), load_rig(f"simulated-{name}")
+        tuning = make_tuning(scene, rig.guard)
+        assert tuning.scene.bodies is not None
+        owner = tuning.scene.bodies.block.owner
+        self.model, self.data = owner.model, owner.data
+        pairs = pair(scene, rig)
+        devices = [simulation(build(Options, each.device.options, each.table), 1.0 / DT) for each in pairs]
+        self._names = [each.finger for each in pairs]
+        self._hands = tuple(
+            Held(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices
+        )
+        self._tuning, self._memory = packed(tuning), packed(begin(tuning.scene))
+        self._states = packed(tuple(each.state for each in devices))
+        self._ticks = 0
+        begin_bodies(tuning.scene, DT)
+
+    def until(self, seconds: float) -> dict[str, Records]:
+        """Records of each finger, by name, from where it stands to a time since the beginning."""
+        records = np.zeros((round(seconds / DT) - self._ticks, len(self._hands), RECORD_SIZE))
+        record_ticks(self._tuning, self._memory, self._hands, self._states, DT, self._ticks, records)
+        check_bodies(self._tuning.like.scene)
+        self._ticks += len(records)
+        return {name: Records(np.ascontiguousarray(records[:, at])) for at, name in enumerate(self._names)}

@@ -1,0 +1,140 @@
+"""The shipped scenes whose bodies move, each played by its simulated hand: what comes of it against plain mechanics."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from helpers.simulated_hands import SimulatedHands
+
+from softfinger.config.load import FOLDERS, describe, load_scene, shipped
+from softfinger.config.schema import Rig, Scene
+
+pytestmark = pytest.mark.plain
+
+RADIUS = 0.01
+G = 9.81
+
+
+def test_every_scene_with_bodies_has_hands_that_play_it() -> None:
+    """`softfinger run --scene NAME` finds a rig, whose devices are computed, with a recording each."""
+    worlds = [name for name in shipped(Scene) if "[world]" in (FOLDERS[Scene] / f"{name}.toml").read_text("utf-8")]
+    assert len(worlds) == 8
+    assert {f"simulated-{name}" for name in worlds} <= set(shipped(Rig))
+
+
+def test_torsion_turns_a_knob() -> None:
+    """The hand turns by 1 rad; the knob lags by what its bearing takes of the contact's torsion, and stays there."""
+    hands = SimulatedHands("turn-a-knob")
+    hands.until(2.9)
+    lag = 0.002 / 0.05  # friction of the bearing over the torsional stiffness
+    assert hands.data.qpos[0] == pytest.approx(1.0 - lag, abs=1e-3)  # MuJoCo's friction gives way by 0.0004
+
+
+def test_a_point_turns_no_knob() -> None:
+    """The same without torsion: the knob stands still."""
+    scene = describe(load_scene("turn-a-knob"))
+    del scene["world"]["material"]["torsion"]
+    del scene["object"]  # the geoms, with their torsion
+    hands = SimulatedHands("turn-a-knob", scene)
+    records = hands.until(1.9)[""]
+    assert records["contact.normal_force"].max() > 1.0
+    assert hands.data.qpos[0] == 0.0
+
+
+def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
+    """Open by the finger's way less its clearance and the depth that friction holds; pushed to its end; let go."""
+    hands = SimulatedHands("open-a-drawer")
+    felt = hands.until(2.9)[""][-1]
+    inner_face = 0.024  # of the handle, shut: 5 mm before the finger
+    depth = felt["force"][1] / 1000.0
+    assert 0.0 < depth <= 0.4 / 1000.0  # friction holds what is left of the pull
+    opened = inner_face - (felt["probe.position"][1] - RADIUS + depth)
+    assert hands.data.qpos[0] == pytest.approx(opened, abs=2e-5)  # MuJoCo's friction creeps
+    assert opened == pytest.approx(0.094, abs=1e-3)
+    hands.until(4.8)
+    assert hands.data.qpos[0] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_door_turns_until_its_face_is_on_the_finger_and_closes_by_itself() -> None:
+    """The finger's centre is a radius, less the depth, before the door's face; force times arm is the spring's."""
+    hands = SimulatedHands("open-a-door")
+    felt = hands.until(2.2)[""][-1]
+    x, y = felt["probe.position"][:2] - np.array([-0.08, 0.0])  # from the hinge
+    angle = hands.data.qpos[0]
+    face, along = -(y * math.cos(angle) - x * math.sin(angle)), y * math.sin(angle) + x * math.cos(angle)
+    assert face == pytest.approx(RADIUS + 0.004 - felt["contact.penetration"], abs=1e-5)
+    sideways = felt["contact.tangential_force"] * 0.004  # friction acts on the face, before the hinge
+    assert felt["contact.normal_force"] * along == pytest.approx(0.06 * angle, abs=sideways + 1e-4)
+    assert angle > math.radians(25.0)
+    hands.until(4.6)
+    assert abs(hands.data.qpos[0]) < 1e-3
+
+
+def test_a_button_clicks_at_the_load_of_its_dome() -> None:
+    """Force grows to the largest of spring and dome less the cap's weight, and falls as the dome snaps; and back."""
+    depth = np.linspace(0.0, 0.003, 3001)
+    height = 0.0015 - depth
+    side = np.hypot(0.006, height)
+    dome = 14000.0 * (2.0 * math.hypot(0.006, 0.0015) - 2.0 * side) * 2.0 * height / side
+    force = 600.0 * depth + dome - 0.02 * G
+    top = int(force[:1500].argmax())
+    hands = SimulatedHands("press-a-button")
+    pressed = hands.until(1.9)[""]["force"][:, 2]
+    assert pressed[:1500].max() == pytest.approx(force[top], rel=0.03)  # pressed with up to 8 mm/s, against dampers
+    snap = int(pressed.argmax())
+    assert pressed[snap : snap + 60].min() < 0.75 * pressed[snap]
+    assert hands.data.qpos[0] < -0.002
+    hands.until(3.1)
+    assert hands.data.qpos[0] > -0.0003
+
+
+def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
+    """No slip on the table nor under the finger: 5 mm of 10, and that over the radius as an angle."""
+    hands = SimulatedHands("roll-a-pencil")
+    start = hands.until(1.15)[""]["probe.position"][-1, 0]
+    place, turn = hands.data.qpos[0], 2.0 * math.atan2(hands.data.qpos[5], hands.data.qpos[3])
+    end = hands.until(2.35)[""]["probe.position"][-1, 0]
+    rolled = 2.0 * math.atan2(hands.data.qpos[5], hands.data.qpos[3]) - turn
+    way = hands.data.qpos[0] - place
+    assert end - start > 0.0099
+    assert way == pytest.approx(0.5 * (end - start), rel=0.02)
+    sunk = 0.004 - hands.data.qpos[2]  # into MuJoCo's soft table, so that it rolls on a smaller radius
+    assert way / 0.004 < rolled < way / (0.004 - sunk)
+
+
+def test_a_ball_rolls_back_and_rests_at_the_bottom() -> None:
+    """Its first swing takes 2 pi sqrt(7 (R - r) / (5 g)); it ends where friction and facets of the bowl leave it."""
+    hands = SimulatedHands("ball-in-a-bowl")
+    hands.until(2.15)
+    assert hands.data.qpos[0] > 0.005  # pushed up the side, and on its way back
+    crossed = []
+    for tick in range(2150, 3100, 5):
+        before = hands.data.qpos[0]
+        hands.until(1e-3 * tick + 5e-3)
+        if before > 0.0 >= hands.data.qpos[0]:
+            crossed.append(tick)
+    period = 2.0 * math.pi * math.sqrt(7.0 * (0.1 - 0.015) / (5.0 * G))
+    assert 1e-3 * (crossed[1] - crossed[0]) == pytest.approx(period, rel=0.05)  # the bowl has facets of 2 mm
+    hands.until(6.2)
+    # rolling friction of 0.1 mm, and half a facet's slope
+    bound = (0.0001 / 0.015 + 0.5 * 0.002 / 0.1) * (0.1 - 0.015)
+    assert np.hypot(*hands.data.qpos[:2]) < bound
+    assert np.abs(hands.data.qvel[:3]).max() < 0.01
+
+
+@pytest.mark.exhaustive
+def test_three_boxes_are_stacked_and_stay() -> None:
+    """The third one is on the two, let go, square and at rest."""
+    hands = SimulatedHands("stack-boxes")
+    records = hands.until(4.3)
+    assert all(each["force"][-1].tolist() == [0.0, 0.0, 0.0] for each in records.values())
+    boxes = hands.data.xpos[1:]
+    soft = 0.0004  # MuJoCo's contacts under the weight of what is above
+    for place, (x, y, z) in enumerate(boxes):
+        assert (x, y) == pytest.approx((0.0, 0.06), abs=2e-4)
+        assert z == pytest.approx(0.015 + 0.03 * place, abs=soft * (place + 1))
+    upright = hands.data.xmat[1:].reshape(3, 3, 3)[:, 2, 2]
+    assert np.degrees(np.arccos(np.clip(upright, -1.0, 1.0))).max() < 0.5
+    assert np.abs(hands.data.qvel).max() < 1e-3
