@@ -35,7 +35,7 @@ def test_torsion_turns_a_knob() -> None:
 def test_a_point_turns_no_knob() -> None:
     """The same without torsion: the knob stands still."""
     scene = describe(load_scene("turn-a-knob"))
-    del scene["world"]["material"]["torsion"]
+    del scene["world"]["geom"][0]["material"]["torsion"]
     del scene["object"]  # the geoms, with their torsion
     hands = SimulatedHands("turn-a-knob", scene)
     records = hands.until(1.9)[""]
