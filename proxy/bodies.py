@@ -16,6 +16,8 @@ from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.mjcf import moves, mujoco_module, read_model
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.decorators import PLAIN
+from softfinger.proxy.kernels.jit.rescue import RESCUE_ALIGNMENT, RESCUE_BYTES, jump_on_error, words_in
 from softfinger.proxy.kernels.query import bodies as at
 
 TIMESTEP_TOLERANCE: Final = 1e-6
@@ -58,6 +60,13 @@ class RigidBodies:
         self.names: Final = [self.model.body(body).name or str(body) for body in self.moving]
         self._library: Final = _library(package)
         self._library.mju_setLogConfig(_LogConfig())  # warnings are counted: a servo thread writes no file
+        if not PLAIN:  # Python's own calls of MuJoCo raise as before
+            self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
+            self._library.mju_setLogHandler(jump_on_error.address)
+        self._fault: Final = np.zeros(2, np.int64)
+        self._memory: Final = np.zeros(RESCUE_BYTES + RESCUE_ALIGNMENT, np.uint8)
+        self._rescue: Final = -(-self._memory.ctypes.data // RESCUE_ALIGNMENT) * RESCUE_ALIGNMENT
+        self._said = ""
         self.block: Final = Block(self._words(self._library), self)
 
     def _words(self, library: ctypes.CDLL) -> Any:
@@ -76,18 +85,49 @@ class RigidBodies:
             at.VELOCITY: data.cvel,
             at.TREE_CENTER: data.subtree_com,
             at.TREE_ROOT: self.model.body_rootid,
+            at.FAULT: self._fault,
         }
         for word, array in arrays.items():
             words[word] = array.__array_interface__["data"][0]
         words[at.SUBSTEPS], words[at.MOVING] = self.world.substeps, len(self.moving)
+        words[at.RESCUE] = self._rescue
+        words[at.BUDGET_NS] = round(1e3 * (self.world.budget_us or 0.0))
         words[at.WARNING_COUNT], words[at.WARNING_BYTES] = len(counters), counters.strides[0]
         return words
 
-    def park_on_errors(self) -> None:
-        """From here on a thread in which MuJoCo meets an error sleeps for ever: by default the process would end there,
-        with whatever force a device displays. Python's own calls of MuJoCo raise as before."""
-        self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
-        self._library.mju_setLogHandler(at.park_on_error.address)
+    def step_half(self, half: int) -> bool:
+        """A half of a step by MuJoCo's own package, for kernels that are plain Python: whether it met an error."""
+        package = mujoco_module()
+        try:
+            (package.mj_step1 if half == at.FIRST_HALF else package.mj_step2)(self.model, self.data)
+        except package.FatalError as error:
+            self._said = " ".join(str(error).split())
+            return True
+        return False
+
+    @property
+    def failure(self) -> SafetyStop | None:
+        """Why the bodies stand still, in MuJoCo's words and with what to do; None while they move."""
+        fault = int(self._fault[0])
+        if fault == at.NO_FAULT:
+            return None
+        what = f"[world] {self.world.model}: the bodies were let go and stand still"
+        if fault == at.SLOW:
+            return SafetyStop(
+                f"{what}: most steps took longer than world.budget_us = {self.world.budget_us:g}; take fewer bodies or "
+                "simpler geoms, raise the budget, or lower servo.rate_hz"
+            )
+        remedy = (
+            "lower stiffness_n_per_m, or raise damping_ns_per_m or world.substeps; where memory is full, give the "
+            'model <size memory="..."/>'
+        )
+        if fault == at.WARNED:
+            counted = self.data.warning
+            kind = int(np.flatnonzero(counted.number)[0])
+            said = mujoco_module().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
+        else:
+            said = self._said or words_in(self._rescue)
+        return SafetyStop(f"{what}: MuJoCo said: {said}: {remedy}")
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
         """What kernels take; `riders` as of Bodies."""
@@ -116,6 +156,8 @@ class RigidBodies:
                 f"{self.world.substeps} times, is not a tick of {period_s:g} s: write "
                 f'<option timestep="{period_s / self.world.substeps:g}"/>, or take another rate'
             )
+        self._fault[:] = 0
+        self._said = ""
         try:
             package.mj_resetData(self.model, self.data)
             package.mj_forward(self.model, self.data)
@@ -137,7 +179,7 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
     if before is None or before.bodies is None:
         return RigidBodies(scene.world)
     owner: RigidBodies = before.bodies.block.owner
-    for key in ("model", "substeps"):
+    for key in ("model", "substeps", "budget_us"):
         now, given = getattr(owner.world, key), getattr(scene.world, key)
         if now != given:
             raise ConfigError(
@@ -152,27 +194,17 @@ def motion_size(scene: kernels.Scene) -> int:
     return 1 + at.MOTION_SIZE * moving
 
 
-def begin_bodies(scene: kernels.Scene, period_s: float, in_servo: bool = False) -> None:
+def begin_bodies(scene: kernels.Scene, period_s: float) -> None:
     """Put the bodies of a scene, if it has any, where its model has them, for ticks of `period_s`; see
-    `RigidBodies.begin`. `in_servo`: a device may hold a force when MuJoCo meets an error."""
+    `RigidBodies.begin`."""
     if scene.bodies is not None:
         scene.bodies.block.owner.begin(period_s)
-        if in_servo:
-            scene.bodies.block.owner.park_on_errors()
-
-
-def diverged() -> SafetyStop:
-    """The error of bodies that have no next state, with what to do."""
-    return SafetyStop(
-        "the bodies of [world] cannot be simulated any further: a value is not finite, or MuJoCo's memory is full; "
-        "lower stiffness_n_per_m, or raise damping_ns_per_m or world.substeps, then start again"
-    )
 
 
 def check_bodies(scene: kernels.Scene) -> None:
-    """Raise `diverged` if MuJoCo has warned since the bodies of a scene, if it has any, began."""
-    if scene.bodies is not None and scene.bodies.block.owner.data.warning.number.any():
-        raise diverged()
+    """Raise SafetyStop if the bodies of a scene, if it has any, have failed since they began."""
+    if scene.bodies is not None and (failure := scene.bodies.block.owner.failure) is not None:
+        raise failure
 
 
 def _library(package: Any) -> ctypes.CDLL:

@@ -37,6 +37,13 @@ class World(Table, frozen=True, kw_only=True):
     substeps: Annotated[
         int, within(limits.SUBSTEPS, "contact and simulation steps in a tick; very light bodies need several", 1)
     ] = 1
+    budget_us: (
+        Annotated[
+            float,
+            within(limits.STEP_BUDGET_US, "time that a step of the bodies may take in the servo; unset: any", 300.0),
+        ]
+        | None
+    ) = None
     material: Annotated[
         Material | None,
         said("material of every geom that [[world.geom]] gives none; without it those geoms are not touched"),

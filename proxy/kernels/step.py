@@ -17,9 +17,21 @@ from softfinger.proxy.kernels.contact.several_objects import find_candidates, ou
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.jit.outlined import outlined_where
-from softfinger.proxy.kernels.model import NONE, Bodies, Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
+from softfinger.proxy.kernels.model import (
+    NONE,
+    Bodies,
+    Contact,
+    Finger,
+    FingerState,
+    Pose,
+    Probe,
+    Scene,
+    State,
+    Vec3,
+    World,
+)
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.bodies import SUBSTEPS, push_bodies, step_bodies
+from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, faulty, push_bodies, step_bodies
 from softfinger.proxy.kernels.query.kinds import moves_by_itself
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
@@ -59,17 +71,51 @@ def step_without_bodies(bodies: None, scene: Scene, state: State, poses: Any, dt
 
 @step_with.of(Bodies)
 def step_with_bodies(bodies: Bodies, scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """In substeps of equal length, the fingers going straight from their last poses to these."""
+    """In substeps of equal length, the fingers going straight from their last poses to these.
+
+    While the bodies have a fault nothing is touched: where they are is not known.
+    """
+    if faulty(bodies):
+        return let_go(scene, state.world, state.fingers, poses, dt)
     count = bodies.block[SUBSTEPS]
     begin = state.fingers
     state, contacts = step_once(scene, state, on_the_way(begin, poses, 1.0 / count), dt / count)
     push_bodies(bodies, contacts, state.fingers)
     for i in range(1, count):
-        step_bodies(bodies)
-        there = on_the_way(begin, poses, (i + 1.0) / count)
-        state, contacts = step_once(scene, state, there, dt / count)
-        push_bodies(bodies, contacts, state.fingers)
+        if step_bodies(bodies) == NO_FAULT:
+            there = on_the_way(begin, poses, (i + 1.0) / count)
+            state, contacts = step_once(scene, state, there, dt / count)
+            push_bodies(bodies, contacts, state.fingers)
+    if faulty(bodies):
+        return let_go(scene, state.world, begin, poses, dt)
     return state, contacts
+
+
+@jit
+def let_go(scene: Scene, world: World, fingers: Any, poses: Any, dt: float) -> Any:
+    """The world as it is, which no finger touches: states before the tick to State and Contacts."""
+    states, contacts = release_fingers(scene.fingers, fingers, poses, dt)
+    return State(world=world, fingers=states), contacts
+
+
+@by_count
+def release_fingers(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
+    """FingerStates and Contacts of fingers that touch nothing and feel nothing, whatever is there; a tuple each."""
+
+
+@release_fingers.of(1)
+def release_one_finger(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
+    state, pose = states[0], poses[0]
+    velocity = filter_velocity(state, pose.position, dt, fingers[0].velocity_time_constant)
+    probe = Probe(pose.position, pose.orientation, velocity)
+    return (remember_free(state, probe, state.effects, True),), (report_free(state, probe, (0.0, 0.0, 0.0), 0.0),)
+
+
+@release_fingers.of(2)
+def release_several_fingers(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
+    state, contact = release_fingers(fingers[:1], states[:1], poses[:1], dt)
+    others, contacts = release_fingers(fingers[1:], states[1:], poses[1:], dt)
+    return state + others, contact + contacts
 
 
 @by_count

@@ -15,7 +15,6 @@ NO_POSE: Final = 5
 NO_FORCE: Final = 6
 STARVED: Final = 7
 JUMPING: Final = 8
-DIVERGED: Final = 9
 """Faults, numbered on from the ends of the loop (server.loop.shutdown)."""
 
 SILENCE_MAX_S: Final = 0.5
@@ -63,11 +62,10 @@ HEALTHY: Final = Health(0.0, 0.0, 0.0)
 
 
 @jit
-def examine(health: Health, bits: int, warned: int, late: float, dt: float, period: float) -> tuple[Health, int]:
+def examine(health: Health, bits: int, late: float, dt: float, period: float) -> tuple[Health, int]:
     """Health after a tick, and the fault it has come to, 0 for none.
 
     bits    of the guard in this tick
-    warned  how often the simulation of bodies has warned
     late    s  that the thread was woken after the deadline
     dt      s  until the next deadline to be kept, a period when none was missed
     period  s  nominal length of a tick
@@ -87,8 +85,6 @@ def examine(health: Health, bits: int, warned: int, late: float, dt: float, peri
         fault = JUMPING if bits & POSE_JUMPED else NO_POSE if bits & POSE_REFUSED else NO_FORCE
     elif lost > LOST_MAX_S:
         fault = STARVED
-    if warned != 0:
-        fault = DIVERGED
     return Health(silent, lost, woken_late), fault
 
 

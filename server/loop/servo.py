@@ -17,7 +17,6 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
-from softfinger.proxy.kernels.query.bodies import move_bodies
 from softfinger.server.loop.all_devices import (
     Io,
     Line,
@@ -31,6 +30,7 @@ from softfinger.server.loop.all_devices import (
     write_all,
     write_zeros,
 )
+from softfinger.server.loop.bodies import move_bodies
 from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
@@ -146,7 +146,7 @@ def servo_loop(
         memory = tick(tuning, start, memory, samples_of(lines), dt, nominal, number, records_of(lines))
         hands, statuses_out = write_all(ios, lines, tuning.tools, start.fingers, befores, memory.fingers)
         wrote = now_ns(timespec)
-        warned = move_bodies(tuning.scene.bodies, number, shared.motion, scratch.motion)
+        move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
         place, status_out = ended(statuses_out)
         if place >= 0:
             ending, status, finger = WRITE_FAILED, status_out, place
@@ -164,7 +164,7 @@ def servo_loop(
         store_release(shared.progress, 1, pace.missed)
         dt = nominal if schedule.own_clock else pace.dt
         bits, place = guarded_bits(lines)
-        health, fault = examine(health, bits, warned, stamp.late, dt, nominal)
+        health, fault = examine(health, bits, stamp.late, dt, nominal)
         if fault != 0:
             ending, finger = fault, place
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))

@@ -116,7 +116,7 @@ class Servo:
     def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
         """A loop for this servo: the first one, or one to `replace` it, with as many fingers."""
         values, period = leaves(tuning), period_ns(rate_hz)
-        begin_bodies(tuning.scene, period / NS_PER_S, in_servo=True)
+        begin_bodies(tuning.scene, period / NS_PER_S)
         row = np.zeros(len(devices) * RECORD_SIZE)
         held_max = int(HELD_MAX_S * rate_hz)
         lines = tuple(make_line(record, held_max) for record in np.split(row, len(devices)))

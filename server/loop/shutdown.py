@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.drivers import opened
 from softfinger.drivers.base import FORCE_OFF, PROTOCOL, TIMEOUT, Device
-from softfinger.proxy.bodies import diverged
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.server.loop import health
@@ -166,8 +165,6 @@ def loop_failure(ended: Ended, ticks: int, missed: int, woken_late: bool) -> Hap
             f"the scene gave no finite force for {health.SILENCE_MAX_S:g} s: zero force was commanded; "
             "softfinger check names values that do not go together, else report the scene"
         )
-    if ended.ending == health.DIVERGED:
-        return SafetyStop(f"zero force was commanded: {diverged()}")
     if ended.ending != health.STARVED:
         return None
     where, remedy = "in the device's exchange", "see to the device and its cable, or take a lower servo.rate_hz"

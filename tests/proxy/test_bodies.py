@@ -22,12 +22,15 @@ from softfinger.config.load import load_scene
 from softfinger.config.mjcf import taken
 from softfinger.proxy.bodies import RigidBodies, bodies_of
 from softfinger.proxy.engine import Engine, PoseError
+from softfinger.proxy.kernels.fingers import poses_in
 from softfinger.proxy.kernels.jit.decorators import PLAIN
-from softfinger.proxy.kernels.query.bodies import step_bodies
+from softfinger.proxy.kernels.jit.pack import unpack
+from softfinger.proxy.kernels.query.bodies import NO_FAULT, SLOW, SLOW_STEPS, keep_to_budget, step_bodies
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_on, closest_to_within, deepest
 from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
-from softfinger.proxy.record import SLIDING
+from softfinger.proxy.kernels.step import step
+from softfinger.proxy.record import FREE, SLIDING
 from softfinger.proxy.scene import start_state
 
 pytestmark = pytest.mark.plain
@@ -234,24 +237,6 @@ def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
     for again in (engine, other):
         np.testing.assert_array_equal(again.run(way)["thumb"], first)
         np.testing.assert_array_equal(again.data.qpos, place)
-
-
-@PLAIN_ONLY
-def test_a_step_by_address_is_mujocos_own(tmp_path: Path) -> None:
-    """What `_address` of model and data leads to, with mujoco-core 4.0.1: the state after steps, to the bit."""
-    path = box(tmp_path, floor=FLOOR, height=0.05)
-    scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": RUBBER}})
-    ours = bodies_of(scene)
-    assert ours is not None
-    ours.begin(0.001)
-    data = mujoco.MjData(ours.model)
-    mujoco.mj_step1(ours.model, data)
-    for _ in range(150):
-        assert step_bodies(ours.kernel((0.0, 1.0))) == 0
-        mujoco.mj_step2(ours.model, data)
-        mujoco.mj_step1(ours.model, data)
-    np.testing.assert_array_equal(ours.data.qpos, data.qpos)
-    assert data.ncon > 0
 
 
 SHAPES = """
@@ -471,13 +456,77 @@ def test_a_world_that_diverges_is_seen(tmp_path: Path, monkeypatch: pytest.Monke
     assert not list(tmp_path.iterdir())
 
 
-def test_an_engine_says_that_its_bodies_diverged(tmp_path: Path) -> None:
-    """An error in the call that met it, and no force that is no number before; a reset begins anew."""
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_an_engine_says_that_its_bodies_failed(substeps: int, tmp_path: Path) -> None:
+    """An error in MuJoCo's words in the call that met it, and in each until a reset; three times in one engine."""
+    path = box(tmp_path, floor=FLOOR, height=HALF)
+    Path(path).write_text(Path(path).read_text().replace('"0.001" integ', f'"{0.001 / substeps}" integ'))
+    engine = held_by_two(path, substeps=substeps)
+    way = pinch(5, 1.0, height=HALF, press=5)
+    good = engine.run(way)["thumb"].copy()
+    solver = engine.model.opt.solver
+    for fail in ("a number", "an error", "a number"):
+        if fail == "a number":
+            engine.data.qvel[0] = math.inf
+        else:
+            engine.model.opt.solver = 77
+        for _ in range(2):
+            with pytest.raises(SafetyStop, match=r"huge value in Q|solver") as failed:
+                engine.run(way)
+        assert "let go and stand still" in str(failed.value) and "damping_ns_per_m" in str(failed.value)
+        engine.model.opt.solver = solver
+        engine.reset()
+        np.testing.assert_array_equal(engine.run(way)["thumb"], good)
+
+
+def test_memory_that_is_full_is_an_error(tmp_path: Path) -> None:
+    """MuJoCo drops all contacts then, with a warning that nobody reads: boxes would fall through each other."""
+    path = tmp_path / "many.xml"
+    boxes = "".join(
+        f'<body pos="0 0 {0.3 + 0.05 * k}"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>'
+        for k in range(20)
+    )
+    path.write_text(
+        f'<mujoco><size memory="60K"/>{OPTION}<worldbody><geom name="floor" type="plane" size="1 1 1"/>{boxes}'
+        "</worldbody></mujoco>"
+    )
+    floor = {"name": "floor", "material": RUBBER}
+    engine = Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "geom": [floor]}})
+    with pytest.raises(SafetyStop, match=r'Insufficient arena memory .*<size memory="\.\.\."/>'):
+        engine.run([[0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]] * 600)
+
+
+@PLAIN_ONLY
+def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
+    """Fingers inside the box feel nothing, the world stands still, and no wrench is not a number."""
     engine = held_by_two(box(tmp_path, gravity=0.0))
-    way = pinch(5, 1.0)
-    engine.run(way)
-    engine.data.qvel[0] = math.inf
-    with pytest.raises(SafetyStop, match="cannot be simulated any further"):
-        engine.run(way)
-    engine.reset()
-    assert np.isfinite(engine.run(way)["thumb"]["force"]).all()
+    way = pinch(120, 3.0)
+    assert np.abs(engine.run(way)["thumb"]["force"][-1]).max() > 1.0
+    engine.data.qvel[3] = math.nan
+    state = unpack(start_state(engine.scene), engine._state)
+    assert step_bodies(engine.scene.bodies) != NO_FAULT
+    poses = poses_in([poses[-1] for poses in way.values()])
+    for _ in range(2):
+        state, contacts = step(engine.scene, state, poses, 1e-3)
+        assert step_bodies(engine.scene.bodies) != NO_FAULT
+        assert all(each.force == each.torque == (0.0, 0.0, 0.0) and each.mode == FREE for each in contacts)
+
+
+@PLAIN_ONLY
+def test_most_steps_have_to_keep_to_the_budget(tmp_path: Path) -> None:
+    """A step that was interrupted comes alone; where most take too long the bodies are let go, and it is said why."""
+    scene = load_scene(
+        {"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "budget_us": 50.0, "material": RUBBER}}
+    )
+    owner = bodies_of(scene)
+    assert owner is not None
+    owner.begin(0.001)
+    bodies = owner.kernel((0.0, 1.0))
+    for took_us in [49.0, 51.0, 2000.0, 50.0] * 50:
+        keep_to_budget(bodies, round(1e3 * took_us))
+    assert owner.failure is None
+    for took_us in [51.0, 51.0, 50.0] * SLOW_STEPS:
+        keep_to_budget(bodies, round(1e3 * took_us))
+    assert "budget_us = 50" in str(owner.failure) and step_bodies(bodies) == SLOW
+    owner.begin(0.001)
+    assert owner.failure is None and step_bodies(bodies) == NO_FAULT

@@ -4,16 +4,17 @@ The simulation is MuJoCo's, called by the addresses of its C functions on the me
 interpreter lock, and no allocation. A tick goes: poses as they are now; contact of all fingers; minus each contact's
 wrench onto the body that it is on; then, behind the devices' writes, the step. So poses are fresh and nothing is a
 step late, which bodies of less than 100 g would not bear.
+
+A step that fails is a fault of the bodies, not of the run: they stand still, and nothing is touched, until they begin
+again.
 """
 
 from typing import Any, Final
 
-from numba import types
-
-from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.decorators import PLAIN, jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.jit.foreign import call_void
-from softfinger.proxy.kernels.jit.memory import float64_at, int32_at
+from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at
+from softfinger.proxy.kernels.jit.rescue import rescued
 from softfinger.proxy.kernels.jit.seqlock import Slot, store
 from softfinger.proxy.kernels.model import Bodies, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
@@ -45,22 +46,28 @@ TREE_CENTER: Final = 13
 TREE_ROOT: Final = 14
 MOVING: Final = 15
 """How many bodies can move."""
-BLOCK_SIZE: Final = 16
+FAULT: Final = 16
+"""Two int64 that change: the fault, NO_FAULT to SLOW, and by how many more steps took too long than did not."""
+RESCUE: Final = 17
+"""Memory of `rescued`."""
+BUDGET_NS: Final = 18
+"""How long a step may take, ns; 0 for any time."""
+BLOCK_SIZE: Final = 19
+
+SLOW_STEPS: Final = 20
+"""A step that was interrupted comes alone; a model that is too large takes too long in more than half of its steps."""
 
 MOTION_SIZE: Final = 13
 """Numbers that tell of a body's motion: position (3,) m, orientation w, x, y, z, velocity (3,) m/s, rate (3,) rad/s."""
 
 
-LOG_ERROR: Final = 3
-"""Level of a message (mjtLogLevel), its first int32."""
-_pause: Any = types.ExternalFunction("pause", types.int32())
-
-
-@c_function(types.void(types.int64), on_demand=True)
-def park_on_error(message: int) -> None:
-    """Handler of MuJoCo's messages: a warning is passed over, for it is counted; behind an error it may not return."""
-    while int32_at(message)[0] == LOG_ERROR:
-        _pause()
+NO_FAULT: Final = 0
+WARNED: Final = 1
+"""MuJoCo has warned since it began: of numbers that are none, of memory that is full."""
+ERROR: Final = 2
+"""MuJoCo met an error, which would have ended the process; its words are in the memory of RESCUE."""
+SLOW: Final = 3
+"""Steps took more time than they may."""
 
 
 @jit
@@ -118,14 +125,6 @@ def push(block: Any, body: int, force: Vec3, torque: Vec3, center: Vec3) -> None
         wrench[at + 3 + i] -= about[i]
 
 
-@jit
-def move_bodies(bodies: Any, tick: int, slot: Slot, scratch: Any) -> Any:
-    """`step_bodies` behind a tick, and `tell_motion` of it."""
-    warned = step_bodies(bodies)
-    tell_motion(bodies, tick, slot, scratch)
-    return warned
-
-
 @by_type
 def tell_motion(bodies: Any, tick: int, slot: Slot, scratch: Any) -> None:
     """Let others read where the bodies that can move are, and how fast: after the tick's number MOTION_SIZE each.
@@ -162,22 +161,64 @@ def tell_motion_of_bodies(bodies: Bodies, tick: int, slot: Slot, scratch: Any) -
 
 @by_type
 def step_bodies(bodies: Any) -> Any:
-    """The next state of all bodies; returns how often (int) the simulation has warned since it began: of numbers that
-    are none, of memory that is full."""
+    """The next state of all bodies; returns their fault, NO_FAULT while there is none. With one they stand still."""
 
 
 @step_bodies.of(None)
 def step_no_bodies(bodies: None) -> int:
-    return 0
+    return NO_FAULT
 
 
 @step_bodies.of(Bodies)
 def step_all_bodies(bodies: Bodies) -> int:
     block = bodies.block
-    handles = (block[MODEL], block[DATA])
-    call_void(block[SECOND_HALF], handles)
-    call_void(block[FIRST_HALF], handles)
-    warned = 0
+    fault = int64_at(block[FAULT])
+    if fault[0] == NO_FAULT:
+        fault[0] = step_half(block, SECOND_HALF)
+    if fault[0] == NO_FAULT:
+        fault[0] = step_half(block, FIRST_HALF)
+    return int(fault[0])
+
+
+@jit
+def step_half(block: Any, half: int) -> int:
+    """FIRST_HALF or SECOND_HALF of a step; returns the fault that it met."""
+    if call_half(block, half) != 0:
+        return ERROR
     for i in range(block[WARNING_COUNT]):
-        warned += int32_at(block[WARNINGS] + i * block[WARNING_BYTES])[0]
-    return warned
+        if int32_at(block[WARNINGS] + i * block[WARNING_BYTES])[0] != 0:
+            return WARNED
+    return NO_FAULT
+
+
+def _call_by_binding(block: Any, half: int) -> int:
+    """As plain Python: MuJoCo's own package has a way back of its own."""
+    return int(block.owner.step_half(half))
+
+
+def _call_by_address(block: Any, half: int) -> int:
+    return rescued(block[half], block[MODEL], block[DATA], block[RESCUE])
+
+
+call_half: Any = _call_by_binding if PLAIN else jit(_call_by_address)
+"""Call a half of a step; 0, or 1 where MuJoCo met an error."""
+
+
+@jit
+def faulty(bodies: Bodies) -> bool:
+    """Whether the bodies have a fault, and stand still until they begin again."""
+    return bool(int64_at(bodies.block[FAULT])[0] != NO_FAULT)
+
+
+@jit
+def keep_to_budget(bodies: Bodies, took_ns: int) -> None:
+    """Let the bodies have the fault SLOW once SLOW_STEPS more steps took longer than they may than did not.
+
+    took_ns  of one step
+    """
+    block = bodies.block
+    if block[BUDGET_NS] > 0:
+        fault = int64_at(block[FAULT])
+        fault[1] = max(fault[1] + (1 if took_ns > block[BUDGET_NS] else -1), 0)
+        if fault[0] == NO_FAULT and fault[1] >= SLOW_STEPS:
+            fault[0] = SLOW
