@@ -1,16 +1,17 @@
 """What a driver's tick costs beside the C calls that it makes: `python tests/exchange_cost.py`, `make exchange-cost`.
 
 For each driver for hardware a device is opened on a stand-in: Force Dimension's on a stub of the maker's library, the
-Falcon on a stub of libusb, HID devices and the puck on a packet socket, the serial board on a stream socket. One
-compiled loop then times the driver's read and write, called as the servo calls them, in turn with the same C calls made
-bare, with the same arguments on the same stand-in. Both go back to back, so the caches are warm. What the driver adds
-is the difference of the two medians; the range is that of the same difference over twenty parts of the run. The
-stand-in's own work is in both.
+Falcon on a stub of libusb, HID devices and the puck on a packet socket, the serial board on a stream socket, Haply's on
+an emulated service. One compiled loop then times the driver's read and write, called as the servo calls them, in turn
+with the same C calls made bare, with the same arguments on the same stand-in. Both go back to back, so the caches are
+warm. What the driver adds is the difference of the two medians; the range is that of the same difference over twenty
+parts of the run. The stand-in's own work is in both.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import socket
 import sys
 import tempfile
@@ -25,6 +26,8 @@ import numpy as np
 from emulators.puck import combined
 from emulators.serialboard import FRAME_BYTES, Board
 from helpers.drd_stub import COMPILER, SOURCE, Stub, compile_stub
+from helpers.haply_devices import Service
+from helpers.haply_devices import opened as open_haply
 from helpers.hid_devices import ends, rig_options
 from helpers.serial_devices import rig_options as serial_options
 from helpers.usb_stub import NO_COMPILER, SONAME, UsbStub, in_place_of_libusb
@@ -49,7 +52,7 @@ from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.server.driver_contract import RATE_HZ, Servo
-from softfinger.server.loop.clock import now_ns
+from softfinger.server.loop.clock import now_ns, sleep_until
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools import measure
 
@@ -69,6 +72,7 @@ class Case(NamedTuple):
     peer      file descriptor of the device's end of a packet socket, -1 where there is none
     answer    what the device sends before each tick, bytes
     wake      makes the driver go on when the machine has held up the loop and it waits for an answer of now
+    wait_ns   time before each tick in which a thread of the driver gets the next sample
     """
 
     io: DeviceIO
@@ -76,6 +80,7 @@ class Case(NamedTuple):
     peer: int = -1
     answer: bytes = b""
     wake: Callable[[], None] = lambda: None
+    wait_ns: int = 0
 
 
 @numba.njit(**OPTIONS)
@@ -88,16 +93,19 @@ def _tick(io: DeviceIO, sample: Any, wrench: Any, timespec: Any) -> tuple[int, i
 
 
 @numba.njit(**OPTIONS)
-def _measure(io: DeviceIO, bare: DeviceIO, peer: int, report: Any, memory: Any, out: Any, whole: Any) -> int:
-    """Times (n, 2) ns of the driver and of the bare calls, in turn, and whether each tick of the driver's was whole;
-    n, or the tick in which the driver failed."""
+def _measure(calls: Any, peer: int, wait_ns: int, report: Any, memory: Any, out: Any, whole: Any) -> int:
+    """Times (n, 2) ns of the driver's and of the bare calls (`calls`), in turn, and whether each tick of the driver's
+    was whole; n, or the tick in which the driver failed."""
     sample, wrench, timespec, buffer = memory
+    io, bare = calls
     for n in range(len(out)):
         for way in range(2):
             if peer >= 0:
                 while read_fd(peer, buffer.ctypes.data, BUFFER) > 0:
                     pass
                 write_fd(peer, report.ctypes.data, len(report))
+            if wait_ns > 0:
+                sleep_until(now_ns(timespec) + wait_ns, timespec)
             out[n, way], status = _tick(io if way == 0 else bare, sample, wrench, timespec)
             if way == 0:
                 whole[n] = status == OK
@@ -258,9 +266,32 @@ def spacemouse(_: Path) -> Iterator[Case]:
         yield Case(device.io(), bare, end.fileno(), combined(right=100)[0])
 
 
+@contextmanager
+def haply(_: Path) -> Iterator[Case]:
+    """An Inverse3 at the emulated service, with half a millisecond before each tick, in which its thread gets the next
+    state. The bare call is the one that wakes a thread; here one that does nothing."""
+    other, one, ended = os.eventfd(0), np.ones(1, np.int64), threading.Event()
+
+    def sleeper() -> None:
+        while not ended.is_set():
+            os.eventfd_read(other)
+
+    with Service() as service, open_haply(service) as device:
+        woken = threading.Thread(target=sleeper)
+        woken.start()
+        device.arm()
+        words = np.array([other, one.ctypes.data, 8])
+        yield Case(device.io(), DeviceIO(_nothing.address, _socket_write.address, words.ctypes.data), wait_ns=500_000)
+        ended.set()
+        os.eventfd_write(other, 1)
+        woken.join()
+    os.close(other)
+
+
 CASES: Final[dict[str, Callable[[Path], AbstractContextManager[Case]]]] = {
     "forcedimension": force_dimension,
     "falcon": falcon,
+    "haply": haply,
     "hid": hid,
     "serial": serial,
     "spacemouse": spacemouse,
@@ -279,7 +310,9 @@ def times(case: Case, ticks: int) -> tuple[NDArray[np.float64], float]:
         done, tries = 0, 0
         while done < many:
             case.wake()
-            done += _measure(case.io, case.bare, case.peer, report, memory, out[done:many], whole[done:many])
+            done += _measure(
+                (case.io, case.bare), case.peer, case.wait_ns, report, memory, out[done:many], whole[done:many]
+            )
             tries += 1
             if tries > TRIES:
                 raise DeviceTimeout(f"the driver failed in {tries} ticks of {done}: is this machine busy?")

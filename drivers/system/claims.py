@@ -25,7 +25,8 @@ PUCKS: Final = (
 
 TEENSY_SERIAL: Final = (0x16C0, 0x0483)
 """Ids of every Teensy with a serial port, whatever program it runs."""
-OTHER_PRODUCTS: Final = {TEENSY_SERIAL: {"haply": "a Haply Inverse3"}}
+HAPLY: Final = "haply"
+OTHER_PRODUCTS: Final = {TEENSY_SERIAL: {HAPLY: "a Haply Inverse3"}}
 """By ids that several makers use: how the product string of another maker's device begins, in small letters."""
 
 
@@ -33,6 +34,7 @@ class Claim(NamedTuple):
     """A driver's word that devices of these ids are its own; `product` None: every one of the vendor.
 
     reports  that a HID device has to announce; None: any
+    begins   how its product string has to begin, in small letters, where others have the same ids
     """
 
     driver: str
@@ -41,6 +43,7 @@ class Claim(NamedTuple):
     product: int | None
     rigs: tuple[str, ...] = ()
     reports: Announced | None = None
+    begins: str = ""
 
 
 def claim_on(device: Attached) -> Claim | None:
@@ -50,8 +53,8 @@ def claim_on(device: Attached) -> Claim | None:
     system's support for these is missing.
     """
     if other_product(device) is not None:
-        return None
-    fitting = [claim for claim in claims_by_ids(device) if _has_reports(device, claim)]
+        return next((claim for claim in claims_by_ids(device) if _begins(device, claim.begins)), None)
+    fitting = [claim for claim in claims_by_ids(device) if not claim.begins and _has_reports(device, claim)]
     if len(fitting) < 2:
         return fitting[0] if fitting else None
     return fitting[0]._replace(rigs=tuple(rig for claim in fitting for rig in claim.rigs), reports=None)
@@ -65,7 +68,11 @@ def claims_by_ids(device: Attached) -> list[Claim]:
 def other_product(device: Attached) -> str | None:
     """What a device is that has the ids of one of ours and the product string of another maker's; else None."""
     known = OTHER_PRODUCTS.get((device.vendor, device.product), {})
-    return next((what for begins, what in known.items() if device.name.lower().startswith(begins)), None)
+    return next((what for begins, what in known.items() if _begins(device, begins)), None)
+
+
+def _begins(device: Attached, begins: str) -> bool:
+    return begins != "" and device.name.lower().startswith(begins)
 
 
 def may_be(device: Attached, options: Mapping[str, Any]) -> bool:
@@ -119,6 +126,7 @@ def _claims() -> Iterator[Claim]:
 
     yield Claim("forcedimension", "usb", 0x1451, None, of("forcedimension"))
     yield Claim("falcon", "usb", 0x0403, 0xCB48, of("falcon"))
+    yield Claim("haply", "serial", *TEENSY_SERIAL, of("haply"), begins=HAPLY)
     for vendor, product in PUCKS:
         yield Claim("spacemouse", "hid", vendor, product, of("spacemouse"))
     for (driver, vendor_id, product_id), by_format in rigs.items():

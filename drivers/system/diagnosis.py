@@ -21,8 +21,8 @@ MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "c
 class Diagnosis(NamedTuple):
     """Whether a device can be used, in a word; if not, why and what to do.
 
-    state   usable, unclaimed, or what is in the way: driver, node, permission, busy, product, library, firmware;
-            error, where a device that was asked failed
+    state   usable, unclaimed, or what is in the way: driver, node, permission, busy, product, library, service,
+            firmware; error, where a device that was asked failed
     """
 
     state: str
@@ -49,6 +49,8 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
         return Diagnosis("unclaimed", "no driver knows it")
     if claim.driver not in registry.names():
         return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
+    if claim.driver == "haply":  # its port is the service's, which holds it all the time
+        return needs(claim, options_for(claim, rig))
     bare = device.bus == "usb" and claim.bus in MODULES
     if bare and claim.driver != "hid":
         node, module = MODULES[claim.bus]
@@ -86,6 +88,13 @@ def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | No
             library.load(options.get("library_file"))
         except HapticError as error:
             return Diagnosis("library", str(error), f"export FDSDK=/path/to/sdk   # from {library.DOWNLOAD}")
+    if claim.driver == "haply" and said is None:
+        from softfinger.drivers.haply import link, opening
+
+        try:
+            opening.identify(options.get("port", opening.PORT), options.get("version"))
+        except HapticError as error:
+            return Diagnosis("service", str(error), link.START)
     loaded = said is not None and said.get("firmware", False)
     if claim.driver == "falcon" and not loaded and not os.path.isfile(firmware := options.get("firmware", "")):
         named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"

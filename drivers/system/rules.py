@@ -43,6 +43,8 @@ def udev_rules(devices: Iterable[DeviceConfig] = ()) -> str:
     products: dict[tuple[str, str, int], set[int]] = {}
     """By driver, bus and vendor; an empty set: all of the vendor."""
     for claim in (*claims(), *_described(devices)):
+        if claim.driver == "haply":  # the maker's service opens it, and has rules of its own
+            continue
         for bus in (claim.bus, *(["usb"] if claim.driver == "hid" else [])):  # without a hidraw node it is opened there
             of_vendor = products.setdefault((claim.driver, bus, claim.vendor), set())
             of_vendor |= set() if claim.product is None else {claim.product}

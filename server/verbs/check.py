@@ -331,11 +331,20 @@ def _workspace(workspace: Workspace | None) -> str:
 
 def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
     options, tool = ", ".join(f"{key} = {shown(value)}" for key, value in device.options.items()), device.tool
-    rows = [(table, device.driver + (f" ({options})" if options else ""))]
+    rows = [(table, device.driver + (f" ({options})" if options else "")), *_driver_rows(table, device)]
     if tool is not None:
         turned = f"turned by {shown(tool.orientation_wxyz)}"
         rows.append(("  tool", f"tip at {shown(tool.offset_m)} m of the handle, {turned}"))
     return rows
+
+
+def _driver_rows(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
+    """What a driver adds of its own (`rows`), such as what a maker's service does to every force."""
+    from softfinger.drivers import registry
+
+    driver = registry.load(device.driver)
+    rows = getattr(driver, "rows", None)
+    return [] if rows is None else list(rows(build(driver.Options, device.options, f"[{table}]")))
 
 
 def _locate(file: str) -> Path:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from emulators.boards import BOARDS
+from helpers.haply_devices import Service
 from test_hid_emulated import WHY_NOT, beside
 
 from softfinger.config.errors import DeviceNotFound
@@ -181,7 +182,7 @@ def test_a_node_that_is_not_there(root: Path) -> None:
 
 def test_a_teensy_is_not_known_by_its_ids(root: Path) -> None:
     """A serial port that any Teensy may have is asked to be named; once a rig names it, it is usable. One of Haply's is
-    nobody's."""
+    for the driver of that, which asks the maker's service and not the port."""
     node = root / "ttyACM0"
     node.write_bytes(b"")
     board = at(node, 0x16C0, 0x0483, bus="serial")
@@ -192,8 +193,15 @@ def test_a_teensy_is_not_known_by_its_ids(root: Path) -> None:
     rig = DeviceConfig(driver="serial", options={"path": str(node)})
     assert diagnose(board, claim_on(board), rig).state == "usable"
     haply = board._replace(name="Haply inverse3")
-    assert claim_on(haply) is None
-    assert diagnose(haply, None).reason == "it is a Haply Inverse3, which no driver knows"
+    claim = claim_on(haply)
+    assert claim is not None
+    assert (claim.driver, claim.rigs) == ("haply", ("haply-inverse3", "haply-minverse"))
+    with Service() as service:
+        at_service = DeviceConfig(driver="haply", options={"port": service.port})
+        assert diagnose(haply, claim, at_service).state == "usable"
+    found = diagnose(haply, claim, at_service)
+    assert found.state == "service"
+    assert "systemctl start haply-inverse-service" in found.remedy
 
 
 def test_boards_with_the_same_ids_are_told_apart_by_their_reports() -> None:

@@ -21,7 +21,10 @@ OVER_HID: Final = ("hid", "spacemouse")
 
 def checks(rig: Rig) -> list[Check]:
     """All of them; what the rig does not need is at worst said."""
-    return [libusb(rig), hidapi(rig), maker_library(rig), *devices(rig, discovery.attached())]
+    found = [libusb(rig), hidapi(rig), maker_library(rig)]
+    if single_device(rig).driver == "haply":
+        found.append(inverse_service(rig))
+    return [*found, *devices(rig, discovery.attached())]
 
 
 def _missing(needed: bool) -> State:
@@ -71,6 +74,20 @@ def maker_library(rig: Rig) -> Check:
     return Check("Force Dimension's library", "good", "found", wanted)
 
 
+def inverse_service(rig: Rig) -> Check:
+    """Haply's service, which has the devices; it is asked what it lists, and nothing is sent to a device."""
+    from softfinger.drivers.haply import link, opening
+
+    options = single_device(rig).options
+    try:
+        said = opening.identify(options.get("port", opening.PORT), options.get("version"))
+    except HapticError as error:
+        return Check("Inverse Service", "bad", str(error), "running", link.START)
+    state: State = "good" if said["devices"] else "bad"
+    shown = f"version {said['service']}, lists {', '.join(said['devices'] + said['grips']) or 'no device'}"
+    return Check("Inverse Service", state, shown, "running, with a device", "plug the device in and switch it on")
+
+
 def devices(rig: Rig, found: list[Attached]) -> list[Check]:
     """Each device that a driver claims, as `devices` diagnoses it; bad where it is the rig's and cannot be used."""
     driver, wanted = single_device(rig).driver, "usable"
@@ -88,7 +105,7 @@ def devices(rig: Rig, found: list[Attached]) -> list[Check]:
         seen.append(
             Check(f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{said}", wanted, diagnosis.remedy)
         )
-    if not own and driver in {claim.driver for claim in claims()}:
+    if not own and driver != "haply" and driver in {claim.driver for claim in claims()}:
         remedy = "plug it in and switch it on; softfinger devices lists what is attached"
         seen.append(
             Check("device of the rig", "bad", f"nothing that driver {driver} of this rig drives", "attached", remedy)

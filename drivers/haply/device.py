@@ -1,0 +1,130 @@
+"""A device at the Inverse Service behind the contract: opened with its filters set, and zero force on every shutdown
+path: a zero is sent and its answer seen, then the connection is closed."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from typing import Any, Final
+
+from softfinger.config.errors import DeviceLost, DeviceTimeout
+from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block
+from softfinger.drivers.conversation import TORQUE_MAX_NM
+from softfinger.drivers.haply import exchange, opening
+from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, Model
+from softfinger.drivers.haply.options import Options, rows
+from softfinger.drivers.haply.pump import Pump
+from softfinger.drivers.system.discovery import Attached
+from softfinger.proxy.kernels.jit.pack import flatten
+
+__all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
+
+log: Final = logging.getLogger(__name__)
+
+STOP_WAIT_S: Final = 1.0
+"""How long a stop waits for the service's answer to a zero."""
+POLL_S: Final = 2e-4
+
+
+class HaplyDevice(Device):
+    """An open device; the connection of `found` is its own from now on."""
+
+    def __init__(self, options: Options, found: opening.Found) -> None:
+        self._options, self._told = options, False
+        self._block = Block(AT)
+        word = self._block.word
+        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(Model(*options.mounting.frame(), options.force_max_n))
+        word[AT.opened_at] = time.monotonic_ns()
+        word[AT.one] = 1
+        spans = (options.quiet_s, options.timeout_s, options.stale_s)
+        for place, seconds in zip((AT.quiet, AT.timeout_after, AT.stale), spans, strict=True):
+            word[place] = round(seconds * 1e9)
+        word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        grip = "" if found.grip is None else f" with {found.grip}"
+        self.info = _info(options, f"haply {found.device}{grip}", sensed_dof=3 if found.grip is None else 6)
+        self._pump = Pump(found, self._block)
+        self._pump.start()
+
+    def io(self) -> DeviceIO:
+        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
+
+    def arm(self) -> None:
+        """Wait for a state of now, and let forces out."""
+        word = self._block.word
+        before, until = int(word[AT.states]), time.monotonic() + self._options.timeout_s
+        while word[AT.states] == before:
+            if word[AT.failed] < 0:
+                raise DeviceLost(f"{self.info.name}: {self.reason()}")
+            if time.monotonic() > until:
+                raise DeviceTimeout(f"{self.info.name}: the Inverse Service has fallen silent: restart it")
+            time.sleep(POLL_S)
+        word[AT.dropped_seen] = word[AT.dropped]
+        word[AT.armed] = 1
+
+    def stop(self) -> None:
+        word = self._block.word
+        word[AT.armed] = 0  # from now on the thread sends nothing but zeros
+        if word[AT.wake] < 0 or not self._pump.running:
+            return  # with the connection the session has ended, and with it what it gave
+        wanted = int(word[AT.stops]) + 1
+        word[AT.stops] = wanted
+        os.eventfd_write(int(word[AT.wake]), 1)
+        until = time.monotonic() + STOP_WAIT_S
+        while word[AT.stopped] < wanted and self._pump.running:
+            if time.monotonic() > until:
+                self._tell_no_answer()
+                return
+            time.sleep(POLL_S)
+
+    def close(self) -> None:
+        self.stop()
+        self._pump.close()
+        wake = int(self._block.word[AT.wake])
+        self._block.word[AT.wake] = -1
+        if wake >= 0:
+            os.close(wake)
+
+    def reason(self) -> str:
+        return self._pump.failure
+
+    def counts(self) -> dict[str, int]:
+        return self._block.counts()
+
+    def settled(self) -> bool:
+        """Whether the service has answered the message with the newest wrench, or never will."""
+        word = self._block.word
+        return bool(word[AT.answered] >= word[AT.written]) or not self._pump.running
+
+    def _tell_no_answer(self) -> None:
+        """Once: the loop, the daemon and `close` each stop the device."""
+        if not self._told:
+            self._told = True
+            log.error("%s: a zero was sent, and the service has not answered for %g s", self.info.name, STOP_WAIT_S)
+
+
+def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:
+    """What the device can do: three motors, which do not turn the handle, in a box about the world's origin."""
+    r = options.workspace_radius_m
+    return DeviceInfo(
+        name=name,
+        sensed_dof=sensed_dof,
+        actuated_dof=3,
+        force_max_n=options.force_max_n,
+        torque_max_nm=TORQUE_MAX_NM,
+        stiffness_max_n_per_m=options.stiffness_max_n_per_m,
+        damping_max_ns_per_m=options.damping_max_ns_per_m,
+        workspace_min_m=(-r, -r, -r),
+        workspace_max_m=(r, r, r),
+    )
+
+
+def open_device(options: Options, rate_hz: float) -> HaplyDevice:
+    """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
+    return HaplyDevice(options, opening.find(options))
+
+
+def identify(_: Attached, options: Options) -> dict[str, Any]:
+    """What the service says of itself and its devices; nothing is sent to a device."""
+    return opening.identify(options.port, options.version)

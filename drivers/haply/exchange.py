@@ -1,0 +1,190 @@
+"""The servo's side: the newest pose out of the block, the wrench into it, from nopython.
+
+Two sequence locks stand between the servo and the thread that speaks to the service (`pump`), one for each way, so that
+neither waits for the other. A write wakes the thread. What put zero in the place of a force is told by WITHHELD, so
+that the guard fades in again: no state for `quiet`, not armed, a wrench so old that the thread let it go.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Annotated, Any, Final, NamedTuple
+
+from numba import carray
+
+from softfinger.drivers.base import (
+    OK,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    SAMPLE_SIZE,
+    SAMPLE_TIME,
+    STALE,
+    TIMEOUT,
+    WITHHELD,
+)
+from softfinger.drivers.block import counter, lay_out, numbers, word
+from softfinger.drivers.pause import RESUME_NS, heard_at
+from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, write_now
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
+from softfinger.proxy.kernels.jit.seqlock import Slot, refresh, store
+from softfinger.proxy.kernels.model import Quaternion, Vec3
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
+
+COUNTERS: Final = 8
+"""Words of a sequence lock's counter: a line of the cache."""
+POSE: Final = 9
+"""Numbers of a pose: position (3,) m, orientation (4,), buttons, and when it came (ns, monotonic clock)."""
+CAME: Final = 8
+WRENCH: Final = 5
+"""Numbers of a wrench: force (3,) N in the service's frame, when it was written (ns, monotonic clock), its number."""
+WRITTEN: Final = 3
+NUMBER: Final = 4
+
+
+class Model(NamedTuple):
+    """What turns the service's pose into the world's, and a force back.
+
+    position     (3,) m  service's origin in the world
+    orientation  (4,)    service to world
+    force_max    N
+    """
+
+    position: Vec3
+    orientation: Quaternion
+    force_max: float
+
+
+MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
+MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
+
+
+class Words(NamedTuple):
+    """The words of a device at the service. Each is written by one side, but for `armed`."""
+
+    states: Annotated[int, counter("states received")]
+    messages: Annotated[int, counter("messages sent")]
+    dropped: Annotated[
+        int, counter("forces ended by the thread, because no newer wrench came or the device was disarmed")
+    ]
+    unasked: Annotated[int, counter("states that answered no message")]
+    written: Annotated[int, counter("wrenches of the loop")]
+    cut: Annotated[int, counter("forces past the largest")]
+    armed: Annotated[int, word("whether a force may go out")]
+    failed: Annotated[int, word("status of what ended the thread, 0 while nothing did")]
+    answered: Annotated[int, word("number of the newest wrench whose message has been answered")]
+    stops: Annotated[int, word("zeros asked for by `stop`")]
+    stopped: Annotated[int, word("of these, answered by the service")]
+    wake: Annotated[int, word("eventfd that wakes the thread, below 0 once it is closed")]
+    one: Annotated[int, word("what is written to it")]
+    lock: Annotated[int, word("held while a wrench is written")]
+    quiet: Annotated[int, word("ns without a state, after which there is no force")]
+    timeout_after: Annotated[int, word("ns without a state, after which the device is given up")]
+    stale: Annotated[int, word("ns after which a wrench is old")]
+    opened_at: Annotated[int, word("ns")]
+    read_at: Annotated[int, word("ns, when the loop last read")]
+    heard_at: Annotated[int, word("ns, when the state came that the loop has")]
+    seen: Annotated[int, word("counter of the pose that the loop has")]
+    dropped_seen: Annotated[int, word("`dropped` at the last read")]
+    timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
+    model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
+    pose_sequence: Annotated[int, numbers("counter of the poses' lock", COUNTERS)]
+    pose: Annotated[int, numbers("the newest, service's frame", POSE)]
+    wrench_sequence: Annotated[int, numbers("counter of the wrenches' lock", COUNTERS)]
+    wrench: Annotated[int, numbers("the newest", WRENCH)]
+    copied: Annotated[int, numbers("the loop's copy of a pose, which may be torn", POSE)]
+    sent: Annotated[int, numbers("the wrench being written", WRENCH)]
+    sample: Annotated[int, numbers("the last one", SAMPLE_SIZE)]
+
+
+AT: Final = lay_out(Words)
+
+
+@jit
+def _take(handle: int, poses: Slot, copied: Any) -> bool:
+    """Turn the newest pose into the sample, if there is one that the loop has not had. `poses` and `copied` are the
+    words of these names as arrays."""
+    at, sample = int64_at(handle), float64_at(handle + 8 * AT.sample)
+    newest = refresh(poses, at[AT.seen], copied)
+    if newest == at[AT.seen]:
+        return False
+    at[AT.seen] = newest
+    model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
+    position = vec3.add(rotate(model.orientation, (copied[0], copied[1], copied[2])), model.position)
+    orientation = normalize(multiply(model.orientation, (copied[3], copied[4], copied[5], copied[6])))
+    for k in range(3):
+        sample[k] = position[k]
+    for k in range(4):
+        sample[3 + k] = orientation[k]
+    at[AT.heard_at] = int(copied[CAME])
+    sample[SAMPLE_TIME] = (at[AT.heard_at] - at[AT.opened_at]) * 1e-9
+    sample[SAMPLE_BUTTONS] = copied[7]
+    sample[SAMPLE_GRIPPER] = 0.0
+    return True
+
+
+@c_function(IO_SIGNATURE)
+def read(handle: int, sample: Any) -> int:
+    at = int64_at(handle)
+    if at[AT.failed] < 0:
+        return int(at[AT.failed])
+    now = monotonic_ns(handle + 8 * AT.timespec)
+    counters = carray(int64_at(handle + 8 * AT.pose_sequence), (COUNTERS,))
+    poses = Slot(counters, carray(float64_at(handle + 8 * AT.pose), (POSE,)))
+    status = OK if _take(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE,))) else STALE
+    silence = now - at[AT.heard_at]
+    if at[AT.read_at] != 0 and now - at[AT.read_at] > RESUME_NS and silence > at[AT.quiet]:
+        # nobody listened during a pause, which may have stopped the thread too: no silence, but no pose of now either
+        at[AT.heard_at] = heard_at(at[AT.heard_at], at[AT.read_at], now, at[AT.quiet])
+        status = STALE
+    elif silence > at[AT.timeout_after]:
+        return TIMEOUT
+    at[AT.read_at] = now
+    dropped = at[AT.dropped]
+    if dropped != at[AT.dropped_seen]:
+        at[AT.dropped_seen] = dropped
+        status = WITHHELD
+    kept = float64_at(handle + 8 * AT.sample)
+    for k in range(SAMPLE_SIZE):
+        sample[k] = kept[k]
+    return status
+
+
+@c_function(IO_SIGNATURE)
+def write(handle: int, wrench: Any) -> int:
+    at = int64_at(handle)
+    finite, zero = True, True
+    for k in range(3):  # no motor turns the handle: torque is taken, and not displayed
+        finite = finite and isfinite(wrench[k])
+        zero = zero and wrench[k] == 0.0
+    if at[AT.failed] < 0:
+        return OK if zero else int(at[AT.failed])
+    # Never wait here: who holds the lock writes a zero or closes the device, so refusing is right as well.
+    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+        return WITHHELD
+    status, now = OK, monotonic_ns(handle + 8 * AT.timespec)
+    sent = carray(float64_at(handle + 8 * AT.sent), (WRENCH,))
+    force = (0.0, 0.0, 0.0)
+    if not zero:
+        if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.heard_at] > at[AT.quiet]:
+            status = WITHHELD
+        else:
+            model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
+            force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
+            size = vec3.norm(force)
+            if size > model.force_max:
+                at[AT.cut] += 1
+                force = vec3.scale(model.force_max / size, force)
+                status = STALE
+    for k in range(3):
+        sent[k] = force[k]
+    at[AT.written] += 1
+    sent[WRITTEN], sent[NUMBER] = float(now), float(at[AT.written])
+    wrenches = carray(float64_at(handle + 8 * AT.wrench), (WRENCH,))
+    store(Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (COUNTERS,)), wrenches), sent)
+    if at[AT.wake] >= 0:
+        write_now(at[AT.wake], handle + 8 * AT.one, 8)
+    exchange_int64(handle + 8 * AT.lock, 0)
+    return status

@@ -1,0 +1,258 @@
+"""What the service and its clients say: read with types and bounds, written with the keys of the service's version.
+
+Source: docs.haply.co/inverseSDK, pages "WebSocket Protocol", "Control Commands" and "Device Configuration" of 3.5; the
+key `values` of 3.1 to 3.4 from Haply's public Python examples. The service ignores keys that it does not know without a
+word, so a force under the wrong key would be none.
+"""
+
+from __future__ import annotations
+
+from math import hypot, isfinite, nan
+from typing import Annotated, Any, Final, NamedTuple
+
+import msgspec
+from msgspec import Meta, Struct
+
+from softfinger.config.errors import DeviceError
+from softfinger.proxy.kernels.model import Quaternion, Vec3
+
+GROUPS: Final = ("inverse3", "inverse3x", "minverse")
+"""Lists of devices in a message."""
+GRIPS: Final = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
+"""Lists of grips."""
+OLDEST: Final = (3, 1)
+VECTOR_SINCE: Final = (3, 5)
+AFTER: Final = (4, 0)
+
+FAR_M: Final = 10.0
+"""A cursor farther away is no place of a device."""
+SHOWN: Final = 120
+"""Characters of a message that an error repeats."""
+
+Name = Annotated[str, Meta(pattern=r"^[\w.:-]{1,64}$")]
+Number = float | None
+"""JSON has no NaN; the maker's library writes null for one."""
+
+
+class Malformed(Exception):
+    """A message that is none of the service's."""
+
+
+class Missing(Exception):
+    """The device or its grip is not in the service's list."""
+
+
+class Vector(Struct):
+    x: Number
+    y: Number
+    z: Number
+
+
+class Turn(Struct):
+    w: Number
+    x: Number
+    y: Number
+    z: Number
+
+
+class Buttons(Struct):
+    a: bool = False
+    b: bool = False
+    c: bool = False
+
+
+class DeviceState(Struct):
+    cursor_position: Vector
+
+
+class GripState(Struct):
+    orientation: Turn
+    buttons: Buttons | None = None
+    button: bool = False
+
+
+class Status(Struct):
+    calibrated: bool = True
+    power_supply: bool = True
+    ready: bool = True
+
+
+class Switch(Struct):
+    enabled: bool
+    scaling_factor: float = 1.0
+
+
+class Mount(Struct):
+    position: Vector
+    rotation: Turn
+    scale: Vector
+
+
+class Config(Struct):
+    gravity_compensation: Switch | None = None
+    torque_scaling: Switch | None = None
+    home_return: Switch | None = None
+    mount: Mount | None = None
+
+
+class DeviceEntry(Struct):
+    device_id: Name
+    state: DeviceState
+
+
+class GripEntry(Struct):
+    device_id: Name
+    state: GripState
+
+
+class Listed(Struct):
+    """An entry of the inventory."""
+
+    device_id: Name
+    config: Config = msgspec.field(default_factory=Config)
+    status: Status = msgspec.field(default_factory=Status)
+
+
+class State(Struct):
+    """An answer to a message."""
+
+    inverse3: list[DeviceEntry] = []
+    inverse3x: list[DeviceEntry] = []
+    minverse: list[DeviceEntry] = []
+    wireless_verse_grip: list[GripEntry] = []
+    verse_grip: list[GripEntry] = []
+    custom_verse_grip: list[GripEntry] = []
+
+
+class Inventory(Struct):
+    """What a client that connects is told."""
+
+    session_id: int = 0
+    inverse3: list[Listed] = []
+    inverse3x: list[Listed] = []
+    minverse: list[Listed] = []
+    wireless_verse_grip: list[Listed] = []
+    verse_grip: list[Listed] = []
+    custom_verse_grip: list[Listed] = []
+
+    def of(self, groups: tuple[str, ...]) -> list[tuple[Which, Listed]]:
+        return [(Which(group, one.device_id), one) for group in groups for one in getattr(self, group)]
+
+
+class Which(NamedTuple):
+    """A device or grip: the list that it is in, and its name."""
+
+    group: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.group} {self.name}"
+
+
+class Seen(NamedTuple):
+    """A pose in the service's frame: position (3,) m, orientation w x y z, buttons; NaN where it said no usable
+    number."""
+
+    position: Vec3
+    orientation: Quaternion
+    buttons: float
+
+
+_STATES: Final = msgspec.json.Decoder(State)
+_INVENTORIES: Final = msgspec.json.Decoder(Inventory)
+_ENCODER: Final = msgspec.json.Encoder()
+_NOWHERE: Final = (nan, nan, nan)
+_UNTURNED: Final = (1.0, 0.0, 0.0, 0.0)
+
+
+def read_inventory(message: bytes) -> Inventory:
+    """Raises Malformed."""
+    return _decoded(_INVENTORIES, message)  # type: ignore[no-any-return]
+
+
+def read_state(message: bytes, device: Which, grip: Which | None) -> Seen:
+    """The pose of a device in an answer, with that of its grip. Raises Malformed, Missing."""
+    state: State = _decoded(_STATES, message)
+    mine: DeviceEntry = _entry(state, device)
+    held: GripEntry | None = None if grip is None else _entry(state, grip)
+    position = _place(mine.state.cursor_position)
+    if held is None:
+        return Seen(position, _UNTURNED, 0.0)
+    pressed = held.state.buttons
+    mask = float(held.state.button) if pressed is None else float(pressed.a + 2 * pressed.b + 4 * pressed.c)
+    return Seen(position, _turn(held.state.orientation), mask)
+
+
+def command(device: Which, key: str, force: Vec3, basis: bool = False) -> bytes:
+    """A message with a force (N, service's frame); the first of a session also asks for the axes of the device."""
+    x, y, z = force
+    entry = {"device_id": device.name, "commands": {"set_cursor_force": {key: {"x": x, "y": y, "z": z}}}}
+    message: dict[str, Any] = {device.group: [entry]}
+    if basis:
+        message["session"] = {"configure": {"basis": {"permutation": "XYZ"}}}
+    return _ENCODER.encode(message)
+
+
+def number_of(version: str) -> tuple[int, int]:
+    """Major and minor number of a version; DeviceError where it is none that this driver speaks."""
+    parts = version.lstrip("v").split(".")
+    try:
+        number = int(parts[0]), int(parts[1])
+    except (ValueError, IndexError):
+        raise DeviceError(
+            f"the Inverse Service says its version is '{version[:SHOWN]}', which is no number: "
+            "name it with version under [device]"
+        ) from None
+    if not OLDEST <= number < AFTER:
+        raise DeviceError(
+            f"the Inverse Service is version {version[:SHOWN]}; this driver speaks 3.1 to 3.x "
+            "(the format 3.0 is not public): install a service of these, with the Haply Hub"
+        )
+    return number
+
+
+def force_key(version: tuple[int, int]) -> str:
+    """Under which key a force is looked for."""
+    return "vector" if version >= VECTOR_SINCE else "values"
+
+
+def is_identity(mount: Mount) -> bool:
+    """Whether a mount leaves places and sizes as they are."""
+    at, turn, scale = mount.position, mount.rotation, mount.scale
+    return (at.x, at.y, at.z, turn.x, turn.y, turn.z, scale.x, scale.y, scale.z) == (0, 0, 0, 0, 0, 0, 1, 1, 1)
+
+
+def excerpt(message: bytes) -> str:
+    """The beginning of a message, for an error."""
+    return repr(message[:SHOWN])[1:] + ("..." if len(message) > SHOWN else "")
+
+
+def _decoded(decoder: Any, message: bytes) -> Any:
+    try:
+        return decoder.decode(message)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise Malformed(f"the service said {excerpt(message)}: {error}") from None
+
+
+def _entry(state: State, which: Which) -> Any:
+    for entry in getattr(state, which.group):
+        if entry.device_id == which.name:
+            return entry
+    raise Missing(f"{which} is no longer in the service's list")
+
+
+def _place(vector: Vector) -> Vec3:
+    x, y, z = vector.x, vector.y, vector.z
+    if x is None or y is None or z is None or not hypot(x, y, z) <= FAR_M:
+        return _NOWHERE
+    return (x, y, z)
+
+
+def _turn(turn: Turn) -> Quaternion:
+    w, x, y, z = turn.w, turn.x, turn.y, turn.z
+    if w is None or x is None or y is None or z is None:
+        return (nan, *_NOWHERE)
+    size = hypot(w, x, y, z)
+    if not (isfinite(size) and 0.5 < size < 2.0):
+        return (nan, *_NOWHERE)
+    return (w / size, x / size, y / size, z / size)

@@ -1,0 +1,224 @@
+"""Finding a device at the service, and setting what the service does to its forces."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any, Final, NamedTuple
+from urllib.parse import quote
+
+import msgspec
+from msgspec import Struct
+
+from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
+from softfinger.drivers.haply.link import START, Link, ask
+from softfinger.drivers.haply.messages import (
+    GRIPS,
+    GROUPS,
+    VECTOR_SINCE,
+    Config,
+    Inventory,
+    Listed,
+    Malformed,
+    Missing,
+    Seen,
+    Which,
+    command,
+    excerpt,
+    force_key,
+    is_identity,
+    number_of,
+    read_inventory,
+    read_state,
+)
+from softfinger.drivers.haply.options import Filters, Options
+
+log: Final = logging.getLogger(__name__)
+
+PORT: Final = 10001
+"""Of a service whose settings nobody changed."""
+OPEN_S: Final = 2.0
+"""Time for everything: version, inventory, filters, the first state."""
+_ZERO: Final = (0.0, 0.0, 0.0)
+
+
+class Version(Struct):
+    git_tag: str = ""
+    project_version: str = ""
+
+
+class Reply(Struct):
+    ok: bool
+    error: str = ""
+
+
+class Found(NamedTuple):
+    """An open connection, the device and grip that a rig means, the key of forces, and where the device is."""
+
+    link: Link
+    device: Which
+    grip: Which | None
+    key: str
+    seen: Seen
+
+
+def find(options: Options) -> Found:
+    """Raises DeviceNotFound, DeviceTimeout, DeviceError."""
+    until = time.monotonic() + OPEN_S
+    version = number_of(options.version or _version(options.port, until))
+    link = Link(options.port, until)
+    try:
+        inventory = _inventory(link, until)
+        device, listed = choose_device(inventory, options.device_id)
+        grip = choose_grip(inventory, options.grip)
+        _warn(device, listed)
+        _set(options, version, device, listed.config, inventory.session_id, until)
+        key = force_key(version)
+        link.send(command(device, key, _ZERO, basis=True))
+        return Found(link, device, grip, key, read_state(link.next(until), device, grip))
+    except (Malformed, Missing) as error:
+        link.close()
+        raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
+    except BaseException:
+        link.close()
+        raise
+
+
+def identify(port: int, version: str | None) -> dict[str, Any]:
+    """What the service says of itself: its version, and the names of its devices and grips."""
+    until = time.monotonic() + OPEN_S
+    said = version or _version(port, until)
+    number_of(said)
+    link = Link(port, until)
+    try:
+        inventory = _inventory(link, until)
+    finally:
+        link.close()
+    names = {"devices": GROUPS, "grips": GRIPS}
+    return {"service": said} | {key: [str(which) for which, _ in inventory.of(of)] for key, of in names.items()}
+
+
+def choose_device(inventory: Inventory, wanted: str | None) -> tuple[Which, Listed]:
+    """The device of that id, or the only one."""
+    there = inventory.of(GROUPS)
+    fitting = [one for one in there if wanted in (None, one[0].name)]
+    if len(fitting) == 1:
+        return fitting[0]
+    listed = ", ".join(str(which) for which, _ in there)
+    if fitting:
+        raise DeviceNotFound(f"{len(fitting)} devices are at the Inverse Service: name one with device_id: {listed}")
+    asked = f" with device_id = '{wanted}'" if wanted is not None else ""
+    raise DeviceNotFound(
+        f"no Inverse3, Inverse3x or Minverse{asked} is at the Inverse Service, which lists {listed or 'no device'}: "
+        "plug it in, switch it on and wait for its light"
+    )
+
+
+def choose_grip(inventory: Inventory, wanted: str) -> Which | None:
+    """The grip of that id; for "auto" the only one, or none."""
+    there = [which for which, _ in inventory.of(GRIPS)]
+    if wanted == "none":
+        return None
+    fitting = [which for which in there if wanted in ("auto", which.name)]
+    if len(fitting) == 1:
+        return fitting[0]
+    listed = ", ".join(map(str, there)) or "no grip"
+    if fitting:
+        raise DeviceNotFound(
+            f'{len(fitting)} VerseGrips are at the Inverse Service: name one with grip, or set grip = "none": {listed}'
+        )
+    if wanted == "auto":
+        return None
+    raise DeviceNotFound(
+        f"no VerseGrip '{wanted}' is at the Inverse Service, which lists {listed}: pair it in the Haply Hub"
+    )
+
+
+def _version(port: int, until: float) -> str:
+    status, body = ask(port, "GET", "/version", None, until)
+    try:
+        said = msgspec.json.decode(body, type=Version)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        said = Version()
+    if status == 200 and (version := said.project_version or said.git_tag):
+        return version
+    raise DeviceError(
+        f"what listens on port {port} says no version (GET /version: {status} {excerpt(body)}): "
+        'is it the Inverse Service? If so, name its version: version = "3.4" under [device]'
+    )
+
+
+def _inventory(link: Link, until: float) -> Inventory:
+    try:
+        return read_inventory(link.next(until))
+    except DeviceTimeout:
+        raise DeviceTimeout(f"the Inverse Service says nothing within {OPEN_S:g} s: restart it ({START})") from None
+    except Malformed as error:
+        raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
+
+
+def _warn(device: Which, listed: Listed) -> None:
+    status = listed.status
+    for wrong, what in (
+        (not status.power_supply, "has no power supply: it gives no force"),
+        (not status.calibrated, "is not calibrated: its position may be off; calibrate it in the Haply Hub"),
+        (not status.ready, "is not ready"),
+    ):
+        if wrong:
+            log.warning("the Inverse Service says that %s %s", device, what)
+
+
+def _set(options: Options, version: tuple[int, int], device: Which, config: Config, session: int, until: float) -> None:
+    """Make the service's filters those of the rig; DeviceError where it does not take one."""
+    if config.mount is not None and not is_identity(config.mount):
+        raise DeviceError(
+            f"{device}: the service moves, turns or scales its positions (mount): reset its workspace in the Haply Hub"
+        )
+    for path, body in (_changes if version >= VECTOR_SINCE else _old_changes)(device, config, options.filters, session):
+        status, answer = ask(options.port, "POST", path, body, until)
+        try:
+            reply = msgspec.json.decode(answer, type=Reply)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            reply = Reply(False, excerpt(answer))
+        if status != 200 or not reply.ok:
+            raise DeviceError(f"{device}: the service refused {path} {body}: {status} {reply.error[:120]}")
+
+
+def _changes(device: Which, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
+    """Pages of 3.5 to post, for what is not yet as the rig has it; those of a session always, for a program that
+    configures sessions (the Haply Hub) may have changed them."""
+    at = f"/{device.group}/{quote(device.name, safe='')}/config"
+    pages: list[tuple[str, Any]] = [
+        (f"{at}/force_gate?session={session}", {"gain": filters.force_gate}),
+        (f"{at}/damping?session={session}", {"scalar": filters.damping}),
+    ]
+    gravity, torque, home = config.gravity_compensation, config.torque_scaling, config.home_return
+    if gravity is None or (gravity.enabled, gravity.scaling_factor) != _gravity(filters):
+        enabled, factor = _gravity(filters)
+        pages.append((f"{at}/gravity_compensation", {"enabled": enabled, "scaling_factor": factor}))
+    if torque is None or torque.enabled != filters.torque_scaling:
+        pages.append((f"{at}/torque_scaling", {"enabled": filters.torque_scaling}))
+    if home is not None and home.enabled:
+        pages.append((f"{at}/home_return", {"enabled": False}))
+    return pages
+
+
+def _old_changes(device: Which, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
+    """Pages of 3.1 to 3.4: no public page says how force gate and damping are set there."""
+    if (filters.force_gate, filters.damping) != (Filters().force_gate, Filters().damping):
+        raise DeviceError(
+            f"{device}: force_gate and damping can only be set at a service of 3.5 or later: "
+            "update it, or leave them out of [device.filters]"
+        )
+    gravity, torque, pages = config.gravity_compensation, config.torque_scaling, []
+    if gravity is None or (gravity.enabled, gravity.scaling_factor) != _gravity(filters):
+        enabled, factor = _gravity(filters)
+        body = {"device_id": device.name, "enable": enabled, "gravity_scaling_factor": factor}
+        pages.append(("/gravity_compensation", body))
+    if torque is None or torque.enabled != filters.torque_scaling:
+        pages.append(("/torque_scaling", {"device_id": device.name, "enable": filters.torque_scaling}))
+    return pages
+
+
+def _gravity(filters: Filters) -> tuple[bool, float]:
+    return filters.gravity_compensation, filters.gravity_scale

@@ -1,0 +1,82 @@
+"""What a rig's [device] table may say for `driver = "haply"`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Final
+
+from msgspec import Meta
+
+from softfinger.config import limits
+from softfinger.config.limits import Range
+from softfinger.config.schema import Complaint, Table, known, said, within
+from softfinger.drivers.mounting import Mounting
+
+PORT: Final = Range(1, 65535, "the ports of TCP")
+FORCE_MAX_N: Final = Range(0.0, 20.0, "twice what any of these devices is said to give")
+GAIN: Final = Range(0.0, 1.0, "0 is no filter; past 1 nothing is published")
+DAMPING: Final = Range(0.0, 10.0, "no page of the maker gives a range")
+GRAVITY: Final = Range(0.0, 2.0, "1 carries the device's own weight; 2 throws it up")
+SILENCE_S: Final = Range(
+    0.005, 0.2, "below, a late answer is a silence; above, a force acts where the hand was long ago"
+)
+GIVE_UP_S: Final = Range(
+    0.005, 2.0, "below, a late answer is a silence; above, a service that is gone would go unnoticed"
+)
+OLD_FORMAT_PORT: Final = 10000
+
+
+class Filters(Table, frozen=True, kw_only=True):
+    """What the service does to a force; the defaults are the service's, and are set whenever a device is opened."""
+
+    force_gate: Annotated[float, within(GAIN, "gain of the guard against oscillation", 0.3)] = 0.3
+    damping: Annotated[float, within(DAMPING, "damping that the service adds; unit not published", 0.0)] = 0.0
+    gravity_compensation: Annotated[bool, said("whether the device carries its own weight", True)] = True
+    gravity_scale: Annotated[float, within(GRAVITY, "share of the weight that it carries", 1.0)] = 1.0
+    torque_scaling: Annotated[bool, said("whether motor torques are scaled; how is not published", True)] = True
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """Which device and grip, where it stands, its limits, its filters, its silences."""
+
+    port: Annotated[int, within(PORT, "of the Inverse Service on this machine", 10001)] = 10001
+    version: (
+        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), said("of the service, where it does not say", "3.4")] | None
+    ) = None
+    device_id: (
+        Annotated[str, Meta(max_length=64), said("the service's name of it, where several are attached", "049D")] | None
+    ) = None
+    grip: Annotated[
+        str,
+        Meta(max_length=64),
+        said("VerseGrip for orientation and buttons: auto (the only one), none, or its id", "none"),
+    ] = "auto"
+    mounting: Mounting = Mounting()
+    force_max_n: Annotated[float, within(FORCE_MAX_N, "most that it displays", 2.0)]
+    stiffness_max_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "most that it renders stably", 500.0)]
+    damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 2.0)]
+    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("about the world's origin", 0.1)]
+    filters: Filters = Filters()
+    stale_s: Annotated[float, within(SILENCE_S, "zero in place of a force that is older", 0.02)] = 0.02
+    quiet_s: Annotated[float, within(SILENCE_S, "after so long without a state no force is sent", 0.02)] = 0.02
+    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a state the device is given up", 0.1)] = 0.1
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.port) and self.port == OLD_FORMAT_PORT:
+            yield "port", self.port, "is that of the old format 3.0, which this driver does not speak: 10001"
+        if known(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
+            yield (
+                "timeout_s",
+                self.timeout_s,
+                f"must be at least quiet_s = {self.quiet_s:g}, so that a zero comes first",
+            )
+
+
+def rows(options: Options) -> list[tuple[str, str]]:
+    """What `softfinger check` says of the filters, which change every force."""
+    filters = options.filters
+    weight = f"times {filters.gravity_scale:g}" if filters.gravity_compensation else "off"
+    return [
+        ("  filters", f"force gate {filters.force_gate:g}, damping {filters.damping:g}, gravity compensation {weight}, "
+         f"torque scaling {'on' if filters.torque_scaling else 'off'}, home return off: set when it is opened"),
+    ]  # fmt: skip

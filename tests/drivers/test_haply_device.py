@@ -1,0 +1,556 @@
+"""The exchange with Haply's Inverse Service: contract, poses and forces, versions, filters, several programs, faults.
+The service is an emulated one in a process of its own, on real sockets; what counts is what its device was given."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from helpers.haply_devices import ID, Service, fresh, opened, rig_options, settle
+
+from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
+from softfinger.config.errors import DeviceTimeout as NoAnswer
+from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
+from softfinger.drivers.system.discovery import Attached
+from softfinger.server import driver_contract
+from softfinger.server.driver_contract import Servo
+
+pytestmark = pytest.mark.real_time
+
+GRIP = "wireless_verse_grip:7"
+
+
+@pytest.fixture(autouse=True)
+def no_thread_is_left() -> Iterator[None]:
+    """Whatever a test did to the service, the driver's thread has ended with the device."""
+    yield
+    assert not [one for one in threading.enumerate() if one.name == "haply exchange"]
+
+
+class Bench(driver_contract.Bench):
+    """The emulated service; a device that is not there has left its list."""
+
+    patience_s: ClassVar[float] = 10.0
+    cannot: ClassVar[Mapping[str, str]] = {
+        "busy": "any number of programs may be at the service; their forces add up",
+        "permission": "the service opens the device, and every program of this machine may speak to the service",
+    }
+
+    def __init__(self, service: Service) -> None:
+        self.service = service
+
+    def open(self) -> Device:
+        self.device = opened(self.service)
+        return self.device
+
+    def displayed(self) -> tuple[float, ...]:
+        settle(self.device)
+        return self.service.force()
+
+    def make(self, case: str) -> None:
+        if case == "timeout":
+            self.service.set(mute=True)
+        else:
+            self.service.do("vanish", id=ID)
+
+    def mend(self) -> None:
+        self.service.set(mute=False)
+        self.service.do("return", id=ID)
+
+
+@pytest.fixture(params=["3.5.0", "3.1.1"])
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    with Service(request.param) as service:
+        yield Bench(service)
+
+
+class TestContract(driver_contract.DriverContract):
+    """The contract over both keys of a force."""
+
+
+@pytest.fixture
+def service() -> Iterator[Service]:
+    with Service(grips=(GRIP,)) as running:
+        yield running
+
+
+def until_status(servo: Servo, wanted: int) -> None:
+    """Read once a millisecond until a status comes."""
+    end = time.monotonic() + 10.0
+    while (status := servo.read()[0]) != wanted:
+        assert status >= 0 and time.monotonic() < end, f"the last status was {status}"
+        time.sleep(0.001)
+
+
+def at_rest(service: Service) -> None:
+    """Wait until the device has no force; the service reads in a process of its own."""
+    end = time.monotonic() + 5.0
+    while any(service.force()):
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+def first_failure(servo: Servo) -> int:
+    end = time.monotonic() + 10.0
+    while (status := servo.read()[0]) >= 0:
+        assert time.monotonic() < end
+        time.sleep(0.001)
+    return status
+
+
+def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
+    """A sample of after the cursor has been put somewhere."""
+    service.do("move", id=ID, to=to)
+    fresh(servo)
+    time.sleep(0.02)  # a state of before may be under way
+    return fresh(servo)
+
+
+@pytest.mark.parametrize("mounted", [False, True])
+def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
+    """The sample is the cursor's place and the grip's orientation, turned and shifted as mounted; a force in the world
+    reaches the device in the service's frame; buttons a, b and c are bits 0 to 2."""
+    half = math.sqrt(0.5)
+    turn = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]}  # a quarter about z
+    service.do("grip", id="7", to={"orientation": {"w": 1.0, "x": 1.0, "y": 0, "z": 0},
+                                   "buttons": {"a": True, "b": False, "c": True}})  # fmt: skip
+    with opened(service, **({"mounting": turn} if mounted else {})) as device:
+        assert device.info.sensed_dof == 6
+        servo = Servo(device)
+        sample = moved(servo, service, {"x": 0.01, "y": -0.1, "z": 0.17})
+        wanted = (0.1 + 0.1, 0.2 + 0.01, 0.3 + 0.17) if mounted else (0.01, 0.02, 0.02)
+        np.testing.assert_allclose(sample[:3], wanted, atol=1e-12)  # rounding
+        turned = (0.5, 0.5, 0.5, 0.5) if mounted else (half, half, 0.0, 0.0)
+        np.testing.assert_allclose(sample[3:7], turned, atol=1e-12)
+        assert sample[8] == 5
+        servo.write(0.5, -0.25, 1.0, 3.0, 3.0, 3.0)
+        settle(device)
+        force = (-0.25, -0.5, 1.0) if mounted else (0.5, -0.25, 1.0)
+        np.testing.assert_allclose(service.force(), force, atol=1e-12)
+
+
+def test_without_a_grip_there_is_no_orientation() -> None:
+    """A device alone senses three, and is not turned."""
+    with Service() as alone, opened(alone) as device:
+        assert device.info.sensed_dof == 3
+        np.testing.assert_allclose(fresh(Servo(device))[:7], (0, 0, 0, 1, 0, 0, 0), atol=1e-12)  # rounding
+
+
+def test_a_wired_grip_has_one_button() -> None:
+    """A VerseGrip on a cable says `button`, and no `buttons`."""
+    with Service(grips=("verse_grip:61548",)) as wired:
+        wired.do("grip", id="61548", to={"button": True})
+        with opened(wired, grip="61548") as device:
+            assert fresh(Servo(device))[8] == 1
+
+
+def test_a_force_past_the_largest_is_limited(service: Service) -> None:
+    """A force of more than the rig's is cut to it in its direction, and the write says so; one that is not finite is
+    zero."""
+    with opened(service, force_max_n=2.0) as device:
+        servo = Servo(device)
+        fresh(servo)
+        assert servo.write(3.0, 0.0, -4.0, 0.0, 0.0, 0.0) == STALE
+        settle(device)
+        np.testing.assert_allclose(service.force(), (1.2, 0.0, -1.6), atol=1e-12)
+        assert device.counts()["cut"] == 1
+        for bad in (math.nan, math.inf, -math.inf):
+            assert servo.write(0.0, bad, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+            settle(device)
+            assert not any(service.force())
+
+
+def test_one_state_a_message(service: Service) -> None:
+    """The driver sends a message only once the last one is answered, however often the loop writes, and the newest
+    wrench is what it sends."""
+    service.set(late_s=0.02)
+    with opened(service) as device:
+        servo = Servo(device)
+        fresh(servo)
+        before = device.counts()
+        for n in range(50):
+            servo.write(0.01 * n, 0.0, 0.0, 0.0, 0.0, 0.0)
+            time.sleep(0.001)
+        settle(device)
+        after = device.counts()
+        assert after["messages"] - before["messages"] <= 10
+        assert abs(after["messages"] - after["states"]) <= 2  # the first state, and one under way
+        assert service.force()[0] == pytest.approx(0.49)
+        assert after["unasked"] == 0
+
+
+@pytest.mark.parametrize(
+    ("version", "key"), [("3.1.1", "values"), ("3.4.2", "values"), ("3.5.0", "vector"), ("3.9.1", "vector")]
+)
+def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None:
+    """Which key the service looks at, and it ignores others, depends on its version; the force arrives at each."""
+    with Service(version) as of_version, opened(of_version) as device:
+        servo = Servo(device)
+        fresh(servo)
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device)
+        assert of_version.force() == (0.0, 0.0, 1.0)
+        assert f'"set_cursor_force":{{"{key}"' in of_version.do("seen")["said"][0]
+
+
+@pytest.mark.parametrize(
+    ("page", "told"),
+    [
+        ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver speaks 3.1 to 3.x"),
+        ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver speaks 3.1 to 3.x"),
+        ('{"project_version":"new"}', "its version is 'new', which is no number"),
+        ("[1, 2]", "says no version"), ("{}", "says no version"),
+        ('{"project_version":' + 9000 * "[", "says no version"),
+    ],
+    ids=["old", "next", "no number", "a list", "nothing", "deep"],
+)  # fmt: skip
+def test_a_service_of_another_version_is_refused_in_words(page: str, told: str, service: Service) -> None:
+    """A version outside of 3.1 to 3.x, or none, is told with what to do; a rig may name it where the service does
+    not."""
+    service.set(pages={"/version": page})
+    with pytest.raises(DeviceError, match=told):
+        opened(service)
+    opened(service, version="3.5").close()
+
+
+def test_who_is_there_is_told() -> None:
+    """Several devices or grips, or none of that name: the error lists those that are there; a name chooses."""
+    with Service(
+        devices=("inverse3:049D", "minverse:0A11"), grips=("wireless_verse_grip:1", "wireless_verse_grip:2")
+    ) as two:
+        with pytest.raises(DeviceNotFound, match=r"2 devices.*device_id: inverse3 049D, minverse 0A11"):
+            opened(two)
+        with pytest.raises(DeviceNotFound, match=r"device_id = 'FFFF'.*lists inverse3 049D, minverse 0A11.*plug it in"):
+            opened(two, device_id="FFFF")
+        with pytest.raises(DeviceNotFound, match=r"2 VerseGrips.*name one with grip.*wireless_verse_grip 1"):
+            opened(two, device_id="0A11")
+        with pytest.raises(DeviceNotFound, match=r"no VerseGrip '3'.*pair it"):
+            opened(two, device_id="0A11", grip="3")
+        with opened(two, device_id="0A11", grip="none") as device:
+            servo = Servo(device)
+            fresh(servo)
+            servo.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+            settle(device)
+            assert (two.force("0A11"), two.force("049D")) == ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
+    with Service(devices=()) as empty, pytest.raises(DeviceNotFound, match=r"lists no device: plug it in"):
+        opened(empty)
+
+
+def test_no_service_is_told_with_what_to_start() -> None:
+    """Where nothing listens, the error says which service to start; port 10000 is that of a format not spoken."""
+    with Service() as ended:
+        port = ended.port
+    with pytest.raises(
+        DeviceNotFound, match=rf"no Inverse Service on port {port}.*systemctl start haply-inverse-service"
+    ):
+        open_device(rig_options(port), 1000.0)
+    with pytest.raises(ConfigError, match=r"old format 3.0"):
+        rig_options(10000)
+
+
+def test_a_service_that_says_nothing_is_given_up(service: Service) -> None:
+    """Without an inventory, opening ends after two seconds, and leaves no connection."""
+    service.set(mute=True)
+    begun = time.monotonic()
+    with pytest.raises(NoAnswer, match=r"says nothing within 2 s: restart it"):
+        opened(service)
+    assert 1.0 < time.monotonic() - begun < 8.0
+
+
+def test_filters_become_the_rigs(service: Service) -> None:
+    """What the service does to a force is as the rig has it once a device is open: home return off whatever the rig
+    says, the others where they differ; the gate and damping are those of this session."""
+    changed = {"force_gate": 0.0, "damping": 0.5, "gravity_compensation": False, "torque_scaling": False}
+    opened(service, filters=changed).close()
+    found = service.do("settings", id=ID)
+    assert not found["home_return"]["enabled"]
+    assert not found["gravity_compensation"]["enabled"]
+    assert not found["torque_scaling"]["enabled"]
+    asked = service.do("seen")["asked"]
+    assert f'POST /inverse3/{ID}/config/force_gate?session=1 {{"gain":0.0}}' in asked
+    assert f'POST /inverse3/{ID}/config/damping?session=1 {{"scalar":0.5}}' in asked
+    service.set(pages={f"/inverse3/{ID}/config/torque_scaling": '{"ok":false,"error":"locked"}'})
+    with pytest.raises(DeviceError, match=r"refused /inverse3/049D/config/torque_scaling.*locked"):
+        opened(service)
+
+
+def test_filters_of_an_older_service() -> None:
+    """A service before 3.5 takes gravity compensation and torque scaling by its own pages; what it cannot be told is
+    refused rather than ignored."""
+    with Service("3.3.0") as old:
+        opened(old, filters={"torque_scaling": False, "gravity_scale": 0.8}).close()
+        found = old.do("settings", id=ID)
+        assert found["torque_scaling"] == {"enabled": False}
+        assert found["gravity_compensation"] == {"enabled": True, "scaling_factor": 0.8}
+        with pytest.raises(DeviceError, match=r"force_gate and damping can only be set at a service of 3.5"):
+            opened(old, filters={"force_gate": 0.0})
+
+
+def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
+    """A mount that turns, moves or scales positions would also do so to forces: it is refused."""
+    mount = {"position": {"x": 0, "y": 0, "z": 0}, "rotation": {"w": 1, "x": 0, "y": 0, "z": 0}}
+    service.set(mount={**mount, "scale": {"x": 2, "y": 2, "z": 2}})
+    with pytest.raises(DeviceError, match=r"moves, turns or scales.*reset its workspace"):
+        opened(service)
+
+
+def test_what_the_service_warns_of_is_passed_on(service: Service, caplog: pytest.LogCaptureFixture) -> None:
+    """A device without power or calibration opens, with a warning."""
+    service.do("status", id=ID, to={"power_supply": False, "calibrated": False})
+    opened(service).close()
+    assert "has no power supply: it gives no force" in caplog.text
+    assert "is not calibrated" in caplog.text
+
+
+def test_forces_of_two_programs_add_up(service: Service) -> None:
+    """A second program at the same device is not refused, for the service refuses none: both forces are given, and the
+    first goes on when the second ends."""
+    with opened(service) as one:
+        first = Servo(one)
+        with opened(service) as two:
+            second = Servo(two)
+            for servo, device in ((first, one), (second, two)):
+                fresh(servo)
+                servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+                settle(device)
+            assert service.force() == (0.0, 0.0, 1.0)
+        fresh(first)
+        first.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+        settle(one)
+        assert service.force() == (0.0, 0.0, 0.5)
+
+
+def test_an_old_wrench_becomes_zero(service: Service) -> None:
+    """When the loop writes no more, the device is given zero by the thread, and the next read says so; poses go on."""
+    with opened(service, stale_s=0.02) as device:
+        servo = Servo(device)
+        fresh(servo)
+        begun = time.monotonic()
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device)
+        until_status(servo, WITHHELD)
+        at_rest(service)
+        given = [row[3] for row in service.log() if row[0] >= begun]
+        assert 1.0 in given
+        fresh(servo)
+
+
+def test_silence_ends_the_force_then_gives_up(service: Service) -> None:
+    """A service that hears and says nothing is sent one zero; no force follows, and the device is given up."""
+    with opened(service, quiet_s=0.02, timeout_s=0.3) as device:
+        servo = Servo(device)
+        fresh(servo)
+        service.set(mute=True)
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) in (OK, WITHHELD)
+        while (status := servo.read()[0]) >= 0:
+            silent_write = servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+            time.sleep(0.001)
+        assert (status, silent_write) == (TIMEOUT, WITHHELD)
+        assert not any(service.force())
+
+
+def test_a_late_service_gives_old_poses_no_force(service: Service) -> None:
+    """Answers that take longer than `quiet_s` are poses of before: each force is withheld until a state is young."""
+    with opened(service, quiet_s=0.02, timeout_s=2.0) as device:
+        servo = Servo(device)
+        fresh(servo)
+        service.set(late_s=0.1)
+        fresh(servo)
+        fresh(servo)
+        time.sleep(0.03)
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        service.set(late_s=0.0)
+        end = time.monotonic() + 5.0
+        while servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) != OK:
+            servo.read()
+            assert time.monotonic() < end
+            time.sleep(0.001)
+
+
+def test_a_pause_of_the_loop_is_no_silence_of_the_device(service: Service) -> None:
+    """After a pause longer than the time-out the service's poses of now are read, and no force goes out before."""
+    with opened(service, stale_s=0.02, timeout_s=0.2) as device:
+        servo = Servo(device)
+        fresh(servo)
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device)
+        time.sleep(0.5)
+        assert servo.read()[0] == WITHHELD
+        fresh(servo)
+        assert not any(service.force())
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["null", "1e400", "100.0", "-1e300"],
+    ids=["no number", "too large to read", "far away", "farther away"],
+)
+def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
+    """A coordinate that is null (as the maker's JSON writes NaN) or out of bounds gives a sample of NaN, which the
+    guard gives no force; a number that JSON cannot hold is a fault of the protocol."""
+    text = (
+        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":{place},"y":0,"z":0}}}}}}],'
+        '"wireless_verse_grip":[{"device_id":"7","state":{"orientation":{"w":1,"x":0,"y":0,"z":0}}}]}'
+    )
+    with opened(service) as device:
+        servo = Servo(device)
+        fresh(servo)
+        service.set(spoil=text)
+        if place == "1e400":
+            assert first_failure(servo) == PROTOCOL
+            assert "out of range" in device.reason()
+            return
+        end = time.monotonic() + 5.0
+        while not math.isnan(servo.read()[1][0]):
+            assert time.monotonic() < end
+            time.sleep(0.001)
+
+
+BAD: dict[str, tuple[Any, int, str]] = {
+    "no JSON": ("}{", PROTOCOL, "malformed"),
+    "a number": ("7", PROTOCOL, "Expected `object`"),
+    "a text for a number": (
+        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":"0","y":0,"z":0}}}}}}]}}',
+        PROTOCOL, "Expected `float | null`",
+    ),
+    "no state": (f'{{"inverse3":[{{"device_id":"{ID}"}}]}}', PROTOCOL, "missing required field `state`"),
+    "NaN": (
+        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":NaN,"y":0,"z":0}}}}}}]}}',
+        PROTOCOL, "malformed",
+    ),
+    "deep": ('{"a":' + 5000 * "[", PROTOCOL, "the service said"),
+    "huge": ('{"a":"' + 300_000 * "x" + '"}', PROTOCOL, "over size limit|262144"),
+    "a name that steers terminals": (
+        '{"inverse3":[{"device_id":"\\u001b[2J","state":{}}]}', PROTOCOL, "matching regex",
+    ),
+    "nobody": ("{}", LOST, "inverse3 049D is no longer in the service's list"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_message_that_is_no_state_ends_the_exchange(case: str, service: Service) -> None:
+    """Whatever comes in place of a state: one status, one reason without the whole message, no force, no hang; and the
+    device opens again once the service has come to its senses."""
+    text, wanted, told = BAD[case]
+    with opened(service) as device:
+        servo = Servo(device)
+        fresh(servo)
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device)
+        service.set(spoil=text)
+        assert first_failure(servo) == wanted
+        assert re.search(told, device.reason()), device.reason()
+        assert len(device.reason()) < 400 and "\x1b" not in device.reason()
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == wanted
+        at_rest(service)
+    service.set(spoil=None)
+    opened(service).close()
+
+
+def test_a_service_that_floods_is_given_up(service: Service) -> None:
+    """States that nobody asked for are counted; past a hundred this is no Inverse Service."""
+    with opened(service) as device:
+        servo = Servo(device)
+        fresh(servo)
+        service.set(copies=40)
+        assert first_failure(servo) == PROTOCOL
+        assert "nobody asked for" in device.reason()
+
+
+def test_a_grip_that_goes_is_a_loss(service: Service) -> None:
+    """A grip that was in use and leaves the list ends the run as the device would: its orientation would be frozen."""
+    with opened(service) as device:
+        servo = Servo(device)
+        fresh(servo)
+        service.do("vanish", id="7")
+        assert first_failure(servo) == LOST
+        assert "wireless_verse_grip 7 is no longer in the service's list" in device.reason()
+
+
+def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
+    """With its process the connection and the session's force have ended; nothing reconnects by itself; the device
+    opens again at the service that has taken its place."""
+    with Service() as before:
+        device = opened(before)
+        servo = Servo(device)
+        fresh(servo)
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device)
+        before.kill()
+        assert first_failure(servo) == LOST
+        assert "closed the connection" in device.reason() or "broke" in device.reason()
+        begun = time.monotonic()
+        device.close()
+        assert time.monotonic() - begun < 1.0
+        with Service(port=before.port) as after, opened(after) as again:
+            fresh(Servo(again))
+
+
+def test_a_service_that_is_stopped_hangs_nothing(service: Service) -> None:
+    """A service that neither reads nor writes (SIGSTOP): reads give it up, stop and close come back within their time,
+    and what it reads when it goes on ends in a zero."""
+    device = opened(service, timeout_s=0.3)
+    servo = Servo(device)
+    fresh(servo)
+    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    settle(device)
+    os.kill(service.process.pid, signal.SIGSTOP)
+    try:
+        assert first_failure(servo) == TIMEOUT
+        begun = time.monotonic()
+        device.stop()
+        device.close()
+        assert time.monotonic() - begun < 5.0
+    finally:
+        os.kill(service.process.pid, signal.SIGCONT)
+    at_rest(service)
+
+
+def test_stop_while_the_loop_writes(service: Service) -> None:
+    """However fast another thread writes, no force follows the zero of a stop."""
+    with opened(service) as device:
+        servo = Servo(device)
+        fresh(servo)
+        going = threading.Event()
+
+        def push() -> None:
+            while not going.is_set():
+                servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+        writer = threading.Thread(target=push)
+        writer.start()
+        end = time.monotonic() + 5.0
+        while not any(service.force()):
+            assert time.monotonic() < end
+        device.stop()
+        stopped = time.monotonic()
+        time.sleep(0.05)
+        going.set()
+        writer.join()
+        settle(device)
+        assert all(not any(row[1:]) for row in service.log() if row[0] > stopped)
+
+
+def test_the_service_is_asked_what_it_has(service: Service) -> None:
+    """`devices --ask` shows its version, devices and grips."""
+    board = Attached("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyACM0")
+    said = identify(board, rig_options(service.port))
+    assert said == {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
+
+
+def test_a_device_keeps_its_descriptors_to_itself(service: Service) -> None:
+    """Opened and closed twenty times, no file descriptor is left."""
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(20):
+        device: HaplyDevice = opened(service)
+        device.close()
+    assert len(os.listdir("/proc/self/fd")) <= before

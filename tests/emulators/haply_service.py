@@ -1,0 +1,404 @@
+"""Haply's Inverse Service as a process of its own, with devices and hands on them: `python -m emulators.haply_service`.
+
+Written from the maker's pages of service 3.5 and from public programs that speak to 3.1 to 3.4; nothing here comes from
+the driver. WebSocket and HTTP share a port. A client that connects gets an inventory, then one state for each of its
+messages, and nothing unasked. A command lasts until the next one or until `IDLE_S` after it; forces of several sessions
+add up, and a session's end takes its force with it. Keys that the service does not know are ignored.
+
+A test steers it by lines of JSON on its standard input, each answered by a line (`Desk`).
+
+It does not show: how long a device keeps its last force (`IDLE_S` is assumed, for no page says), what force gate,
+torque scaling and gravity compensation do to a force, how soon a device or grip that has gone leaves the list, whether
+3.1 to 3.4 tell their version on this port, battery and safety events, the second format of grips, navigation, and any
+time that the bus to the device takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import socket
+import sys
+import threading
+import time
+from contextlib import suppress
+from typing import Any, Final, NamedTuple
+
+from websockets.exceptions import InvalidState
+from websockets.frames import Frame, Opcode
+from websockets.http11 import Request
+from websockets.server import ServerProtocol
+
+IDLE_S: Final = 0.1
+"""How long a device keeps a force that nobody renews. Assumed."""
+CENTRE: Final = {"x": 0.0, "y": -0.12, "z": 0.15}
+"""Where a cursor rests (m), as in the maker's example."""
+ZERO: Final = (0.0, 0.0, 0.0)
+
+
+class Given(NamedTuple):
+    """A force (N) that a session gave a device, and when it ends by itself (s, monotonic clock)."""
+
+    force: tuple[float, float, float]
+    until: float
+
+
+class Inverse:
+    """A device: where its cursor is, what every session gives it, and what its motors have done, with times."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.position: Any = dict(CENTRE)
+        """m; "clock": x is the fraction of the monotonic clock's second."""
+        self.given: dict[int, Given] = {}
+        self.log: list[tuple[float, float, float, float]] = []
+        """Time (s, monotonic clock) and force (N) of each command, and of each end of one."""
+        self.settings: dict[str, Any] = {
+            "gravity_compensation": {"enabled": True, "scaling_factor": 1.0},
+            "torque_scaling": {"enabled": True},
+            "home_return": {"enabled": True},
+        }
+        self.status = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
+
+    def force(self, now: float) -> tuple[float, float, float]:
+        """Sum over the sessions, without those whose time is over; their end is in the log."""
+        for session, given in sorted(self.given.items(), key=lambda one: one[1].until):
+            if given.until <= now:
+                del self.given[session]
+                self.log.append((given.until, *self._sum()))
+        return self._sum()
+
+    def take(self, session: int, force: tuple[float, float, float], now: float, idle_s: float) -> None:
+        """A command of a session, which ends by itself after a time."""
+        self.force(now)
+        self.given[session] = Given(force, now + idle_s)
+        self.log.append((now, *self._sum()))
+
+    def leave(self, session: int, now: float) -> None:
+        """The session is over, and with it what it gave."""
+        self.force(now)
+        if self.given.pop(session, None) is not None:
+            self.log.append((now, *self._sum()))
+
+    def state(self, now: float) -> dict[str, Any]:
+        x, y, z = self.force(now)
+        return {
+            "cursor_position": {"x": now % 1.0, "y": 0.0, "z": 0.0} if self.position == "clock" else self.position,
+            "cursor_velocity": {"x": 0.0, "y": 0.0, "z": 0.0},
+            "angular_position": {"a0": -69.31, "a1": 137.62, "a2": 19.83},
+            "angular_velocity": {"a0": 0.0, "a1": 0.0, "a2": 0.0},
+            "body_orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+            "current_cursor_force": {"x": x, "y": y, "z": z},
+            "control_domain": "cartesian",
+            "control_mode": "force" if self.given else "idle",
+            "transform": {
+                "position": {"x": 0.0, "y": 0.0, "z": 0.0},
+                "rotation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+                "scale": {"x": 1.0, "y": 1.0, "z": 1.0},
+            },
+        }
+
+    def _sum(self) -> tuple[float, float, float]:
+        x, y, z = (sum(given.force[k] for given in self.given.values()) for k in range(3))
+        return (float(x), float(y), float(z))
+
+
+class Service:
+    """Devices by group and id, grips by group and id, sessions; what its clients see of it."""
+
+    def __init__(self, version: str, devices: list[str], grips: list[str], idle_s: float = IDLE_S) -> None:
+        self.version, self.idle_s, self.lock = version, idle_s, threading.RLock()
+        self.devices: dict[str, dict[str, Inverse]] = {}
+        for one in devices:
+            group, _, name = one.partition(":")
+            self.devices.setdefault(group, {})[name] = Inverse(name)
+        self.grips: dict[str, dict[str, dict[str, Any]]] = {}
+        for one in grips:
+            group, _, name = one.partition(":")
+            self.grips.setdefault(group, {})[name] = _grip(group)
+        self.gone: set[str] = set()
+        """Ids that have left the list."""
+        self.sessions = 0
+        self.filters: dict[int, dict[str, Any]] = {}
+        """By session."""
+        self.mount: dict[str, Any] = _identity()
+        self.mute = False
+        """Hears, and answers nothing."""
+        self.late_s = 0.0
+        self.spoil: str | None = None
+        """Text in place of a state."""
+        self.copies = 1
+        """States for each message."""
+        self.pages: dict[str, str] = {}
+        """Bodies in place of those of HTTP, by path."""
+        self.asked: list[str] = []
+        """Lines of HTTP requests with their bodies."""
+        self.heard = 0
+        """Messages of clients."""
+        self.said: list[str] = []
+        """The first message of each session."""
+
+    @property
+    def force_key(self) -> str:
+        return "vector" if _number(self.version) >= (3, 5) else "values"
+
+    def enter(self) -> int:
+        with self.lock:
+            self.sessions += 1
+            self.filters[self.sessions] = {"force_gate": {"gain": 0.3}, "damping": {"scalar": 0.0}}
+            return self.sessions
+
+    def leave(self, session: int) -> None:
+        with self.lock:
+            for device in self.all():
+                device.leave(session, time.monotonic())
+
+    def all(self) -> list[Inverse]:
+        return [device for group in self.devices.values() for device in group.values()]
+
+    def hear(self, session: int, text: str) -> None:
+        """A message of a client; what it does not know is passed over."""
+        with self.lock:
+            message, now = json.loads(text), time.monotonic()
+            self.heard += 1
+            for group, devices in self.devices.items():
+                for entry in message.get(group, []):
+                    device = devices.get(entry.get("device_id"))
+                    if device is None or device.name in self.gone:
+                        continue
+                    force = entry.get("commands", {}).get("set_cursor_force", {}).get(self.force_key)
+                    if force is not None:
+                        device.take(session, (force["x"], force["y"], force["z"]), now, self.idle_s)
+
+    def view(self, session: int, whole: bool) -> str:
+        """The inventory, or a state."""
+        with self.lock:
+            now = time.monotonic()
+            shown: dict[str, Any] = {"session_id": session} if whole else {}
+            for group, devices in self.devices.items():
+                shown[group] = [
+                    {"device_id": one.name, "state": one.state(now), "status": one.status}
+                    | ({"config": self._config(group, one, session)} if whole else {})
+                    for one in devices.values()
+                    if one.name not in self.gone
+                ]
+            for group, grips in self.grips.items():
+                shown[group] = [
+                    {"device_id": name, "state": state, "status": {"ready": True}}
+                    for name, state in grips.items()
+                    if name not in self.gone
+                ]
+            return json.dumps(shown).replace("Infinity", "null").replace("NaN", "null")  # as the maker's JSON library
+
+    def answer_http(self, method: str, path: str, body: str) -> tuple[int, str]:
+        """Status and body of a page."""
+        with self.lock:
+            self.asked.append(f"{method} {path} {body}".strip())
+            if path in self.pages:
+                return 200, self.pages[path]
+            path = path.partition("?")[0]
+            old = _number(self.version) < (3, 1)
+            if method == "GET" and path == ("/3.0/version" if old else "/version"):
+                return 200, json.dumps({"git_tag": self.version, "project_version": f"{self.version}.0"})
+            if method == "POST" and body:
+                return self._set(path.strip("/").split("/"), json.loads(body))
+            return 404, json.dumps({"ok": False, "error": "not found"})
+
+    def _set(self, path: list[str], body: dict[str, Any]) -> tuple[int, str]:
+        new = _number(self.version) >= (3, 5)
+        if len(path) == 4 and path[2] == "config" and new:
+            device, key = self.devices.get(path[0], {}).get(path[1]), path[3]
+            if device is not None and key in device.settings:
+                device.settings[key] |= body
+                return 200, json.dumps({"ok": True, "data": device.settings[key]})
+            if device is not None and key in ("force_gate", "damping"):
+                return 200, json.dumps({"ok": True, "data": body})
+        if len(path) == 1 and path[0] in ("gravity_compensation", "torque_scaling"):
+            device = next((one for one in self.all() if one.name == body["device_id"]), None)
+            if device is not None:
+                device.settings[path[0]]["enabled"] = body["enable"]
+                if "gravity_scaling_factor" in body:
+                    device.settings[path[0]]["scaling_factor"] = body["gravity_scaling_factor"]
+                return 200, json.dumps({"ok": True})
+        return 404, json.dumps({"ok": False, "error": "no such route"})
+
+    def _config(self, group: str, device: Inverse, session: int) -> dict[str, Any]:
+        new = _number(self.version) >= (3, 5)
+        config = {
+            "type": group,
+            "port": "/dev/ttyACM0",
+            "device_info": {"major_version": 7, "minor_version": 4, "id": device.name, "device_type": 4},
+            "handedness": "right",
+            "gravity_compensation": device.settings["gravity_compensation"],
+            "torque_scaling": device.settings["torque_scaling"],
+        }
+        if new:
+            config |= {
+                "home_return": device.settings["home_return"],
+                "preset": "defaults",
+                "basis": {"permutation": "XYZ"},
+                "mount": self.mount,
+                "filters": self.filters[session],
+            }
+        return config
+
+
+def _number(version: str) -> tuple[int, int]:
+    major, minor = version.split(".")[:2]
+    return int(major), int(minor)
+
+
+def _identity() -> dict[str, Any]:
+    return {
+        "position": {"x": 0, "y": 0, "z": 0},
+        "rotation": {"w": 1, "x": 0, "y": 0, "z": 0},
+        "scale": {"x": 1, "y": 1, "z": 1},
+    }
+
+
+def _grip(group: str) -> dict[str, Any]:
+    orientation = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
+    if group == "verse_grip":
+        return {"orientation": orientation, "button": False, "hall": 0}
+    return {"orientation": orientation, "buttons": {"a": False, "b": False, "c": False}, "battery_level": 0.8}
+
+
+class Connection:
+    """One client: a page of HTTP, or a session."""
+
+    def __init__(self, service: Service, end: socket.socket) -> None:
+        self.service, self.end = service, end
+        self.protocol = ServerProtocol()
+
+    def run(self) -> None:
+        with self.end, suppress(OSError, InvalidState):  # a client may close while it is answered
+            head = b""
+            while b"\r\n\r\n" not in head:
+                data = self.end.recv(65536)
+                if not data:
+                    return
+                head += data
+            if b"upgrade: websocket" in head.lower():
+                self._session(head)
+            else:
+                self._page(head)
+
+    def _page(self, head: bytes) -> None:
+        top, _, body = head.partition(b"\r\n\r\n")
+        lines = top.decode("latin-1").split("\r\n")
+        length = next((int(line.split(":")[1]) for line in lines if line.lower().startswith("content-length:")), 0)
+        while len(body) < length:
+            body += self.end.recv(65536)
+        method, path, _ = lines[0].split(" ")
+        status, text = self.service.answer_http(method, path, body.decode())
+        data = text.encode()
+        head_out = f"HTTP/1.1 {status} X\r\nContent-Type: application/json\r\nContent-Length: {len(data)}\r\n\r\n"
+        self.end.sendall(head_out.encode() + data)
+
+    def _session(self, head: bytes) -> None:
+        service, protocol, first = self.service, self.protocol, True
+        protocol.receive_data(head)
+        session = service.enter()
+        try:
+            while True:
+                for event in protocol.events_received():
+                    if isinstance(event, Request):
+                        protocol.send_response(protocol.accept(event))
+                        if not service.mute:
+                            self._say(service.view(session, whole=True))
+                    elif isinstance(event, Frame) and event.opcode is Opcode.TEXT:
+                        text = bytes(event.data).decode()
+                        if first:
+                            service.said.append(text)
+                        first = False
+                        service.hear(session, text)
+                        if service.late_s:
+                            time.sleep(service.late_s)
+                        if not service.mute:
+                            for _ in range(service.copies):
+                                self._say(service.view(session, whole=False))
+                for data in protocol.data_to_send():
+                    if not data:
+                        return
+                    self.end.sendall(data)
+                data = self.end.recv(65536)
+                if not data:
+                    return
+                protocol.receive_data(data)
+        finally:
+            service.leave(session)
+
+    def _say(self, text: str) -> None:
+        self.protocol.send_text((text if self.service.spoil is None else self.service.spoil).encode())
+
+
+class Desk:
+    """What a test asks for, a line of JSON each: `{"set": {...}}`, or a question."""
+
+    def __init__(self, service: Service) -> None:
+        self.service = service
+
+    def answer(self, line: dict[str, Any]) -> Any:
+        service = self.service
+        with service.lock:
+            match line["do"]:
+                case "set":
+                    for name, value in line["to"].items():
+                        setattr(service, name, value)
+                case "move":
+                    self._device(line["id"]).position = line["to"]
+                case "status":
+                    self._device(line["id"]).status |= line["to"]
+                case "grip":
+                    for group in service.grips.values():
+                        if line["id"] in group:
+                            group[line["id"]] |= line["to"]
+                case "vanish":
+                    now = time.monotonic()
+                    service.gone.add(line["id"])
+                    for device in service.all():  # its motors have no power
+                        for session in [*device.given] if device.name == line["id"] else []:
+                            device.leave(session, now)
+                case "return":
+                    service.gone.discard(line["id"])
+                case "force":
+                    return self._device(line["id"]).force(time.monotonic())
+                case "log":
+                    self._device(line["id"]).force(time.monotonic())
+                    return self._device(line["id"]).log
+                case "settings":
+                    return self._device(line["id"]).settings
+                case "seen":
+                    return {"asked": service.asked, "said": service.said, "heard": service.heard}
+        return None
+
+    def _device(self, name: str) -> Inverse:
+        return next(device for device in self.service.all() if device.name == name)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--version", default="3.5.0")
+    parser.add_argument("--idle", type=float, default=IDLE_S, metavar="S")
+    parser.add_argument("--port", type=int, default=0)
+    parser.add_argument("--device", action="append", default=[], metavar="GROUP:ID")
+    parser.add_argument("--grip", action="append", default=[], metavar="GROUP:ID")
+    args = parser.parse_args()
+    service = Service(args.version, args.device, args.grip, args.idle)
+    listener = socket.create_server(("127.0.0.1", args.port))
+
+    def listen() -> None:
+        while True:
+            end, _ = listener.accept()
+            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            threading.Thread(target=Connection(service, end).run, daemon=True).start()
+
+    threading.Thread(target=listen, daemon=True).start()
+    print(json.dumps(listener.getsockname()[1]), flush=True)
+    desk = Desk(service)
+    for line in sys.stdin:
+        print(json.dumps(desk.answer(json.loads(line))), flush=True)
+
+
+if __name__ == "__main__":
+    main()

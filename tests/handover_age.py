@@ -1,0 +1,164 @@
+"""How old a pose is when the servo reads it, and a force when the device has it: `python tests/handover_age.py`,
+`make handover-age`.
+
+For drivers that hand poses and forces over to something else than a node of the system: a thread, a maker's library.
+Devices on stand-ins are read and written by one compiled loop, called as the servo calls them, without the interpreter
+lock. A stand-in's pose says the time at which it was made, by the clock that all processes share, and its log has the
+time at which it took each force. So both ages are from end to end: messages, sockets, threads and what holds them up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Any, Final, NamedTuple
+
+import numba
+import numpy as np
+from helpers.haply_devices import Service, opened
+from numpy.typing import NDArray
+
+from softfinger.config.errors import DeviceTimeout, HapticError
+from softfinger.drivers.base import OK, SAMPLE_SIZE, Device
+from softfinger.proxy.kernels.jit.atomics import call_device
+from softfinger.proxy.kernels.jit.decorators import OPTIONS
+from softfinger.server.loop.clock import now_ns, sleep_until
+from softfinger.tools import measure
+
+WARM_TICKS: Final = 200
+"""Left out at the beginning."""
+LOWEST_N: Final = 0.1
+STEP_N: Final = 1e-4
+FORCES: Final = 1000
+"""Forces that are told apart: LOWEST_N and steps above it, in turn; a force is never older than a second."""
+
+
+class End(NamedTuple):
+    """A device, and what its stand-in has taken: (k, 2) time (s, monotonic clock) and force along z (N). The stand-in's
+    pose has the fraction of the clock's second as its x (m)."""
+
+    device: Device
+    taken: Callable[[], NDArray[np.float64]]
+
+
+@numba.njit(**OPTIONS)
+def _run(ios: Any, period_ns: int, times: Any, places: Any, fresh: Any, memory: Any) -> int:
+    """Read and write every device in each tick; the status below 0 that ended it, or 0.
+
+    times   (n, devices, 2) int64 ns    out: after the read, before the write
+    places  (n, devices) float64 m      out: x of the sample
+    fresh   (n, devices) bool           out: whether the sample is new
+    memory  sample, wrench, timespec
+    """
+    sample, wrench, timespec = memory
+    deadline = now_ns(timespec)
+    for n in range(len(times)):
+        deadline += period_ns
+        sleep_until(deadline, timespec)
+        wrench[2] = LOWEST_N + STEP_N * (n % FORCES)
+        for k in range(len(ios)):
+            io = ios[k]
+            status = call_device(io.read, io.handle, sample)
+            times[n, k, 0] = now_ns(timespec)
+            if status < 0:
+                return status
+            places[n, k], fresh[n, k] = sample[0], status == OK
+            times[n, k, 1] = now_ns(timespec)
+            call_device(io.write, io.handle, wrench)
+    return 0
+
+
+@contextmanager
+def haply() -> Iterator[list[End]]:
+    """Two Inverse3 at one emulated Inverse Service, each with a thread and a session of its own."""
+    names = ("049D", "0A11")
+    with Service(devices=tuple(f"inverse3:{name}" for name in names)) as service, ExitStack() as undo:
+        ends = []
+        for name in names:
+            service.do("move", id=name, to="clock")
+            device = undo.enter_context(opened(service, device_id=name, mounting={}))
+            ends.append(End(device, lambda name=name: np.array(service.log(name))[:, [0, 3]]))  # type: ignore[misc]
+        yield ends
+
+
+CASES: Final[dict[str, Callable[[], AbstractContextManager[list[End]]]]] = {"haply": haply}
+
+
+def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
+    """Ages (s) of the poses that were new and of the forces that arrived, and the shares of both."""
+    count, whole = len(ends), ticks + WARM_TICKS
+    times, places = np.zeros((whole, count, 2), np.int64), np.zeros((whole, count))
+    fresh = np.zeros((whole, count), np.bool_)
+    memory = (np.zeros(SAMPLE_SIZE), np.zeros(6), np.zeros(2, np.int64))
+    ios = tuple(end.device.io() for end in ends)
+    period_ns = round(1e9 / rate_hz)
+    _run(ios, period_ns, times[:0], places[:0], fresh[:0], memory)  # compiles
+    for end in ends:
+        end.device.arm()
+    status = _run(ios, period_ns, times, places, fresh, memory)
+    if status < 0:
+        raise DeviceTimeout(f"a device failed with status {status} ({ends[0].device.reason()}): is this machine busy?")
+    for end in ends:
+        end.device.stop()
+    keep = slice(WARM_TICKS, None)
+    read = times[keep, :, 0] * 1e-9
+    poses = ((read - places[keep]) % 1.0)[fresh[keep]]
+    forces = np.concatenate([force_ages(end.taken(), times[:, k, 1] * 1e-9)[keep] for k, end in enumerate(ends)])
+    arrived = np.isfinite(forces)
+    return {
+        "pose": ages(poses), "new": float(np.mean(fresh[keep])),
+        "force": ages(forces[arrived]), "arrived": float(np.mean(arrived)),
+    }  # fmt: skip
+
+
+def force_ages(taken: NDArray[np.float64], written: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Time (s) from each write (n,) until the stand-in first had its force; NaN for one that a newer one replaced."""
+    found = np.full(len(written), np.nan)
+    ticks = np.arange(len(written))
+    for at, force in taken[taken[:, 1] > 0.5 * LOWEST_N]:
+        kind = round((force - LOWEST_N) / STEP_N)
+        before = ticks[(ticks % FORCES == kind) & (written <= at)]
+        if len(before) and np.isnan(found[before[-1]]):
+            found[before[-1]] = at - written[before[-1]]
+    return found
+
+
+def ages(values: NDArray[np.float64]) -> dict[str, float]:
+    """Quantiles and the largest, s."""
+    if not len(values):
+        raise DeviceTimeout("nothing was handed over: is this machine busy?")
+    return {name: float(np.quantile(values, q)) for name, q in (("p50", 0.5), ("p99", 0.99), ("most", 1.0))}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--driver", choices=CASES, action="append", help="measure this one; any number of times")
+    parser.add_argument("--ticks", type=int, default=10_000, metavar="N", help="of the loop (default: %(default)s)")
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the loop (default: %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args()
+    if args.ticks < 1 or not 1.0 <= args.rate <= 1e4:
+        parser.error("--ticks must be 1 or more, --rate 1 to 10000")
+    found = {}
+    try:
+        for name in args.driver or CASES:
+            with CASES[name]() as ends:
+                time.sleep(0.1)
+                found[name] = run(ends, args.ticks, args.rate)
+    except HapticError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    lines = [f"{'age, us':15}" + "".join(f"{word:>9}" for word in ("p50", "p99", "most")) + f"{'share':>9}"]
+    for name, one in found.items():
+        for what, share in (("pose", "new"), ("force", "arrived")):
+            row = "".join(f"{one[what][key] * 1e6:9.0f}" for key in ("p50", "p99", "most"))
+            lines.append(f"{name + ', ' + what:15}{row}{one[share]:9.1%}")
+    measure.show({"ticks": args.ticks, "rate_hz": args.rate, "seconds": found}, args.json, lines)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

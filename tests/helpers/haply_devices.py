@@ -1,0 +1,106 @@
+"""Haply devices for the tests: the emulated Inverse Service in a process of its own, and the driver on its port."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, Self
+
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.haply.device import HaplyDevice, Options, open_device
+from softfinger.server.driver_contract import Servo
+
+RIG = "haply-inverse3"
+ID = "049D"
+TESTS = Path(__file__).parents[1]
+
+
+class Service:
+    """The process, steered by lines on its standard input; it ends with the context."""
+
+    def __init__(
+        self, version: str = "3.5.0", devices: tuple[str, ...] = (f"inverse3:{ID}",), grips: tuple[str, ...] = (),
+        port: int = 0, idle_s: float = 60.0,
+    ) -> None:  # fmt: skip
+        """`idle_s`: so long that a zero in the log is the driver's, or the end of its session."""
+        command = [sys.executable, "-m", "emulators.haply_service", "--version", version, "--port", str(port)]
+        command += ["--idle", str(idle_s)]
+        for option, names in (("--device", devices), ("--grip", grips)):
+            command += [word for name in names for word in (option, name)]
+        path = os.pathsep.join(filter(None, (str(TESTS), os.environ.get("PYTHONPATH"))))
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": path}
+        )
+        self.port: int = self._line()
+
+    def do(self, what: str, **how: Any) -> Any:
+        """Steer it, or ask it; its answer."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps({"do": what, **how}) + "\n")
+        self.process.stdin.flush()
+        return self._line()
+
+    def set(self, **to: Any) -> None:
+        self.do("set", to=to)
+
+    def force(self, name: str = ID) -> tuple[float, ...]:
+        """What a device's motors give now (N)."""
+        return tuple(self.do("force", id=name))
+
+    def log(self, name: str = ID) -> list[list[float]]:
+        """Times (s, monotonic clock) and forces (N) of a device so far."""
+        return self.do("log", id=name)  # type: ignore[no-any-return]
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def _line(self) -> Any:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        assert line, "the emulated service has ended"
+        return json.loads(line)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+        for end in (self.process.stdin, self.process.stdout):
+            assert end is not None
+            end.close()
+
+
+def rig_options(port: int, **changes: Any) -> Options:
+    """The [device] table of the shipped rig with keys changed; a thread of a busy machine may answer late."""
+    given = load_rig(RIG).device
+    assert given is not None
+    patient = {"port": port, "stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
+    return build(Options, {**given.options, **patient, **changes}, f"{RIG} [device]")
+
+
+def opened(service: Service, **changes: Any) -> HaplyDevice:
+    return open_device(rig_options(service.port, **changes), 1000.0)
+
+
+def settle(device: HaplyDevice) -> None:
+    """Wait until the service has answered the newest wrench of the loop, or never will."""
+    until = time.monotonic() + 5.0
+    while not device.settled() and time.monotonic() < until:
+        time.sleep(0.0005)
+
+
+def fresh(servo: Servo) -> list[float]:
+    """The next new sample."""
+    until = time.monotonic() + 10.0
+    while True:
+        status, sample = servo.read()
+        if status == 0:
+            return sample
+        assert status > 0, f"status {status}"
+        assert time.monotonic() < until, "no new sample"
+        time.sleep(0.0005)

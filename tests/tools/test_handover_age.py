@@ -1,0 +1,39 @@
+"""The measurement of how old poses and forces are when they are handed over: that its ages are from end to end."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SCRIPT = Path(__file__).parents[1] / "handover_age.py"
+
+
+@pytest.mark.real_time
+def test_every_driver_is_measured() -> None:
+    """Of each driver there are ages of new poses and of forces that arrived, in their order, and shares of both."""
+    command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json")
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["ticks"] == 300
+    assert "haply" in found["seconds"]
+    for name, one in found["seconds"].items():
+        for what, share in (("pose", "new"), ("force", "arrived")):
+            assert 0.0 < one[what]["p50"] <= one[what]["p99"] <= one[what]["most"] < 1.0, name
+            assert 0.0 < one[share] <= 1.0, name
+
+
+def test_a_force_is_found_by_its_size() -> None:
+    """The age is from the last write of that force until it was first taken; one that never came has none."""
+    tool = importlib.import_module("handover_age")
+    written = np.array([1.0, 1.001, 1.002, 1.003])
+    first, third = tool.LOWEST_N, tool.LOWEST_N + 2 * tool.STEP_N
+    taken = np.array([[1.0004, first], [1.0009, first], [1.0027, third], [1.5, 0.0]])
+    found = tool.force_ages(taken, written)
+    np.testing.assert_allclose(found, [0.0004, np.nan, 0.0007, np.nan], atol=1e-12)  # rounding
