@@ -20,7 +20,9 @@ from softfinger.drivers import opened
 from softfinger.drivers.base import Device
 
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
-BUILT_IN: Final = ("falcon", "forcedimension", "haply", "hid", "replay", "serial", "simulated", "spacemouse")
+BUILT_IN: Final = (
+    "falcon", "forcedimension", "haply", "hid", "openhaptics", "replay", "serial", "simulated", "spacemouse",
+)  # fmt: skip
 """Each is the folder of its name here, and `device` in it is the driver."""
 _added: Final[dict[str, ModuleType]] = {}
 

@@ -15,7 +15,9 @@ from typing import Any, Final
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
 
+NAME: Final = "Force Dimension's library"
 DOWNLOAD: Final = "https://www.forcedimension.com/software/sdk"
+REMEDY: Final = f"export FDSDK=/path/to/sdk   # from {DOWNLOAD}"
 SONAMES: Final = ("libdrd.so", "libdrd.so.3")
 """What the loader is asked for last; the maker does not say what it is called, so folders are searched by pattern."""
 

@@ -127,6 +127,7 @@ def _claims() -> Iterator[Claim]:
     yield Claim("forcedimension", "usb", 0x1451, None, of("forcedimension"))
     yield Claim("falcon", "usb", 0x0403, 0xCB48, of("falcon"))
     yield Claim("haply", "serial", *TEENSY_SERIAL, of("haply"), begins=HAPLY)
+    yield Claim("openhaptics", "serial", 0x2988, None, of("openhaptics"))
     for vendor, product in PUCKS:
         yield Claim("spacemouse", "hid", vendor, product, of("spacemouse"))
     for (driver, vendor_id, product_id), by_format in rigs.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
@@ -16,6 +17,10 @@ from softfinger.drivers.system.rules import command
 
 MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "cdc_acm")}
 """What the system gives a device of a bus, and the module of the kernel that makes it."""
+
+
+OVER_A_LIBRARY: Final = ("forcedimension", "openhaptics")
+"""Drivers over a library of the maker's, which does not come with this program."""
 
 
 class Diagnosis(NamedTuple):
@@ -74,6 +79,11 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
     return needs(claim, options)
 
 
+def makers_library(driver: str) -> Any:
+    """The module of a driver that finds the maker's library: NAME, `load(file)`, and REMEDY where it is missing."""
+    return importlib.import_module(f"softfinger.drivers.{driver}.library")
+
+
 def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
     """What a rig says of a device; another driver's rig has no say."""
     return rig.options if rig is not None and rig.driver == claim.driver else {}
@@ -81,13 +91,12 @@ def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
 
 def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | None = None) -> Diagnosis:
     """What a driver needs besides the device, with the options of a rig for it and what the device said itself."""
-    if claim.driver == "forcedimension":
-        from softfinger.drivers.forcedimension import library
-
+    if claim.driver in OVER_A_LIBRARY:
+        library = makers_library(claim.driver)
         try:
             library.load(options.get("library_file"))
         except HapticError as error:
-            return Diagnosis("library", str(error), f"export FDSDK=/path/to/sdk   # from {library.DOWNLOAD}")
+            return Diagnosis("library", str(error), library.REMEDY)
     if claim.driver == "haply" and said is None:
         from softfinger.drivers.haply import link, opening
 

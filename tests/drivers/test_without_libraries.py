@@ -117,6 +117,7 @@ def said_by(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, s
     [
         ("falcon", NEITHER),
         ("omega-6", "libdrd is not on this machine"),
+        ("touch", "libHD is not on this machine"),
         ("woodenhaptics-2019", "no HID device 16c0:0486"),
         ("woodenhaptics-v3", "no serial port 16c0:0483"),
         ("spacemouse", "no SpaceMouse"),

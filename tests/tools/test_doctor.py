@@ -207,10 +207,10 @@ def test_the_makers_library_is_asked_for_by_its_rig(tmp_path: Path, monkeypatch:
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
-    check = attached.maker_library(load_rig("omega-3"))
+    check = attached.maker_library(load_rig("omega-3"), "forcedimension")
     assert check.state == "bad"
     assert "FDSDK" in check.remedy
-    assert attached.maker_library(load_rig("replay")).state == "good"
+    assert attached.maker_library(load_rig("replay"), "forcedimension").state == "good"
 
 
 def test_the_text_says_what_mends() -> None:

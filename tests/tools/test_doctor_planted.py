@@ -118,7 +118,9 @@ def sound_and_planted(problem: str, folder: Path, keep: ExitStack, patch: pytest
         for name in ("FDSDK", "FORCEDIM_SDK"):
             patch.delenv(name, raising=False)
         patch.setenv("HOME", str(folder))
-        return lambda: attached.maker_library(load_rig("replay")), lambda: attached.maker_library(load_rig("omega-3"))
+        return lambda: attached.maker_library(load_rig("replay"), "forcedimension"), lambda: attached.maker_library(
+            load_rig("omega-3"), "forcedimension"
+        )
     rig, node = load_rig("spacemouse"), folder / "hidraw5"
     node.write_bytes(b"")
     node.chmod(0o666)

@@ -11,7 +11,7 @@ from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system import libusb as system_libusb
 from softfinger.drivers.system.claims import Claim, claim_on, claims, may_be
-from softfinger.drivers.system.diagnosis import diagnose
+from softfinger.drivers.system.diagnosis import OVER_A_LIBRARY, diagnose, makers_library
 from softfinger.drivers.system.discovery import Attached
 from softfinger.tools.doctor.check import STATES, Check, State
 
@@ -21,7 +21,7 @@ OVER_HID: Final = ("hid", "spacemouse")
 
 def checks(rig: Rig) -> list[Check]:
     """All of them; what the rig does not need is at worst said."""
-    found = [libusb(rig), hidapi(rig), maker_library(rig)]
+    found = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in OVER_A_LIBRARY)]
     if single_device(rig).driver == "haply":
         found.append(inverse_service(rig))
     return [*found, *devices(rig, discovery.attached())]
@@ -58,20 +58,18 @@ def hidapi(rig: Rig) -> Check:
     )
 
 
-def maker_library(rig: Rig) -> Check:
-    """Force Dimension's library, which does not come with this program; only its own devices need it."""
-    from softfinger.drivers.forcedimension import library
-
-    needed = single_device(rig).driver == "forcedimension"
-    wanted = "there, for devices of Force Dimension"
+def maker_library(rig: Rig, driver: str) -> Check:
+    """A maker's library, which does not come with this program; only its own devices need it."""
+    library = makers_library(driver)
+    needed = single_device(rig).driver == driver
+    wanted = "there, for the maker's devices"
     try:
         library.load(single_device(rig).options.get("library_file") if needed else None)
     except HapticError as error:
         if not needed:
-            return Check("Force Dimension's library", "good", "not here, and this rig does not need it", wanted)
-        remedy = f"export FDSDK=/path/to/sdk   # from {library.DOWNLOAD}"
-        return Check("Force Dimension's library", "bad", str(error), wanted, remedy)
-    return Check("Force Dimension's library", "good", "found", wanted)
+            return Check(library.NAME, "good", "not here, and this rig does not need it", wanted)
+        return Check(library.NAME, "bad", str(error), wanted, library.REMEDY)
+    return Check(library.NAME, "good", "found", wanted)
 
 
 def inverse_service(rig: Rig) -> Check:

@@ -31,7 +31,7 @@ from softfinger.tools.measure import show
 
 FORMAT: Final = 1
 """Raised when a key changes its meaning."""
-LIBRARY: Final = "libdrd"
+LIBRARIES: Final = ("libdrd", "libHD")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -189,9 +189,9 @@ def pushing(rig: Rig, device: Device, force_n: float) -> Guard:
 
 
 def loaded_libraries() -> list[str]:
-    """File names of the maker's library in this process."""
+    """File names of makers' libraries in this process."""
     mapped = machine.text(Path("/proc/self/maps")).splitlines()
-    return sorted({Path(line.split(maxsplit=5)[5]).name for line in mapped if LIBRARY in line})
+    return sorted({Path(line.split(maxsplit=5)[5]).name for line in mapped if any(one in line for one in LIBRARIES)})
 
 
 def write(file: Path, report: dict[str, Any]) -> None:

@@ -12,18 +12,50 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 
+def _called(returns: Any) -> Any:
+    """A call of the function at `address` with what a tuple holds, that gives this type of LLVM."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        values = cgutils.unpack_tuple(builder, args[1], len(signature.args[1]))
+        function = ir.FunctionType(returns, [value.type for value in values])
+        called = builder.call(builder.inttoptr(args[0], ir.PointerType(function)), values)
+        return context.get_dummy_value() if isinstance(returns, ir.VoidType) else called
+
+    return generate
+
+
 @intrinsic
 def call_int32(typing_context, address, arguments):  # type: ignore[no-untyped-def]
-    """int32 f(...) at `address` (int64); `arguments` is a tuple of float64, int32 and pointers, passed as they are.
+    """int32 f(...) at `address` (int64); `arguments` is a tuple of float64, int32, int64 and pointers, passed as they are.
 
     A C `char` or `bool` parameter takes an int32: the callee looks at the low byte, whatever its sign convention.
     """
     if not isinstance(arguments, types.BaseTuple):
         return None
+    return types.int32(types.int64, arguments), _called(ir.IntType(32))
 
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        values = cgutils.unpack_tuple(builder, args[1], len(arguments))
-        function = ir.FunctionType(ir.IntType(32), [value.type for value in values])
-        return builder.call(builder.inttoptr(args[0], ir.PointerType(function)), values)
 
-    return types.int32(types.int64, arguments), generate
+@intrinsic
+def call_void(typing_context, address, arguments):  # type: ignore[no-untyped-def]
+    """void f(...) at `address`, as `call_int32`."""
+    if not isinstance(arguments, types.BaseTuple):
+        return None
+    return types.void(types.int64, arguments), _called(ir.VoidType())
+
+
+@intrinsic
+def call_two_int64(typing_context, address, arguments):  # type: ignore[no-untyped-def]
+    """A struct of whole numbers, of 9 to 16 bytes, that f(...) at `address` gives by value: (int64, int64).
+
+    x86-64 and AArch64 both return such a struct in two registers. What it does not fill is not defined.
+    """
+    if not isinstance(arguments, types.BaseTuple):
+        return None
+    both = types.UniTuple(types.int64, 2)
+    call = _called(ir.LiteralStructType([ir.IntType(64), ir.IntType(64)]))
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        given = call(context, builder, signature, args)
+        return context.make_tuple(builder, both, [builder.extract_value(given, k) for k in range(2)])
+
+    return both(types.int64, arguments), generate

@@ -1,0 +1,343 @@
+"""A device of 3D Systems, opened through the maker's library.
+
+The order of opening is that of the maker's programs: initialise, start the library's thread, calibrate, have the
+callback called. The force stays off until `arm`; from then on the callback gives it (`exchange`). Nothing moves by
+itself: calibration is a place that the user gives.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import Final, NoReturn
+
+from softfinger.config.errors import (
+    DeviceBusy,
+    DeviceError,
+    DeviceNotFound,
+    DevicePermission,
+    DeviceTimeout,
+)
+from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block
+from softfinger.drivers.openhaptics import exchange, library, usb
+from softfinger.drivers.openhaptics.block import AT
+from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM, Limits
+from softfinger.drivers.openhaptics.options import Options
+from softfinger.drivers.openhaptics.scheduler import Scheduler, scheduler_of, within
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.discovery import Attached
+
+log: Final = logging.getLogger(__name__)
+
+TORQUE_MAX_NM: Final = 1e2
+"""Where no motor turns the handle, torque is taken and not sent: it belongs to the contact and to telemetry."""
+
+FIRST_FRAMES_S: Final = 2.0
+"""How long opening waits for the library's thread."""
+ARM_S: Final = 1.0
+STOP_S: Final = 0.1
+"""How long `stop` waits for a frame that gives zero; where none comes the library hangs, and is called over it."""
+HANG_S: Final = 0.3
+LET_GO_S: Final = 1.0
+POLL_S: Final = 0.02
+WARM: Final = 800
+"""Of 1000: from here on a warning tells of the motors, down to COOL."""
+COOL: Final = 700
+SIX: Final = 6
+
+CALLS: Final = {
+    AT.begin_frame: "hdBeginFrame",
+    AT.end_frame: "hdEndFrame",
+    AT.get_doubles: "hdGetDoublev",
+    AT.get_integers: "hdGetIntegerv",
+    AT.get_booleans: "hdGetBooleanv",
+    AT.set_doubles: "hdSetDoublev",
+    AT.get_error: "hdGetError",
+    AT.enable: "hdEnable",
+    AT.disable: "hdDisable",
+    AT.is_enabled: "hdIsEnabled",
+}
+
+ZERO: Final = (ctypes.c_double * 3)()
+
+
+class OpenHaptics(Device):
+    """An open device, its force off until `arm`. `stop` takes the force off for good: to go on, open it again.
+
+    calibrates  False: one that is not calibrated is opened all the same, to be asked what it is
+    """
+
+    def __init__(self, options: Options, calibrates: bool = True) -> None:
+        self._library = library.load(options.library_file)
+        self._options = options
+        self._scheduler: Scheduler = scheduler_of(self._library)
+        self._block = Block(AT)
+        self._word = self._block.word
+        self._ending = threading.Lock()
+        self._warm = False
+        with self._scheduler.still():
+            self._device = _initialise(self._library, options.name)
+        try:
+            self.model, self.serial, self._style = self._identity()
+            self.info = self._info()
+            self.calibrated = self._calibrate(calibrates)
+            self._set_up()
+        except BaseException:
+            self._let_go()
+            raise
+
+    def io(self) -> DeviceIO:
+        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
+
+    def arm(self) -> None:
+        word = self._word
+        if word[AT.stopped]:
+            return
+        word[AT.armed] = 1
+        if (
+            within(ARM_S, lambda: word[AT.output] == 1 or word[AT.status] < 0 or word[AT.stopped])
+            and not word[AT.status]
+        ):
+            return
+        word[AT.armed] = 0
+        why = self.reason() or f"no frame of the library switched the motors on within {ARM_S:g} s"
+        raise DeviceError(f"{self.info.name}: the force cannot be switched on: {why}: {_AGAIN}")
+
+    def stop(self) -> None:
+        word = self._word
+        word[AT.stopped] = 1
+        word[AT.armed] = 0
+        if not word[AT.open]:
+            return
+        with self._ending:
+            if not word[AT.silent] and not within(STOP_S, lambda: word[AT.silent]):
+                self._over_it(self._zero, HANG_S)
+
+    def close(self) -> None:
+        self.stop()
+        if not self._word[AT.open]:
+            return
+        with self._ending:
+            if self._word[AT.open]:
+                self._over_it(self._let_go, LET_GO_S)
+                self._word[AT.open] = 0
+                counted = self.counts()
+                log.info("%s: %s", self.info.name, ", ".join(f"{name} {value}" for name, value in counted.items()))
+
+    def reason(self) -> str:
+        if not self._word[AT.error]:
+            return ""
+        return library.told(self._library, int(self._word[AT.error]), int(self._word[AT.internal]))
+
+    def warning(self) -> str:
+        self._warm = int(self._word[AT.temperature]) >= (COOL if self._warm else WARM)
+        said = []
+        if self._warm:
+            said.append("the motors are hot: give them a rest, or the device takes the force off")
+        if self._word[AT.docked]:
+            said.append("the stylus is in the inkwell, so there is no force (inkwell = false does not ask for that)")
+        return "; ".join(said)
+
+    def counts(self) -> dict[str, int]:
+        return self._block.counts()
+
+    # --- opening --------------------------------------------------------------------------------
+
+    def _identity(self) -> tuple[str, str, int]:
+        """Model, serial number and styles of calibration, as the library has them; DeviceNotFound for another model."""
+        call = self._library
+        model = (call.hdGetString(library.DEVICE_MODEL_TYPE) or b"").decode(errors="replace")
+        serial = (call.hdGetString(library.DEVICE_SERIAL_NUMBER) or b"").decode(errors="replace")
+        style = self._integer(library.CALIBRATION_STYLE)
+        library.errors(call)  # what one of these does not have is told by its value
+        if self._options.model not in (None, model):
+            raise DeviceNotFound(
+                f"no device fits model = {self._options.model}: it is a {model}, serial {serial}: change [device] in "
+                "the rig, or name another device of Touch_Setup as `name`"
+            )
+        if model not in MODELS:
+            log.warning("%s: its limits are not known, so it gets the least of any: %g N, no torque", model, UNKNOWN[0])
+        return model, serial, style
+
+    def _info(self) -> DeviceInfo:
+        limits: Limits = MODELS.get(self.model, UNKNOWN)
+        turns = self._integer(library.OUTPUT_DOF) == SIX and limits.torque_max_nm > 0.0
+        self._word[AT.turns] = turns
+        most = self._doubles(library.NOMINAL_MAX_FORCE, 1)[0]
+        (x0, y0, z0), (x1, y1, z1) = self._workspace_mm()
+        library.errors(self._library)
+        return DeviceInfo(
+            name=f"{self.model or 'device of 3D Systems'}, serial {self.serial or 'not known'}",
+            sensed_dof=SIX,
+            actuated_dof=SIX if turns else 3,
+            force_max_n=min(limits.force_max_n, most) if math.isfinite(most) and most > 0.0 else limits.force_max_n,
+            torque_max_nm=limits.torque_max_nm if turns else TORQUE_MAX_NM,
+            stiffness_max_n_per_m=limits.stiffness_max_n_per_m,
+            damping_max_ns_per_m=limits.damping_max_ns_per_m,
+            workspace_min_m=(x0 * 1e-3, -z1 * 1e-3, y0 * 1e-3),
+            workspace_max_m=(x1 * 1e-3, -z0 * 1e-3, y1 * 1e-3),
+        )
+
+    def _workspace_mm(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Its corners as the device has them, in the library's frame, or those of a Touch."""
+        said = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, SIX)
+        low, high = tuple(said[:3]), tuple(said[3:])
+        if all(-1e4 < a < b < 1e4 for a, b in zip(low, high, strict=True)):
+            return low, high
+        return WORKSPACE_MM
+
+    def _calibrate(self, needed: bool) -> bool:
+        """Calibrate the device in the best style that it has: by itself, by the inkwell, where it is held."""
+        call = self._library
+        best = next((one for one in (library.AUTO, library.INKWELL, library.ENCODER_RESET) if self._style & one), 0)
+        until, asked = time.monotonic() + self._options.calibration_wait_s, False
+        while needed:
+            call.hdMakeCurrentDevice(self._device)
+            state = call.hdCheckCalibration()
+            if state == library.NEEDS_UPDATE and best:
+                if best == library.ENCODER_RESET and not self._options.reset_encoders:
+                    break
+                call.hdUpdateCalibration(best)
+                state = call.hdCheckCalibration()
+            self._raise_errors("calibration")
+            if state == library.CALIBRATED:
+                return True
+            if state == library.NEEDS_MANUAL_INPUT and not asked:
+                asked = True
+                log.warning("%s: %s", self.info.name, _WHAT_TO_DO[best])
+            if time.monotonic() > until:
+                break
+            time.sleep(POLL_S)
+        if not needed:
+            return bool(call.hdCheckCalibration() == library.CALIBRATED)
+        raise DeviceError(f"{self.info.name} is not calibrated: {_WHAT_TO_DO[best]}, then start again")
+
+    def _set_up(self) -> None:
+        call, options, word = self._library, self._options, self._word
+        for place, name in CALLS.items():
+            word[place] = library.address(call, name)
+        word[AT.device] = self._device
+        word[AT.age_max] = round(options.force_age_max_s * 1e9)
+        word[AT.started_at] = word[AT.read_at] = time.monotonic_ns()
+        word[AT.has_inkwell] = options.inkwell and bool(self._style & library.INKWELL)
+        word[AT.switch] = 1
+        word[AT.has_temperature] = 1
+        word[AT.output] = -1  # one that a killed program left on is switched off
+        word[AT.open] = 1
+        self._scheduler.add(self._block)
+        self._raise_errors("hdScheduleAsynchronous")
+        if not within(FIRST_FRAMES_S, lambda: word[AT.frames] > exchange.PROBES or word[AT.status] < 0):
+            raise DeviceTimeout(
+                f"{self.info.name}: the library's thread has not called within {FIRST_FRAMES_S:g} s: {_AGAIN}"
+            )
+        if word[AT.status] < 0:
+            raise DeviceError(f"{self.info.name} gives no pose: {self.reason()}: {_AGAIN}")
+
+    def _integer(self, what: int) -> int:
+        value = ctypes.c_int()
+        self._library.hdMakeCurrentDevice(self._device)
+        self._library.hdGetIntegerv(what, ctypes.byref(value))
+        return value.value
+
+    def _doubles(self, what: int, count: int) -> list[float]:
+        values = (ctypes.c_double * 16)(*[math.nan] * 16)
+        self._library.hdMakeCurrentDevice(self._device)
+        self._library.hdGetDoublev(what, values)
+        return list(values)[:count]
+
+    def _raise_errors(self, what: str) -> None:
+        if found := library.errors(self._library):
+            raise DeviceError(f"{what} failed: {'; '.join(map(str, found))}: {_AGAIN}")
+
+    # --- ending ---------------------------------------------------------------------------------
+
+    def _zero(self) -> None:
+        """Give zero and switch the motors off from here: the library's thread does not call any more."""
+        call = self._library
+        call.hdBeginFrame(self._device)
+        call.hdSetDoublev(library.CURRENT_FORCE, ZERO)
+        if self._word[AT.turns]:
+            call.hdSetDoublev(library.CURRENT_TORQUE, ZERO)
+        call.hdDisable(library.FORCE_OUTPUT)
+        call.hdEndFrame(self._device)
+
+    def _let_go(self) -> None:
+        self._scheduler.remove(self._block)
+        self._library.hdDisableDevice(self._device)
+        library.errors(self._library)  # so that nobody takes them for those of the next device
+
+    def _over_it(self, work: Callable[[], object], seconds: float) -> None:
+        """Run what may hang with the library in a thread, and go on without it where it does."""
+        over = threading.Thread(target=work, name="openhaptics stop", daemon=True)
+        over.start()
+        over.join(seconds)
+        if over.is_alive():
+            log.error("%s: the library hangs and may have left a force: switch the device off", self.info.name)
+
+
+_AGAIN: Final = "check cable and power, run the maker's Touch_Diagnostic, then start again"
+_WHAT_TO_DO: Final = {
+    0: "it names no way to do that: calibrate it with the maker's Touch_Setup or Touch_Diagnostic",
+    library.AUTO: "move the handle through its whole range",
+    library.INKWELL: "put the stylus into the inkwell",
+    library.ENCODER_RESET: (
+        "hold the handle in its reset position, the arms at right angles, while it is opened, and set "
+        "reset_encoders = true in the rig's [device] table"
+    ),
+}
+
+
+def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
+    """What the library says of the device that the options name; no force is switched on, and nothing calibrated.
+
+    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
+    """
+    with OpenHaptics(options, calibrates=False) as opened:
+        return {"model": opened.model, "serial": opened.serial, "calibrated": opened.calibrated}
+
+
+def open_device(options: Options, rate_hz: float) -> OpenHaptics:
+    """Open a device of 3D Systems.
+
+    Raises DeviceNotFound, DeviceBusy, DevicePermission, DeviceTimeout or DeviceError, each with what to do.
+    """
+    return OpenHaptics(options)
+
+
+def _initialise(call: ctypes.CDLL, name: str | None) -> int:
+    library.errors(call)  # of what was before
+    device = call.hdInitDevice(None if name is None else name.encode())
+    found = library.errors(call)
+    if device != library.INVALID_HANDLE and not found:
+        return int(device)
+    if device != library.INVALID_HANDLE:
+        call.hdDisableDevice(device)
+    _not_opened(name, found)
+
+
+def _not_opened(name: str | None, found: list[library.Error]) -> NoReturn:
+    said = "; ".join(map(str, found)) or "the library does not say why"
+    which = "the default device" if name is None else f"the device '{name}'"
+    seen = usb.attached()
+    if any(error.code == library.ALREADY_INITIATED for error in found):
+        raise DeviceBusy(
+            f"{which} is in use by another program, or twice in this rig: {said}: end that, then start again"
+        )
+    if any(error.code == library.INVALID_LICENSE for error in found):
+        raise DeviceError(f"{which} cannot be opened: {said}: install the developer edition's licence")
+    for device in seen:
+        if device.node and not discovery.permitted(device.node):
+            raise DevicePermission(usb.how_to_permit(device))
+        if device.node and (holder := discovery.holder(device.node)) is not None:
+            raise DeviceBusy(f"{device} is held by {holder}: end that, then start again ({said})")
+    if not seen:
+        raise DeviceNotFound(
+            f"{which} does not answer: {said}: check cable and power (USB vendor {usb.VENDOR:04x}), and that "
+            f"Touch_Setup {'has a default device' if name is None else 'has that name'}"
+        )
+    raise DeviceError(f"{which} cannot be opened, and {seen[0]} is attached: {said}: run Touch_Setup, then start again")

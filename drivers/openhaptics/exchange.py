@@ -1,0 +1,299 @@
+"""What the library's thread calls once a millisecond, and what the servo loop calls; neither waits for the other.
+
+The callback reads the device and gives it the newest force of the servo. It GIVES ZERO BY ITSELF where that force is
+older than the rig allows, where the device is not armed, where the stylus is docked, after an error, and after a pause
+of its own: the motors keep what they were given, so a servo that stands still must not leave a force. The servo then
+learns of a lapse, and the guard fades in anew.
+
+The library's frame has x to the right, y up, z towards the user. World (x, y, z) = (x, -z, y), for positions, forces
+and torques, and for both sides of the orientation, so that a handle at rest is not turned.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, nan
+from typing import Any, Final
+
+import numpy as np
+from numba import carray, types
+
+from softfinger.drivers.base import (
+    FORCE_OFF,
+    LOST,
+    OK,
+    PROTOCOL,
+    SAMPLE_BUTTONS,
+    SAMPLE_SIZE,
+    SAMPLE_TIME,
+    STALE,
+    TIMEOUT,
+    WITHHELD,
+)
+from softfinger.drivers.openhaptics import library as hd
+from softfinger.drivers.openhaptics.block import AT, HEEDED, SEQUENCE_WORDS, WRENCH_SIZE, WRITTEN
+from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.foreign import call_int32, call_two_int64, call_void
+from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at, uint8_at
+from softfinger.proxy.kernels.jit.seqlock import Slot, refresh, store
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.rotations import from_matrix
+
+DONE: Final = 0
+"""What a callback returns that is not to be called again, and one that is."""
+CONTINUE: Final = 1
+
+NS_PER_S: Final = 1_000_000_000
+MM_PER_M: Final = 1000.0
+MNM_PER_NM: Final = 1000.0
+NOT_A_ROTATION: Final = 0.01
+"""How far the rows' lengths and the determinant may be from 1; a matrix that is off by more is a fault, not a sensed
+rotation."""
+
+PROBE_INKWELL: Final = 0
+"""Frame that asks for the inkwell for the first time, and one that asks for the motors' temperature: a device that
+refuses is not asked again. Neither is a state that every device has."""
+PROBE_TEMPERATURE: Final = 1
+PROBES: Final = 2
+TEMPERATURE_EVERY: Final = 100
+"""Frames from one look at the motors' temperature to the next."""
+MOTORS: Final = 6
+ERRORS_PER_FRAME: Final = 8
+"""Errors taken off the stack in a frame; what is left comes in the next."""
+
+TIMEOUT_NS: Final = 100_000_000
+"""Of a library's thread that is silent while the servo listens."""
+LISTENED_NS: Final = 10_000_000
+"""Most that counts as listened of the time between two reads: a loop that stood still has not listened."""
+
+
+@jit
+def status_of(code: int) -> int:
+    """What an error of the library means for the run."""
+    if code in (hd.DEVICE_FAULT, hd.COMM_ERROR, hd.COMM_CONFIG_ERROR, hd.BAD_HANDLE):
+        return LOST
+    if 0x0200 <= code <= 0x0204:
+        return FORCE_OFF
+    return PROTOCOL
+
+
+# --- the library's thread --------------------------------------------------------------------------
+
+
+@jit
+def _refused(handle: int, code: int) -> bool:
+    """Whether an error is the answer to a first look for what not every device has; then it is not asked again."""
+    word = int64_at(handle)
+    if code < hd.INVALID_ENUM or code > hd.INVALID_INPUT_TYPE or word[AT.frames] >= PROBES:
+        return False
+    if word[AT.frames] == PROBE_INKWELL:
+        word[AT.has_inkwell] = 0
+    else:
+        word[AT.has_temperature] = 0
+    return True
+
+
+@jit
+def _note_errors(handle: int) -> None:
+    """Take this frame's errors off the stack, and note the gravest: what ended the device, else what came first."""
+    word = int64_at(handle)
+    for _ in range(ERRORS_PER_FRAME):
+        told, of = call_two_int64(word[AT.get_error], ())
+        code, device = told & 0xFFFFFFFF, of & 0xFFFFFFFF
+        if code == 0:
+            return
+        word[AT.errors] += 1
+        if device not in (word[AT.device], hd.INVALID_HANDLE) or _refused(handle, code):
+            continue
+        status = status_of(code)
+        if word[AT.status] == OK or (word[AT.status] == PROTOCOL and status != PROTOCOL):
+            word[AT.error], word[AT.internal] = code, told >> 32
+            word[AT.status] = status
+
+
+@jit
+def _sense(handle: int) -> None:
+    """Ask the library for the state of this frame."""
+    word, frames = int64_at(handle), int64_at(handle)[AT.frames]
+    call_void(word[AT.get_doubles], (np.int32(hd.CURRENT_POSITION), handle + 8 * AT.position))
+    call_void(word[AT.get_doubles], (np.int32(hd.CURRENT_TRANSFORM), handle + 8 * AT.matrix))
+    call_void(word[AT.get_integers], (np.int32(hd.CURRENT_BUTTONS), handle + 8 * AT.buttons))
+    if word[AT.has_inkwell] != 0 and frames != PROBE_TEMPERATURE:
+        call_void(word[AT.get_booleans], (np.int32(hd.CURRENT_INKWELL_SWITCH), handle + 8 * AT.switch))
+    if word[AT.has_temperature] != 0 and (
+        frames == PROBE_TEMPERATURE or frames % TEMPERATURE_EVERY == TEMPERATURE_EVERY - 1
+    ):
+        call_void(word[AT.get_doubles], (np.int32(hd.MOTOR_TEMPERATURE), handle + 8 * AT.temperatures))
+        most, each = 0.0, float64_at(handle + 8 * AT.temperatures)
+        for k in range(MOTORS):
+            if isfinite(each[k]):
+                most = max(most, each[k])
+        word[AT.temperature] = int(1000.0 * min(most, 10.0))
+
+
+@jit
+def _take_wrench(handle: int, slot: Slot, into: Any) -> Any:
+    """The last whole wrench of the servo; `into` is the array over `wrench_taken`."""
+    word = int64_at(handle)
+    kept = float64_at(handle + 8 * AT.wrench_kept)
+    seen = refresh(slot, word[AT.wrench_seen], into)
+    if seen != word[AT.wrench_seen]:
+        word[AT.wrench_seen] = seen
+        for k in range(WRENCH_SIZE):
+            kept[k] = into[k]
+    return kept
+
+
+@jit
+def _give(handle: int, what: int, x: float, y: float, z: float) -> None:
+    vector = float64_at(handle + 8 * AT.vector)
+    vector[0], vector[1], vector[2] = x, z, -y
+    call_void(int64_at(handle)[AT.set_doubles], (np.int32(what), handle + 8 * AT.vector))
+
+
+@jit
+def _switch(handle: int, on: bool) -> None:
+    """Switch the motors on or off where they are not so; whether they are is for the library to say."""
+    word = int64_at(handle)
+    if word[AT.output] != int(on):
+        call_void(word[AT.enable] if on else word[AT.disable], (np.int32(hd.FORCE_OUTPUT),))
+        word[AT.output] = call_int32(word[AT.is_enabled], (np.int32(hd.FORCE_OUTPUT),)) & 0xFF
+
+
+@jit
+def _act(handle: int, wrench: Any) -> None:
+    """Give the device the servo's last whole wrench, or zero."""
+    word = int64_at(handle)
+    now = monotonic_ns(handle + 8 * AT.frame_timespec)
+    live = word[AT.armed] != 0 and word[AT.stopped] == 0 and word[AT.leave] == 0 and word[AT.status] == OK
+    usable = live and word[AT.docked] == 0 and wrench[HEEDED] == word[AT.lapses]
+    usable = usable and now - word[AT.started_at] - wrench[WRITTEN] <= word[AT.age_max]
+    usable = usable and now - word[AT.framed_at] <= word[AT.age_max]  # else the force is for where the hand was
+    word[AT.framed_at] = now
+    if not usable and word[AT.loaded] != 0:
+        word[AT.lapses] += 1
+    loaded = 0
+    for k in range(6):
+        if usable and wrench[k] != 0.0:
+            loaded = 1
+    word[AT.loaded] = loaded
+    share = 1.0 if usable else 0.0
+    _give(handle, hd.CURRENT_FORCE, share * wrench[0], share * wrench[1], share * wrench[2])
+    if word[AT.turns] != 0:
+        share *= MNM_PER_NM
+        _give(handle, hd.CURRENT_TORQUE, share * wrench[3], share * wrench[4], share * wrench[5])
+    _switch(handle, live)
+
+
+@jit
+def _make_pose(handle: int, made: Any) -> None:
+    """The frame's pose in the world frame; NaN for an orientation that is no rotation."""
+    word = int64_at(handle)
+    p, m = float64_at(handle + 8 * AT.position), float64_at(handle + 8 * AT.matrix)
+    made[0], made[1], made[2] = p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M
+    world = ((m[0], -m[8], m[4]), (-m[2], m[10], -m[6]), (m[1], -m[9], m[5]))
+    rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
+    for i in range(3):
+        rotation = rotation and abs(vec3.norm(world[i]) - 1.0) < NOT_A_ROTATION
+    if rotation:
+        q = from_matrix(world)
+        for k in range(4):
+            made[3 + k] = q[k]
+    else:
+        for k in range(4):
+            made[3 + k] = nan
+    made[SAMPLE_TIME] = (word[AT.framed_at] - word[AT.started_at]) / NS_PER_S
+    made[SAMPLE_BUTTONS] = float(np.int64(int32_at(handle + 8 * AT.buttons)[0]) & 0xFFFFFFFF)
+
+
+@c_function(types.uint32(types.int64))
+def callback(handle: int) -> int:
+    """A frame of the library's thread."""
+    word = int64_at(handle)
+    if word[AT.open] == 0:
+        return DONE
+    device = (np.int32(word[AT.device]),)
+    leaving, stopping = word[AT.leave], word[AT.stopped]  # before what they end: what is told of is done
+    call_void(word[AT.begin_frame], device)
+    _sense(handle)
+    word[AT.docked] = int(word[AT.has_inkwell] != 0 and uint8_at(handle + 8 * AT.switch)[0] == 0)
+    given = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
+    slot = Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), given)
+    _act(handle, _take_wrench(handle, slot, carray(float64_at(handle + 8 * AT.wrench_taken), (WRENCH_SIZE,))))
+    call_void(word[AT.end_frame], device)
+    _note_errors(handle)
+    if word[AT.status] == OK:
+        made = carray(float64_at(handle + 8 * AT.pose_made), (SAMPLE_SIZE,))
+        pose = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
+        _make_pose(handle, made)
+        store(Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), pose), made)
+    word[AT.frames] += 1
+    if stopping != 0:
+        word[AT.silent] = 1
+    if leaving != 0:
+        word[AT.left] = 1
+        return DONE
+    return CONTINUE
+
+
+# --- the servo -------------------------------------------------------------------------------------
+
+
+@c_function(IO_SIGNATURE)
+def read(handle: int, sample: Any) -> int:
+    word = int64_at(handle)
+    now = monotonic_ns(handle + 8 * AT.servo_timespec)
+    listened = min(now - word[AT.read_at], LISTENED_NS)
+    word[AT.read_at] = now
+    if word[AT.open] == 0:
+        return LOST
+    if word[AT.status] < 0:
+        return int(word[AT.status])
+    taken, kept = float64_at(handle + 8 * AT.pose_taken), float64_at(handle + 8 * AT.sample)
+    given = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
+    slot = Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), given)
+    seen = refresh(slot, word[AT.pose_seen], carray(taken, (SAMPLE_SIZE,)))
+    word[AT.reads] += 1
+    status = OK
+    if seen != word[AT.pose_seen]:
+        word[AT.pose_seen], word[AT.silence] = seen, 0
+        for k in range(SAMPLE_SIZE):
+            kept[k] = taken[k]
+    else:
+        word[AT.repeated] += 1
+        word[AT.silence] += listened
+        if word[AT.silence] > TIMEOUT_NS:
+            return TIMEOUT
+        status = STALE
+    for k in range(SAMPLE_SIZE):
+        sample[k] = kept[k]
+    return status
+
+
+@c_function(IO_SIGNATURE)
+def write(handle: int, wrench: Any) -> int:
+    word, made = int64_at(handle), float64_at(handle + 8 * AT.wrench_made)
+    zero, usable = True, word[AT.armed] != 0 and word[AT.stopped] == 0
+    for k in range(6):
+        usable = usable and isfinite(wrench[k])
+        zero = zero and wrench[k] == 0.0
+    status = OK if usable or zero else WITHHELD
+    if word[AT.lapses] != word[AT.heeded]:  # the hand has had zero meanwhile
+        word[AT.heeded] = word[AT.lapses]
+        usable, status = False, OK if zero else WITHHELD
+    elif usable and word[AT.docked] != 0:
+        word[AT.kept_back] = 1
+        usable, status = False, OK if zero else STALE  # limited to nothing, as long as it takes
+    elif usable and word[AT.kept_back] != 0:
+        word[AT.kept_back] = 0
+        usable, status = False, OK if zero else WITHHELD
+    for k in range(6):
+        made[k] = wrench[k] if usable else 0.0
+    made[WRITTEN] = float(monotonic_ns(handle + 8 * AT.servo_timespec) - word[AT.started_at])
+    made[HEEDED] = float(word[AT.heeded])
+    given = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
+    store(
+        Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), given), carray(made, (WRENCH_SIZE,))
+    )
+    word[AT.writes] += 1
+    return status

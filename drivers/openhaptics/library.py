@@ -1,0 +1,208 @@
+"""The maker's library: where it may be, the functions used of it with their full prototypes, and its errors in words.
+
+libHD belongs to OpenHaptics. It is proprietary and not shipped; nothing here is needed until a device is opened.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+from ctypes import POINTER, c_char_p, c_double, c_int, c_int32, c_ubyte, c_uint32, c_ulong, c_ushort, c_void_p
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from softfinger.config.errors import DeviceError, DeviceNotFound
+
+NAME: Final = "3D Systems' library"
+DOWNLOAD: Final = "https://support.3dsystems.com (Touch device driver, and OpenHaptics for Linux developer edition)"
+REMEDY: Final = f'library_file = "/path/to/libHD.so" under [device] of the rig   # from {DOWNLOAD}'
+FOLDERS: Final = (Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/lib/x86_64-linux-gnu"), Path("/usr/local/lib"))
+SONAMES: Final = ("libHD.so", "libHD.so.3.4")
+"""What the loader is asked for last."""
+
+INVALID_HANDLE: Final = 0xFFFFFFFF
+PRIORITY_MAX: Final = 65535
+
+# Parameters.
+CURRENT_BUTTONS: Final = 0x2000
+CURRENT_INKWELL_SWITCH: Final = 0x2002
+CURRENT_POSITION: Final = 0x2050
+CURRENT_TRANSFORM: Final = 0x2052
+VERSION: Final = 0x2500
+DEVICE_MODEL_TYPE: Final = 0x2501
+DEVICE_SERIAL_NUMBER: Final = 0x2504
+USABLE_WORKSPACE_DIMENSIONS: Final = 0x2551
+INPUT_DOF: Final = 0x2553
+OUTPUT_DOF: Final = 0x2554
+CALIBRATION_STYLE: Final = 0x2555
+NOMINAL_MAX_FORCE: Final = 0x2603
+MOTOR_TEMPERATURE: Final = 0x2605
+CURRENT_FORCE: Final = 0x2700
+CURRENT_TORQUE: Final = 0x2701
+FORCE_OUTPUT: Final = 0x4000
+
+CALIBRATED: Final = 0x5000
+NEEDS_UPDATE: Final = 0x5001
+NEEDS_MANUAL_INPUT: Final = 0x5002
+
+ENCODER_RESET: Final = 1
+AUTO: Final = 2
+INKWELL: Final = 4
+
+# Errors.
+INVALID_ENUM: Final = 0x0100
+INVALID_INPUT_TYPE: Final = 0x0103
+BAD_HANDLE: Final = 0x0104
+FORCE_ERRORS: Final = range(0x0200, 0x0205)
+DEVICE_FAULT: Final = 0x0300
+ALREADY_INITIATED: Final = 0x0301
+COMM_ERROR: Final = 0x0302
+COMM_CONFIG_ERROR: Final = 0x0303
+INVALID_LICENSE: Final = 0x0600
+
+ERRORS: Final = {
+    INVALID_ENUM: "it does not know a parameter",
+    0x0101: "it refuses a value",
+    0x0102: "it cannot do this now",
+    INVALID_INPUT_TYPE: "it does not have a parameter in this type",
+    BAD_HANDLE: "it does not know the device any more",
+    0x0200: "the motors are too warm",
+    0x0201: "the force was more than the device gives",
+    0x0202: "the force changed faster than the device bears",
+    0x0203: "the handle was faster than the device allows",
+    0x0204: "the motors do not give the force",
+    DEVICE_FAULT: "the device has a fault",
+    ALREADY_INITIATED: "the device is in use already",
+    COMM_ERROR: "the device does not answer",
+    COMM_CONFIG_ERROR: "the device's connection is not set up",
+    0x0304: "its clock has failed",
+    0x0400: "a frame was begun in a frame",
+    0x0401: "a frame was ended that was not begun",
+    0x0402: "a state was asked for outside of a frame, or in a second one",
+    0x0500: "it does not know a priority",
+    0x0501: "its scheduler is full",
+    INVALID_LICENSE: "it has no licence",
+}
+"""What the maker's error codes mean, in words."""
+
+
+class ErrorInfo(ctypes.Structure):
+    """HDErrorInfo, which hdGetError gives by value: code, the device's own code, and the device."""
+
+    _fields_ = (("code", c_uint32), ("internal", c_int32), ("device", c_uint32))
+
+
+class Error(NamedTuple):
+    """An error off the library's stack."""
+
+    code: int
+    internal: int
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+_ENUM: Final = c_uint32
+_HANDLE: Final = c_uint32
+
+PROTOTYPES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
+    "hdInitDevice": (_HANDLE, (c_char_p,)),
+    "hdDisableDevice": (None, (_HANDLE,)),
+    "hdMakeCurrentDevice": (None, (_HANDLE,)),
+    "hdBeginFrame": (None, (_HANDLE,)),
+    "hdEndFrame": (None, (_HANDLE,)),
+    "hdEnable": (None, (_ENUM,)),
+    "hdDisable": (None, (_ENUM,)),
+    "hdIsEnabled": (c_ubyte, (_ENUM,)),
+    "hdGetDoublev": (None, (_ENUM, POINTER(c_double))),
+    "hdGetIntegerv": (None, (_ENUM, POINTER(c_int))),
+    "hdGetBooleanv": (None, (_ENUM, POINTER(c_ubyte))),
+    "hdGetString": (c_char_p, (_ENUM,)),
+    "hdSetDoublev": (None, (_ENUM, POINTER(c_double))),
+    "hdGetError": (ErrorInfo, ()),
+    "hdGetErrorString": (c_char_p, (c_uint32,)),
+    "hdCheckCalibration": (_ENUM, ()),
+    "hdUpdateCalibration": (None, (_ENUM,)),
+    "hdStartScheduler": (None, ()),
+    "hdStopScheduler": (None, ()),
+    "hdScheduleAsynchronous": (c_ulong, (c_void_p, c_void_p, c_ushort)),
+    "hdUnschedule": (None, (c_ulong,)),
+}
+"""Result and parameters of every function used."""
+
+ERRORS_MAX: Final = 64
+"""Errors taken off the stack at once: the library may put one on it for each call of a frame that failed."""
+
+
+def load(named: str | None) -> ctypes.CDLL:
+    """The library, from the file `named` or from where it is usually put, with every prototype declared.
+
+    Raises DeviceNotFound when it is nowhere, with each place looked in, and DeviceError when a file is there but
+    cannot be used.
+    """
+    if named is not None:
+        path = Path(named).expanduser()
+        if not os.path.isfile(path):  # also where this user may not look
+            raise DeviceNotFound(f"library_file = '{named}': there is no such file; {_advice()}")
+        return _declared(_opened(str(path)), str(path))
+    for folder in FOLDERS:
+        # The longest name has the whole version in it; of several versions the newest sorts last.
+        for path in sorted(folder.glob("libHD.so*"), key=lambda p: (len(p.name), p.name), reverse=True):
+            return _declared(_opened(str(path)), str(path))
+    for name in SONAMES:
+        try:
+            return _declared(ctypes.CDLL(name), name)
+        except OSError:
+            continue
+    looked = [*(str(folder / "libHD.so*") for folder in FOLDERS), *(f"{name} by the loader" for name in SONAMES)]
+    raise DeviceNotFound(f"{NAME} libHD is not on this machine: looked for {', '.join(looked)}; {_advice()}")
+
+
+def errors(library: ctypes.CDLL) -> list[Error]:
+    """What is on the library's stack of errors, the oldest first; the stack is empty then."""
+    found: list[Error] = []
+    for _ in range(ERRORS_MAX):
+        error = library.hdGetError()
+        if error.code == 0:
+            break
+        found.append(Error(error.code, error.internal, told(library, error.code, error.internal)))
+    return found[::-1]
+
+
+def told(library: ctypes.CDLL, code: int, internal: int) -> str:
+    """An error in words: ours, those of the library, and its numbers."""
+    words = (library.hdGetErrorString(code) or b"").decode(errors="replace")
+    ours = ERRORS.get(code)
+    said = f", '{words}'" if words else ""
+    return f"{ours or 'an error that is not known'} (error 0x{code:04x}{said}, the device's code {internal})"
+
+
+def address(library: ctypes.CDLL, name: str) -> int:
+    """Address of a function for the loop."""
+    return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+
+
+def _advice() -> str:
+    return f"install the Touch driver and OpenHaptics ({DOWNLOAD}), or give the file as `library_file` in [device]"
+
+
+def _opened(path: str) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(path)
+    except OSError as error:
+        raise DeviceError(
+            f"{path} cannot be loaded: {error}: the maker has it for x86_64 only (this is {platform.machine()}), and "
+            "it needs libPhantomIOLib42.so of the Touch driver"
+        ) from error
+
+
+def _declared(library: ctypes.CDLL, path: str) -> ctypes.CDLL:
+    for name, (result, parameters) in PROTOTYPES.items():
+        try:
+            function = getattr(library, name)
+        except AttributeError:
+            raise DeviceError(f"{path} has no function {name}: take OpenHaptics 3.4, {DOWNLOAD}") from None
+        function.restype, function.argtypes = result, list(parameters)
+    return library

@@ -1,0 +1,46 @@
+"""What a rig's [device] table may say for `driver = "openhaptics"`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+from softfinger.config.limits import NAME_LENGTH, Range
+from softfinger.config.schema import Table, said, sized, within
+
+CALIBRATION_S: Final = Range(0.0, 600.0, "somebody has to put the stylus into the inkwell meanwhile")
+FORCE_AGE_S: Final = Range(
+    0.002, 0.1, "two periods of the library's thread; a tenth of a second is a push that nobody wants"
+)
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """Which device, which library, and how old a force may be. Nothing in here moves the device by itself."""
+
+    library_file: Annotated[str, said("file of libHD; absent: looked for, see docs/devices/touch.md")] | None = None
+    name: (
+        Annotated[
+            str, sized(NAME_LENGTH, "the device's name in Touch_Setup; absent: the default device", "Left Device")
+        ]
+        | None
+    ) = None
+    model: (
+        Annotated[
+            Literal[
+                "Touch", "Touch X", "PHANTOM Omni", "PHANTOM Desktop",
+                "PHANTOM Premium 1.5 6DOF", "PHANTOM Premium 3.0 6DOF",
+            ],
+            said("the only kind of device to accept", "Touch"),
+        ]
+        | None
+    ) = None  # fmt: skip
+    inkwell: Annotated[bool, said("no force while the stylus is in the inkwell; false: the switch is not asked")] = True
+    reset_encoders: Annotated[
+        bool,
+        said("a device without its zeros takes the place where it is HELD WHILE IT IS OPENED for its reset position"),
+    ] = False
+    calibration_wait_s: Annotated[
+        float, within(CALIBRATION_S, "how long opening waits for the stylus to be put into the inkwell", 20.0)
+    ] = 20.0
+    force_age_max_s: Annotated[
+        float, within(FORCE_AGE_S, "the library's thread gives zero in place of a force that is older", 0.005)
+    ] = 0.005

@@ -1,0 +1,497 @@
+"""3D Systems' devices on a stand-in for the maker's library: contract, opening, calibration, what the callback gives.
+
+The stand-in's thread is real, and so is its time: what is asked of the motors is asked of the journal of its ticks.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.drd_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
+
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, HapticError
+from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.openhaptics import device as openhaptics
+from softfinger.drivers.openhaptics import library
+from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
+from softfinger.server.driver_contract import DriverContract, Servo
+
+__all__ = ["hd", "hd_library", "touch"]  # fixtures
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
+
+TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""From the library's frame (x right, y up, z towards the user) to the world's (x right, y away from the user, z up)."""
+NAMES = tuple(MODELS)
+WAIT_S = 10.0
+
+
+@pytest.fixture
+def bench(touch: TouchBench) -> TouchBench:
+    return touch
+
+
+class TestContract(DriverContract):
+    """The contract over the stand-in."""
+
+
+def until(met: Any) -> None:
+    end = time.monotonic() + WAIT_S
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.0005)
+
+
+def held(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
+    """Write a force until the motors have it: this machine may let it grow too old on the way."""
+
+    def given() -> bool:
+        servo.read()
+        servo.write(*force, 0.0, 0.0, 0.0)
+        return bench.displayed()[:3] == pytest.approx(force, abs=1e-12)
+
+    until(given)
+
+
+# --- what the header says ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", range(len(NAMES)))
+def test_every_model_opens_with_its_limits(model: int, hd: HdStub, bench: TouchBench) -> None:
+    """Each name opens with CHAI3D's limits, or with less where the device says less; a Premium turns the handle."""
+    name, outputs = NAMES[model], 6 if "6DOF" in NAMES[model] else 3
+    hd.update(model=model, outputs=outputs, max_force=50.0)
+    with bench.open(model=name) as device:
+        limits = MODELS[name]
+        assert device.info.name == f"{name}, serial 70001"
+        assert (device.info.sensed_dof, device.info.actuated_dof) == (6, outputs)
+        assert device.info.force_max_n == limits.force_max_n
+        assert device.info.torque_max_nm == (limits.torque_max_nm if outputs == 6 else 100.0)
+        assert device.info.stiffness_max_n_per_m == limits.stiffness_max_n_per_m
+        assert device.info.workspace_min_m == pytest.approx((-0.08, -0.035, -0.06))
+    hd["max_force"] = 0.9
+    with bench.open() as device:
+        assert device.info.force_max_n == 0.9
+
+
+def test_limits_are_those_of_chai3d() -> None:
+    """N, N m, N/m, N s/m by name, as published; of an unknown name the least of any."""
+    published = {
+        "Touch": (3.3, 0, 400, 4), "PHANTOM Omni": (3.3, 0, 700, 5), "PHANTOM Desktop": (7.9, 0, 1000, 5),
+        "PHANTOM Premium 1.5 6DOF": (8.5, 0.188, 800, 5), "PHANTOM Premium 3.0 6DOF": (22, 0.188, 1000, 5),
+    }  # fmt: skip
+    assert {name: tuple(MODELS[name]) for name in published} == published
+    assert all(a <= b for limits in MODELS.values() for a, b in zip(UNKNOWN, limits, strict=True))
+
+
+def test_unknown_model_runs_with_the_least_limits(
+    hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A name that nobody lists is opened with a warning and without torque; a rig that wants a model refuses it."""
+    hd.update(model=6, outputs=6)
+    with bench.open() as device:
+        assert device.info.actuated_dof == 3 and device.info.force_max_n == 3.3
+    assert "limits are not known" in caplog.text
+    with pytest.raises(DeviceNotFound, match=r"model = Touch: it is a Something new, serial 70001"):
+        bench.open(model="Touch")
+    assert hd["opens"] == hd["closes"] == 2 and not hd["running"]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
+def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, hd: HdStub, bench: TouchBench) -> None:
+    """Positions and forces by the turn between the frames, mm and m, orientations by it on both sides; torques in mN m,
+    on a model that has the motors."""
+    place = np.array([11.0, 22.0, -33.0])
+    hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
+    hd.reset_hand()
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    turned = np.eye(3)
+    turned[a, a] = turned[b, b] = np.cos(angle)
+    turned[b, a], turned[a, b] = np.sin(angle), -np.sin(angle)
+    with bench.open() as device:
+        servo = Servo(device)
+        status, sample = servo.read()
+        assert status == OK
+        np.testing.assert_allclose(sample[:3], TURN @ place / 1000, atol=1e-9)
+        w, x, y, z = sample[3:7]
+        matrix = np.array([
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ])  # fmt: skip
+        np.testing.assert_allclose(matrix, TURN @ turned @ TURN.T, atol=1e-12)
+        until(lambda: servo.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK and any(bench.displayed()))
+        force, torque = np.split(np.array(hd.wrench()), 2)
+        np.testing.assert_allclose(TURN @ force, [0.1, -0.2, 0.3], atol=1e-15)
+        np.testing.assert_allclose(TURN @ torque / 1000, [0.01, -0.02, 0.03], atol=1e-15)
+    assert hd["misuse"] == 0
+
+
+def test_torque_is_not_sent_where_no_motor_turns_the_handle(hd: HdStub, bench: TouchBench) -> None:
+    """On a Touch the torque of the contact stays in telemetry."""
+    with bench.open() as device:
+        servo = Servo(device)
+        servo.write(0.1, 0.0, 0.0, 0.1, 0.1, 0.1)
+        bench.displayed()
+        assert hd.wrench()[3:] == (0.0, 0.0, 0.0)
+
+
+def test_buttons_are_the_mask(hd: HdStub, bench: TouchBench) -> None:
+    """Bits 0 to 3 are buttons 1 to 4."""
+    hd["buttons"] = 0b1010
+    with bench.open() as device:
+        assert Servo(device).read()[1][8] == 10.0
+
+
+# --- opening -------------------------------------------------------------------------------------
+
+
+def test_the_order_of_opening_and_closing(hd: HdStub, bench: TouchBench) -> None:
+    """Opening leaves the motors off, arming switches them on; closing ends the library's thread; no call is misused."""
+    with bench.open_unarmed() as device:
+        assert hd["running"] and hd["output_sets"] == 0
+        servo = Servo(device, arm=False)
+        assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+        device.arm()
+        assert hd["output_sets"] == 1
+    assert not hd["running"]
+    assert (hd["opens"], hd["closes"], hd["starts"], hd["stops"], hd["scheduled"]) == (1, 1, 1, 1, 1)
+    assert hd["misuse"] == hd["errors"] == 0
+
+
+def test_a_force_that_a_killed_program_left_ends_with_the_opening(hd: HdStub, bench: TouchBench) -> None:
+    """A program that ended without a zero left its force to motors that keep it; the first frame takes it off."""
+    call = ctypes.CDLL(str(hd.path))
+    call.hdInitDevice.restype = ctypes.c_uint32
+    which = call.hdInitDevice(None)
+    call.hdBeginFrame(which)
+    call.hdEnable(library.FORCE_OUTPUT)
+    call.hdSetDoublev(library.CURRENT_FORCE, (ctypes.c_double * 3)(3.0, 0.0, 0.0))
+    call.hdEndFrame(which)
+    call.hdDisableDevice(which)
+    assert hd.wrench()[0] == 3.0
+    with bench.open_unarmed():
+        assert not any(hd.wrench())
+
+
+def test_calibration_by_itself_is_updated(hd: HdStub, bench: TouchBench) -> None:
+    """A device that wants its calibration updated gets it, in the best of its styles: by itself before the inkwell."""
+    hd.update(style=7, calibration=library.NEEDS_UPDATE, updates_needed=3)
+    with bench.open() as device:
+        assert device.calibrated
+    assert (hd["updated"], hd["update_style"]) == (3, library.AUTO)
+
+
+def test_calibration_in_the_inkwell_waits_for_the_user(
+    hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Opening says what to do and goes on as soon as the stylus is docked; it gives up after the rig's time."""
+    hd.update(style=library.INKWELL, calibration=library.NEEDS_MANUAL_INPUT)
+    with pytest.raises(DeviceError, match="not calibrated: put the stylus into the inkwell"):
+        bench.open(calibration_wait_s=0.1)
+    assert hd["opens"] == hd["closes"] == 1 and not hd["running"]
+
+    def dock() -> None:
+        until(lambda: caplog.text.count("inkwell") >= 2)
+        hd["docked"] = 1
+
+    user = threading.Thread(target=dock)
+    user.start()
+    with bench.open(calibration_wait_s=WAIT_S) as device:
+        assert device.calibrated and hd["update_style"] == library.INKWELL
+    user.join()
+
+
+def test_encoders_are_reset_on_the_rigs_word_alone(hd: HdStub, bench: TouchBench) -> None:
+    """Where the handle is then taken for its reset position: without `reset_encoders` the device is refused."""
+    hd.update(style=library.ENCODER_RESET, calibration=library.NEEDS_UPDATE)
+    with pytest.raises(DeviceError, match=r"reset position.*reset_encoders = true"):
+        bench.open()
+    assert hd["updated"] == 0
+    with bench.open(reset_encoders=True) as device:
+        assert device.calibrated and hd["update_style"] == library.ENCODER_RESET
+
+
+@pytest.mark.parametrize(
+    ("code", "kind", "words"),
+    [
+        (library.ALREADY_INITIATED, DeviceBusy, "in use by another program"),
+        (library.INVALID_LICENSE, DeviceError, "it has no licence"),
+        (library.COMM_ERROR, DeviceNotFound, "does not answer.*0x0302.*USB vendor 2988"),
+    ],
+)
+def test_error_of_opening_has_its_kind(
+    code: int, kind: type[HapticError], words: str, hd: HdStub, bench: TouchBench
+) -> None:
+    """The library's code decides what a failed opening is called, and is told in words."""
+    hd["init_error"] = code
+    with pytest.raises(kind, match=words) as caught:
+        bench.open()
+    assert type(caught.value) is kind and not hd["running"]
+
+
+def test_attached_device_that_does_not_answer(hd: HdStub, bench: TouchBench) -> None:
+    """With its port there it is no device that is missing."""
+    hd["devices"] = 0
+    bench.ports((PORT,))
+    with pytest.raises(
+        DeviceError, match=r"Geomagic Touch \(2988:0302\) at /dev/ttyACM0 is attached.*Touch_Setup"
+    ) as caught:
+        bench.open()
+    assert type(caught.value) is DeviceError
+
+
+def test_library_that_is_missing_broken_or_of_another_version(tmp_path: Path, bench: TouchBench) -> None:
+    """No file, a file that is none, a file without a function: each is said with the file and what to do."""
+    with pytest.raises(DeviceNotFound, match=r"library_file = '/no/libHD.so'.*OpenHaptics"):
+        bench.open(library_file="/no/libHD.so")
+    (tmp_path / "libHD.so").write_text("no library")
+    with pytest.raises(DeviceError, match=r"libHD.so cannot be loaded.*x86_64"):
+        bench.open(library_file=str(tmp_path / "libHD.so"))
+    old = compile_stub(SOURCE, tmp_path / "libHD.so.3.0.0", "-pthread", "-DhdIsEnabled=hdIsNotThere")
+    with pytest.raises(DeviceError, match=r"libHD.so.3.0.0 has no function hdIsEnabled: take OpenHaptics 3.4"):
+        bench.open(library_file=str(old))
+
+
+def test_library_is_looked_for_where_it_is_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hd_library: Path
+) -> None:
+    """The newest file of the first folder that has one; where none has, the error names every place."""
+    monkeypatch.setattr(library, "FOLDERS", (tmp_path / "a", tmp_path / "b"))
+    with pytest.raises(
+        DeviceNotFound, match=rf"{tmp_path}/a/libHD.so\*.*{tmp_path}/b/libHD.so\*.*libHD.so.3.4 by the loader"
+    ):
+        library.load(None)
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "libHD.so.3.4").write_text("older")
+    (tmp_path / "b" / "libHD.so.3.4.0").symlink_to(hd_library)
+    assert library.load(None)._name == str(tmp_path / "b" / "libHD.so.3.4.0")
+
+
+def test_identify_asks_and_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
+    """For `devices --ask`: model, serial, and whether it is calibrated; nothing is calibrated, no motor switched on."""
+    hd["calibration"] = library.NEEDS_MANUAL_INPUT
+    said = openhaptics.identify(PORT, bench.options())
+    assert said == {"model": "Touch", "serial": "70001", "calibrated": False}
+    assert hd["updated"] == hd["output_sets"] == 0 and not hd["running"]
+
+
+# --- the callback --------------------------------------------------------------------------------
+
+
+def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, bench: TouchBench) -> None:
+    """A servo that stands still leaves its force no longer than the rig's time and two ticks; when it goes on, it is
+    told once that the hand had zero, and that write gives zero, too."""
+    age_s = 0.02
+    with bench.open(force_age_max_s=age_s) as device:
+        servo = Servo(device)
+        held(servo, bench, (1.0, 0.0, 0.0))
+        wrote = time.monotonic_ns()
+        servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        until(lambda: not any(bench.displayed()))
+        rows = hd.journal()
+        rows = rows[rows["ns"] > wrote]
+        with_force = np.flatnonzero(rows["force"][:, 0])
+        last = with_force[-1]
+        assert rows["ns"][last] - wrote < age_s * 1e9 + (rows["ns"][last + 1] - rows["ns"][last]) + 2e6
+        lapses = device.counts()["lapses"]
+        assert lapses >= 1
+        assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert not any(bench.displayed())
+        held(servo, bench, (0.5, 0.0, 0.0))
+
+
+def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
+    """While the stylus is docked the force is limited to nothing, which ends no run; undocked, the guard is told once,
+    so that the force fades in. A rig may say that the switch is not asked."""
+    hd["style"] = library.INKWELL
+    with bench.open() as device:
+        servo = Servo(device)
+        held(servo, bench, (1.0, 0.0, 0.0))
+        hd["docked"] = 1
+        assert not any(bench.displayed())
+        statuses = [servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(5)]
+        assert statuses == [WITHHELD, *[STALE] * 4]
+        assert not any(bench.displayed())
+        assert "inkwell" in device.warning()
+        hd["docked"] = 0
+        hd.after(2)
+        assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert not any(bench.displayed()) and device.warning() == ""
+        held(servo, bench, (1.0, 0.0, 0.0))
+    hd["docked"] = 1
+    with bench.open(inkwell=False) as device:
+        held(Servo(device), bench, (1.0, 0.0, 0.0))
+
+
+def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
+    """From 0.8 of the maker's scale on until they are below 0.7; the run goes on."""
+    with bench.open() as device:
+        assert device.warning() == ""
+        for temperature, warns in ((0.75, False), (0.85, True), (0.75, True), (0.65, False)):
+            hd["temperature"] = temperature
+            hd.after(250)
+            assert ("hot" in device.warning()) is warns, temperature
+        assert Servo(device).read()[0] == OK
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "words"),
+    [
+        (0x0302, LOST, "does not answer"), (0x0300, LOST, "has a fault"), (0x0104, LOST, "does not know the device"),
+        (0x0200, FORCE_OFF, "too warm"), (0x0203, FORCE_OFF, "faster than the device allows"),
+        (0x0204, FORCE_OFF, "do not give the force"), (0x0304, PROTOCOL, "clock has failed"),
+        (0x0777, PROTOCOL, "not known.*0x0777"),
+    ],
+)  # fmt: skip
+def test_an_error_in_use_is_told_and_ends_the_force(
+    code: int, status: int, words: str, hd: HdStub, bench: TouchBench
+) -> None:
+    """The read has its status, the reason its words with the codes of library and device, the motors have zero."""
+    with bench.open() as device:
+        servo = Servo(device)
+        held(servo, bench, (1.0, 0.0, 0.0))
+        hd.push(code, 0)
+        assert not any(bench.displayed())
+        assert servo.read()[0] == status
+        assert re.search(words, device.reason()) and device.reason().endswith("the device's code 7)")
+
+
+def test_a_full_stack_of_errors_hides_nothing(hd: HdStub, bench: TouchBench) -> None:
+    """More errors than the stack holds, those of our own misuse first: what is told is what ended the device."""
+    with bench.open() as device:
+        servo = Servo(device)
+        servo.read()
+        hd["flood"] = 40
+        hd.push(0x0402, 0, 3)
+        assert not any(bench.displayed())
+        until(lambda: servo.read()[0] == LOST)
+        assert "does not answer" in device.reason()
+    assert hd["lost_errors"] > 0
+    hd.reset()
+    bench.open().close()  # errors of before are nobody's
+
+
+def test_an_error_of_another_device_is_not_this_ones(hd: HdStub, bench: TouchBench) -> None:
+    """Each error names its device."""
+    with bench.open() as device:
+        servo = Servo(device)
+        hd.push(0x0302, 1)
+        hd.after(3)
+        assert servo.read()[0] == OK and device.reason() == ""
+        assert device.counts()["errors"] == 1
+
+
+def test_what_a_device_does_not_have_is_not_asked_again(hd: HdStub, bench: TouchBench) -> None:
+    """A device that refuses its inkwell switch and temperatures opens and runs."""
+    hd.update(style=library.INKWELL, refuse_optional=1)
+    with bench.open() as device:
+        held(Servo(device), bench, (1.0, 0.0, 0.0))
+        assert device.counts()["errors"] == 2
+
+
+def test_force_that_cannot_be_switched_on(hd: HdStub, bench: TouchBench) -> None:
+    """Arming says so, with the library's words."""
+    with bench.open_unarmed() as device:
+        hd["refuse_force"] = 1
+        with pytest.raises(DeviceError, match=r"cannot be switched on: it cannot do this now \(error 0x0102"):
+            device.arm()
+
+
+def test_a_callback_that_is_not_called_any_more(hd: HdStub, bench: TouchBench) -> None:
+    """The library drops it, and the motors keep their force: the read says timeout, and `stop` gives zero itself."""
+    with bench.open() as device:
+        servo = Servo(device)
+        held(servo, bench, (1.0, 0.0, 0.0))
+        hd["drop_at"] = 0
+        hd.after(2)
+        until(lambda: servo.read()[0] == TIMEOUT)
+        assert hd.wrench()[0] == 1.0, "the stand-in's motors do not keep their force"
+        device.stop()
+        assert not any(hd.wrench())
+
+
+def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
+    """`stop` from another thread gives zero over it, and does not wait for it; when it goes on, the motors stay off."""
+    with bench.open() as device:
+        servo = Servo(device)
+        held(servo, bench, (1.0, 0.0, 0.0))
+        hd.update(delay_s=1.5, delay_at=hd["frames"] + 2)
+        until(lambda: servo.read()[0] == TIMEOUT)
+        begun = time.monotonic()
+        device.stop()
+        assert time.monotonic() - begun < 1.0
+        assert not any(hd.wrench())
+        hd.after(3)
+        assert not any(hd.wrench())
+
+
+def test_poses_that_are_none(hd: HdStub, bench: TouchBench) -> None:
+    """A mirrored matrix is no rotation and a NaN no place: both are handed on as NaN, which the loop refuses."""
+    with bench.open() as device:
+        servo = Servo(device)
+        hd["mirror"] = 1
+        until(lambda: np.isnan(servo.read()[1][3:7]).all())
+        hd.update(mirror=0, garbage=1)
+        servo.read()
+        for _ in range(200):
+            hd.after(1)
+            status, sample = servo.read()
+            assert status in (OK, STALE)
+            turn = np.array(sample[3:7])
+            assert np.isnan(turn).all() or abs(np.linalg.norm(turn) - 1.0) < 1e-9
+            servo.write(*sample[:3], 0.0, 0.0, 0.0)
+        assert hd["misuse"] == 0, "a force that is no number was given to the library"
+
+
+# --- two devices ---------------------------------------------------------------------------------
+
+
+def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
+    """One thread calls for both: each has its own pose and force, and one that is closed leaves the other its force."""
+    hd["devices"] = 2
+    with bench.open_unarmed() as first, bench.open_unarmed(name="Left Device") as second:
+        assert second.info.name.endswith("70002")
+        one, two = Servo(first), Servo(second)
+        assert two.read()[1][0] - one.read()[1][0] == pytest.approx(0.1)
+        held(one, bench, (1.0, 0.0, 0.0))
+        until(lambda: two.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0) == OK and (hd.after(2) or hd.wrench(1)[1] == 0.5))
+        second.close()
+        assert not any(hd.wrench(1))
+        held(one, bench, (1.0, 0.0, 0.0))
+    assert hd["misuse"] == 0 and not hd["running"]
+
+
+def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBench) -> None:
+    """The library's thread would stand still while a hand feels the first one's force."""
+    hd["devices"] = 2
+    with bench.open() as first:
+        held(Servo(first), bench, (1.0, 0.0, 0.0))
+        with pytest.raises(DeviceBusy, match="name both in one rig"):
+            bench.open_unarmed(name="Left Device")
+        assert Servo(first, arm=False).read()[0] in (OK, STALE)
+
+
+def test_the_same_device_twice_is_busy(hd: HdStub, bench: TouchBench) -> None:
+    """By the library's own word; the first one goes on."""
+    with bench.open_unarmed() as first:
+        with pytest.raises(DeviceBusy, match="twice in this rig"):
+            bench.open_unarmed()
+        hd.after(3)
+        assert Servo(first).read()[0] == OK
+
+
+def test_page_lists_every_option() -> None:
+    """docs/devices/touch.md has a row for each key of the rig, and no other."""
+    page = (Path(__file__).parents[2] / "docs" / "devices" / "touch.md").read_text("utf-8")
+    part = page.split("## What a rig may say\n", 1)[1].split("\n## ", 1)[0]
+    assert re.findall(r"^\| `(\w+)` \|", part, re.M) == list(openhaptics.Options.__struct_fields__)

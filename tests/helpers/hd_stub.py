@@ -1,0 +1,167 @@
+"""The stand-in for 3D Systems' library, compiled by the test."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from helpers.drd_stub import COMPILER, NO_COMPILER, compile_stub
+from softfinger.drivers.openhaptics import device as openhaptics
+from softfinger.drivers.openhaptics import usb
+from softfinger.drivers.system.discovery import Attached
+from softfinger.server.driver_contract import RATE_HZ, Bench
+
+SOURCE = Path(__file__).parents[1] / "stubs" / "hd.c"
+ROWS = 1 << 16
+ROW = np.dtype([("ns", "<i8"), ("device", "<i8"), ("force", "<f8", 3), ("torque", "<f8", 3)])
+JOURNAL = np.dtype([("count", "<i8"), ("pad", "<i8", 7), ("row", ROW, ROWS)])
+
+
+def rows_of(journal: NDArray[Any]) -> NDArray[Any]:
+    """Rows of a journal in the order of their times, the library's frame; of a process that has ended, too."""
+    count = int(journal["count"])
+    rows = journal["row"]
+    return rows[:count].copy() if count <= ROWS else np.roll(rows, -(count % ROWS))
+
+
+def journal_in(file: Path) -> NDArray[Any]:
+    """What a process with STUB_HD_LOG has left."""
+    return rows_of(np.fromfile(file, JOURNAL)[0])
+
+
+class HdStub:
+    """The library as tests steer it: `stub["error_at"] = 300`, `stub["frames"]`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._library = ctypes.CDLL(str(path))  # the very library that the driver loads: one file, one state
+        self._library.stub_get.restype = ctypes.c_double
+        self._library.stub_set.argtypes = [ctypes.c_char_p, ctypes.c_double]
+        self._library.stub_journal.restype = ctypes.c_void_p
+
+    def __getitem__(self, name: str) -> float:
+        return float(self._library.stub_get(name.encode()))
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self._library.stub_set(name.encode(), value)
+
+    def update(self, **values: float) -> None:
+        for name, value in values.items():
+            self[name] = value
+
+    def reset(self) -> None:
+        self._library.stub_reset()
+
+    def reset_hand(self) -> None:
+        """Put the handles where the hands' paths begin."""
+        self._library.stub_reset_hand()
+
+    def push(self, code: int, device: int = -1, many: int = 1) -> None:
+        """Put an error onto the stack, of a device or of none."""
+        self._library.stub_push(code, device, many)
+
+    def wrench(self, device: int = 0) -> tuple[float, ...]:
+        """What the motors give now, in the library's frame: N, mN m."""
+        out = (ctypes.c_double * 6)()
+        self._library.stub_force(device, out)
+        return tuple(out)
+
+    def journal(self) -> NDArray[Any]:
+        """Rows so far: what the motors gave, tick by tick."""
+        memory = (ctypes.c_char * JOURNAL.itemsize).from_address(self._library.stub_journal())
+        return rows_of(np.frombuffer(memory, JOURNAL)[0])
+
+    def after(self, ticks: int) -> None:
+        """Wait for so many ticks of the library's thread; not where it stands still."""
+        until, end = self["ticks"] + ticks, time.monotonic() + 10.0
+        while self["ticks"] < until and self["running"]:
+            assert time.monotonic() < end
+            time.sleep(0.0002)
+
+
+@pytest.fixture(scope="session")
+def hd_library() -> Iterator[Path]:
+    """The library, in a folder that any user may enter."""
+    if COMPILER is None:
+        pytest.skip(NO_COMPILER)
+    with tempfile.TemporaryDirectory(prefix="hd-") as folder:
+        os.chmod(folder, 0o755)
+        yield compile_stub(SOURCE, Path(folder) / "libHD.so.3.4.0", "-pthread")
+
+
+@pytest.fixture
+def hd(hd_library: Path) -> Iterator[HdStub]:
+    """One Touch at the stub's settings, the hand still, 20 mm above the middle."""
+    stub = HdStub(hd_library)
+    assert not stub["running"], "a test before left its device open"
+    stub.reset()
+    yield stub
+    stub.reset()
+
+
+PORT = Attached("serial", usb.VENDOR, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0")
+
+
+class TouchBench(Bench):
+    """A Touch behind the stand-in."""
+
+    def __init__(self, stub: HdStub, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.stub = stub
+        self._patch = monkeypatch
+        self.ports(())
+
+    def ports(self, ports: tuple[Attached, ...], permitted: bool = True) -> None:
+        """What the system lists, and whether this user may open it."""
+        self._patch.setattr(usb.discovery, "attached", lambda: list(ports))
+        self._patch.setattr(usb.discovery, "permitted", lambda node: permitted)
+
+    patience_s = 5.0  # the library's thread is not waited for, and this machine may hold any thread up
+
+    def options(self, **options: Any) -> openhaptics.Options:
+        # An old force counts real time, and a test between two exchanges takes what this machine gives it.
+        return openhaptics.Options(**{"library_file": str(self.stub.path), "force_age_max_s": 0.1, **options})
+
+    def open_unarmed(self, **options: Any) -> openhaptics.OpenHaptics:
+        return openhaptics.open_device(self.options(**options), RATE_HZ)
+
+    def open(self, **options: Any) -> openhaptics.OpenHaptics:
+        device = self.open_unarmed(**options)
+        device.arm()
+        return device
+
+    def displayed(self) -> tuple[float, ...]:
+        self.stub.after(2)  # a force is with the motors at the end of the next frame
+        fx, fy, fz, tx, ty, tz = self.stub.wrench()
+        return fx, -fz, fy, 1e-3 * tx, -1e-3 * tz, 1e-3 * ty
+
+    def make(self, case: str) -> None:
+        match case:
+            case "not_found":
+                self.stub["devices"] = 0
+            case "busy":
+                self.stub["held"] = 1
+            case "permission":
+                self.stub["devices"] = 0
+                self.ports((PORT,), permitted=False)
+            case "lost":
+                self.stub["unplugged"] = 1
+            case "timeout":
+                self.stub["hang_at"] = 0
+
+    def mend(self) -> None:
+        self.stub.reset()
+        self.ports(())
+
+
+@pytest.fixture
+def touch(hd: HdStub, monkeypatch: pytest.MonkeyPatch) -> TouchBench:
+    return TouchBench(hd, monkeypatch)
