@@ -26,7 +26,7 @@ def _called(returns: Any) -> Any:
 
 @intrinsic
 def call_int32(typing_context, address, arguments):  # type: ignore[no-untyped-def]
-    """int32 f(...) at `address` (int64); `arguments` is a tuple of float64, int32, int64 and pointers, passed as they are.
+    """int32 f(...) at `address` (int64); `arguments` is a tuple of float64, int32, int64 and pointers, passed as is.
 
     A C `char` or `bool` parameter takes an int32: the callee looks at the low byte, whatever its sign convention.
     """
