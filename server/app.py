@@ -17,6 +17,7 @@ from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.publishing.setup import Shown
+from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.commands import Commands, Doing
 from softfinger.server.services.device_warnings import DeviceWarnings
@@ -28,6 +29,7 @@ from softfinger.server.services.rendering import Rendering
 from softfinger.server.services.supervisor import Supervisor
 from softfinger.server.services.telemetry import Telemetry
 from softfinger.server.services.world import WorldState
+from softfinger.server.states import State, States, Trigger
 from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.publisher import Publisher
@@ -77,6 +79,7 @@ class Daemon:
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
         self._fingers: Final = fingers
         """Names of several fingers, by which messages tell them apart; a single one needs none."""
+        self.states: Final = States(self._tell_state)
         doors = doors_of(rig)
         opened: list[Callable[[], None]] = [doors.close]
         try:
@@ -93,7 +96,7 @@ class Daemon:
             if rig.metrics.endpoint is not None:
                 metrics = self._metrics(rig.metrics.endpoint)
                 opened.append(metrics.stop)
-            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults)
+            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states)
         except BaseException as error:
             shutdown.every(*reversed(opened), first=error)
             raise
@@ -164,6 +167,13 @@ class Daemon:
         Raises what ended it, if that was not a stop, the last tick or the end of a recording:
         a DeviceError, SafetyStop, RealtimeError or a programming error.
         """
+        try:
+            return self._wait(timeout_s)
+        except Exception as error:
+            self.states.fail(str(error))
+            raise
+
+    def _wait(self, timeout_s: float | None) -> bool:
         until = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
         while (ended := self.servo.join(max(0.0, min(WAIT_POLL_S, until - time.monotonic())))) is None:
             if self._failure is not None and time.monotonic() - self._failed_at > STUCK_S:
@@ -186,7 +196,8 @@ class Daemon:
         Every step is taken, whatever became of the one before; the first error is raised at the end, the others are
         logged. `first`: an error that is on its way already; then all of them are.
         """
-        failed = stop_all(self.services, first)
+        failed = shutdown.every(lambda: self.states.fire(Trigger.END, "asked to, or done"), first=first)
+        failed = stop_all(self.services, failed)
         if failed is not None and failed is not first:
             raise failed
 
@@ -203,6 +214,11 @@ class Daemon:
         self.publisher.event(kind, name, **fields)
         self.recordings.tell(kind, name, fields)
 
+    def _tell_state(self, before: State, now: State, cause: str) -> None:
+        """Publish a state, and record it."""
+        self.publisher.state(before.value, now.value, cause)
+        self.recordings.tell("state", now.value, {"before": before.value, "cause": cause})
+
     def _services(
         self, scene_name: str, hotplug: Hotplug, metrics: Metrics | None, sinks: Sequence[Sink]
     ) -> list[Service]:
@@ -216,7 +232,8 @@ class Daemon:
             others.append(Commands(self.commands_endpoint, self.rendering, doing, scene_name))
         if metrics is not None:
             others.append(metrics)
-        taking = [telemetry.sink, self.recordings.sink, *sinks, *(service.sink for service in others)]
+        arming = Arming(self.rendering, self.states)
+        taking = [telemetry.sink, self.recordings.sink, arming.sink, *sinks, *(service.sink for service in others)]
         return [
             telemetry,
             self.recordings,
@@ -238,7 +255,7 @@ class Daemon:
             seen = self.publisher.figures
             return Wire(seen.subscribers, seen.lost, seen.refused, self.publisher.restarts)
 
-        counts = Counts(self._fingers, wire, lambda: self.recordings.written())
+        counts = Counts(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
         return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _prepare(self) -> Callable[[], None]:

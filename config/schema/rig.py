@@ -149,8 +149,8 @@ class Guard(Table, frozen=True, kw_only=True):
     ) = None
     heat_time_s: Annotated[float, within(limits.HEAT_TIME_S, "thermal time constant of the motors", 30.0)] = 30.0
     energy_max_j: Annotated[
-        float, within(limits.ENERGY_MAX_J, "energy that contacts may give to the hand; beyond it the force fades", 0.5)
-    ] = 0.5
+        float, within(limits.ENERGY_MAX_J, "energy that contacts may give to the hand; beyond it the force fades", 0.2)
+    ] = 0.2
     workspace: Annotated[Workspace | None, said("soft wall in front of the end stops; default: none")] = None
 
 

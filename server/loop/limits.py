@@ -17,7 +17,8 @@ Source: the thermal replica of IEC 60255-149, Measuring relays: thermal electric
 Energy. The work of the force on the hand within a contact, as `passivity.py` observes it. What the hand has put in is
 lost with the contact; what it was given counts on over several contacts, and is forgotten over FORGET_S, so that
 rounding never comes to the limit. Between the limit and twice of it the share of the force falls linearly to zero:
-no more than twice the limit is given.
+no more than twice the limit is given. The share goes by the most that was given, so that the press of the next bounce
+on an unstable wall meets the weaker force too.
 Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, for the observer.
 """
 
@@ -71,16 +72,18 @@ UNLIMITED: Final = Limits(inf, 0.0, inf, 1.0, inf, NO_WALL)
 class Limited(NamedTuple):
     """What the limits remember: smoothed velocity of the handle (3,) m/s; for how long, s, it has to be slow until the
     force comes back, 0 where it has not been too fast; heat, 1 is that of the continuous force; work (J) of the hand
-    in this contact, below 0 what it was given; 1 if the last tick was in contact."""
+    in this contact, below 0 what it was given; the most that it was given, as far as it is not forgotten; 1 if the last
+    tick was in contact."""
 
     velocity: Vec3
     wait: float
     heat: float
     work: float
+    given: float
     touching: float
 
 
-COLD: Final = Limited((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+COLD: Final = Limited((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @jit
@@ -143,11 +146,17 @@ def owed(work: float, given: float, touched: bool, touches: bool, dt: float) -> 
 
 
 @jit
-def share_of(limits: Limits, work: float) -> float:
+def remembered(given: float, work: float, dt: float) -> float:
+    """The most energy (J) that was given, after `dt` s: what the hand does in the next contact does not pay for it."""
+    return max(given * FORGET_S / (FORGET_S + dt), -work)
+
+
+@jit
+def share_of(limits: Limits, given: float) -> float:
     """The share of the force that the energy given allows, 0 to 1."""
-    if -work <= limits.energy:
+    if given <= limits.energy:
         return 1.0
-    return max(2.0 + work / limits.energy, 0.0)
+    return max(2.0 - given / limits.energy, 0.0)
 
 
 @jit

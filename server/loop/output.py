@@ -27,6 +27,7 @@ from softfinger.server.loop.limits import (
     Limited,
     coolest,
     owed,
+    remembered,
     share_of,
     smoothed,
     waiting,
@@ -67,7 +68,7 @@ def observed(guard: Guard, passed: Passed, motion: Motion, mode: float, dt: floa
     mode  of the contact now
     """
     limits, before = guard.limits, passed.limited
-    velocity, work, touches = before.velocity, before.work, mode != FREE
+    velocity, work, most, touches = before.velocity, before.work, before.given, mode != FREE
     if limits.speed < inf:
         moved = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
         velocity = smoothed(velocity, moved, dt)
@@ -75,7 +76,8 @@ def observed(guard: Guard, passed: Passed, motion: Motion, mode: float, dt: floa
         touched = before.touching != 0.0
         given = work_on_hand(felt(guard, passed.guarded), motion) if touched else 0.0
         work = owed(work, given, touched, touches, dt)
-    return Limited(velocity, before.wait, before.heat, work, 1.0 if touches else 0.0)
+        most = remembered(most, work, dt)
+    return Limited(velocity, before.wait, before.heat, work, most, 1.0 if touches else 0.0)
 
 
 @jit
@@ -94,9 +96,11 @@ def output_wrench(
         push, out = wall_force(limits.workspace, handle_at(motion.tool, motion.now))
         if out:
             force, bits = vec3.add(force, push), WORKSPACE_EDGE
-    share = share_of(limits, limited.work)
-    if share < 1.0:
-        force, torque, bits = vec3.scale(share, force), vec3.scale(share, torque), bits | ENERGY_SPENT
+    share = share_of(limits, limited.given)
+    if share < 1.0:  # of the limits, too: else a stiff wall, which asks for many times those, would keep all of them
+        force, _ = clamp(vec3.scale(share, force), share * guard.force_max)
+        torque, _ = clamp(vec3.scale(share, torque), share * guard.torque_max)
+        bits |= ENERGY_SPENT
     allowed = coolest(limits, limited.heat, guard.force_max)
     if allowed < guard.force_max:
         force, reduced = clamp(force, allowed)
@@ -108,7 +112,8 @@ def output_wrench(
         nothing = (0.0, 0.0, 0.0)
         guarded, changed = Guarded(nothing, nothing, 0.0), changed | TOO_FAST
     heat = warmed(limits, limited.heat, guarded.force, instant.dt)
-    return Passed(guarded, Limited(limited.velocity, wait, heat, limited.work, limited.touching)), changed | bits
+    velocity, work, given, touching = limited.velocity, limited.work, limited.given, limited.touching
+    return Passed(guarded, Limited(velocity, wait, heat, work, given, touching)), changed | bits
 
 
 @jit
@@ -116,4 +121,5 @@ def at_rest(guard: Guard, limited: Limited, dt: float) -> Limited:
     """What the limits remember after a tick without a pose, which has no force: the motors cool, and what was too fast
     waits on."""
     nothing = (0.0, 0.0, 0.0)
-    return Limited(nothing, limited.wait, warmed(guard.limits, limited.heat, nothing, dt), limited.work, 0.0)
+    heat, given = warmed(guard.limits, limited.heat, nothing, dt), remembered(limited.given, limited.work, dt)
+    return Limited(nothing, limited.wait, heat, limited.work, given, 0.0)

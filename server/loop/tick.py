@@ -82,7 +82,7 @@ def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
     for place, (finger, guard) in enumerate(zip(start.fingers, guards, strict=True)):
         record = row[place * RECORD_SIZE :]
         wait = max(guard.limits.slow_s, SPEED_S) if int(record[AT.servo_guard]) & TOO_FAST else 0.0
-        limited = COLD._replace(wait=wait, heat=float(record[AT.limits_heat]), work=-float(record[AT.limits_energy]))
+        limited = COLD._replace(wait=wait, heat=float(record[AT.limits_heat]), given=float(record[AT.limits_energy]))
         fingers.append(finger._replace(limited=limited))
     return start._replace(fingers=tuple(fingers))
 
@@ -205,7 +205,7 @@ def command_one(
     record[AT.passivity_damping] = energy.damping
     record[AT.limits_speed] = norm(limited.velocity)
     record[AT.limits_heat] = limited.heat
-    record[AT.limits_energy] = 0.0 - min(limited.work, 0.0)
+    record[AT.limits_energy] = limited.given
     return (FingerMemory(state, guarded, energy, limited),)
 
 

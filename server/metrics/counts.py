@@ -25,6 +25,7 @@ from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.recordings import Written
+from softfinger.server.states import State
 
 Array = NDArray[np.float64]
 
@@ -104,10 +105,17 @@ class Counts(Collector):
     fingers  their names, an empty one for a single finger
     wire     what the publisher counts
     written  what the recordings of the run do
+    state    of the daemon
     """
 
-    def __init__(self, fingers: Sequence[str], wire: Callable[[], Wire], written: Callable[[], Written]) -> None:
-        self._names, self._wire, self._written = tuple(fingers), wire, written
+    def __init__(
+        self,
+        fingers: Sequence[str],
+        wire: Callable[[], Wire],
+        written: Callable[[], Written],
+        state: Callable[[], State],
+    ) -> None:
+        self._names, self._wire, self._written, self._state = tuple(fingers), wire, written, state
         self._lock = threading.Lock()
         self._rows = np.empty((ROWS, len(self._names), len(_COLUMNS)))
         self._kept = self._ticks = self._missed = self._drops = 0
@@ -148,6 +156,10 @@ class Counts(Collector):
         yield _counter("softfinger_connections_refused", "Connections refused or cut off for what they did", refused)
         yield _counter("softfinger_publisher_restarts", "Times the publisher was started again", restarts)
         yield from _of_recordings(self._written())
+        state, now = GaugeMetricFamily("softfinger_state", "1 for the daemon's state", labels=["state"]), self._state()
+        for each in State:
+            state.add_metric([each.value], float(each is now))
+        yield state
         yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})
 
     def _of_servo(self) -> Iterator[Metric]:

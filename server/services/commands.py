@@ -28,6 +28,7 @@ from softfinger.server.services.description import described
 from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering, Replacing
+from softfinger.server.states import COMMANDED, FAST, SILENT, UNARMED
 from softfinger.server.wire import commands as wire
 from softfinger.server.wire.envelope import Declined, Request, answered, declined, parse
 from softfinger.server.wire.link import Answering
@@ -39,10 +40,6 @@ EVENT_BYTES_MAX: Final = 1024
 """Most that a request puts into an event: the publisher keeps 40 000 messages for whoever is slow."""
 
 LOG_PERIOD_S: Final = 10.0
-
-_COMMANDED: Final = "command"
-_SILENT: Final = "heartbeat"
-"""Why there is no force."""
 
 
 class Doing(NamedTuple):
@@ -155,8 +152,8 @@ class Commands:
     def _look_after(self) -> None:
         self._rendering.advance()
         silent_s = time.monotonic() - self._heard_s
-        if self._heartbeat_s is not None and silent_s > self._heartbeat_s and not self._rendering.disarmed_for(_SILENT):
-            self._rendering.disarm(_SILENT)
+        if self._heartbeat_s is not None and silent_s > self._heartbeat_s and not self._rendering.disarmed_for(SILENT):
+            self._rendering.disarm(SILENT)
             log.warning("commands: none for %.2f s: the force is taken off until the next heartbeat", silent_s)
             self._tell("heartbeat_missed", "", {"after_s": self._heartbeat_s})
 
@@ -172,11 +169,13 @@ class Commands:
     def _get_state(self, request: Request) -> wire.State:
         if self._newest is None:
             raise Declined("refused", "there has been no tick yet: ask again later")
-        return wire.state_of(self._newest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
+        return wire.state_of(
+            self._newest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name, self._rendering.state
+        )
 
     def _heartbeat(self, request: Request) -> wire.Alive:
-        if self._rendering.disarmed_for(_SILENT):
-            self._rendering.arm(_SILENT)
+        if self._rendering.disarmed_for(SILENT):
+            self._rendering.arm(SILENT)
             self._tell("heartbeat", request.command_id, {"armed": self._rendering.armed})
         return wire.Alive(round(1000 * (self._heartbeat_s or 0.0)))
 
@@ -291,12 +290,12 @@ class Commands:
 
     def _arm(self, request: Request) -> wire.Armed:
         before = self._rendering.armed
-        self._rendering.arm(_COMMANDED, _SILENT)
+        self._rendering.arm(COMMANDED, SILENT, UNARMED, FAST)
         return self._switched(request, before)
 
     def _disarm(self, request: Request) -> wire.Armed:
         before = self._rendering.armed
-        self._rendering.disarm(_COMMANDED)
+        self._rendering.disarm(COMMANDED)
         return self._switched(request, before)
 
     def _switched(self, request: Request, before: bool) -> wire.Armed:

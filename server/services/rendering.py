@@ -29,6 +29,7 @@ from softfinger.server.loop.tuning import fading_out, make_tuning, seconds_to_ze
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.devices import check_replacement, injected, open_devices, tools
+from softfinger.server.states import UNARMED, States
 
 PAUSE_TICKS: Final = 3
 """The first begun before may still carry a force, the second is zero, and the third says that it was written."""
@@ -54,6 +55,7 @@ class Rendering:
     rig, scene      validated configuration
     ticks, prepare  as of `Servo`
     faults          to be injected between the devices and the loop
+    states          go by what keeps the force off
 
     Its failures are how the servo ends: `Servo.join` has them. Raises what opening a device raises, and ConfigError for
     a rig that has no device for a finger; nothing stays open then.
@@ -66,6 +68,7 @@ class Rendering:
         ticks: int | None,
         prepare: Callable[[], Callable[[], None]],
         faults: schema.Faults | None = None,
+        states: States | None = None,
     ) -> None:
         self._rig, self._scene = rig, scene
         self.faults: Final = faults
@@ -76,9 +79,13 @@ class Rendering:
         self._replacing = threading.Lock()
         self._handing_over = threading.Lock()
         """Held by whoever changes the tuning of the loop, or the loop."""
-        self._disarmed: set[str] = set()
+        self._states = states or States()
+        self._disarmed = set[str]() if rig.guard.arm == "automatic" else {UNARMED}
         """Why there is to be no force."""
-        self._force: float | None = 1.0
+        self._guarded = set[str]()
+        """Why the guard gives none by itself."""
+        self._armed_at = 0
+        self._force: float | None = float(self.armed)
         """What the guards' `armed` is, None while the force is on its way to zero."""
         self._due = 0
         """Ticks after which `advance` may change it."""
@@ -87,8 +94,9 @@ class Rendering:
         devices = self._open(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
+            begun = with_armed(self._tuning, float(self.armed))
             with making("kernels that call the device"):
-                self.servo: Final = Servo(devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s)
+                self.servo: Final = Servo(devices, begun, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s)
         except BaseException as error:
             shutdown.every(lambda: shutdown.close_all(devices), first=error)
             raise
@@ -126,6 +134,8 @@ class Rendering:
             servo.compile(self._loop(asked, rig))
             with self._handing_over:
                 scene = scene or self._scene  # whose parameters may have changed meanwhile
+                if not keeps and rig.guard.arm != "automatic":  # it may be another hand
+                    self._disarmed.add(UNARMED)
                 self._fade_out()
                 first = servo.replace(
                     (lambda: self._loop(scene, rig)) if keeps else (lambda: self._opened(scene, rig)), keeps
@@ -161,6 +171,16 @@ class Rendering:
     def armed(self) -> bool:
         """Whether there is force, or is to be."""
         return not self._disarmed
+
+    @property
+    def state(self) -> str:
+        """The daemon's."""
+        return self._states.now.value
+
+    @property
+    def armed_at(self) -> int:
+        """How many ticks may have begun before the force was given last."""
+        return self._armed_at
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
         """Put values in place of the scene's, keys as of `load_scene`: from one tick on all of them, or none. What acts
@@ -225,11 +245,21 @@ class Rendering:
         """Take the force off along the slew limit, and keep it off; never waits."""
         self._disarmed.add(why)
         self.advance()
+        self.tell()
 
     def arm(self, *why: str) -> None:
         """Take back reasons of `disarm`: with the last of them the force fades in, along the guard's ramp."""
         self._disarmed.difference_update(why)
         self.advance()
+        self.tell()
+
+    def tell_fault(self, why: str, there: bool) -> None:
+        """Note whether the guard keeps the force off by itself for this reason."""
+        (self._guarded.add if there else self._guarded.discard)(why)
+
+    def tell(self) -> None:
+        """Have the state go by what keeps the force off now."""
+        self._states.follow(self._disarmed | self._guarded)
 
     def advance(self) -> None:
         """What is next in taking the force off or giving it back; to be called at times, never waits."""
@@ -243,7 +273,7 @@ class Rendering:
             elif self._force and self._disarmed:
                 self._force, self._due = None, self.servo.ticks + self._ticks_to_zero()
             elif not self._force and not self._disarmed:
-                self._force = 1.0
+                self._force, self._armed_at = 1.0, self.servo.ticks + ARM_TICKS
             else:
                 return
             self._tune()

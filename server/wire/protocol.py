@@ -83,7 +83,7 @@ EVENT_KEYS: Final = (
     _SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "time of the event since the epoch"),
     _TICK_KEY,
-    Key("kind", "str", "", "", "contact, guard, servo, device, command, mark, fault or lifecycle"),
+    Key("kind", "str", "", "", "contact, guard, servo, device, command, mark, fault, state or lifecycle"),
     Key("name", "str", "", "", "what happened"),
 )
 """Keys every event has."""
@@ -134,6 +134,10 @@ EVENT_EXTRA_KEYS: Final = {
         Key("label", "str", "", "", "as given"),
         Key("data", "map", "", "", "as given"),
     ),
+    "state": (
+        Key("before", "str", "", "", "state before; the name of the event is the new one"),
+        Key("cause", "str", "", "", "what led to it"),
+    ),
 }
 """Keys that events of a kind add; kinds not listed here add what the event needs."""
 
@@ -169,6 +173,7 @@ HEALTH_KEYS: Final = (
     ),
     Key("refused", "int", "1", "", "connections refused or cut off for what they did, since the server started"),
     Key("restarts", "int", "1", "", "times the publisher ended and was started again, since the server started"),
+    Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
 )
 
 STATE_KEYS: Final = (

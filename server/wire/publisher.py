@@ -83,7 +83,7 @@ class Publisher(Closing):
         self._backlog, self._priority, self._shown, self._health_body = backlog, priority, Shown(), b""
         self._events = [RecordEvents(guard_names, finger, place == 0) for place, finger in enumerate(fingers)]
         self._health = [Health() for _ in fingers]
-        self._closed = False
+        self._closed, self._state = False, ""
         self._doors: Final = door(doors) if isinstance(doors, str) else doors
         self.endpoint: Final = self._doors.telemetry
         alone = isinstance(doors, str)
@@ -205,6 +205,7 @@ class Publisher(Closing):
                 health["lost"] = figures.lost
                 health["refused"] = figures.refused
                 health["restarts"] = self._link.restarts
+                health["state"] = self._state
                 self._send(HEALTH, health)
             if self._link.failed or self.tap.failed:
                 raise RuntimeError("the process that sends, or the thread that hands on, has ended")
@@ -218,6 +219,11 @@ class Publisher(Closing):
             self._send(
                 EVENT, fields | {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
             )
+
+    def state(self, before: str, now: str, cause: str) -> None:
+        """Send that the state of the daemon is another one; `health` has it from there on."""
+        self._state = now
+        self.event("state", now, before=before, cause=cause)
 
     def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
         """Send where the bodies of a scene were in a tick: maps with the keys of WORLD_KEYS; from any thread."""

@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, load_rig, load_scene, shipped
+from softfinger.config.load import build, load_rig, load_scene, overridden, shipped
 from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.poses import load_poses, shipped_names
 from softfinger.drivers.resample import resample
+from softfinger.drivers.simulated.options import Simulation
+from softfinger.drivers.simulated.plant import Handle, Impedance, Intention, make_plant
+from softfinger.drivers.simulated.plant import at_rest as resting
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
 from softfinger.server.loop import guard as g
@@ -23,6 +26,7 @@ from softfinger.server.loop.output import BEGUN, Instant, at_rest, output_wrench
 from softfinger.server.loop.passivity import Motion
 from softfinger.server.loop.tick import begin, carried_over
 from softfinger.server.loop.tuning import guard_limits, make_tuning, with_offsets
+from softfinger.server.offline.closed_loop import run_closed_loop
 from softfinger.server.offline.simulate import simulate
 
 pytestmark = pytest.mark.plain
@@ -154,7 +158,7 @@ def test_energy_given_in_a_contact_fades_the_force():
     for n in range(8000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.1 * T, 0.0, 0.0), ROLLING)
         shares.append(passed.guarded.force[0] / 4.0)
-        given = -passed.limited.work
+        given = passed.limited.given
         if not bits & g.ENERGY_SPENT:  # the first tick has no force before it
             expected = 0.4 * T * ratio * (1.0 - ratio**n) / (1.0 - ratio)
             assert given == pytest.approx(expected, rel=1e-9) and given <= 0.1  # a thousand rounded steps
@@ -221,6 +225,27 @@ def test_the_wall_cannot_push_past_the_guard():
     assert bits == g.WORKSPACE_EDGE | g.FORCE_CLAMPED | g.SLEW_LIMITED
 
 
+@pytest.mark.parametrize("energy", [0.05, inf])
+def test_an_unstable_wall_fades(energy):
+    """A light hand, a stiff wall and a delay of a tick: a bounce that grows to the guard's limit; with a limit on the
+    energy it is given less than twice of that, and the wall that it meets is weaker."""
+    stiff = overridden(load_scene("frictionless-plane"), {"object.0.material.stiffness_n_per_m": 5000.0}, "test")
+    tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
+    limits = lim.UNLIMITED._replace(energy=energy)
+    tuning = tuning._replace(guards=(tuning.guards[0]._replace(limits=limits),))
+    plant = make_plant(T, Handle((0.2,) * 3, (0.3,) * 3, delay=1), Impedance(0.05, 0.5, 300.0))
+    wanted = np.array([0.0, 0.0, 0.005, *LEVEL])
+    device = Simulation(plant, resting((0.0, 0.0, 0.008)), Intention(1.0, 0.0, NONE, 0.0, 0.0), wanted)
+    records = np.concatenate(list(run_closed_loop(tuning, device, 1.0 / T, 1500)))[:, 0]
+    late = np.linalg.norm(records[1000:, AT.force : AT.force + 3], axis=1).max()
+    spent = bool((records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT).any())
+    given = records[:, AT.limits_energy].max()
+    if energy == inf:
+        assert late == 12.0 and not spent
+    else:
+        assert late < 0.8 * 12.0 and spent and energy < given < 2.0 * energy
+
+
 any_force = st.tuples(*[st.one_of(st.floats(-50, 50), st.floats(allow_nan=True, allow_infinity=True))] * 3)
 any_way = st.tuples(*[st.floats(-0.01, 0.01)] * 3)
 
@@ -250,7 +275,7 @@ def test_no_limit_is_ever_passed(steps):
         # Those ticks of the slew limit heat as well: at most six, from 12 N, each (12 / 3)^2 of 1 in 21.
         assert passed.limited.heat <= 1.0 + 6 * 16.0 / 21.0
         # As for the heat: six ticks of 12 N along what this test moves a handle in one.
-        assert -passed.limited.work <= 0.02 + 7 * 12.0 * 0.01 * math.sqrt(3.0)
+        assert passed.limited.given <= 0.02 + 7 * 12.0 * 0.01 * math.sqrt(3.0)
 
 
 def test_only_a_device_that_holds_a_force_is_limited():
@@ -258,7 +283,7 @@ def test_only_a_device_that_holds_a_force_is_limited():
     rig = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
     limits = guard_limits(rig, ARM).limits
     wall = lim.Workspace(NONE, (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
-    assert limits == lim.Limits(2.0, lim.SLOW_S, 3.0, 30.0, 0.5, wall)
+    assert limits == lim.Limits(2.0, lim.SLOW_S, 3.0, 30.0, 0.2, wall)
     assert guard_limits(schema.Guard(arm="button"), ARM).limits.slow_s == inf
     assert guard_limits(schema.Guard(workspace=schema.Workspace(radius_m=0.07)), ARM).limits.workspace.radius == 0.07
     for recorded in (DeviceInfo("r", 6, 6, 40.0, 2.0, 1e9, 1e3, NONE, NONE, own_clock=True), None):
@@ -289,7 +314,7 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
     second[AT.limits_heat], second[AT.limits_energy], second[AT.servo_guard] = 0.9, 0.2, g.TOO_FAST | g.RAMPING
     first, other = carried_over(begin(tuning.scene), tuning.guards, row).fingers
     assert first.limited == lim.COLD
-    assert other.limited == lim.Limited(NONE, lim.SLOW_S, 0.9, -0.2, 0.0)
+    assert other.limited == lim.Limited(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
 
 
 def test_a_recorded_hand_comes_to_no_limit():
@@ -298,7 +323,7 @@ def test_a_recorded_hand_comes_to_no_limit():
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 1000.0), 1000.0)
     assert not (records[:, AT.servo_guard].astype(int) & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE)).any()
     assert 0.0 < records[:, AT.limits_speed].max() < 0.5 * 2.0
-    assert records[:, AT.limits_energy].max() < 0.1 * 0.5
+    assert records[:, AT.limits_energy].max() < 0.1 * 0.2
 
 
 RECORDED = {"pinch": ("pinch-thumb", "pinch-index"), "lift-a-box": ("lift-thumb", "lift-index")}
@@ -308,7 +333,8 @@ RECORDED = {"pinch": ("pinch-thumb", "pinch-index"), "lift-a-box": ("lift-thumb"
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", shipped(schema.Scene))
 def test_no_shipped_scene_comes_to_a_limit_with_its_recordings(name):
-    """Every shipped scene under every recording that fits it, on devices with the limits of an omega.6: no bit."""
+    """Every shipped scene under every recording that fits it, on devices with the limits of an omega.6: no bit. But for
+    the workspace: the box is lifted by more than an omega.6 reaches."""
     scene, several = load_scene(name), {each for names in RECORDED.values() for each in names}
     fitting = [RECORDED[name]] if name in RECORDED else [(each,) for each in shipped_names() if each not in several]
     for recordings in fitting:
@@ -317,4 +343,4 @@ def test_no_shipped_scene_comes_to_a_limit_with_its_recordings(name):
         tuning = make_tuning(scene, load_rig("omega-6").guard, [ARM] * len(recordings))
         records = simulate(tuning, np.stack([each[:count] for each in poses], axis=1), 1000.0)
         bits = records[:, :, AT.servo_guard].astype(int)
-        assert not (bits & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE | g.MOTOR_HOT)).any(), recordings
+        assert not (bits & (g.TOO_FAST | g.ENERGY_SPENT | g.MOTOR_HOT)).any(), recordings

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -23,7 +23,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline.figures import figure, save
-from softfinger.tools.pages import sketches
+from softfinger.tools.pages import sketches, states
 
 Array = NDArray[np.float64]
 
@@ -161,7 +161,7 @@ def bodies(axes: Any) -> None:
     axes[1].set(xlabel="time [s]", ylabel="turn of the box [deg]")
 
 
-FIGURES: Final[Mapping[str, tuple[Callable[[Any], None], int]]] = {
+FIGURES: Final[dict[str, tuple[Callable[[Any], None], int]]] = {
     "contact": (sketches.contact, 1),
     "conventions": (sketches.conventions, 2),
     "normal": (normal, 1),
@@ -179,9 +179,13 @@ FIGURES: Final[Mapping[str, tuple[Callable[[Any], None], int]]] = {
 """What draws the figure of each page, and on how many axes; the page on several patches has one of the study."""
 
 
+OTHERS: Final[dict[str, tuple[Callable[[Any], None], int]]] = {"states": (states.draw, 1)}
+"""The same of pages that are no model's."""
+
+
 def draw(name: str, path: Path) -> None:
     """Draw one figure and save it."""
-    drawn, count = FIGURES[name]
+    drawn, count = (FIGURES | OTHERS)[name]
     drawing = figure(3.6 * count + 1.8 * (count == 1), 2.8)
     axes = np.atleast_1d(drawing.subplots(1, count))
     drawn(axes)
@@ -197,6 +201,8 @@ def main(argv: list[str] | None = None) -> int:
     folder = parser.parse_args(argv).folder
     for name in FIGURES:
         draw(name, folder / f"model-{name}.svg")
+    for name in OTHERS:
+        draw(name, folder / f"{name}.svg")
     return 0
 
 

@@ -17,6 +17,7 @@ from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
 from softfinger.server.wire.protocol import Key
+from softfinger.tools.pages import states
 
 WIDTH: Final = 120
 MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
@@ -111,12 +112,26 @@ out; units are SI."""
     return _page(head, "## Methods", *parts, "## Errors", "The text of an error begins with its name.", errors)
 
 
+def states_page() -> str:
+    """The states of the daemon."""
+    head = """\
+# States: every transition
+
+A daemon is in one of these states. `health.state` and the command `get_state` have it, each change is an event of
+kind `state`, and Prometheus has `softfinger_state`. A transition that is not in the table does not exist. Who
+arms is said by `arm` in [`[guard]`](rigs.md); what a fault is, in [Safety](../safety.md)."""
+    listed, ways = states.tables()
+    figure = "![states of the daemon, and what leads from one to another](../figures/states.svg)"
+    return _page(head, figure, "## States", listed, "## Transitions", ways)
+
+
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "scenes.md": scenes,
     "rigs.md": rigs,
     "record.md": record,
     "telemetry.md": telemetry,
     "commands.md": commands_page,
+    "states.md": states_page,
 }
 
 

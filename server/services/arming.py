@@ -1,0 +1,59 @@
+"""Who arms: the program, a command or a button, as the rig says; and what follows from a handle that was too fast.
+
+The guard itself keeps the force off while the handle is too fast. Where a person has to arm, it does so until it was
+disarmed, which is done here.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.loop.guard import DISARMED, TOO_FAST
+from softfinger.server.services.records import Sink
+from softfinger.server.services.rendering import Rendering
+from softfinger.server.states import FAST, UNARMED, States, Trigger
+
+_WORD: Final = 2.0**53
+"""A device may say that its buttons are no number."""
+
+
+class Arming:
+    """Sees every tick, and arms or disarms by it. Its `sink` is none that a run ends with: the guard needs it not."""
+
+    def __init__(self, rendering: Rendering, states: States) -> None:
+        self._rendering, self._states = rendering, states
+        fingers = len(rendering.servo.devices)
+        each = [place * RECORD_SIZE + at for place in range(fingers) for at in (AT.servo_guard, AT.buttons)]
+        self._columns: Final = [AT.tick, *each]
+        self._pressed = -1
+        """Buttons of the tick before, -1 before the first: one that is held at the start arms nothing."""
+        self.sink: Final = Sink("arming", self.take)
+
+    def take(self, records: NDArray[np.float64], drops: int) -> None:
+        """A batch (n, fingers x RECORD_SIZE)."""
+        by, fast, pressed = self._rendering.rig.guard.arm, False, False
+        for tick, *each in records[:, self._columns].tolist():
+            bits = [int(guard) for guard in each[::2]]
+            fast = tick >= self._rendering.armed_at and any(b & TOO_FAST and not b & DISARMED for b in bits)
+            if fast and by != "automatic":
+                self._rendering.disarm(FAST)
+            pressed |= self._press(each[1::2])
+        if by == "automatic":
+            self._rendering.tell_fault(FAST, fast)
+        elif by == "button" and pressed:
+            self._rendering.arm(UNARMED, FAST)
+        self._rendering.advance()
+        self._states.fire(Trigger.TICK, "the first tick")
+        self._rendering.tell()
+
+    def _press(self, buttons: list[float]) -> bool:
+        """Whether a button is down that was not."""
+        down = 0
+        for word in buttons:
+            down |= int(word) if 0.0 <= word < _WORD else 0
+        before, self._pressed = self._pressed, down
+        return before >= 0 and bool(down & ~before)

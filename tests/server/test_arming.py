@@ -1,0 +1,150 @@
+"""Who arms, on a daemon whose device counts as one that a hand holds: the program, a command, a button.
+
+A replay is pressed into a plane and dragged; faults are injected between it and the loop, which makes it such a device,
+and press a button. Its log has each wrench that it was given. One scene, so one loop is compiled, of 20 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.config.schema import Faults
+from softfinger.proxy.record import AT
+from softfinger.server.app import Daemon
+from softfinger.server.loop.limits import SLOW_S
+from softfinger.server.recording.reader import Event, contents
+from softfinger.server.services.records import Sink
+from softfinger.server.states import FAST, UNARMED
+from softfinger.server.wire.control import Control
+
+pytestmark = pytest.mark.real_time
+
+WAIT_S = 60.0
+TOUCH_N = 0.1
+RAMP_S = 0.02
+NOTHING = {"kind": "stale", "at_tick": 10}
+"""A fault that is none."""
+
+
+def pressed(path: Path, fast_at_s: float | None = None) -> str:
+    """A recording of 3 s, 1 mm deep in the plane; from a time on 0.2 m aside at 4 m/s, and at rest there."""
+    times = np.arange(0.0, 3.005, 0.01)
+    x = np.zeros_like(times) if fast_at_s is None else np.clip(4.0 * (times - fast_at_s), 0.0, 0.2)
+    rest = np.tile([0.0, 0.009, 1.0, 0.0, 0.0, 0.0], (len(times), 1))
+    np.savetxt(path, np.column_stack([times, x, rest]), delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
+    return str(path)
+
+
+class Run:
+    """A daemon's run to the end of its ticks: forces (n,) N that the device was given, states with their causes, names
+    of the guard's events, and states as `get_state` had them."""
+
+    def __init__(
+        self,
+        tmp_path: Path,
+        recording: str,
+        arm: str,
+        fault: dict[str, Any] = NOTHING,
+        during: Callable[[Control, int], None] = lambda control, tick: None,
+    ) -> None:
+        changes = {
+            "device.recording": recording,
+            "device.loop": False,
+            "guard.ramp_s": RAMP_S,
+            "guard.arm": arm,
+            "servo.realtime": "off",
+            "telemetry.endpoint": f"ipc://{tmp_path}/telemetry",
+        }
+        ticks: list[int] = [-1]
+        sink = Sink("ticks", lambda records, drops: ticks.append(int(records[-1, AT.tick])))
+        faults = build(Faults, {"fault": [fault]}, "faults")
+        path = tmp_path / "run.mcap"
+        daemon = Daemon(load_rig("replay", changes), load_scene("paper-plane"), 2500, sinks=[sink], faults=faults)
+        with daemon:
+            daemon.recordings.record(str(path), "paper-plane")
+            daemon.start()
+            assert daemon.commands_endpoint is not None
+            with Control(daemon.commands_endpoint) as control:
+                while not daemon.wait(0.02):
+                    during(control, ticks[-1])
+                self.state = control.ask("describe")["state"]
+            self.forces = np.linalg.norm(daemon.devices[0]._device.written().wrench[:, :3], axis=1)
+        events = [part.event for part in contents(path) if isinstance(part, Event)]
+        self.states = [(event["name"], event["cause"]) for event in events if event["kind"] == "state"]
+        self.guard = [event["name"] for event in events if event["kind"] == "guard"]
+
+
+def test_automatic_arming_gives_force_from_the_first_tick(tmp_path: Path) -> None:
+    """Nobody does anything: ready, armed, and force along the ramp."""
+    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "automatic")
+    assert [name for name, _ in run.states[:2]] == ["ready", "armed"] and run.state == "armed"
+    assert run.forces[1] > 0.0 and run.forces[100] > TOUCH_N
+
+
+def test_a_button_arms_and_none_that_was_held_before(tmp_path: Path) -> None:
+    """Until a button is pressed at tick 800 every wrench is zero; then the force fades in."""
+    press = {"kind": "bounce", "buttons": 1, "at_tick": 800, "ticks": 50}
+    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", press)
+    assert not run.forces[:800].any()
+    assert run.forces[2000] > TOUCH_N
+    assert [name for name, _ in run.states[:2]] == ["ready", "armed"]
+
+
+def test_a_command_arms_where_the_rig_asks_for_one(tmp_path: Path) -> None:
+    """Neither time nor a button gives force, `arm` does; `get_state` and `describe` have the state meanwhile."""
+    seen: list[str] = []
+    armed_at: list[int] = []
+
+    def during(control: Control, tick: int) -> None:
+        if tick >= 0:
+            seen.append(control.ask("get_state").state)
+        if tick > 1000 and not armed_at:
+            control.arm()
+            armed_at.append(tick)
+
+    press = {"kind": "bounce", "buttons": 1, "at_tick": 300, "ticks": 50}
+    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "command", press, during)
+    assert armed_at and not run.forces[: armed_at[0]].any()
+    assert run.forces[-10] > TOUCH_N and run.state == "armed"
+    assert seen[0] == "ready" and seen[-1] == "armed"
+
+
+def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path) -> None:
+    """At 4 m/s from tick 500 on for 50 ms: zero before it has stopped, for SLOW_S; faulted, and then armed again."""
+    run = Run(tmp_path, pressed(tmp_path / "p.csv", 0.5), "automatic")
+    assert run.forces[495] > TOUCH_N
+    off = np.flatnonzero(run.forces[500:] == 0.0) + 500
+    assert off[0] < 550
+    # The count goes by ticks, and may begin while the handle still slows down.
+    back = off[0] + np.flatnonzero(run.forces[off[0] :] > 0.0)[0]
+    assert back - off[0] >= round(1000.0 * SLOW_S)
+    assert run.forces[2000] > TOUCH_N
+    assert [name for name, _ in run.states[:5]] == ["ready", "armed", "faulted", "ready", "armed"]
+    assert run.states[2][1] == FAST and "too_fast" in run.guard
+
+
+def test_a_handle_that_is_too_fast_waits_for_whoever_arms(tmp_path: Path) -> None:
+    """With arming by command the same leaves no force until `arm`, however long the handle is slow."""
+    armed_at: list[int] = []
+
+    def during(control: Control, tick: int) -> None:
+        if tick >= 0 and not armed_at:
+            control.arm()
+            armed_at.append(tick)
+        if tick > 1600 and len(armed_at) == 1:
+            assert control.ask("get_state").state == "faulted"
+            control.arm()
+            armed_at.append(tick)
+
+    run = Run(tmp_path, pressed(tmp_path / "p.csv", 0.5), "command", during=during)
+    off = np.flatnonzero(run.forces[500:] == 0.0)[0] + 500
+    assert off < 550 and len(armed_at) == 2
+    assert not run.forces[off : armed_at[1]].any()
+    assert run.forces[-10] > TOUCH_N
+    assert (("faulted", FAST) in run.states) and ("ready", UNARMED) not in run.states

@@ -1,0 +1,59 @@
+"""The states of the daemon and their transitions, as tables and as a figure, all from server/states.py."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from softfinger.server.states import CAUSES, MEANINGS, TRANSITIONS, State
+from softfinger.server.verbs import schema
+
+PLACES: Final = {
+    State.STARTING: (0.0, 1.0),
+    State.READY: (2.4, 1.0),
+    State.ARMED: (5.6, 1.0),
+    State.FAULTED: (3.9, 2.1),
+    State.STOPPING: (5.6, -0.4),
+}
+"""Of each state in the figure."""
+
+_ALOFT: Final = 0.14
+"""How an arrow bends, so that two between the same states stay apart."""
+
+
+def tables() -> tuple[str, str]:
+    """States with what they are; transitions with what leads to them."""
+    states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
+    rows = [[f"`{before}`", f"{trigger}: {CAUSES[trigger]}", f"`{after}`"] for (before, trigger), after in _ways()]
+    return states, schema.grid(["from", "by", "to"], rows)
+
+
+def _ways() -> list[tuple[tuple[State, Any], State]]:
+    return list(TRANSITIONS.items())
+
+
+def draw(axes: Any) -> None:
+    """A box for each state, an arrow for each transition."""
+    (axes,) = axes
+    for (before, trigger), after in _ways():
+        start, end = PLACES[before], PLACES[after]
+        axes.annotate(
+            "",
+            end,
+            start,
+            arrowprops={
+                "arrowstyle": "->",
+                "connectionstyle": f"arc3,rad={_ALOFT}",
+                "shrinkA": 26,
+                "shrinkB": 26,
+                "color": "0.4",
+            },
+        )
+        x, y = (0.5 * (a + b) for a, b in zip(start, end, strict=True))
+        dx, dy = end[0] - start[0], end[1] - start[1]
+        at = (x + 0.5 * _ALOFT * dy, y - 0.5 * _ALOFT * dx)  # where an arc of this bend has its middle
+        axes.annotate(trigger.value, at, ha="center", va="center", fontsize="small", backgroundcolor="white")
+    for state, place in PLACES.items():
+        box = {"boxstyle": "round,pad=0.5", "facecolor": "white", "edgecolor": "C0"}
+        axes.annotate(state.value, place, ha="center", va="center", bbox=box)
+    axes.set(xlim=(-0.7, 6.2), ylim=(-0.6, 2.4))
+    axes.axis("off")
