@@ -219,6 +219,11 @@ class Daemon:
         self.publisher.state(before.value, now.value, cause)
         self.recordings.tell("state", now.value, {"before": before.value, "cause": cause})
 
+    def _world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
+        """Publish where bodies are, and record it."""
+        self.publisher.world(tick, bodies)
+        self.recordings.world(tick, bodies)
+
     def _services(
         self, scene_name: str, hotplug: Hotplug, metrics: Metrics | None, sinks: Sequence[Sink]
     ) -> list[Service]:
@@ -241,7 +246,7 @@ class Daemon:
             self.supervisor,
             HotplugWatch(hotplug, self._event),
             DeviceWarnings(lambda: self.devices, self._event),
-            WorldState(self.servo, self.publisher.world, self._event),
+            WorldState(self.servo, self._world, self._event),
             *others,
             *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,

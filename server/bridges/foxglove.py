@@ -91,3 +91,7 @@ class Shown:
     def event(self, event: Mapping[str, Any]) -> None:
         """An event's map, as the wire has it."""
         self._topics.event(event)
+
+    def world(self, world: Mapping[str, Any]) -> None:
+        """A message of `world`, a map as the wire has it."""
+        self._topics.world(world)

@@ -1,7 +1,8 @@
 """A run in Rerun, from a recording or live: objects, fingertips and forces in space, figures and events over time.
 
-`world` is the scene; below it `objects/NAME`, and of each finger its fingertip, its proxy and its force. `plots/...`
-are the telemetry's fields of these names, every tick of them; `events` is a log. The timelines are `time` and `tick`.
+`world` is the scene; below it `objects/NAME`, those on a body of [world] below `bodies/NAME`, and of each finger its
+fingertip, its proxy and its force. `plots/...` are the telemetry's fields of these names, every tick of them; `events`
+is a log. The timelines are `time` and `tick`.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import Scene
+from softfinger.config.schema import Body, Object, Scene
 from softfinger.proxy.records import Records
 from softfinger.server.recording import picture
-from softfinger.server.recording.reader import Event, Note, Ticks, contents
+from softfinger.server.recording.reader import Event, Note, Ticks, World, contents
 from softfinger.server.recording.writer import driven, event_time_ns, scene_of, times_ns
 
 Array = NDArray[np.float64]
@@ -97,6 +98,16 @@ class Shown:
             self._scene = moved
             self._draw_objects()
 
+    def world(self, world: Mapping[str, Any]) -> None:
+        """A message of `world`, a map as the wire has it."""
+        self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(world), "ns"))
+        self._stream.set_time("tick", sequence=world["tick"])
+        for body in world["bodies"]:
+            w, x, y, z = body["orientation"]
+            place = self._rr.Transform3D(translation=body["position"], quaternion=[x, y, z, w])
+            self._stream.log(f"world/bodies/{body['name']}", place)
+        self._stream.disable_timeline("tick")
+
     def _place(self, rows: Records, name: str) -> None:
         tip, proxy = (f"world/{frame}" for frame in picture.frames(name))
         turn = rows["probe.orientation"][:, [1, 2, 3, 0]]  # Rerun has w last
@@ -118,7 +129,7 @@ class Shown:
         for thing in self._scene.object if self._scene else ():
             for kind, primitives in picture.drawn(thing).items():
                 for number, primitive in enumerate(primitives):
-                    path = f"world/objects/{thing.name}/{kind}{number}"
+                    path = f"{_path_of(thing)}/{kind}{number}"
                     for part in self._parts(kind, primitive):
                         self._stream.log(path, part, static=True)
 
@@ -144,6 +155,11 @@ class Shown:
             yield rr.Points3D([(0.0, 0.0, 0.0)], labels=[primitive["text"]], colors=color)
 
 
+def _path_of(thing: Object) -> str:
+    motion = thing.motion
+    return f"world/bodies/{motion.body}/{thing.name}" if isinstance(motion, Body) else f"world/objects/{thing.name}"
+
+
 def show_recording(recording: Path, stream: Any) -> int:
     """Log a recording whole; returns how many ticks. Raises RecordingError for a file that has none to show."""
     about: dict[str, Any] = {}
@@ -160,4 +176,6 @@ def show_recording(recording: Path, stream: Any) -> int:
             count += len(part.rows)
         elif isinstance(part, Event):
             shown.event(part.event)
+        elif isinstance(part, World):
+            shown.world(part.world)
     return count

@@ -97,11 +97,12 @@ class Outcome(NamedTuple):
 
 class Replayed(NamedTuple):
     """What comes of a run's ticks today: the columns (n, fingers, ...) that are compared; which ticks (n,) may be, and
-    why not the others."""
+    why not the others; and the poses of `Run.bodies`, NaN where there are none of these names."""
 
     columns: Array
     right: Mask
     left_out: list[Span]
+    bodies: Array
 
     def field(self, name: str, place: int) -> Array:
         """A field of a finger, (n, size)."""
@@ -124,11 +125,12 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     )
     devices, settle = _devices(run), _settle(scene, run.rate_hz)
     columns = np.empty((len(ticks), len(names), len(_COLUMNS)))
+    bodies = np.full_like(run.bodies.poses, np.nan)
     right, left_out = np.zeros(len(ticks), dtype=bool), list[Span]()
     ramp = round(rig.commands.ramp_s * run.rate_hz)
     for part in _parts(run, scene, ticks, ramp):
         some = slice(part.start, part.stop)
-        _simulate(run, part, make_tuning(part.scene, rig.guard, devices), poses[some], columns[some])
+        _simulate(run, part, make_tuning(part.scene, rig.guard, devices), poses[some], (columns[some], bodies))
         start = part.start
         if ticks[start] > 0:
             rests = recorded[some] & _at_rest(
@@ -151,12 +153,14 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     if held.any():
         left_out.append(Span(int(ticks[held][0]), int(ticks[held][-1]), "the force was withheld or disarmed meanwhile"))
     return Replayed(
-        columns, right, left_out + _span(ticks, _end(run, scene, ticks), len(ticks), "another scene was set")
+        columns, right, left_out + _span(ticks, _end(run, scene, ticks), len(ticks), "another scene was set"), bodies
     )
 
 
-def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, columns: Array) -> None:
-    """What is kept (n, fingers, ...) of the poses (n, fingers, 7) of a part, from where nothing is remembered."""
+def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, kept: tuple[Array, Array]) -> None:
+    """What is kept (n, fingers, ...) of the poses (n, fingers, 7) of a part, from where nothing is remembered, and the
+    poses of bodies of `Replayed` at its ticks."""
+    columns, bodies = kept
     period = period_ns(run.rate_hz) / NS_PER_S
     first, start = run.first, begin(tuning.scene)
     begin_bodies(tuning.scene, period)
@@ -168,12 +172,23 @@ def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, columns: Arra
     dts = np.ascontiguousarray(first["dt"][part.start : part.stop])
     scene_and_guard, carried = packed(tuning), Packed(start, flatten(memory))
     records = np.zeros((min(len(poses), CHUNK), poses.shape[1], RECORD_SIZE))
-    for done in range(0, len(poses), CHUNK):
-        some = slice(done, done + CHUNK)
-        rows = records[: len(poses[some])]
+    for done, end in _stretches(run.bodies.ticks - number, len(poses)):
+        some = slice(done, end)
+        rows = records[: end - done]
         tick_many(scene_and_guard, carried, poses[some], dts[some], period, number + done, rows)
         check_bodies(tuning.scene)
         columns[some] = rows[:, :, _COLUMNS]
+        if tuning.scene.bodies is not None:
+            owner = tuning.scene.bodies.block.owner
+            if tuple(owner.names) == run.bodies.names:
+                there = np.hstack([owner.data.xpos[owner.moving], owner.data.xquat[owner.moving]])
+                bodies[run.bodies.ticks == number + end - 1] = there
+
+
+def _stretches(ticks: NDArray[np.int64], count: int) -> Iterator[tuple[int, int]]:
+    """From 0 to `count` ticks, at most CHUNK at a time, with an end behind each of some ticks."""
+    ends = {*range(CHUNK, count, CHUNK), count, *(int(tick) + 1 for tick in ticks if 0 <= tick < count)}
+    return pairwise([0, *sorted(ends)])
 
 
 def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[Span]:
@@ -247,8 +262,33 @@ def compare(run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Arr
                 found.append(
                     Difference(int(ticks[row]), seconds, finger, name, float(then[row, part]), float(now[row, part]))
                 )
+    found += _bodies_apart(run, replayed, tolerance, other, largest)
     first = min(found, key=lambda each: each.tick, default=None)
     return Outcome(len(ticks), int(replayed.right.sum()), int(other.sum()), first, largest, replayed.left_out)
+
+
+def _bodies_apart(
+    run: Run, replayed: Replayed, tolerance: float, other: Mask, largest: dict[str, float]
+) -> Iterator[Difference]:
+    """The first difference of each body's pose, m or of a quaternion; marks the ticks and the largest, as `compare`."""
+    ticks, names, then = run.bodies
+    numbers = run.first["tick"].astype(np.int64)
+    rows = np.searchsorted(numbers, ticks)
+    told = np.isin(ticks, numbers)
+    told[told] = replayed.right[rows[told]]
+    for place, name in enumerate(names):
+        now = replayed.bodies[:, place]
+        apart = np.where(told[:, None] & ~np.isnan(now), np.abs(now - then[:, place]), 0.0)
+        for key, part in (("position", slice(0, 3)), ("orientation", slice(3, 7))):
+            some = apart[:, part]
+            largest[f"{name}.{key}"] = float(some.max(initial=0.0))
+            at, component = np.nonzero(some > tolerance)
+            other[rows[at]] = True
+            if len(at):
+                row, k = int(at[0]), int(component[0])
+                seconds = float(np.sum(run.first["dt"][1 : rows[row] + 1]))
+                values = float(then[row, place, part][k]), float(now[row, part][k])
+                yield Difference(int(ticks[row]), seconds, "", f"{name}.{key}[{k}]", *values)
 
 
 class _Part(NamedTuple):

@@ -1,12 +1,13 @@
 """What is drawn of a run by viewers that know nothing of this program: Foxglove's messages of poses, frames, objects.
 
-Objects are drawn where the scene or the last `drive` put them; one that moves by itself stands still in the picture.
+Objects are drawn where the scene or the last `drive` put them, those on a body of [world] in its frame; one that moves
+by itself stands still in the picture.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -82,6 +83,26 @@ def frame_messages(record: Record, time_ns: int, finger: str) -> list[bytes]:
     ]
 
 
+def body_frame(body: str) -> str:
+    """Name of the frame of a body, which no finger's frame has."""
+    return f"body/{body}"
+
+
+def body_messages(bodies: Sequence[Mapping[str, Any]], time_ns: int) -> list[bytes]:
+    """The frames of the bodies in a message of `world`."""
+    return [
+        _encoded(
+            FRAME,
+            timestamp=stamp(time_ns),
+            parent_frame_id=WORLD,
+            child_frame_id=body_frame(body["name"]),
+            translation=_vector(body["position"]),
+            rotation=_quaternion(body["orientation"]),
+        )
+        for body in bodies
+    ]
+
+
 def force_message(record: Record, time_ns: int, finger: str) -> bytes:
     """The force on the hand, an arrow from where the finger is."""
     force = record[AT.force : AT.force + 3]
@@ -105,7 +126,7 @@ def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
     """Every object and every fingertip, whole, so that a viewer that begins anywhere has all."""
     when = stamp(time_ns)
     entities = [
-        {"timestamp": when, "frame_id": WORLD, "id": thing.name, "frame_locked": True} | drawn(thing)
+        {"timestamp": when, "frame_id": frame_of(thing), "id": thing.name, "frame_locked": True} | drawn(thing)
         for thing in scene.object
     ]
     for finger in scene.fingers:
@@ -113,6 +134,11 @@ def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
         ball = {"pose": _pose((0.0, 0.0, 0.0)), "size": _vector([2.0 * finger.radius_m] * 3), "color": _FINGER}
         entities.append({"timestamp": when, "frame_id": frame, "id": frame, "frame_locked": True, "spheres": [ball]})
     return _encoded(SCENE, entities=entities)
+
+
+def frame_of(thing: schema.Object) -> str:
+    """The frame that the object's pose is in."""
+    return body_frame(thing.motion.body) if isinstance(thing.motion, schema.Body) else WORLD
 
 
 def drawn(thing: schema.Object) -> dict[str, Any]:

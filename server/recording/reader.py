@@ -21,8 +21,8 @@ from softfinger.config.files import open_input
 from softfinger.drivers.containers import mcap_records
 from softfinger.proxy.record import FIELDS
 from softfinger.server.recording.layout import Layout
-from softfinger.server.recording.schemas import class_of, event_of
-from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC
+from softfinger.server.recording.schemas import class_of, event_of, world_of
+from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC, WORLD_TOPIC
 from softfinger.server.wire.protocol import finger_of
 
 Array = NDArray[np.float64]
@@ -64,6 +64,12 @@ class Event(NamedTuple):
     """An event's map, as the wire has it."""
 
     event: dict[str, Any]
+
+
+class World(NamedTuple):
+    """A message of `world`, a map as the wire has it."""
+
+    world: dict[str, Any]
 
 
 class Note(NamedTuple):
@@ -114,7 +120,7 @@ class _Channel:
         return Ticks(self.finger or "", layout, rows)
 
 
-def contents(path: str | Path) -> Iterator[Ticks | Event | Note | End]:
+def contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
     """All that a recording has, in file order, in the end an End. RecordingError for a file without anything."""
     try:
         with open_input(path) as file:
@@ -123,7 +129,7 @@ def contents(path: str | Path) -> Iterator[Ticks | Event | Note | End]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | Note | End]:
+def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | Note | End]:
     from mcap.exceptions import EndOfFile
     from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
 
@@ -157,6 +163,9 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | Note | En
                 elif channel.topic in (EVENT_TOPIC, MARK_TOPIC):
                     for message in messages:
                         yield Event(event_of(channel.kind.FromString(message)))
+                elif channel.topic == WORLD_TOPIC:
+                    for message in messages:
+                        yield World(world_of(channel.kind.FromString(message)))
     except (GeneratorExit, OSError, RecordingError):
         raise
     except Exception as error:  # the decoders fail in many ways on damaged bytes

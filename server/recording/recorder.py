@@ -53,6 +53,10 @@ class Recorded(NamedTuple):
     worst_write_s: float
 
 
+class Bodies(dict[str, Any]):
+    """A message of `world`, which waits among the events."""
+
+
 class Recorder:
     """Writes to an unbuffered file that is open already, from a thread of its own, until `stop`.
 
@@ -111,6 +115,10 @@ class Recorder:
                 self._events.append(event)
             else:
                 self._events_dropped += 1
+
+    def world(self, world: Mapping[str, Any]) -> None:
+        """A message of `world`, a map as the wire has it; never waits. From any thread."""
+        self.event(Bodies(world))
 
     def note(self, name: str, value: Any) -> None:
         """A table of metadata; never waits. From any thread."""
@@ -189,6 +197,8 @@ class Recorder:
             event_or_note = self._events.popleft()
             if isinstance(event_or_note, tuple):
                 recording.note(*event_or_note)
+            elif isinstance(event_or_note, Bodies):
+                recording.world(event_or_note)
             else:
                 recording.event(event_or_note)
         recording.flush()

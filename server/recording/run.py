@@ -11,11 +11,27 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import POSES_MAX, rate_of
-from softfinger.server.recording.reader import End, Event, Note, Ticks, contents
+from softfinger.server.recording.reader import End, Event, Note, Ticks, World, contents
 
 Array = NDArray[np.float64]
 
 _NEEDED: Final = ("tick", "dt", "probe.position", "probe.orientation")
+
+
+class Bodies(NamedTuple):
+    """Where the bodies of a [world] were, some ticks apart.
+
+    ticks  (m,)    after the step of each
+    names  (n,)
+    poses  (m, n, 7)  position m, quaternion w, x, y, z, body to world
+    """
+
+    ticks: NDArray[np.int64]
+    names: tuple[str, ...]
+    poses: Array
+
+
+NO_BODIES: Final = Bodies(np.empty(0, np.int64), (), np.empty((0, 0, 7)))
 
 
 class Run(NamedTuple):
@@ -25,12 +41,14 @@ class Run(NamedTuple):
     notes    tables of metadata
     events   in file order
     cut      why the file is cut short; empty for a whole one
+    bodies   of a scene's [world]
     """
 
     fingers: dict[str, dict[str, Array]]
     notes: dict[str, Any]
     events: list[dict[str, Any]]
     cut: str
+    bodies: Bodies = NO_BODIES
 
     @property
     def first(self) -> dict[str, Array]:
@@ -49,6 +67,7 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
     blocks: dict[str, list[dict[str, Array]]] = {}
     notes: dict[str, Any] = {}
     events: list[dict[str, Any]] = []
+    worlds: list[dict[str, Any]] = []
     cut, count = "", 0
     for part in contents(path):
         match part:
@@ -57,6 +76,8 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
                 count += len(part.rows)
                 if count > POSES_MAX:
                     raise RecordingError(f"{path}: more than {POSES_MAX:,} ticks, the most that are read")
+            case World():
+                worlds.append(part.world)
             case Event():
                 events.append(part.event)
             case Note():
@@ -70,7 +91,17 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
         if missing := [name for name in (*_NEEDED, *fields) if name not in each[0]]:
             raise RecordingError(f"{path}: its ticks have no {', '.join(missing)}: not a recording of this program")
         fingers[finger] = {name: np.concatenate([block[name] for block in each]) for name in each[0]}
-    return Run(_in_all(_in_order(fingers, notes)), notes, events, cut)
+    return Run(_in_all(_in_order(fingers, notes)), notes, events, cut, _bodies(worlds))
+
+
+def _bodies(worlds: list[dict[str, Any]]) -> Bodies:
+    """Those messages that have the bodies of the first."""
+    if not worlds:
+        return NO_BODIES
+    names = tuple(body["name"] for body in worlds[0]["bodies"])
+    same = {each["tick"]: each for each in worlds if tuple(body["name"] for body in each["bodies"]) == names}
+    poses = [[body["position"] + body["orientation"] for body in same[tick]["bodies"]] for tick in sorted(same)]
+    return Bodies(np.array(sorted(same), np.int64), names, np.array(poses, np.float64).reshape(-1, len(names), 7))
 
 
 def _fields(ticks: Ticks, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:

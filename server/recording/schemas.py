@@ -15,14 +15,17 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.proxy.record import FIELDS
-from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS, EVENT_KEYS, Key
+from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS, EVENT_KEYS, WORLD_KEYS, Key
 
 TICK: Final = "softfinger.Tick"
 EVENT: Final = "softfinger.Event"
+WORLD: Final = "softfinger.World"
 POSE: Final = "foxglove.PoseInFrame"
 FRAME: Final = "foxglove.FrameTransform"
 SCENE: Final = "foxglove.SceneUpdate"
 
+BODIES: Final = "bodies[]."
+"""What the keys of a body begin with."""
 MORE: Final = "more"
 """Field of an event with what no field of its own is for, as JSON: keys that are maps, or in no table."""
 
@@ -116,6 +119,7 @@ _FOXGLOVE: Final[dict[str, dict[str, str]]] = {
     "SceneUpdate": {"deletions": "[SceneEntityDeletion]", "entities": "[SceneEntity]"},
 }
 
+_BODY_PARTS: Final = (("position", 3), ("orientation", 4), ("velocity", 3), ("rate", 3))
 _EVENT_FIELDS: Final = {
     key.name: key.type
     for keys in (EVENT_KEYS, *EVENT_EXTRA_KEYS.values())
@@ -143,6 +147,8 @@ def descriptor_set(name: str) -> bytes:
         message = file.message_type.add(name=root)
         if name == TICK:
             _add_ticks(message)
+        elif name == WORLD:
+            _add_bodies(message)
         else:
             for key, kind in _EVENT_FIELDS.items():
                 plain, _, size = kind.partition("[")
@@ -178,6 +184,11 @@ def event_message(event: Mapping[str, Any]) -> bytes:
     return bytes(message.SerializeToString())
 
 
+def world_message(world: Mapping[str, Any]) -> bytes:
+    """A message of `world`, a map as the wire has it, encoded."""
+    return bytes(message_class(WORLD)(**world).SerializeToString())
+
+
 def event_of(message: Any) -> dict[str, Any]:
     """The map of a decoded event; keys that the file does not have are left out."""
     head = {"kind": message.kind}
@@ -186,6 +197,17 @@ def event_of(message: Any) -> dict[str, Any]:
     event = {name: list(value) if _EVENT_FIELDS[name].endswith("]") else value for name, value in event.items()}
     more = json.loads(message.more) if message.more else {}
     return event | (more if isinstance(more, dict) else {})
+
+
+def world_of(message: Any) -> dict[str, Any]:
+    """The map of a decoded message of `world`; ValueError for numbers that no body has."""
+    bodies = []
+    for body in message.bodies:
+        told = {"name": body.name} | {name: list(getattr(body, name)) for name, _ in _BODY_PARTS}
+        if any(len(told[name]) != size for name, size in _BODY_PARTS):
+            raise ValueError(f"the body {body.name[:40]!r} has other numbers than a pose and its rates")
+        bodies.append(told)
+    return {"schema": message.schema, "timestamp": message.timestamp, "tick": message.tick, "bodies": bodies}
 
 
 def _keys_of(event: Mapping[str, Any]) -> Iterator[Key]:
@@ -207,6 +229,16 @@ def _add_ticks(top: Any) -> None:
             message = nested[key]
         plain = _PLAIN[field.kind]
         _add_field(message, leaf, f"[{plain}]" if field.size > 1 else plain)
+
+
+def _add_bodies(message: Any) -> None:
+    """The keys of the wire's `world`; those of a body in a message of its own."""
+    body = message.nested_type.add(name="Body")
+    for key in WORLD_KEYS:
+        plain, _, size = key.type.partition("[")
+        owner, name = (body, key.name.removeprefix(BODIES)) if key.name.startswith(BODIES) else (message, key.name)
+        _add_field(owner, name, f"[{_PLAIN[plain]}]" if size else _PLAIN[plain])
+    _add_field(message, "bodies", f"[.{WORLD}.Body]")
 
 
 def _add_foxglove(files: Any, name: str, done: set[str]) -> None:

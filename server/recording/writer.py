@@ -21,7 +21,17 @@ from softfinger.proxy.record import AT
 from softfinger.server.recording import picture
 from softfinger.server.recording.layout import tick_layout
 from softfinger.server.recording.mcapfile import McapFile
-from softfinger.server.recording.schemas import EVENT, FRAME, POSE, SCENE, TICK, descriptor_set, event_message
+from softfinger.server.recording.schemas import (
+    EVENT,
+    FRAME,
+    POSE,
+    SCENE,
+    TICK,
+    WORLD,
+    descriptor_set,
+    event_message,
+    world_message,
+)
 from softfinger.server.wire.protocol import contact_topic
 
 Array = NDArray[np.float64]
@@ -30,6 +40,7 @@ Times = NDArray[np.int64]
 
 EVENT_TOPIC: Final = "event"
 MARK_TOPIC: Final = "mark"
+WORLD_TOPIC: Final = "world"
 POSE_TOPIC: Final = "pose"
 FRAME_TOPIC: Final = "tf"
 SCENE_TOPIC: Final = "scene"
@@ -93,6 +104,14 @@ class Topics:
         self._add(topic, EVENT, event_time_ns(event), event_message(event))
         if self._scene is not None and (moved := driven(self._scene, event)) is not None:
             self.show(moved)
+
+    def world(self, world: Mapping[str, Any]) -> None:
+        """Add where the bodies of a [world] were, a map as the wire has it."""
+        time_ns = event_time_ns(world)
+        self._add(WORLD_TOPIC, WORLD, time_ns, world_message(world))
+        if self._drawn:
+            for message in picture.body_messages(world["bodies"], time_ns):
+                self._add(FRAME_TOPIC, FRAME, time_ns, message)
 
     def show(self, scene: schema.Scene) -> None:
         """Draw another scene from here on."""
@@ -169,7 +188,7 @@ def times_ns(records: Array) -> NDArray[np.int64]:
 
 
 def event_time_ns(event: Mapping[str, Any]) -> int:
-    """Time of an event in nanoseconds since the epoch, as a file can have it."""
+    """Time of an event, or of bodies, in nanoseconds since the epoch, as a file can have it."""
     return round(min(max(float(event["timestamp"]), 0.0), _TIME_MAX_S) * _NS)
 
 

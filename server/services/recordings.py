@@ -125,6 +125,12 @@ class Recordings:
             head = {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
             recorder.event(fields | head)
 
+    def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
+        """Record where the bodies of a [world] are; from any thread."""
+        recorder = self._recorder
+        if recorder is not None:
+            recorder.world({"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "bodies": bodies})
+
     def note_settings(self, settings: Any) -> None:
         """What the machine granted of the real-time settings, plain values; known with the servo's start."""
         self._settings = settings

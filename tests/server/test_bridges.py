@@ -13,15 +13,18 @@ import numpy as np
 import pytest
 from helpers.recorded import event, recorded, run
 from helpers.websocket import Viewer
+from mcap.reader import make_reader
 
 from softfinger.config.errors import AddressInUse, ConfigError
-from softfinger.config.load import load_scene
-from softfinger.proxy.record import AT
+from softfinger.config.load import describe, load_scene
+from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.cli import main
 from softfinger.server.recording import picture
-from softfinger.server.recording.schemas import SCENE, TICK, message_class
+from softfinger.server.recording.reader import World, contents
+from softfinger.server.recording.schemas import FRAME, SCENE, TICK, message_class
+from softfinger.server.recording.writer import RecordingFile
 
 WHY = "not installed by `make setup`: it is bigger than this program"
 
@@ -207,3 +210,51 @@ def test_fingers_are_told_apart(tmp_path: Path) -> None:
     found = columns(tmp_path / "two.rrd")
     for finger in scene.fingers:
         assert {f"/world/{finger.name}/force", f"/plots/{finger.name}/force"} <= set(found)
+
+
+# --- bodies of a [world] -----------------------------------------------------------------------------
+
+
+def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
+    """A recording of one tick on `lift-a-box`, with the box 0.1 m up and turned by 180 degrees about z."""
+    box = {"name": "box", "position": [0.0, 0.0, 0.12], "orientation": [0.0, 0.0, 0.0, 1.0]}
+    world = {"schema": 1, "timestamp": 1.7e9, "tick": 7, "bodies": [box | {"velocity": [0.0] * 3, "rate": [0.0] * 3}]}
+    row = np.zeros((1, RECORD_SIZE))
+    row[:, AT.timestamp], row[:, AT.probe_orientation] = 1.7e9, 1.0
+    about = {"scene": describe(load_scene("lift-a-box"))}
+    recording = RecordingFile(path.open("wb", buffering=0), ("thumb", "index"), about)
+    for finger in ("thumb", "index"):
+        recording.ticks(row, finger)
+    recording.world(world)
+    recording.close()
+    return path, world
+
+
+def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: Path) -> None:
+    """The message comes back as it was; the frame is where the body is; the box is drawn in it, the floor is not."""
+    path, world = lifted(tmp_path / "lift.mcap")
+    assert [part.world for part in contents(path) if isinstance(part, World)] == [world]
+    frames, entities = {}, {}
+    with path.open("rb") as file:
+        for schema, _, message in make_reader(file).iter_messages():
+            if schema.name == FRAME:
+                frame = message_class(FRAME).FromString(message.data)
+                frames[frame.child_frame_id] = frame
+            elif schema.name == SCENE:
+                update = message_class(SCENE).FromString(message.data)
+                entities |= {entity.id: entity.frame_id for entity in update.entities}
+    assert (frames["body/box"].parent_frame_id, frames["body/box"].translation.z) == ("world", 0.12)
+    assert (frames["body/box"].rotation.w, frames["body/box"].rotation.z) == (0.0, 1.0)
+    assert (entities["box"], entities["floor"]) == ("body/box", "world")
+
+
+def test_rerun_moves_objects_with_their_body(tmp_path: Path) -> None:
+    """The box is drawn below its body, which is where it was recorded."""
+    pytest.importorskip("rerun", reason=WHY)
+    path, _ = lifted(tmp_path / "lift.mcap")
+    assert main(["bridge", "rerun", str(path), "--save", str(tmp_path / "lift.rrd")]) == 0
+    found = columns(tmp_path / "lift.rrd")
+    place = values(found["/world/bodies/box"], "Transform3D:translation")
+    np.testing.assert_allclose(place.reshape(-1), [0.0, 0.0, 0.12], rtol=1e-6)  # in single precision
+    assert any(name.startswith("/world/bodies/box/box/") for name in found)
+    assert any(name.startswith("/world/objects/floor/") for name in found)

@@ -28,6 +28,8 @@ from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
+from softfinger.server.recording.compare import FIELDS, compare, replay
+from softfinger.server.recording.run import load_run
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
@@ -73,12 +75,14 @@ def heights(endpoint: str) -> Iterator[tuple[int, float]]:
             yield sample.tick, body.position[2]
 
 
-def test_what_is_pressed_gives_way_and_is_published(scene: schema.Scene) -> None:
-    """Two springs in series: the key goes down by its share, and comes back; the records are those of `simulate`."""
+def test_what_is_pressed_gives_way_and_is_published(scene: schema.Scene, tmp_path: Path) -> None:
+    """Two springs in series: the key goes down by its share, and comes back; the records are those of `simulate`, and
+    a replay of the recording has the bodies where they were, to the bit."""
     rows: list[np.ndarray] = []
     ticks = 1100
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
     with Daemon(rig(), scene, ticks, sinks=[keep]) as running:
+        running.recordings.record(tmp_path / "a.mcap", "key")
         seen = []
         running.start()
         for tick, height in heights(running.publisher.endpoint):
@@ -98,6 +102,17 @@ def test_what_is_pressed_gives_way_and_is_published(scene: schema.Scene) -> None
     for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
         np.testing.assert_array_equal(records[:, field], again[: len(records), field])
     assert np.abs(records[:, AT.force + 2]).max() > 0.1
+
+    past = load_run(tmp_path / "a.mcap", FIELDS)
+    assert past.bodies.names == ("key",)
+    assert len(past.bodies.ticks) > 10 and np.ptp(past.bodies.poses[:, 0, 2]) > 0.3 * share * PRESSED_M
+    now = replay(past, scene, rig())
+    outcome = compare(past, now, {"": {}}, 0.0)
+    assert (outcome.different, outcome.largest["key.position"]) == (0, 0.0)
+    past.bodies.poses[5, 0, 2] += 1e-12
+    first = compare(past, now, {"": {}}, 0.0).first
+    assert first is not None
+    assert (first.tick, first.key) == (past.bodies.ticks[5], "key.position[2]")
 
 
 FULL = """

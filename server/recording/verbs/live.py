@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +20,7 @@ from softfinger.server.progress import counter
 from softfinger.server.recording.recorder import Recorded, Recorder
 from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, record_of, silence, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, finger_of
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, finger_of
 
 log: Final = logging.getLogger(__name__)
 
@@ -92,6 +93,9 @@ class Taker(Protocol):
     def event(self, event: Mapping[str, Any]) -> None:
         """An event's map, as the wire has it."""
 
+    def world(self, world: Mapping[str, Any]) -> None:
+        """A message of `world`, a map as the wire has it."""
+
     @property
     def failed(self) -> bool:
         """Whether it takes no more."""
@@ -116,6 +120,8 @@ class Taking:
             self._taker.event(sample.data)
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
                 self.ended = "the server stopped"
+        elif sample.topic == WORLD:
+            self._taker.world(msgspec.to_builtins(sample.data))
         elif finger in self._places:
             if sample.tick < self.last:
                 self.ended = "the server started again"
@@ -189,7 +195,7 @@ def _over(sample: Sample, live: Live, taking: Taking) -> bool:
 
 def subscribed(live: Live) -> Subscription:
     """A client of all that is taken."""
-    return subscribe(live.at.telemetry, (CONTACT, FINGERS, EVENT), keys=live.keys)
+    return subscribe(live.at.telemetry, (CONTACT, FINGERS, EVENT, WORLD), keys=live.keys)
 
 
 def begin(wire: Subscription, live: Live) -> tuple[list[Sample], list[str], dict[str, Any]]:
