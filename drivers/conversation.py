@@ -107,14 +107,14 @@ class Board(Protocol):
     def damping_max_ns_per_m(self) -> float: ...
 
 
-def info_of(board: Board, name: str, sensed_dof: int) -> DeviceInfo:
-    """What a board can do: three motors, which do not turn the handle, in a box about its origin."""
+def info_of(board: Board, name: str, sensed_dof: int, actuated_dof: int = 3) -> DeviceInfo:
+    """What a board can do: motors that do not turn the handle, in a box about its origin."""
     x, y, z = (float(v) for v in board.mounting.position_m)
     r = board.workspace_radius_m
     return DeviceInfo(
         name=name,
         sensed_dof=sensed_dof,
-        actuated_dof=3,
+        actuated_dof=actuated_dof,
         force_max_n=board.force_max_n,
         torque_max_nm=TORQUE_MAX_NM,
         stiffness_max_n_per_m=board.stiffness_max_n_per_m,

@@ -1,7 +1,7 @@
 """What a driver's tick costs beside the C calls that it makes: `python tests/exchange_cost.py`, `make exchange-cost`.
 
 For each driver for hardware a device is opened on a stand-in: Force Dimension's on a stub of the maker's library, the
-Falcon on a stub of libusb, HID devices and the puck on a packet socket, the serial board on a stream socket, Haply's on
+Falcon on a stub of libusb, HID devices and the puck on a packet socket, serial boards on a stream socket, Haply's on
 an emulated service. One compiled loop then times the driver's read and write, called as the servo calls them, in turn
 with the same C calls made bare, with the same arguments on the same stand-in. Both go back to back, so the caches are
 warm. What the driver adds is the difference of the two medians; the range is that of the same difference over twenty
@@ -25,6 +25,7 @@ import numba
 import numpy as np
 from emulators.puck import combined
 from emulators.serialboard import FRAME_BYTES, Board
+from helpers.described_boards import rig_options as described_options
 from helpers.drd_stub import COMPILER, SOURCE, Stub, compile_stub
 from helpers.haply_devices import Service
 from helpers.haply_devices import opened as open_haply
@@ -44,6 +45,7 @@ from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension.block import AT as FD
 from softfinger.drivers.hid.device import HidDevice
 from softfinger.drivers.serial.device import SerialDevice
+from softfinger.drivers.serial.packets import finish_once, shape_of
 from softfinger.drivers.spacemouse.device import SpaceMouse
 from softfinger.drivers.spacemouse.puck import Options as PuckOptions
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_fd, write_fd
@@ -255,6 +257,26 @@ def serial(_: Path) -> Iterator[Case]:
 
 
 @contextmanager
+def described(_: Path) -> Iterator[Case]:
+    """A Hapkit, whose frames and paddle its rig describes, on a stream socket."""
+    given = described_options("hapkit")
+    assert given.frames is not None
+    near, far = socket.socketpair()
+    near.setblocking(False)
+    frame, buffer = np.zeros(given.frames.input.bytes, np.uint8), np.zeros(BUFFER, np.uint8)
+    finish_once(frame, shape_of(given.frames.input, False))
+    answer = frame.tobytes()
+
+    with far, answered(far, answer, lambda: SerialDevice(given, near.detach(), "a socket")) as device:
+        fd = int(device._block.word[TALK.fd])
+        words = np.array([fd, buffer.ctypes.data, given.frames.output.bytes])
+        bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
+        yield Case(
+            device.io(), bare, far.fileno(), answer, lambda: answered(far, answer, Servo(device, arm=False).read)
+        )
+
+
+@contextmanager
 def spacemouse(_: Path) -> Iterator[Case]:
     """A puck on a packet socket, with a report in each tick; what is written to it goes nowhere."""
     fd, end = ends()
@@ -294,6 +316,7 @@ CASES: Final[dict[str, Callable[[Path], AbstractContextManager[Case]]]] = {
     "haply": haply,
     "hid": hid,
     "serial": serial,
+    "described": described,
     "spacemouse": spacemouse,
 }
 

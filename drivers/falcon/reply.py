@@ -10,6 +10,7 @@ from math import nan
 from softfinger.drivers.base import FORCE_OFF, OK, SAMPLE_BUTTONS, SAMPLE_TIME
 from softfinger.drivers.falcon import delta, packets
 from softfinger.drivers.falcon.block import AT
+from softfinger.drivers.kinematics.delta import forward, torques_for
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.model import Vec3
@@ -70,7 +71,7 @@ def pose(handle: int) -> int:
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[1],
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[2],
     )
-    p, found = delta.forward(angle, (at[0], at[1], at[2]))
+    p, found = forward(delta.FALCON, angle, (at[0], at[1], at[2]))
     kept = float64_at(handle + 8 * AT.sample)
     if found:
         centre = float64_at(handle + 8 * AT.centre)
@@ -91,7 +92,7 @@ def motor_counts(gain: float, place: Vec3, force: Vec3) -> tuple[packets.Counts,
 
     A count past the largest brings all three down, so that the force keeps its direction.
     """
-    torque, able = delta.torques_for(place, force)
+    torque, able = torques_for(delta.FALCON, place, force)
     counts = vec3.scale(gain, torque)
     most = max(abs(counts[0]), max(abs(counts[1]), abs(counts[2])))
     cut = not able

@@ -14,13 +14,15 @@ from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceIO, LastWord
 from softfinger.drivers.block import Block
 from softfinger.drivers.conversation import TALK, Times, begin, info_of
-from softfinger.drivers.hid import exchange, reports
-from softfinger.drivers.hid.chain import Chain, make_chain
+from softfinger.drivers.fields import table
+from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.exchange import AT, Model
 from softfinger.drivers.hid.link import open_link
-from softfinger.drivers.hid.options import Chain as ChainOptions
 from softfinger.drivers.hid.options import Options, OutputReport
 from softfinger.drivers.hid.pump import Pump
+from softfinger.drivers.kinematics.freedom import freedom_rows
+from softfinger.drivers.kinematics.mechanism import SINGULAR_POSE, kind_of, make_mechanism
+from softfinger.drivers.kinematics.options import Chain
 from softfinger.proxy.kernels.jit.pack import flatten
 
 log: Final = logging.getLogger(__name__)
@@ -38,15 +40,14 @@ class HidDevice(Device):
     def __init__(self, options: Options, fd: int, pump: Pump | None = None, node: str = "") -> None:
         self._options, self.pump, self._node, self._told = options, pump, node, False
         given = options.kinematics
-        self._chain: Chain | None = make_chain(given) if isinstance(given, ChainOptions) else None
+        self._mechanism = make_mechanism(given, options.force_max_n)
         spec = options.reports
         self._zero = _encoded(spec.output, {})
-        wrist = isinstance(given, ChainOptions) and given.wrist_counts_per_turn is not None
+        wrist = isinstance(given, Chain) and given.wrist_counts_per_turn is not None
         turns = wrist or any(field.meaning == "qw" for field in spec.input.field)
-        kinds = (exchange.CARTESIAN, exchange.CARTESIAN_WITH_ORIENTATION, exchange.CHAIN, exchange.CHAIN_WITH_WRIST)
-        self._block = self._make_block(fd, kinds[2 * (self._chain is not None) + turns])
+        self._block = self._make_block(fd, kind_of(given, turns), turns)
         name = f"hid {spec.name or 'described'} {options.vendor_id:04x}:{options.product_id:04x}"
-        self.info = info_of(options, name, sensed_dof=6 if turns else 3)
+        self.info = info_of(options, name, sensed_dof=6 if turns else given.dof, actuated_dof=given.dof)
         try:
             if options.calibrate:
                 self._calibrate()
@@ -55,17 +56,18 @@ class HidDevice(Device):
             self.close()
             raise
 
-    def _make_block(self, fd: int, kind: int) -> Block:
+    def _make_block(self, fd: int, kind: int, turns: bool) -> Block:
         block, options = Block(TALK, AT), self._options
         # A board that is being awaited has a zero report with each wait.
         begin(block, fd, Times(options.kick_s, options.kick_s, kick_awaiting=0.0, timeout=options.timeout_s))
         word, spec = block.word, options.reports
-        word[AT.kind] = kind
+        word[AT.kind], word[AT.turns] = kind, turns
+        block.numbers(AT.place, 3)[:] = self._mechanism.delta.home
         word[AT.in_id], word[AT.in_bytes] = spec.input.id, spec.input.bytes + (spec.input.id != 0)
         word[AT.out_bytes] = 1 + spec.output.bytes
         word[AT.in_rows], word[AT.out_rows] = len(spec.input.field), len(spec.output.field)
-        block.point(AT.in_table, reports.input_table(spec.input))
-        block.point(AT.out_table, reports.output_table(spec.output))
+        block.point(AT.in_table, table.input_table(spec.input.field))
+        block.point(AT.out_table, table.output_table(spec.output.field))
         for buffer in (AT.in_buffer, AT.newest):
             block.point(buffer, np.zeros(word[AT.in_bytes] + exchange.IN_SPARE, np.uint8))
         out = np.zeros(word[AT.out_bytes], np.uint8)
@@ -76,8 +78,7 @@ class HidDevice(Device):
         return block
 
     def _set_model(self, block: Block) -> None:
-        chain = exchange.NO_CHAIN if self._chain is None else self._chain
-        model = Model(chain, *self._options.mounting.frame(), self._options.force_max_n)
+        model = Model(self._mechanism, *self._options.mounting.frame())
         block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
 
     def io(self) -> DeviceIO:
@@ -123,6 +124,9 @@ class HidDevice(Device):
         hung_s = self.pump.hangs_s()
         return f"a write has been under way for {hung_s:.2g} s" if hung_s else self.pump.failure
 
+    def warning(self) -> str:
+        return SINGULAR_POSE if self._block.word[AT.singular] else ""
+
     def last_word(self) -> LastWord | None:
         return LastWord(self._node, int(self._block.word[TALK.fd]), self._zero) if self._node else None
 
@@ -135,13 +139,13 @@ class HidDevice(Device):
         With a preset report the device keeps them over a restart of the program, else they are added here.
         """
         given = self._options.kinematics
-        assert isinstance(given, ChainOptions) and self._chain is not None
+        assert isinstance(given, Chain)
         wanted = np.array(given.calibration_counts, dtype=np.float64)
         seen = self._read_counts()
         preset = self._options.reports.preset
         if preset is None:
             a, b, c = (float(v) for v in wanted - seen)
-            self._chain = self._chain._replace(offset=(a, b, c))
+            self._mechanism = self._mechanism._replace(chain=self._mechanism.chain._replace(offset=(a, b, c)))
             self._set_model(self._block)
             return
         until = time.monotonic() + PRESET_WAIT_S
@@ -160,7 +164,7 @@ class HidDevice(Device):
                     raise
 
     def _send_preset(self, report: OutputReport, counts: NDArray[np.float64]) -> None:
-        data = _encoded(report, {reports.PRESET + k: float(counts[k]) for k in range(3)})
+        data = _encoded(report, {table.PRESET + k: float(counts[k]) for k in range(3)})
         try:
             os.write(int(self._block.word[TALK.fd]), data)
         except OSError as error:
@@ -185,17 +189,22 @@ class HidDevice(Device):
     def _read_counts(self) -> NDArray[np.float64]:
         """Counts of encoders a, b, c in a report of now, without what is added to them."""
         self._fresh_report()
-        return self._block.numbers(AT.values + reports.COUNTS, 3).copy()
+        return self._block.numbers(AT.values + table.COUNTS, 3).copy()
 
 
 def _encoded(report: OutputReport, commanded: dict[int, float]) -> bytes:
     """A report with its id in front; what is not in `commanded` (value by place) is 0."""
-    values, out = np.zeros(reports.COMMANDED_SIZE), np.zeros(1 + report.bytes, np.uint8)
-    out[0], values[reports.CONSTANT] = report.id, 1.0
+    values, out = np.zeros(table.COMMANDED_SIZE), np.zeros(1 + report.bytes, np.uint8)
+    out[0], values[table.CONSTANT] = report.id, 1.0
     for place, value in commanded.items():
         values[place] = value
-    reports.encode_once(values, reports.output_table(report), np.zeros(1, np.int64), out)
+    table.encode_once(values, table.output_table(report.field), np.zeros(1, np.int64), out)
     return out.tobytes()
+
+
+def rows(options: Options) -> list[tuple[str, str]]:
+    """What `softfinger check` shows beside the options."""
+    return freedom_rows(options.kinematics, options.mounting)
 
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:

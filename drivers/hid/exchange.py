@@ -22,22 +22,16 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import address, counter, lay_out, numbers, word
 from softfinger.drivers.conversation import TALK, busy, c_functions, command, drain, pose, send_zero, wake
-from softfinger.drivers.hid.chain import Chain, angles_of, currents_for, forward, orientation_of
-from softfinger.drivers.hid.reports import (
+from softfinger.drivers.fields.table import (
     BUTTONS,
     COMMANDED_SIZE,
     CONSTANT,
-    COUNTS,
-    CURRENT,
-    FORCE,
     GRIPPER,
-    POSITION,
-    QUATERNION,
     SENSED_SIZE,
-    WRIST,
     decode,
     encode,
 )
+from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, SINGULAR, WHOLE, Mechanism, drive, end_of
 from softfinger.drivers.system.libc import EAGAIN, ETIMEDOUT, read_now, write_now
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
@@ -45,11 +39,6 @@ from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
-
-CARTESIAN: Final = 0
-CARTESIAN_WITH_ORIENTATION: Final = 1
-CHAIN: Final = 2
-CHAIN_WITH_WRIST: Final = 3
 
 DRAIN_MAX: Final = 256
 """Reads in one tick: four times what the kernel keeps for a node; a device that floods cannot hold the loop."""
@@ -67,21 +56,17 @@ class Hid(NamedTuple):
 class Model(NamedTuple):
     """What turns a report into a pose and a force into a report.
 
-    chain        the arm; without meaning for a cartesian device
+    mechanism
     position     (3,) m  device's origin in the world
     orientation  (4,)    device to world
-    force_max    N       a cartesian device's; a chain is limited by its currents
     """
 
-    chain: Chain
+    mechanism: Mechanism
     position: Vec3
     orientation: Quaternion
-    force_max: float
 
 
-_ZERO: Final = (0.0, 0.0, 0.0)
-NO_CHAIN: Final = Chain(_ZERO, _ZERO, _ZERO, _ZERO, _ZERO, 0.0, _ZERO)
-_MODEL_LIKE: Final = Model(NO_CHAIN, _ZERO, (1.0, 0.0, 0.0, 0.0), 0.0)
+_MODEL_LIKE: Final = Model(NONE, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 
@@ -93,9 +78,10 @@ class Words(NamedTuple):
     written: Annotated[int, counter("reports sent, kicks included")]
     kicks: Annotated[int, counter("zero reports sent into a silence")]
     cut: Annotated[int, counter("wrenches that the motors could not give")]
+    singular: Annotated[int, counter("forces that were less, because the mechanism is singular there")]
     foreign: Annotated[int, counter("reports of another id, passed over")]
     held: Annotated[int, counter("forces not sent, because the pump still had others")]
-    kind: Annotated[int, word("CARTESIAN or one of those after it")]
+    kind: Annotated[int, word("of the mechanism")]
     in_id: Annotated[int, word("of a report, 0 where reports have none")]
     in_bytes: Annotated[int, word("with the id, if there is one")]
     out_bytes: Annotated[int, word("with the id, which is always there")]
@@ -110,6 +96,8 @@ class Words(NamedTuple):
     scratch: Annotated[int, word("of a field being read or written")]
     values: Annotated[int, numbers("of the newest report", SENSED_SIZE)]
     command: Annotated[int, numbers("of the report being written", COMMANDED_SIZE)]
+    turns: Annotated[int, word("whether an orientation is sensed")]
+    place: Annotated[int, numbers("m, where a delta was", 3)]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
 
 
@@ -149,22 +137,11 @@ def _pose(driver: Hid, handle: int) -> bool:
     report = at[AT.newest] + (1 if at[AT.in_id] != 0 else 0)
     if not decode(report, at[AT.in_table], at[AT.in_rows], handle + 8 * AT.scratch, values):
         return False
-    kind, orientation = at[AT.kind], (1.0, 0.0, 0.0, 0.0)
-    if kind in (CHAIN, CHAIN_WITH_WRIST):
-        angles = angles_of(model.chain, (values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]))
-        position = forward(model.chain, angles)
-        if kind == CHAIN_WITH_WRIST:
-            wrist = (values[WRIST], values[WRIST + 1], values[WRIST + 2])
-            orientation = normalize(multiply(model.orientation, orientation_of(model.chain, angles, wrist)))
-    else:
-        position = (values[POSITION], values[POSITION + 1], values[POSITION + 2])
-        if kind == CARTESIAN_WITH_ORIENTATION:
-            q = (values[QUATERNION], values[QUATERNION + 1], values[QUATERNION + 2], values[QUATERNION + 3])
-            # normalised in two steps: the square of a number that a float32 can hold fits a float64
-            size = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-            if not size > 0.0:
-                return False
-            orientation = normalize(multiply(model.orientation, normalize(q)))
+    place = float64_at(handle + 8 * AT.place)
+    position, turned, usable = end_of(at[AT.kind], model.mechanism, values, place)
+    if not usable:
+        return False
+    orientation = normalize(multiply(model.orientation, turned)) if at[AT.turns] != 0 else (1.0, 0.0, 0.0, 0.0)
     position = vec3.add(rotate(model.orientation, position), model.position)
     for k in range(3):
         kept[k] = position[k]
@@ -246,26 +223,15 @@ def _wake(driver: Hid, handle: int) -> int:
 
 
 @jit
-def _fill(handle: int, wrench: Any) -> bool:
-    """Put a wrench into the report; whether it had to be limited."""
+def _fill(handle: int, wrench: Any) -> int:
+    """Put a wrench into the report; WHOLE, or why it had to be limited."""
     at = int64_at(handle)
     _clear(handle)
     model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
     values, given = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.command)
     force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
-    if at[AT.kind] in (CHAIN, CHAIN_WITH_WRIST):
-        angles = angles_of(model.chain, (values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]))
-        current, cut = currents_for(model.chain, angles, force)
-        for k in range(3):
-            given[CURRENT + k] = current[k]
-    else:
-        size = vec3.norm(force)
-        cut = size > model.force_max
-        if cut:
-            force = vec3.scale(model.force_max / size, force)
-        for k in range(3):
-            given[FORCE + k] = force[k]
-    return _encode(handle) or cut
+    how = drive(at[AT.kind], model.mechanism, values, float64_at(handle + 8 * AT.place), force, given)
+    return LIMITED if _encode(handle) and how == WHOLE else how
 
 
 @command.of(Hid)
@@ -274,12 +240,12 @@ def _command(driver: Hid, handle: int, wrench: Any) -> int:
     if _crowded(handle):
         at[AT.held] += 1
         return HELD
-    cut = _fill(handle, wrench)
+    how = _fill(handle, wrench)
     status = _send(handle)
     if status == OK:
         at[TALK.loaded] = 1
-    if cut:
-        at[AT.cut] += 1
+    if how != WHOLE:
+        at[AT.singular if how == SINGULAR else AT.cut] += 1
         if status == OK:
             status = STALE
     return status

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, known, said, sized, within
+from softfinger.config.schema import Complaint, Table, known, said, sized, within
+from softfinger.drivers.fields.options import (
+    BYTES,
+    FIELDS,
+    InputField,
+    OutputField,
+    layout_faults,
+    repeated_meanings,
+)
+from softfinger.drivers.kinematics.options import Chain, Kinematics, faults_of_fields
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.system.descriptor import Announced
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 REPORT_ID: Final = Range(0, 255, "one byte; 0 where the device does not number its reports")
-REPORT_BYTES: Final = Range(1, 1024, "the longest packet of a USB interrupt endpoint")
-FIELDS: Final = Range(1, 32, "more than any haptic device has senses")
-SCALE: Final = Range(-1e9, 1e9, "past this a 32-bit field has no digit left")
-RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m stands on the floor")
-LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
-TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01 to 1 N m/A")
-COUNTS: Final = Range(1, 1e7, "the finest encoders give some million counts a turn")
-PRESET_COUNTS: Final = Range(-32768, 32767, "what a two-byte counter holds")
-CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices end at a few amperes")
 SILENCE_S: Final = Range(
     0.01, 0.2, "below, one kick has no time to work; above, force acts where the device was long ago"
 )
@@ -35,109 +34,36 @@ GIVE_UP_S: Final = Range(
     0.01, 2.0, "below, one kick has no time to work; above, a device that is gone would go unnoticed"
 )
 
-Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]
-TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32")
-"""Types of a field, little-endian; a kernel knows each by its place here."""
-TYPE_BYTES: Final = {name: struct.calcsize(code) for name, code in zip(TYPES, "bBhHiIf", strict=True)}
-
-Sensed = Literal["a", "b", "c", "d", "e", "f", "x", "y", "z", "qw", "qx", "qy", "qz", "gripper", "buttons"]
-SENSED: Final[tuple[str, ...]] = get_args(Sensed)
-"""What a field of an input report may mean: encoder counts, position (m), orientation, bits of the button mask."""
-
-Commanded = Literal[
-    "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
-    "preset_a", "preset_b", "preset_c", "constant",
-]  # fmt: skip
-COMMANDED: Final[tuple[str, ...]] = (
-    "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
-    "preset_a", "preset_b", "preset_c", "constant",
-)  # fmt: skip
-"""What a field of an output report may mean: currents (A), forces (N), counts to preset, or always its `scale`."""
-
 Through = Literal["auto", "node", "thread"]
 """What carries the reports: the loop itself at a hidraw node; threads at hidapi; the first where there is a node."""
 
 LIBRARY: Final = Path(__file__).with_name("reports.toml")
 
-Lengths = tuple[
-    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
-    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
-    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
-]
-Link = Annotated[float, Meta(ge=LINK_M.low, le=LINK_M.high)]
-TorqueConstant = Annotated[float, Meta(ge=TORQUE_CONSTANT.low, le=TORQUE_CONSTANT.high)]
-Preset = Annotated[float, Meta(ge=PRESET_COUNTS.low, le=PRESET_COUNTS.high)]
-Counts = Annotated[float, Meta(ge=COUNTS.low, le=COUNTS.high)]
-
-
-class InputField(Table, frozen=True, kw_only=True):
-    """One number of an input report: meaning = scale * raw + bias."""
-
-    meaning: Annotated[Sensed, said("what it is: encoder a to f, position, quaternion, gripper, buttons", "a")]
-    offset: Annotated[int, Meta(ge=0, le=int(REPORT_BYTES.high)), said("first byte, after the report id", 0)]
-    type: Annotated[Type, said("little-endian type", "int16")]
-    scale: Annotated[float, within(SCALE, "per count; metres for x, y, z", 1.0)] = 1.0
-    bias: Annotated[float, within(SCALE, "added after scaling", 0.0)] = 0.0
-    button_above: (
-        Annotated[float, within(SCALE, "a raw value above this has twice it added, for a pressed button 0", 5000.0)]
-        | None
-    ) = None
-
-
-class OutputField(Table, frozen=True, kw_only=True):
-    """One number of an output report: raw = scale * meaning, rounded to the nearest."""
-
-    meaning: Annotated[Commanded, said("what it is: a current, a force, a preset count, a constant", "current_a")]
-    offset: Annotated[int, Meta(ge=0, le=int(REPORT_BYTES.high)), said("first byte, after the report id", 0)]
-    type: Annotated[Type, said("little-endian type", "int16")]
-    scale: Annotated[float, within(SCALE, "counts per A or N; the value itself of a constant", 1000.0)] = 1.0
-
-
-def _layout_faults(bytes_: int, fields: tuple[InputField | OutputField, ...]) -> Iterator[Complaint]:
-    taken: dict[int, int] = {}
-    for n, one in enumerate(fields):
-        if not known(one) or not known(one.offset, one.type):
-            continue
-        end = one.offset + TYPE_BYTES[one.type]
-        if end > bytes_:
-            where = f"bytes {one.offset} to {end - 1}"
-            yield f"field[{n}].offset", one.offset, f"{where} of a report of {bytes_}: count from 0, without the id"
-        for byte in range(one.offset, min(end, bytes_)):
-            other = taken.setdefault(byte, n)
-            if other != n:
-                yield f"field[{n}].offset", one.offset, f"byte {byte} belongs to field[{other}] already: move one"
-                break
-
 
 class InputReport(Table, frozen=True, kw_only=True):
     """What the device sends."""
 
-    bytes: Annotated[int, within(REPORT_BYTES, "length without the report id, as in the descriptor", 8)]
+    bytes: Annotated[int, within(BYTES, "length without the report id, as in the descriptor", 8)]
     id: Annotated[int, within(REPORT_ID, "report id; 0: the device does not number its reports", 0)] = 0
     field: Annotated[tuple[InputField, ...], sized(FIELDS, "its numbers")]
 
     def faults(self) -> Iterator[Complaint]:
         if not known(self.bytes, self.field):
             return
-        yield from _layout_faults(self.bytes, self.field)
-        seen = set()
-        for n, one in enumerate(self.field):
-            if known(one) and known(one.meaning) and one.meaning != "buttons":
-                if one.meaning in seen:
-                    yield f"field[{n}].meaning", one.meaning, "another field has this meaning: leave one out"
-                seen.add(one.meaning)
+        yield from layout_faults(self.bytes, self.field, "a report", ", without the id")
+        yield from repeated_meanings(self.field)
 
 
 class OutputReport(Table, frozen=True, kw_only=True):
     """What the device is sent; bytes of no field are 0."""
 
-    bytes: Annotated[int, within(REPORT_BYTES, "length without the report id, as in the descriptor", 8)]
+    bytes: Annotated[int, within(BYTES, "length without the report id, as in the descriptor", 8)]
     id: Annotated[int, within(REPORT_ID, "report id; 0: the device does not number its reports", 0)] = 0
     field: Annotated[tuple[OutputField, ...], sized(FIELDS, "its numbers")]
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.bytes, self.field):
-            yield from _layout_faults(self.bytes, self.field)
+            yield from layout_faults(self.bytes, self.field, "a report", ", without the id")
 
 
 @lru_cache(maxsize=1)
@@ -172,38 +98,6 @@ class Reports(Table, frozen=True, kw_only=True):
             yield "preset.bytes", self.preset.bytes, f"must be an output report like the other one: {theirs}"
 
 
-class Cartesian(Table, frozen=True, kw_only=True, tag_field="kind", tag="cartesian"):
-    """The device knows its position itself and is sent forces."""
-
-
-class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
-    """Three joints over capstans, and a wrist of three encoders where there is one; docs/devices/hid.md draws it."""
-
-    capstan_m: Annotated[Lengths, said("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
-    body_m: Annotated[Lengths, said("diameters of the bodies they drive", [0.16, 0.12, 0.12])]
-    link_m: Annotated[tuple[Link, Link, Link], said("lengths of bodies a, b, c", [0.08, 0.205, 0.245])]
-    origin_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the foot of the arm", [0.22, 0.0, 0.08])
-    ]
-    counts_per_turn: Annotated[float, within(COUNTS, "counts per turn of a motor", 2000.0)]
-    torque_constant_nm_per_a: Annotated[
-        tuple[TorqueConstant, TorqueConstant, TorqueConstant], said("of the three motors", [0.321, 0.0603, 0.0603])
-    ]
-    aligned: Annotated[
-        tuple[bool, bool, bool], said("motor and body turn the same way, so that counts fall", [False, False, False])
-    ] = (False, False, False)
-    calibration_counts: Annotated[
-        tuple[Preset, Preset, Preset], said("what encoders a, b, c show in the calibration pose", [0, 0, 6000])
-    ] = (0.0, 0.0, 0.0)
-    current_max_a: Annotated[float, within(CURRENT_A, "most in one motor; all three come down together", 2.0)] = 2.0
-    wrist_counts_per_turn: Annotated[float, within(COUNTS, "of encoders d, e, f; absent: no wrist", 1024.0)] | None = (
-        None
-    )
-    wrist_aligned: Annotated[
-        tuple[bool, bool, bool], said("whether joints D, E, F turn with their counts", [False, True, False])
-    ] = (True, True, True)
-
-
 class Options(Table, frozen=True, kw_only=True):
     """What a rig's [device] table may say for `driver = "hid"`."""
 
@@ -213,7 +107,7 @@ class Options(Table, frozen=True, kw_only=True):
     path: Annotated[str, said("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
     through: Annotated[Through, said("the loop at the node, threads at hidapi, or what there is", "auto")] = "auto"
     reports: Reports
-    kinematics: Chain | Cartesian
+    kinematics: Kinematics
     mounting: Mounting = Mounting()
     calibrate: Annotated[bool, said("the arm rests in its calibration pose when opened: set its counts", False)] = False
     force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "most that it displays", 5.0)]
@@ -230,38 +124,8 @@ class Options(Table, frozen=True, kw_only=True):
             yield "path", self.path, 'is hidapi\'s name on USB, and through = "node" needs a node such as /dev/hidraw0'
         if not known(self.reports, self.kinematics):
             return
-        reports, chain = self.reports, isinstance(self.kinematics, Chain)
-        if not known(reports.input, reports.output, reports.preset):
-            return
-        sensed = _meanings(reports.input)
-        commanded = _meanings(reports.output)
-        if sensed is None or commanded is None:
-            return
-        kind = "chain" if chain else "cartesian"
-        yield from _needed("reports.input", sensed, {*"abc"} if chain else {*"xyz"}, kind)
-        needed = {f"current_{k}" for k in "abc"} if chain else {f"force_{k}" for k in "xyz"}
-        yield from _needed("reports.output", commanded, needed, kind)
-        wrist = self.kinematics.wrist_counts_per_turn if isinstance(self.kinematics, Chain) else None
-        if wrist is not None and known(wrist):
-            yield from _needed("reports.input", sensed, {*"def"}, "chain with a wrist")
-        quaternion = {"qw", "qx", "qy", "qz"}
-        if sensed & quaternion and (chain or not quaternion <= sensed):
-            yield (
-                "reports.input.field",
-                sorted(sensed & quaternion),
-                "a cartesian device senses all of qw to qz or none",
-            )
-        if self.calibrate is True and not chain:
+        reports, kinematics = self.reports, self.kinematics
+        if known(reports.input, reports.output, reports.preset):
+            yield from faults_of_fields("reports", reports.input.field, reports.output.field, kinematics)
+        if self.calibrate is True and not isinstance(kinematics, Chain):
             yield "calibrate", True, "only a chain has a calibration pose: leave it false"
-
-
-def _meanings(report: InputReport | OutputReport) -> set[str] | None:
-    if not known(report.field) or not known(*report.field):
-        return None
-    return {one.meaning for one in report.field if known(one.meaning)}
-
-
-def _needed(key: str, has: set[str], needs: set[str], kind: str) -> Iterator[Complaint]:
-    lacking = ", ".join(sorted(needs - has))
-    if lacking:
-        yield f"{key}.field", msgspec.UNSET, f"lacks {lacking}, which a {kind} needs: add a field for each"

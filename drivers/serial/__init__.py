@@ -1,7 +1,7 @@
-"""WoodenHaptics' third generation: a board on a serial port that knows its own kinematics.
+"""Boards on a serial port: one whose frames a rig describes, and WoodenHaptics' third generation, which sends text.
 
-What a rig may say is in `options`, the text of a frame in `frames`, the system's port in `port`, the exchange of a
-tick in `exchange`; `device` puts them together.
+What a rig may say is in `options`, described frames in `packets`, the text of a frame in `frames`, the system's port in
+`port`, the exchange of a tick in `exchange`; `device` puts them together.
 
 What every board on a file descriptor does is not in here but in `drivers.conversation`.
 """

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import logging
+import os
 import time
 from typing import Final
+
+import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, Device, DeviceIO, LastWord
 from softfinger.drivers.block import Block
 from softfinger.drivers.conversation import TALK, Times, begin, info_of
-from softfinger.drivers.serial import exchange, frames
-from softfinger.drivers.serial.exchange import AT
-from softfinger.drivers.serial.options import Options
+from softfinger.drivers.fields import table
+from softfinger.drivers.kinematics.freedom import freedom_rows
+from softfinger.drivers.kinematics.mechanism import NONE, SINGULAR_POSE, kind_of, make_mechanism
+from softfinger.drivers.serial import exchange, frames, packets
+from softfinger.drivers.serial.exchange import AT, CHUNK, TEXT
+from softfinger.drivers.serial.options import Frames, Options, OutputFrame
 from softfinger.drivers.serial.port import close_port, open_port
 from softfinger.proxy.kernels.jit.pack import flatten
 
@@ -32,11 +39,23 @@ class SerialDevice(Device):
     def __init__(self, options: Options, fd: int, path: str) -> None:
         self._options, self._path = options, path
         origin, turned = options.mounting.frame()
-        self._block = self._make_block(fd, exchange.Model(origin, turned, options.force_max_n))
-        name = f"serial {options.vendor_id:04x}:{options.product_id:04x} at {path}"
-        self.info = info_of(options, name, sensed_dof=5)  # nobody senses the turn about the handle's own axis
+        given, spec = options.kinematics, options.frames
+        self._setup, self._zero = b"", frames.ZERO
+        if spec is not None:
+            resync = b"" if spec.resync is None else bytes([spec.resync.byte]) * spec.resync.count
+            self._setup = b"" if spec.setup is None else resync + _encoded(spec.setup, spec)
+            self._zero = (self._setup or resync) + _encoded(spec.output, spec)
+        mechanism = NONE if given is None else make_mechanism(given, options.force_max_n)
+        self._block = self._make_block(fd, exchange.Model(origin, turned, options.force_max_n, mechanism))
+        ids = "" if options.vendor_id is None else f" {options.vendor_id:04x}:{options.product_id:04x}"
+        name = f"serial{ids} at {path}"
+        if given is None:
+            self.info = info_of(options, name, sensed_dof=5)  # nobody senses the turn about the handle's own axis
+        else:
+            turns = bool(self._block.word[AT.turns])
+            self.info = info_of(options, name, sensed_dof=6 if turns else given.dof, actuated_dof=given.dof)
         try:
-            self._wake()
+            self._wake(self._setup)
         except BaseException:
             self.close()
             raise
@@ -44,21 +63,53 @@ class SerialDevice(Device):
     def _make_block(self, fd: int, model: exchange.Model) -> Block:
         block, options = Block(TALK, AT), self._options
         spans = Times(options.quiet_s, options.kick_s, kick_awaiting=options.kick_s, timeout=options.timeout_s)
-        begin(block, fd, spans, answer=exchange.ANSWERED)
-        block.word[AT.asked_at] = -exchange.ANSWERED  # nothing has been asked
-        block.word[AT.newline] = frames.NEWLINE
+        spec = options.frames
+        size = frames.FRAME_BYTES if spec is None else spec.input.bytes
+        begin(block, fd, spans, answer=size)
+        word = block.word
+        word[AT.answer] = 0 if spec is not None and spec.mode == "stream" else size
+        word[AT.asked_at] = -size  # nothing has been asked
+        word[AT.newline] = frames.NEWLINE
+        word[AT.kind], word[AT.turns] = TEXT, 1
+        word[AT.out_bytes] = word[AT.out_total] = frames.FRAME_BYTES
         block.octets(AT.incoming, frames.LOOKBACK)[:] = frames.NEWLINE
         block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
+        if spec is not None:
+            self._describe(block, spec)
+        filler = 0 if spec is None or spec.resync is None else spec.resync.byte
+        block.point(AT.outgoing, np.full(word[AT.out_total], filler, np.uint8))
         return block
 
-    def _wake(self) -> None:
-        """Kick the device until it sends a frame: a board that has just been plugged in takes a while to start."""
+    def _describe(self, block: Block, spec: Frames) -> None:
+        word, given, big = block.word, self._options.kinematics, spec.order == "big"
+        assert given is not None
+        turns = any(field.meaning == "qw" for field in spec.input.field)
+        turns = turns or getattr(given, "wrist_counts_per_turn", None) is not None
+        word[AT.kind], word[AT.turns] = kind_of(given, turns), turns
+        word[AT.aligned] = spec.mode == "answer" and not spec.input.marked()
+        for rows, shape, fields, frame, table_of in (
+            (AT.in_rows, AT.in_shape, AT.in_table, spec.input, table.input_table(spec.input.field, big)),
+            (AT.out_rows, AT.out_shape, AT.out_table, spec.output, table.output_table(spec.output.field, big)),
+        ):
+            word[rows] = len(table_of)
+            block.point(shape, packets.shape_of(frame, big))
+            block.point(fields, table_of)
+        block.point(AT.stream, np.zeros(2 * spec.input.bytes + CHUNK, np.uint8))
+        block.numbers(AT.place, 3)[:] = make_mechanism(given, 0.0).delta.home
+        word[AT.out_bytes] = spec.output.bytes
+        word[AT.out_total] = spec.output.bytes + (0 if spec.resync is None else spec.resync.count)
+
+    def _wake(self, setup: bytes = b"") -> None:
+        """Set the device up and kick it until it sends a frame: one that has just been plugged in takes a while to
+        start, and its setup is sent again with each attempt."""
         sample = (ctypes.c_double * SAMPLE_SIZE)()
+        self._say(setup)
         until = time.monotonic() + self._options.wake_s
         while (status := exchange.read.ctypes(self._block.handle, sample)) < 0:
             if status == LOST:
                 raise DeviceLost(f"{self.info.name} is gone: plug it in again")
             if time.monotonic() < until:
+                self._say(setup)
                 continue
             if status == TIMEOUT:
                 raise DeviceTimeout(
@@ -66,9 +117,19 @@ class SerialDevice(Device):
                     "firmware, or give it more time with wake_s"
                 )
             raise DeviceError(
-                f"{self.info.name} sends no frame of eight numbers in 64 bytes ({self.reason()}): is it this device, "
-                "and its third generation?"
+                f"{self.info.name} sends no frame of {self._expected()} ({self.reason()}): is it this device, "
+                "and does it run this firmware?"
             )
+
+    def _expected(self) -> str:
+        spec = self._options.frames
+        return "eight numbers in 64 bytes" if spec is None else f"{spec.input.bytes} bytes as the rig describes them"
+
+    def _say(self, data: bytes) -> None:
+        """Send bytes that no tick waits for; what the port does not take is lost."""
+        if data:
+            with contextlib.suppress(OSError):
+                os.write(int(self._block.word[TALK.fd]), data)
 
     def io(self) -> DeviceIO:
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
@@ -91,18 +152,43 @@ class SerialDevice(Device):
         fd = int(self._block.word[TALK.fd])
         self._block.word[TALK.fd] = -1
         if fd >= 0:
+            if self._setup:  # a board that has lost its setup heeds no zero, and keeps its torques
+                with contextlib.suppress(OSError):
+                    os.write(fd, self._zero)
             close_port(fd)
 
     def reason(self) -> str:
-        if self._block.word[TALK.misread] < exchange.ANSWERED:
+        word, spec = self._block.word, self._options.frames
+        if word[TALK.misread] < word[TALK.answer]:
             return ""
-        return f"its last bytes are {self._block.octets(AT.incoming, frames.LOOKBACK).tobytes()!r}"
+        if spec is None:
+            return f"its last bytes are {self._block.octets(AT.incoming, frames.LOOKBACK).tobytes()!r}"
+        last = ctypes.string_at(int(word[AT.stream]), spec.input.bytes)
+        return f"its last bytes are {last.hex(' ')}"
+
+    def warning(self) -> str:
+        return SINGULAR_POSE if self._block.word[AT.singular] else ""
 
     def last_word(self) -> LastWord:
-        return LastWord(self._path, int(self._block.word[TALK.fd]), frames.ZERO)
+        return LastWord(self._path, int(self._block.word[TALK.fd]), self._zero)
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()
+
+
+def _encoded(frame: OutputFrame, spec: Frames) -> bytes:
+    """A frame of constants, and of zeros for everything that is commanded."""
+    big, given = spec.order == "big", np.zeros(table.COMMANDED_SIZE)
+    given[table.CONSTANT] = 1.0
+    out = np.zeros(1 + frame.bytes, np.uint8)  # as a report, whose id is in front
+    table.encode_once(given, table.output_table(frame.field, big), np.zeros(1, np.int64), out)
+    packets.finish_once(out[1:], packets.shape_of(frame, big))
+    return out[1:].tobytes()
+
+
+def rows(options: Options) -> list[tuple[str, str]]:
+    """What `softfinger check` shows beside the options."""
+    return freedom_rows(options.kinematics, options.mounting)
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:

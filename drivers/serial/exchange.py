@@ -1,20 +1,30 @@
 """One tick with a serial port, from nopython: bytes read up to the newest frame, one frame written.
 
-What is the same for any board is in `conversation`. The device answers each frame it is sent, one for one. So a frame
-goes out once the last one has been answered, or frames would pile up in the device's buffers and forces come late; a
-zero after a force does not wait. A newline wakes the device.
+What is the same for any board is in `conversation`. Frames are WoodenHaptics' text (`frames`) or bytes that a rig
+describes (`packets`). A board that answers each frame it is sent gets the next one once the last has been answered, or
+frames would pile up in its buffers and forces come late; a zero after a force does not wait. A newline wakes
+WoodenHaptics, a zero a described board; where an answer is missing, `resync` bytes go in front of a zero.
 """
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Final, NamedTuple
 
-from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_BUTTONS, STALE
-from softfinger.drivers.block import counter, lay_out, numbers, octets, word
+from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, STALE
+from softfinger.drivers.block import address, counter, lay_out, numbers, octets, word
 from softfinger.drivers.conversation import TALK, busy, c_functions, command, drain, pose, send_zero, wake
+from softfinger.drivers.fields.table import (
+    BUTTONS,
+    COMMANDED_SIZE,
+    CONSTANT,
+    GRIPPER,
+    SENSED_SIZE,
+)
+from softfinger.drivers.fields.table import encode as encode_fields
+from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, SINGULAR, WHOLE, Mechanism, drive, end_of
+from softfinger.drivers.serial import packets
 from softfinger.drivers.serial.frames import (
     ANGLES,
-    FRAME_BYTES,
     INFO,
     LOOKBACK,
     NUMBERS,
@@ -42,8 +52,8 @@ CHUNK: Final = 1024
 """Bytes of one read."""
 DRAIN_MAX: Final = 16
 """Reads in one tick: four times what the kernel keeps for a port; a device that floods cannot hold the loop."""
-ANSWERED: Final = FRAME_BYTES
-"""Bytes that are an answer, whether they can be understood or not."""
+TEXT: Final = -1
+"""In the place of a mechanism's kind: a board that knows its own kinematics, and speaks WoodenHaptics' text."""
 
 
 class Serial(NamedTuple):
@@ -56,14 +66,16 @@ class Model(NamedTuple):
     position     (3,) m  device's origin in the world
     orientation  (4,)    device to world
     force_max    N
+    mechanism    of a described board
     """
 
     position: Vec3
     orientation: Quaternion
     force_max: float
+    mechanism: Mechanism
 
 
-_MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
+_MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0, NONE)
 MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 
@@ -77,30 +89,73 @@ class Words(NamedTuple):
     held: Annotated[int, counter("forces not sent, because the last frame had no answer")]
     kicks: Annotated[int, counter("newlines sent into a silence")]
     cut: Annotated[int, counter("forces past the largest")]
-    asked_at: Annotated[int, word("`bytes` when the last frame was sent; ANSWERED or more since then are its answer")]
-    newline: Annotated[int, word("what wakes the device")]
+    singular: Annotated[int, counter("forces that were less, because the mechanism is singular there")]
+    kind: Annotated[int, word("of the mechanism, or TEXT")]
+    turns: Annotated[int, word("whether an orientation is sensed")]
+    answer: Annotated[int, word("bytes of an answer, whether they can be understood or not; 0: nothing is answered")]
+    asked_at: Annotated[int, word("`bytes` when the last frame was sent; `answer` or more since then are its answer")]
+    newline: Annotated[int, word("what wakes WoodenHaptics")]
     waiting: Annotated[int, word("bytes that the system has for this driver")]
+    aligned: Annotated[int, word("whether an answer is known by its length alone")]
+    filled: Annotated[int, word("bytes in `stream` that may belong to a frame")]
+    in_shape: Annotated[int, address("a shape of `packets`")]
+    out_shape: Annotated[int, address("the same")]
+    in_rows: Annotated[int, word("fields of a frame")]
+    out_rows: Annotated[int, word("the same")]
+    in_table: Annotated[int, address("(in_rows, ROW) float64")]
+    out_table: Annotated[int, address("(out_rows, ROW) float64")]
+    stream: Annotated[int, address("bytes of frames that are described")]
+    outgoing: Annotated[int, address("resync bytes and the last frame sent")]
+    out_bytes: Annotated[int, word("of a frame sent")]
+    out_total: Annotated[int, word("with the resync bytes in front of it")]
+    scratch_word: Annotated[int, word("of a field being read or written")]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
-    scratch: Annotated[int, numbers("of a frame being read", NUMBERS)]
-    values: Annotated[int, numbers("of the newest frame", NUMBERS)]
-    incoming: Annotated[int, octets("what was read last, and in front of it what may belong to it", LOOKBACK + CHUNK)]
-    outgoing: Annotated[int, octets("the last frame sent", FRAME_BYTES)]
+    place: Annotated[int, numbers("m, where a delta was", 3)]
+    scratch: Annotated[int, numbers("of a frame being read", max(NUMBERS, SENSED_SIZE))]
+    values: Annotated[int, numbers("of the newest frame", max(NUMBERS, SENSED_SIZE))]
+    given: Annotated[int, numbers("of the frame being written", COMMANDED_SIZE)]
+    incoming: Annotated[int, octets("text read last, and in front of it what may belong to it", LOOKBACK + CHUNK)]
 
 
 AT: Final = lay_out(Words, after=TALK)
 
 
+@jit
+def _take_text(handle: int, wanted: int) -> tuple[int, int]:
+    """Read so many bytes of text; how many came, or a status below 0, and the frames that they complete."""
+    at, incoming = int64_at(handle), handle + 8 * AT.incoming
+    count = read_waiting(at[TALK.fd], incoming + LOOKBACK, wanted, handle + 8 * AT.waiting)
+    if count <= 0:
+        return count, 0
+    scratch, values = float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * AT.values)
+    return count, take(incoming, count, scratch, values)
+
+
+@jit
+def _take_described(handle: int, wanted: int) -> tuple[int, int]:
+    """The same with frames that the rig describes."""
+    at = int64_at(handle)
+    count = read_waiting(at[TALK.fd], at[AT.stream] + at[AT.filled], wanted, handle + 8 * AT.waiting)
+    if count <= 0:
+        return count, 0
+    at[AT.filled] += count
+    table = (at[AT.in_table], at[AT.in_rows], handle + 8 * AT.scratch_word)
+    numbers = (float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * AT.values))
+    filled = int64_at(handle + 8 * AT.filled)
+    return count, packets.take(at[AT.stream], filled, at[AT.aligned] != 0, at[AT.in_shape], table, numbers)
+
+
 @drain.of(Serial)
 def _drain(driver: Serial, handle: int) -> int:
     at = int64_at(handle)
-    incoming, frames = handle + 8 * AT.incoming, 0
+    frames = 0
     for _ in range(DRAIN_MAX):
-        count = read_waiting(at[TALK.fd], incoming + LOOKBACK, CHUNK, handle + 8 * AT.waiting)
+        count, came = _take_text(handle, CHUNK) if at[AT.kind] == TEXT else _take_described(handle, CHUNK)
         if count < 0:
             return LOST
         at[AT.bytes] += count
         at[TALK.misread] += count
-        frames += take(incoming, count, float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * AT.values))
+        frames += came
         if count < CHUNK:
             break
     if frames > 0:
@@ -110,21 +165,36 @@ def _drain(driver: Serial, handle: int) -> int:
     return frames
 
 
-@pose.of(Serial)
-def _pose(driver: Serial, handle: int) -> bool:
-    # R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE)
-    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
-    values, kept = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * TALK.sample)
-    x, y, z = 1e-3 * values[POSITION], 1e-3 * values[POSITION + 1], 1e-3 * values[POSITION + 2]
-    position = vec3.add(rotate(model.orientation, (x, y, z)), model.position)
+@jit
+def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
+    """Position (m) and orientation of a text frame: R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE)."""
+    position = (1e-3 * values[POSITION], 1e-3 * values[POSITION + 1], 1e-3 * values[POSITION + 2])
     body = multiply(about_z(values[ANGLES]), about_y(-values[ANGLES + 1]))
     wrist = multiply(about_x(values[ANGLES + 2]), about_y(values[ANGLES + 3]))
-    orientation = normalize(multiply(model.orientation, multiply(body, wrist)))
+    return position, multiply(body, wrist)
+
+
+@pose.of(Serial)
+def _pose(driver: Serial, handle: int) -> bool:
+    at = int64_at(handle)
+    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    values, kept = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * TALK.sample)
+    if at[AT.kind] == TEXT:
+        position, turned = _text_pose(values)
+        buttons, gripper = float(int(values[INFO]) & 0xFFFF), 0.0
+    else:
+        place = float64_at(handle + 8 * AT.place)
+        position, turned, usable = end_of(at[AT.kind], model.mechanism, values, place)
+        buttons, gripper = values[BUTTONS], values[GRIPPER]
+        if not usable:
+            return False
+    position = vec3.add(rotate(model.orientation, position), model.position)
+    orientation = normalize(multiply(model.orientation, turned)) if at[AT.turns] != 0 else (1.0, 0.0, 0.0, 0.0)
     for k in range(3):
         kept[k] = position[k]
     for k in range(4):
         kept[3 + k] = orientation[k]
-    kept[SAMPLE_BUTTONS] = float(int(values[INFO]) & 0xFFFF)
+    kept[SAMPLE_BUTTONS], kept[SAMPLE_GRIPPER] = buttons, gripper
     return True
 
 
@@ -142,7 +212,7 @@ def _finish(handle: int) -> int:
     """Write what is left of a frame; OK when nothing is, HELD when the port is full, or a status below 0."""
     at = int64_at(handle)
     if at[TALK.left] > 0:
-        taken = _put(handle, handle + 8 * AT.outgoing + FRAME_BYTES - at[TALK.left], at[TALK.left])
+        taken = _put(handle, at[AT.outgoing] + at[AT.out_total] - at[TALK.left], at[TALK.left])
         if taken < 0:
             return taken
         at[TALK.left] -= taken
@@ -150,33 +220,65 @@ def _finish(handle: int) -> int:
 
 
 @jit
+def _fill(handle: int, force: Vec3) -> int:
+    """Put a force (N, device's frame) into the frame; WHOLE, or why it had to be limited."""
+    at = int64_at(handle)
+    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    frame = at[AT.outgoing] + at[AT.out_total] - at[AT.out_bytes]
+    if at[AT.kind] == TEXT:
+        size = vec3.norm(force)
+        cut = size > model.force_max
+        encode(vec3.scale(model.force_max / size, force) if cut else force, frame)
+        return LIMITED if cut else WHOLE
+    given = float64_at(handle + 8 * AT.given)
+    for k in range(COMMANDED_SIZE):
+        given[k] = 0.0
+    given[CONSTANT] = 1.0
+    how = WHOLE
+    if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
+        values, place = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.place)
+        how = drive(at[AT.kind], model.mechanism, values, place, force, given)
+    cut = encode_fields(given, at[AT.out_table], at[AT.out_rows], handle + 8 * AT.scratch_word, frame)
+    packets.finish(frame, at[AT.out_shape])
+    return LIMITED if cut and how == WHOLE else how
+
+
+@jit
 def _send(handle: int, force: Vec3) -> int:
-    """Write a force (N, device's frame); OK, HELD when the port took none of it, or a status below 0.
+    """Write a force (N, device's frame); OK, STALE when it was limited, HELD when the port took none of it, or a status
+    below 0.
 
     A frame that went out in part counts as taken, and is finished before anything else: the device would read a cut
     one as another force.
     """
-    at, outgoing = int64_at(handle), handle + 8 * AT.outgoing
+    at = int64_at(handle)
     status = _finish(handle)
     if status != OK:
         return status
-    encode(force, outgoing)
-    taken = _put(handle, outgoing, FRAME_BYTES)
+    how = _fill(handle, force)
+    count = at[AT.out_total] if _asked(handle) else at[AT.out_bytes]
+    taken = _put(handle, at[AT.outgoing] + at[AT.out_total] - count, count)
     if taken <= 0:
         return taken if taken < 0 else HELD
-    at[TALK.left] = FRAME_BYTES - taken
+    at[TALK.left] = count - taken
     at[AT.written] += 1
     at[TALK.loaded] = 1 if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0 else 0
     at[AT.asked_at] = at[AT.bytes]
+    if at[AT.aligned] != 0:
+        at[AT.filled] = 0  # the answer begins here
+    if how != WHOLE:
+        at[AT.singular if how == SINGULAR else AT.cut] += 1
     status = _finish(handle)
-    return OK if status == HELD else status
+    if status < 0:
+        return status
+    return OK if how == WHOLE else STALE
 
 
 @jit
 def _asked(handle: int) -> bool:
     """Whether the last frame has no answer yet."""
     at = int64_at(handle)
-    return bool(at[AT.bytes] - at[AT.asked_at] < ANSWERED)
+    return bool(at[AT.bytes] - at[AT.asked_at] < at[AT.answer])
 
 
 @busy.of(Serial)
@@ -196,19 +298,16 @@ def _command(driver: Serial, handle: int, wrench: Any) -> int:
         at[AT.held] += 1
         return HELD
     model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
-    force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
-    size = vec3.norm(force)
-    if size <= model.force_max:
-        return _send(handle, force)
-    at[AT.cut] += 1
-    status = _send(handle, vec3.scale(model.force_max / size, force))
-    return STALE if status == OK else status
+    return _send(handle, rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2])))
 
 
 @wake.of(Serial)
 def _wake(driver: Serial, handle: int) -> int:
     at = int64_at(handle)
     status = _finish(handle)
+    if status == OK and at[AT.kind] != TEXT:
+        at[AT.kicks] += 1
+        return _send(handle, (0.0, 0.0, 0.0))
     if status == OK and at[TALK.loaded] != 0:
         status = _send(handle, (0.0, 0.0, 0.0))
     if status == OK and at[TALK.left] == 0:

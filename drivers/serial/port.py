@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import struct
 import sys
 import termios
 import time
@@ -18,6 +19,12 @@ from softfinger.drivers.system.hidraw import ids
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
 
+TIOCGSERIAL: Final = 0x541E
+TIOCSSERIAL: Final = 0x541F
+SERIAL_STRUCT_BYTES: Final = 72
+FLAGS_AT: Final = 16
+ASYNC_LOW_LATENCY: Final = 1 << 13
+"""Of linux/serial.h and tty_flags.h: struct serial_struct and where its flags are, on 64-bit machines."""
 DRAIN_WAIT_S: Final = 0.2
 """How long what was written has to leave before the port is closed; the system's own close would wait for 30 s."""
 
@@ -36,7 +43,7 @@ def open_port(options: Options) -> tuple[int, str]:
         if not os.isatty(fd):
             raise DeviceError(f"{path} is no serial port: name a /dev/ttyACMN, or leave `path` out")
         try:
-            _set_raw(fd)
+            _set_raw(fd, options.baud)
         except (OSError, termios.error) as error:
             raise DeviceError(f"{path} cannot be set to raw bytes: {error}: plug the device in again") from error
     except BaseException:
@@ -57,6 +64,15 @@ def close_port(fd: int) -> None:
     os.close(fd)
 
 
+def _set_low_latency(fd: int) -> None:
+    """Have a chip such as FTDI's hand on bytes after 1 ms and not after 16; a port without such a timer refuses."""
+    with contextlib.suppress(OSError):
+        settings = bytearray(fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
+        (flags,) = struct.unpack_from("i", settings, FLAGS_AT)
+        struct.pack_into("i", settings, FLAGS_AT, flags | ASYNC_LOW_LATENCY)
+        fcntl.ioctl(fd, TIOCSSERIAL, bytes(settings))
+
+
 def _queued(fd: int) -> int:
     """Bytes written that have not left."""
     return int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
@@ -69,6 +85,9 @@ def find(options: Options) -> str:
     a port is not written to before somebody has said that it is the right one.
     """
     ports = list(discovery.serial_ports())
+    if options.vendor_id is None or options.product_id is None:
+        seen = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
+        raise DeviceNotFound(f"the rig does not say which port: name it with path under [device]; attached: {seen}")
     wanted = ids(options.vendor_id, options.product_id)
     theirs = [port for port in ports if port.ids == wanted and other_product(port) is None]
     matching = [port for port in theirs if options.serial in (None, port.serial)]
@@ -99,6 +118,8 @@ def find(options: Options) -> str:
 def _check_ids(path: str, options: Options) -> None:
     """DeviceError when a port belongs to another USB device; one that is not on USB has no ids to compare."""
     port = discovery.serial_port(path)
+    if options.vendor_id is None or options.product_id is None:
+        return
     wanted = ids(options.vendor_id, options.product_id)
     if port is not None and port.ids != wanted:
         raise DeviceError(
@@ -112,17 +133,20 @@ def _check_ids(path: str, options: Options) -> None:
 def _how_to_permit(path: str, options: Options) -> str:
     if (group := discovery.group_with_access(path)) is not None:
         return f"run `sudo usermod -aG {group} $USER`, and log in again"
+    if options.vendor_id is None or options.product_id is None:
+        return "give your user the right to open it"
     return how_to_permit(options.vendor_id, options.product_id)
 
 
-def _set_raw(fd: int) -> None:
+def _set_raw(fd: int, baud: int) -> None:
     # `flock` keeps our own programs out, this one everything that does not run as root.
     fcntl.ioctl(fd, termios.TIOCEXCL)
     settings = termios.tcgetattr(fd)
     settings[0] = settings[1] = settings[3] = 0  # nothing is translated, echoed or held back
     settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL | termios.HUPCL
-    settings[4] = settings[5] = termios.B115200
+    settings[4] = settings[5] = getattr(termios, f"B{baud}")
     # Without a byte to wait for, a read with nothing there would return 0, as if the device were gone.
     settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
     termios.tcsetattr(fd, termios.TCSANOW, settings)
     termios.tcflush(fd, termios.TCIOFLUSH)
+    _set_low_latency(fd)

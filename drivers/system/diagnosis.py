@@ -51,6 +51,12 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
             return Diagnosis(
                 "unclaimed", "no driver knows it", "if it is a haptic device, describe it: docs/devices/hid.md"
             )
+        if device.bus == "serial":
+            return Diagnosis(
+                "unclaimed",
+                "no driver knows it by its ids",
+                "if it is a Hapkit, a Haply 2DIY or a board of your own, name this port: docs/devices/serial.md",
+            )
         return Diagnosis("unclaimed", "no driver knows it")
     if claim.driver not in registry.names():
         return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")

@@ -13,6 +13,7 @@ from softfinger.drivers.falcon import delta
 from softfinger.drivers.falcon.device import Options
 from softfinger.drivers.falcon.options import COUNTS_PER_NM
 from softfinger.drivers.falcon.reply import motor_counts
+from softfinger.drivers.kinematics.delta import forward, inverse, torques_for
 
 pytestmark = pytest.mark.plain
 
@@ -45,7 +46,7 @@ def places(number: int) -> np.ndarray:
 )
 def test_published_places(counts: tuple[int, int, int], place_mm: tuple[float, float, float]) -> None:
     """Encoder counts lead to the published places, to their printed digits; searched from one start for all."""
-    place, found = delta.forward(angles(*counts), delta.HOME)
+    place, found = forward(delta.FALCON, angles(*counts), delta.HOME)
     assert found
     np.testing.assert_allclose(1e3 * np.array(place), place_mm, rtol=0, atol=5.001e-4)  # half of the last digit
 
@@ -56,7 +57,7 @@ def test_published_torques() -> None:
         ((1.0, 0.0, 0.0), (15.488, -52.725, 37.237), 1e-3),
         ((0.0, 0.0, 1.0), (24.18, 24.18, 24.18), 1e-2),
     ):
-        torque, able = delta.torques_for(delta.HOME, force)
+        torque, able = torques_for(delta.FALCON, delta.HOME, force)
         assert able
         np.testing.assert_allclose(1e3 * np.array(torque), torque_mnm, rtol=0, atol=0.5001 * digit)
 
@@ -66,9 +67,9 @@ def test_forward_inverts_inverse_over_the_workspace() -> None:
     near = np.random.default_rng(SEED + 1).uniform(-1e-3, 1e-3, (100_000, 3))
     worst = 0.0
     for place, off in zip(places(100_000).tolist(), near.tolist(), strict=True):
-        theta, _ = delta.inverse(tuple(place))
+        theta, _ = inverse(delta.FALCON, tuple(place))
         start = delta.HOME if off[0] > 0.0 else (place[0] + off[0], place[1] + off[1], place[2] + off[2])
-        again, found = delta.forward(theta, start)
+        again, found = forward(delta.FALCON, theta, start)
         assert found, place
         worst = max(worst, math.dist(place, again))
     assert worst < 1e-9
@@ -77,9 +78,9 @@ def test_forward_inverts_inverse_over_the_workspace() -> None:
 def test_a_search_that_fails_begins_again_at_the_centre() -> None:
     """From no number, or out of reach, the last solution leads nowhere; the place is found all the same."""
     for place in places(100):
-        theta, _ = delta.inverse(tuple(place))
+        theta, _ = inverse(delta.FALCON, tuple(place))
         for last in ((math.nan, 0.0, 0.11), (0.5, -0.5, -0.4)):
-            again, found = delta.forward(theta, last)
+            again, found = forward(delta.FALCON, theta, last)
             assert found and math.dist(place, again) < 1e-9
 
 
@@ -87,11 +88,11 @@ def test_rows_of_k_are_the_derivative() -> None:
     """K is d theta1 / d p, from central differences."""
     h = 1e-6  # m: its square times the third derivative, and rounding over it, stay below 1e-6 rad/m
     for place in places(300):
-        _, k = delta.inverse(tuple(place))
+        _, k = inverse(delta.FALCON, tuple(place))
         for axis in range(3):
             step = h * np.eye(3)[axis]
-            ahead, _ = delta.inverse(tuple(place + step))
-            behind, _ = delta.inverse(tuple(place - step))
+            ahead, _ = inverse(delta.FALCON, tuple(place + step))
+            behind, _ = inverse(delta.FALCON, tuple(place - step))
             slope = (np.array(ahead) - np.array(behind)) / (2 * h)
             np.testing.assert_allclose(np.array(k)[:, axis], slope, rtol=1e-6, atol=1e-5)
 
@@ -102,10 +103,10 @@ def test_torques_do_the_work_of_the_force() -> None:
     h = 1e-6
     for place in places(300):
         force, motion = rng.normal(size=3), rng.normal(size=3)
-        torque, able = delta.torques_for(tuple(place), tuple(force))
+        torque, able = torques_for(delta.FALCON, tuple(place), tuple(force))
         assert able
-        ahead, _ = delta.inverse(tuple(place + h * motion))
-        behind, _ = delta.inverse(tuple(place - h * motion))
+        ahead, _ = inverse(delta.FALCON, tuple(place + h * motion))
+        behind, _ = inverse(delta.FALCON, tuple(place - h * motion))
         turned = (np.array(ahead) - np.array(behind)) / (2 * h)
         assert np.dot(torque, turned) == pytest.approx(force @ motion, abs=1e-6)  # as the differences above
 
@@ -113,7 +114,7 @@ def test_torques_do_the_work_of_the_force() -> None:
 def test_two_derivations_of_the_legs_agree() -> None:
     """The equations solved by the half-angle and, in the emulator, by the triangle of the links give one angle."""
     for place in places(300):
-        theta, _ = delta.inverse(tuple(place))
+        theta, _ = inverse(delta.FALCON, tuple(place))
         theirs = [other.leg_angle(leg, tuple(place)) for leg in other.LEGS]
         np.testing.assert_allclose(theta, theirs, rtol=0, atol=1e-12)  # acos near 1 loses four digits
 
@@ -121,13 +122,13 @@ def test_two_derivations_of_the_legs_agree() -> None:
 @pytest.mark.parametrize("counts", [(32767, -32768, 0), (-3000, -3000, -3000), (2500, 2500, 2500), (math.nan, 0, 0)])
 def test_counts_of_no_place_are_told(counts: tuple[float, float, float]) -> None:
     """Angles that no place has are not found, rather than answered with somewhere."""
-    assert not delta.forward(angles(*counts), delta.HOME)[1]
+    assert not forward(delta.FALCON, angles(*counts), delta.HOME)[1]
 
 
 def test_no_force_where_the_legs_cannot_give_it() -> None:
     """Out of reach the torques are 0 and said to be cut."""
     for place in ((0.2, 0.0, 0.11), (0.0, 0.0, 0.4), (math.nan, 0.0, 0.11), (0.0, 0.0, -0.1)):
-        torque, able = delta.torques_for(place, (0.0, 0.0, 1.0))
+        torque, able = torques_for(delta.FALCON, place, (0.0, 0.0, 1.0))
         assert not able
         assert torque == (0.0, 0.0, 0.0)
         assert motor_counts(10000.0, place, (0.0, 0.0, 1.0)) == ((0, 0, 0), True)
@@ -160,7 +161,7 @@ def test_motors_turn_as_in_recorded_packets() -> None:
 def test_counts_are_scaled_together() -> None:
     """A force past the motors keeps its direction: the counts come down in proportion, to 4095."""
     force = (3.0, -2.0, 60.0)
-    wanted = 10000.0 * np.array(delta.torques_for(delta.HOME, force)[0])
+    wanted = 10000.0 * np.array(torques_for(delta.FALCON, delta.HOME, force)[0])
     counts, cut = motor_counts(10000.0, delta.HOME, force)
     assert cut
     assert max(map(abs, counts)) == 4095

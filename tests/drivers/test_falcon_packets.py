@@ -16,6 +16,7 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.falcon import delta, packets, reply
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.device import Options
+from softfinger.drivers.kinematics.delta import inverse
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
 
@@ -136,7 +137,7 @@ def test_any_counts_give_a_place_of_theirs_or_none() -> None:
     for row in rng.integers(-32768, 32768, (2000, 3)).tolist() + rng.integers(-1500, 1500, (2000, 3)).tolist():
         assert answer(word, (row[0], row[1], row[2]), packets.HOMED) == OK
         if np.isfinite(sample[:3]).all():
-            theta, _ = delta.inverse((sample[0], sample[2], 0.11 - sample[1]))
+            theta, _ = inverse(delta.FALCON, (sample[0], sample[2], 0.11 - sample[1]))
             wanted = delta.THETA_ZERO + delta.RAD_PER_COUNT * np.array(row)
             np.testing.assert_allclose(theta, wanted, atol=1e-11)  # the place is rounded to 1e-17 m of 0.1 m
         else:

@@ -9,8 +9,8 @@ from helpers.hid_devices import RIGS, rig_options
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
-from softfinger.drivers.hid import chain
-from softfinger.drivers.hid.options import Chain
+from softfinger.drivers.kinematics import chain
+from softfinger.drivers.kinematics.options import Chain
 
 pytestmark = pytest.mark.plain
 

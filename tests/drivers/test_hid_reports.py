@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Rig
-from softfinger.drivers.hid import reports
+from softfinger.drivers.fields import table as reports
+from softfinger.drivers.fields.options import COMMANDED, SENSED, TYPES, InputField, OutputField
 from softfinger.drivers.hid.device import Options
-from softfinger.drivers.hid.options import COMMANDED, SENSED, TYPES, InputField, InputReport, OutputField, OutputReport
+from softfinger.drivers.hid.options import InputReport, OutputReport
 from softfinger.drivers.system.descriptor import announced
 
 pytestmark = pytest.mark.plain
@@ -33,7 +34,7 @@ CODES = dict(zip(TYPES, "bBhHiIf", strict=True))
 def decoded(report: InputReport, data: bytes) -> tuple[bool, dict[str, float]]:
     values = np.zeros(reports.SENSED_SIZE)
     usable = reports.decode_once(
-        np.frombuffer(data, np.uint8).copy(), reports.input_table(report), np.zeros(1, np.int64), values
+        np.frombuffer(data, np.uint8).copy(), reports.input_table(report.field), np.zeros(1, np.int64), values
     )
     return bool(usable), dict(zip(SENSED, values.tolist(), strict=True))
 
@@ -42,7 +43,7 @@ def encoded(report: OutputReport, **values: float) -> tuple[bool, bytes]:
     out = np.zeros(1 + report.bytes, np.uint8)
     numbers = np.array([values.get(name, 0.0) for name in COMMANDED])
     numbers[reports.CONSTANT] = 1.0
-    cut = reports.encode_once(numbers, reports.output_table(report), np.zeros(1, np.int64), out)
+    cut = reports.encode_once(numbers, reports.output_table(report.field), np.zeros(1, np.int64), out)
     return bool(cut), out.tobytes()
 
 
@@ -130,7 +131,7 @@ def test_reports_of_any_bytes(cases: Callable[[int, int], int]) -> None:
     generator = np.random.default_rng(9)
     options = build(Options, described(), "described")
     for wire, floats in ((rig_options("woodenhaptics-polhem-v1").reports.input, False), (options.reports.input, True)):
-        table, scratch, values = reports.input_table(wire), np.zeros(1, np.int64), np.zeros(reports.SENSED_SIZE)
+        table, scratch, values = reports.input_table(wire.field), np.zeros(1, np.int64), np.zeros(reports.SENSED_SIZE)
         stream = generator.integers(0, 256, number + wire.bytes, dtype=np.uint8)
         refused = wrong = 0
         for at in range(number):  # each byte of the stream begins a report
@@ -200,7 +201,7 @@ def _with(path: str, value: Any) -> dict[str, Any]:
         ("reports.input.field.3.meaning", "buttons", r"input.field = \['qx', 'qy', 'qz'\]: a cartesian device"),
         ("reports.output.field.2.meaning", "constant", "output.field: lacks force_z, which a cartesian needs"),
         ("kinematics.kind", "chain", "kinematics.capstan_m is missing"),
-        ("kinematics.kind", "delta", "kinematics.kind = 'delta': must be one of 'chain', 'cartesian'"),
+        ("kinematics.kind", "gear", "kinematics.kind = 'gear': must be one of .*'cartesian'"),
         ("reports.output.id", 256, "output.id = 256: must be a whole number from 0 to 255"),
         ("vendor_id", 70000, "vendor_id = 70000: must be a whole number from 0 to 65535"),
         ("reports", "woodenhaptics-v3", "'woodenhaptics-v3': not in the library"),

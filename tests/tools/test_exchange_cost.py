@@ -25,7 +25,7 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["ticks"] == 300
-    assert list(found["seconds"]) == ["forcedimension", "falcon", "haply", "hid", "serial", "spacemouse"]
+    assert list(found["seconds"]) == ["forcedimension", "falcon", "haply", "hid", "serial", "described", "spacemouse"]
     for name, one in found["seconds"].items():
         # a stall of the machine may pass the drivers' own time limits
         assert one["whole"] > (0.9 if name != "haply" else 0.5), name  # a thread and a process answer that one

@@ -120,4 +120,6 @@ def is_of(rig: Rig, device: Attached) -> bool:
     options, claim = single_device(rig).options, claim_on(device)
     if "vendor_id" in options:
         return may_be(device, options)
+    if options.get("path") is not None:
+        return bool(device.node == options["path"])
     return claim is not None and claim.driver == single_device(rig).driver

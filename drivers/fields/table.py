@@ -1,10 +1,11 @@
-"""Reports as bytes: a table of fields, and two kernels that go through it.
+"""Numbers as bytes: a table of fields, and two kernels that go through it.
 
 A table is one row of `ROW` float64 for each field; the kernels never know which device it describes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import floor, isfinite
 from typing import Any, Final
 
@@ -12,14 +13,15 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from softfinger.drivers.hid.options import COMMANDED, SENSED, TYPES, InputReport, OutputReport
+from softfinger.drivers.fields.options import COMMANDED, SENSED, TYPES, InputField, OutputField
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import float32_at, float64_at, int64_at, uint8_at
 
 Array = NDArray[np.float64]
 
-ROW: Final = 6
-"""Numbers of a row: offset, type, place of the value, scale, bias, raw value above which a button is pressed."""
+ROW: Final = 9
+"""Numbers of a row: offset, type, place of the value, scale, bias, raw value above which a button is pressed, least and
+most of the value, whether the first byte is the highest."""
 ROW_BYTES: Final = 8 * ROW
 
 # Places of what is sensed and of what is commanded.
@@ -32,6 +34,7 @@ BUTTONS: Final = SENSED.index("buttons")
 SENSED_SIZE: Final = len(SENSED)
 CURRENT: Final = COMMANDED.index("current_a")
 FORCE: Final = COMMANDED.index("force_x")
+TORQUE: Final = COMMANDED.index("torque_a")
 PRESET: Final = COMMANDED.index("preset_a")
 CONSTANT: Final = COMMANDED.index("constant")
 COMMANDED_SIZE: Final = len(COMMANDED)
@@ -45,28 +48,34 @@ _UINT32: Final = TYPES.index("uint32")
 _FLOAT32: Final = TYPES.index("float32")
 
 
-def input_table(report: InputReport) -> Array:
-    """Rows (n, ROW) of an input report."""
+def input_table(fields: Iterable[InputField], big_endian: bool = False) -> Array:
+    """Rows (n, ROW) of fields from a device."""
+
+    def or_else(value: float | None, none: float) -> float:
+        return none if value is None else value
+
     rows = [
-        (f.offset, TYPES.index(f.type), SENSED.index(f.meaning), f.scale, f.bias, _above(f.button_above))
-        for f in report.field
+        (
+            f.offset, TYPES.index(f.type), SENSED.index(f.meaning), f.scale, f.bias, or_else(f.button_above, np.inf),
+            or_else(f.least, -np.inf), or_else(f.most, np.inf), big_endian,
+        )
+        for f in fields
+    ]  # fmt: skip
+    return np.array(rows, dtype=np.float64)
+
+
+def output_table(fields: Iterable[OutputField], big_endian: bool = False) -> Array:
+    """Rows (n, ROW) of fields to a device."""
+    rows = [
+        (f.offset, TYPES.index(f.type), COMMANDED.index(f.meaning), f.scale, 0.0, 0.0, 0.0, 0.0, big_endian)
+        for f in fields
     ]
-    return np.array(rows, dtype=np.float64)
-
-
-def output_table(report: OutputReport) -> Array:
-    """Rows (n, ROW) of an output report."""
-    rows = [(f.offset, TYPES.index(f.type), COMMANDED.index(f.meaning), f.scale, 0.0, 0.0) for f in report.field]
-    return np.array(rows, dtype=np.float64)
-
-
-def _above(value: float | None) -> float:
-    return np.inf if value is None else value
+    return np.array(rows, dtype=np.float64).reshape(-1, ROW)
 
 
 @jit
 def decode(report: int, table: int, rows: int, scratch: int, values: Any) -> bool:
-    """Read a report into `values` (SENSED_SIZE,); False where a value is not finite.
+    """Read a report into `values` (SENSED_SIZE,); False where a value is not finite or out of its range.
 
     report, table, scratch  addresses of its bytes without the id, of `rows` rows, and of one int64 word
     Buttons of several fields are added up; a pressed button of `button_above` is 1.
@@ -76,12 +85,12 @@ def decode(report: int, table: int, rows: int, scratch: int, values: Any) -> boo
     for n in range(rows):
         row = float64_at(table + n * ROW_BYTES)
         at, kind, place = int(row[0]), int(row[1]), int(row[2])
-        raw = _number(raw_bytes, word, scratch, at, kind)
+        raw = _number(raw_bytes, word, scratch, at, kind, row[8] != 0.0)
         if raw > row[5]:
             raw -= 2.0 * row[5]
             values[BUTTONS] += 1.0
         value = row[3] * raw + row[4]
-        usable = usable and isfinite(value)
+        usable = usable and isfinite(value) and row[6] <= value <= row[7]
         if place == BUTTONS:
             values[BUTTONS] += value
         else:
@@ -112,7 +121,8 @@ def encode(values: Any, table: int, rows: int, scratch: int, report: int) -> boo
             cut = cut or inside != whole
             bits = int(inside)
         for k in range(size):
-            raw_bytes[at + k] = types.uint8((bits >> (8 * k)) & 255)
+            place = at + size - 1 - k if row[8] != 0.0 else at + k
+            raw_bytes[place] = types.uint8((bits >> (8 * k)) & 255)
     return cut
 
 
@@ -132,7 +142,7 @@ def _span(kind: int) -> tuple[float, float, int]:
 
 
 @jit
-def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int) -> float:
+def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, big_endian: bool) -> float:
     size = 1
     if kind in (_INT16, _UINT16):
         size = 2
@@ -140,7 +150,8 @@ def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int) -> floa
         size = 4
     bits = 0
     for k in range(size):
-        bits |= int(raw_bytes[at + k]) << (8 * k)
+        place = at + size - 1 - k if big_endian else at + k
+        bits |= int(raw_bytes[place]) << (8 * k)
     if kind == _FLOAT32:
         word[0] = bits
         return float(float32_at(scratch)[0])

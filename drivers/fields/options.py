@@ -1,0 +1,106 @@
+"""What a rig may say of numbers in the bytes of a device: where each is, its type, and what it means."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from typing import Annotated, Final, Literal, get_args
+
+import msgspec
+from msgspec import Meta
+
+from softfinger.config.limits import Range
+from softfinger.config.schema import Complaint, Table, known, said, within
+
+BYTES: Final = Range(1, 1024, "the longest packet of a USB interrupt endpoint")
+FIELDS: Final = Range(1, 32, "more than any haptic device has senses")
+SCALE: Final = Range(-1e9, 1e9, "past this a 32-bit field has no digit left")
+
+Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]
+TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32")
+"""Types of a field; a kernel knows each by its place here."""
+TYPE_BYTES: Final = {name: struct.calcsize(code) for name, code in zip(TYPES, "bBhHiIf", strict=True)}
+
+Sensed = Literal["a", "b", "c", "d", "e", "f", "x", "y", "z", "qw", "qx", "qy", "qz", "gripper", "buttons"]
+SENSED: Final[tuple[str, ...]] = get_args(Sensed)
+"""What a field from a device may mean: joints or encoders, position (m), orientation, bits of the button mask."""
+
+Commanded = Literal[
+    "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
+    "torque_a", "torque_b", "torque_c", "preset_a", "preset_b", "preset_c", "constant",
+]  # fmt: skip
+COMMANDED: Final[tuple[str, ...]] = (
+    "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
+    "torque_a", "torque_b", "torque_c", "preset_a", "preset_b", "preset_c", "constant",
+)  # fmt: skip
+"""What a field to a device may mean: currents (A), forces (N), torques (N m), counts to preset, or its `scale`."""
+
+
+class InputField(Table, frozen=True, kw_only=True):
+    """One number from the device: meaning = scale * raw + bias."""
+
+    meaning: Annotated[Sensed, said("joint or encoder a to f, position, quaternion, gripper, buttons", "a")]
+    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte; a report id does not count", 0)]
+    type: Annotated[Type, said("type", "int16")]
+    scale: Annotated[float, within(SCALE, "per count; metres for x, y, z, rad for joints", 1.0)] = 1.0
+    bias: Annotated[float, within(SCALE, "added after scaling", 0.0)] = 0.0
+    button_above: (
+        Annotated[float, within(SCALE, "a raw value above this has twice it added, for a pressed button 0", 5000.0)]
+        | None
+    ) = None
+    least: Annotated[float, within(SCALE, "a meaning below this is no number of this device", -3.2)] | None = None
+    most: Annotated[float, within(SCALE, "nor one above this", 3.2)] | None = None
+
+
+class OutputField(Table, frozen=True, kw_only=True):
+    """One number to the device: raw = scale * meaning, rounded to the nearest."""
+
+    meaning: Annotated[
+        Commanded, said("what it is: a current, a force, a torque, a preset count, a constant", "current_a")
+    ]
+    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte; a report id does not count", 0)]
+    type: Annotated[Type, said("type", "int16")]
+    scale: Annotated[float, within(SCALE, "counts per A, N or N m; the value itself of a constant", 1000.0)] = 1.0
+
+
+def layout_faults(
+    bytes_: int, fields: tuple[InputField | OutputField, ...], of: str, rest: str = ""
+) -> Iterator[Complaint]:
+    """Complaints about fields that reach past `bytes_` or into each other."""
+    taken: dict[int, int] = {}
+    for n, one in enumerate(fields):
+        if not known(one) or not known(one.offset, one.type):
+            continue
+        end = one.offset + TYPE_BYTES[one.type]
+        if end > bytes_:
+            where = f"bytes {one.offset} to {end - 1}"
+            yield f"field[{n}].offset", one.offset, f"{where} of {of} of {bytes_}: count from 0{rest}"
+        for byte in range(one.offset, min(end, bytes_)):
+            other = taken.setdefault(byte, n)
+            if other != n:
+                yield f"field[{n}].offset", one.offset, f"byte {byte} belongs to field[{other}] already: move one"
+                break
+
+
+def repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
+    """Complaints about two fields that mean the same; `buttons` may be several, which are added."""
+    seen = set()
+    for n, one in enumerate(fields):
+        if known(one) and known(one.meaning) and one.meaning != "buttons":
+            if one.meaning in seen:
+                yield f"field[{n}].meaning", one.meaning, "another field has this meaning: leave one out"
+            seen.add(one.meaning)
+
+
+def meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None:
+    """What fields mean; None where that is not known."""
+    if not known(fields) or not known(*fields):
+        return None
+    return {one.meaning for one in fields if known(one.meaning)}
+
+
+def lacking(key: str, has: set[str], needs: set[str], kind: str) -> Iterator[Complaint]:
+    """The complaint about meanings that a `kind` of kinematics needs and fields at `key` do not have."""
+    missing = ", ".join(sorted(needs - has))
+    if missing:
+        yield f"{key}.field", msgspec.UNSET, f"lacks {missing}, which a {kind} needs: add a field for each"

@@ -1,0 +1,151 @@
+"""What a rig may say of the mechanism between the joints of a device and its end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Final
+
+from msgspec import Meta
+
+from softfinger.config.limits import Range
+from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
+from softfinger.drivers.fields.options import InputField, OutputField, lacking, meanings
+
+RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m stands on the floor")
+LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
+APART_M: Final = Range(0.0, 2.0, "0: both motors on one axis; a desktop device")
+TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01 to 1 N m/A")
+COUNTS: Final = Range(1, 1e7, "the finest encoders give some million counts a turn")
+PRESET_COUNTS: Final = Range(-32768, 32767, "what a two-byte counter holds")
+CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices end at a few amperes")
+TORQUE_NM: Final = Range(0.0, 20.0, "a joint of a desktop device; 40 N at half a metre")
+ANGLE_DEG: Final = Range(-360.0, 360.0, "a turn")
+
+Lengths = tuple[
+    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
+    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
+    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
+]
+Link = Annotated[float, Meta(ge=LINK_M.low, le=LINK_M.high)]
+TorqueConstant = Annotated[float, Meta(ge=TORQUE_CONSTANT.low, le=TORQUE_CONSTANT.high)]
+Preset = Annotated[float, Meta(ge=PRESET_COUNTS.low, le=PRESET_COUNTS.high)]
+Counts = Annotated[float, Meta(ge=COUNTS.low, le=COUNTS.high)]
+Angle = Annotated[float, Meta(ge=ANGLE_DEG.low, le=ANGLE_DEG.high)]
+
+
+class Cartesian(Table, frozen=True, kw_only=True, tag_field="kind", tag="cartesian"):
+    """The device knows its position itself and is sent forces."""
+
+    sensed: ClassVar[frozenset[str]] = frozenset("xyz")
+    commanded: ClassVar[frozenset[str]] = frozenset({"force_x", "force_y", "force_z"})
+    dof: ClassVar[int] = 3
+
+
+class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
+    """Three joints over capstans, and a wrist of three encoders where there is one; docs/devices/hid.md draws it."""
+
+    sensed: ClassVar[frozenset[str]] = frozenset("abc")
+    commanded: ClassVar[frozenset[str]] = frozenset({"current_a", "current_b", "current_c"})
+    dof: ClassVar[int] = 3
+
+    capstan_m: Annotated[Lengths, said("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
+    body_m: Annotated[Lengths, said("diameters of the bodies they drive", [0.16, 0.12, 0.12])]
+    link_m: Annotated[tuple[Link, Link, Link], said("lengths of bodies a, b, c", [0.08, 0.205, 0.245])]
+    origin_m: Annotated[
+        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the foot of the arm", [0.22, 0.0, 0.08])
+    ]
+    counts_per_turn: Annotated[float, within(COUNTS, "counts per turn of a motor", 2000.0)]
+    torque_constant_nm_per_a: Annotated[
+        tuple[TorqueConstant, TorqueConstant, TorqueConstant], said("of the three motors", [0.321, 0.0603, 0.0603])
+    ]
+    aligned: Annotated[
+        tuple[bool, bool, bool], said("motor and body turn the same way, so that counts fall", [False, False, False])
+    ] = (False, False, False)
+    calibration_counts: Annotated[
+        tuple[Preset, Preset, Preset], said("what encoders a, b, c show in the calibration pose", [0, 0, 6000])
+    ] = (0.0, 0.0, 0.0)
+    current_max_a: Annotated[float, within(CURRENT_A, "most in one motor; all three come down together", 2.0)] = 2.0
+    wrist_counts_per_turn: Annotated[float, within(COUNTS, "of encoders d, e, f; absent: no wrist", 1024.0)] | None = (
+        None
+    )
+    wrist_aligned: Annotated[
+        tuple[bool, bool, bool], said("whether joints D, E, F turn with their counts", [False, True, False])
+    ] = (True, True, True)
+
+
+class Paddle(Table, frozen=True, kw_only=True, tag_field="kind", tag="paddle"):
+    """One joint with a handle on it, such as a Hapkit; docs/devices/serial.md draws it."""
+
+    sensed: ClassVar[frozenset[str]] = frozenset("a")
+    commanded: ClassVar[frozenset[str]] = frozenset({"torque_a"})
+    dof: ClassVar[int] = 1
+
+    length_m: Annotated[float, within(LINK_M, "from the joint's axis to the end of the handle", 0.07)]
+    torque_max_nm: Annotated[float, within(TORQUE_NM, "most at the joint", 0.3)]
+
+
+class Pantograph(Table, frozen=True, kw_only=True, tag_field="kind", tag="pantograph"):
+    """Two motors and a loop of four links in a plane, such as a Haply 2DIY; docs/devices/serial.md draws it."""
+
+    sensed: ClassVar[frozenset[str]] = frozenset("ab")
+    commanded: ClassVar[frozenset[str]] = frozenset({"torque_a", "torque_b"})
+    dof: ClassVar[int] = 2
+
+    base_m: Annotated[float, within(APART_M, "between the motors' axes", 0.038)]
+    inner_m: Annotated[float, within(LINK_M, "links at the motors", 0.07)]
+    outer_m: Annotated[float, within(LINK_M, "links at the end", 0.09)]
+    origin_m: Annotated[
+        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the axis of motor a", [0.019, 0.1, 0.0])
+    ] = (0.0, 0.0, 0.0)
+    torque_max_nm: Annotated[float, within(TORQUE_NM, "most at a joint; both come down together", 0.12)]
+
+
+class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
+    """Three legs with motors in the base and an end that does not turn; docs/devices/serial.md draws it."""
+
+    sensed: ClassVar[frozenset[str]] = frozenset("abc")
+    commanded: ClassVar[frozenset[str]] = frozenset({"torque_a", "torque_b", "torque_c"})
+    dof: ClassVar[int] = 3
+
+    base_m: Annotated[float, within(APART_M, "from the centre to a motor's axis", 0.06)]
+    end_m: Annotated[float, within(APART_M, "from the end's centre to its joints", 0.03)]
+    arm_m: Annotated[float, within(LINK_M, "arm at the motor", 0.08)]
+    rod_m: Annotated[float, within(LINK_M, "parallelogram from arm to end", 0.17)]
+    legs_deg: Annotated[tuple[Angle, Angle, Angle], said("where legs a, b, c stand, about z", [0.0, 120.0, 240.0])] = (
+        0.0,
+        120.0,
+        240.0,
+    )
+    origin_m: Annotated[
+        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the base's", [0.0, 0.0, 0.2])
+    ] = (0.0, 0.0, 0.0)
+    torque_max_nm: Annotated[float, within(TORQUE_NM, "most at a joint; all come down together", 0.2)]
+
+    def faults(self) -> Iterator[Complaint]:
+        if not known(self.base_m, self.end_m, self.arm_m, self.rod_m):
+            return
+        gap = abs(self.base_m - self.end_m + 0.5 * self.arm_m)
+        if self.rod_m <= gap:
+            yield "rod_m", self.rod_m, f"must be above {gap:g} m, so that the legs meet with arms at 60 degrees"
+
+
+Kinematics = Cartesian | Chain | Paddle | Pantograph | Delta
+
+QUATERNION: Final = frozenset({"qw", "qx", "qy", "qz"})
+
+
+def faults_of_fields(
+    key: str, read: tuple[InputField, ...], written: tuple[OutputField, ...], kinematics: Kinematics
+) -> Iterator[Complaint]:
+    """Complaints about fields at `key` that lack what the kinematics needs, or have what it does not know."""
+    sensed, commanded = meanings(read), meanings(written)
+    if sensed is None or commanded is None:
+        return
+    kind = str(kinematics.__struct_config__.tag)
+    yield from lacking(f"{key}.input", sensed, set(kinematics.sensed), kind)
+    yield from lacking(f"{key}.output", commanded, set(kinematics.commanded), kind)
+    if isinstance(kinematics, Chain) and kinematics.wrist_counts_per_turn is not None:
+        yield from lacking(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
+    turned = sorted(sensed & QUATERNION)
+    if turned and (not isinstance(kinematics, Cartesian) or len(turned) < len(QUATERNION)):
+        yield f"{key}.input.field", turned, "a cartesian device senses all of qw to qz or none"

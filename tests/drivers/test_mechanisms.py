@@ -1,0 +1,239 @@
+"""Paddle, pantograph, delta and three-joint arm: closed forms, derivatives, power, singular poses, limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from math import acos, atan2, hypot, pi, radians, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.fields import table
+from softfinger.drivers.hid.device import Options as HidOptions
+from softfinger.drivers.kinematics import delta, options, pantograph
+from softfinger.drivers.kinematics.mechanism import (
+    LIMITED,
+    NONE,
+    PADDLE,
+    PANTOGRAPH,
+    SINGULAR,
+    WHOLE,
+    drive,
+    end_of,
+    kind_of,
+    make_mechanism,
+)
+
+pytestmark = pytest.mark.plain
+
+EXACT: Any = {"rtol": 0, "atol": 1e-12}
+"""m, m/rad and N m of devices within 0.3 m: rounding, a thousand times over."""
+
+ARM = build(HidOptions, load_rig("woodenhaptics-2019").device.options, "woodenhaptics-2019").kinematics
+GIVEN: dict[str, options.Kinematics] = {
+    "paddle": options.Paddle(length_m=0.07, torque_max_nm=9.0),
+    "pantograph": options.Pantograph(
+        base_m=0.038, inner_m=0.07, outer_m=0.09, origin_m=(0.019, 0.1, 0.0), torque_max_nm=9.0
+    ),
+    "motors on one axis": options.Pantograph(base_m=0.0, inner_m=0.07, outer_m=0.09, torque_max_nm=9.0),
+    "delta": options.Delta(
+        base_m=0.06, end_m=0.03, arm_m=0.08, rod_m=0.17, origin_m=(0.0, 0.0, 0.2), torque_max_nm=9.0
+    ),
+    "delta with legs elsewhere": options.Delta(
+        base_m=0.05, end_m=0.02, arm_m=0.1, rod_m=0.2, legs_deg=(10.0, 125.0, 250.0), torque_max_nm=9.0
+    ),
+    "chain": ARM,
+}  # fmt: skip
+
+
+def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Joint angles (rad) in the middle of a device's workspace; counts of a chain's encoders."""
+    if name == "paddle":
+        return (rng.uniform(-0.6, 0.6), 0.0, 0.0)
+    if name == "chain":
+        a, b, c = rng.uniform(-2000.0, 2000.0, 3)
+        return (a, b, c)
+    return (rng.uniform(radians(120.0), radians(165.0)), rng.uniform(radians(15.0), radians(60.0)), 0.0)
+
+
+class Ask:
+    """The kernels of one mechanism, asked with joint values."""
+
+    def __init__(self, given: options.Kinematics) -> None:
+        self.kind, self.mechanism = kind_of(given, False), make_mechanism(given, 5.0)
+        self.values, self.last = np.zeros(table.SENSED_SIZE), np.array(self.mechanism.delta.home)
+
+    def end(self, joints: Any) -> np.ndarray:
+        self.values[table.COUNTS : table.COUNTS + 3] = joints
+        position, orientation, usable = end_of(self.kind, self.mechanism, self.values, self.last)
+        assert usable
+        assert orientation == (1.0, 0.0, 0.0, 0.0)
+        return np.array(position)
+
+    def torques(self, joints: Any, force: Any) -> tuple[int, np.ndarray]:
+        """How the force was taken, and torques (N m), or currents (A) of a chain."""
+        self.end(joints)
+        given = np.zeros(table.COMMANDED_SIZE)
+        how = drive(self.kind, self.mechanism, self.values, self.last, tuple(force), given)
+        at = table.CURRENT if isinstance(self.mechanism_of(), options.Chain) else table.TORQUE
+        return how, given[at : at + 3]
+
+    def mechanism_of(self) -> Any:
+        return ARM if self.mechanism.chain != NONE.chain else None
+
+
+def along(of: Callable[[Any], np.ndarray], at: Any, way: Any, t: float) -> np.ndarray:
+    return of(at + t * way)
+
+
+def derivative(of: Callable[[float], np.ndarray], h: float) -> np.ndarray:
+    """The derivative at 0 by central differences of the eighth order: h^8 of the ninth derivative, and rounding / h."""
+    weights = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+    return sum(w * (of(k * h) - of(-k * h)) for k, w in enumerate(weights, 1)) / h
+
+
+@pytest.mark.parametrize("name", [name for name in GIVEN if not name.startswith("delta")])
+def test_power_out_is_power_in(name: str) -> None:
+    """f . v = tau . q' at random poses, motions and forces, with v by differences of the forward kinematics: each
+    column of the Jacobian, its sign, and the transposition."""
+    rng, ask = np.random.default_rng(31), Ask(GIVEN[name])
+    # of a chain's motors tau q' is k I 2 pi n' / N
+    per = np.ones(3) if name != "chain" else np.array(ARM.torque_constant_nm_per_a) * 2 * pi / ARM.counts_per_turn
+    step = 2e-3 * (1.0 if name != "chain" else 1e3)
+    for _ in range(200):
+        joints, turning = np.array(pose(name, rng)), rng.normal(size=3) * ([1, 0, 0] if name == "paddle" else [1, 1, 1])
+        if "pantograph" in name or "one axis" in name:
+            turning[2] = 0.0
+        force = rng.normal(size=3) * (0.3 if name == "chain" else 1.0)  # no current past the largest
+        speed = derivative(partial(along, ask.end, joints, turning), step)
+        how, torque = ask.torques(joints, force)
+        assert how == WHOLE
+        np.testing.assert_allclose(np.dot(torque * per, turning), np.dot(force, speed), **EXACT)
+
+
+@pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
+def test_power_of_a_delta(name: str) -> None:
+    """The same, with the legs' speeds by differences of the inverse kinematics, which needs no search."""
+    rng, ask = np.random.default_rng(34), Ask(GIVEN[name])
+    d = ask.mechanism.delta
+    for _ in range(200):
+        p = rng.uniform((-0.02, -0.02, -0.03), (0.02, 0.02, 0.0)) + d.home
+        speed, force = rng.normal(size=3), rng.normal(size=3)
+        turning = derivative(partial(along, lambda at: np.array(delta.inverse(d, tuple(at))[0]), p, speed), 2e-4)
+        how, torque = ask.torques(delta.inverse(d, tuple(p))[0], force)
+        assert how == WHOLE
+        # eps / h of angles of 1 rad is 1e-12, and h^8 of what grows by 1 / 0.03 with each order
+        np.testing.assert_allclose(np.dot(torque, turning), np.dot(force, speed), rtol=0, atol=1e-11)
+
+
+def test_a_paddle_moves_on_its_circle() -> None:
+    """The end is r from the axis, at the joint's angle from z, and 0 in the middle."""
+    ask, r = Ask(GIVEN["paddle"]), 0.07
+    assert ask.end((0.0, 0.0, 0.0)).tolist() == [0.0, 0.0, 0.0]
+    for a in np.linspace(-1.0, 1.0, 21):
+        x, y, z = ask.end((a, 0.0, 0.0))
+        assert y == 0.0
+        np.testing.assert_allclose((hypot(x, z + r), atan2(x, z + r)), (r, a), **EXACT)
+
+
+@pytest.mark.parametrize("name", ["pantograph", "motors on one axis"])
+def test_a_pantograph_inverts_two_triangles(name: str) -> None:
+    """Angles that the law of cosines gives for a place bring it back, and the outer links have their length."""
+    given, rng = GIVEN[name], np.random.default_rng(32)
+    assert isinstance(given, options.Pantograph)
+    ask = Ask(given)
+    for _ in range(500):
+        x, y = rng.uniform(-0.04, 0.04) + 0.5 * given.base_m, rng.uniform(0.06, 0.13)
+        joints = [0.0, 0.0, 0.0]
+        for k, (from_x, side) in enumerate(((0.0, 1.0), (given.base_m, -1.0))):
+            far = hypot(x - from_x, y)
+            bent = acos((given.inner_m**2 + far**2 - given.outer_m**2) / (2 * given.inner_m * far))
+            joints[k] = atan2(y, x - from_x) + side * bent
+        np.testing.assert_allclose(ask.end(joints) + given.origin_m, (x, y, 0.0), **EXACT)
+
+
+def test_the_published_pantograph() -> None:
+    """A 2DIY in its calibration pose, 168 and 12 degrees: by symmetry at half the base, and as high as Pythagoras
+    says; 1 N along y takes opposite torques."""
+    ask = Ask(GIVEN["pantograph"])
+    joints = (radians(168.0), radians(12.0), 0.0)
+    half = 0.019 + 0.07 * np.cos(radians(12.0))
+    height = 0.07 * np.sin(radians(12.0)) + sqrt(0.09**2 - half**2)
+    np.testing.assert_allclose(ask.end(joints) + np.array((0.019, 0.1, 0.0)), (0.019, height, 0.0), **EXACT)
+    how, torque = ask.torques(joints, (0.0, 1.0, 0.0))
+    assert how == WHOLE
+    np.testing.assert_allclose(torque[0], -torque[1], **EXACT)
+
+
+@pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
+def test_a_delta_inverts_its_triangles(name: str) -> None:
+    """Angles that a triangle in each leg's plane gives for a place bring it back."""
+    given, rng = GIVEN[name], np.random.default_rng(33)
+    assert isinstance(given, options.Delta)
+    ask = Ask(given)
+    for _ in range(200):
+        p = rng.uniform((-0.02, -0.02, -0.03), (0.02, 0.02, 0.0)) + ask.mechanism.delta.home
+        joints = []
+        for degrees in given.legs_deg:
+            c, s = np.cos(radians(degrees)), np.sin(radians(degrees))
+            across, z = -s * p[0] + c * p[1], p[2]
+            out = c * p[0] + s * p[1] + given.end_m - given.base_m  # from the motor's axis, in the leg's plane
+            far, rod = hypot(out, z), sqrt(given.rod_m**2 - across**2)
+            bent = acos((given.arm_m**2 + far**2 - rod**2) / (2 * given.arm_m * far))
+            joints.append(atan2(z, out) - bent)
+        np.testing.assert_allclose(ask.end(joints) + given.origin_m, p, **EXACT)
+
+
+def test_links_in_line_give_no_force() -> None:
+    """Where the outer links of a pantograph come into line the force fades to none, at no angle does a torque exceed
+    ten times that of links at a right angle, and it is told as singular; elbows too far apart give the middle."""
+    given = options.Pantograph(base_m=0.2, inner_m=0.07, outer_m=0.12, torque_max_nm=1e9)
+    ask, force = Ask(given), (0.3, 1.0, 0.0)
+    seen = set()
+    last = None
+    for a in np.linspace(radians(80.0), radians(140.0), 8000):
+        joints = (a, pi - a, 0.0)
+        *_, sine = pantograph.jacobian(ask.mechanism.pantograph, a, pi - a)
+        how, torque = ask.torques(joints, force)
+        seen.add(how)
+        if sine <= pantograph.SINE_NONE:
+            assert how == SINGULAR and not torque.any()
+        elif sine < pantograph.SINE_FULL:
+            assert how == SINGULAR
+        else:
+            assert how == WHOLE
+        assert np.abs(torque).max() <= 0.07 * np.hypot(0.3, 1.0) / pantograph.SINE_NONE
+        if last is not None:  # no step, 0.0075 degrees further on: it grows to 0.7 N m and falls to 0 in between
+            assert np.abs(torque - last).max() < 0.02
+        last = torque
+    assert seen == {WHOLE, SINGULAR}
+    np.testing.assert_allclose(ask.end((pi, 0.0, 0.0)), (0.1, 0.0, 0.0), **EXACT)
+    both = Ask(options.Pantograph(base_m=0.0, inner_m=0.07, outer_m=0.09, torque_max_nm=1.0))
+    assert np.isfinite(both.end((1.0, 1.0, 0.0))).all()  # elbows in one place
+    assert both.torques((1.0, 1.0, 0.0), force)[0] == SINGULAR
+
+
+def test_a_delta_out_of_reach_has_no_pose() -> None:
+    """Legs that cannot meet are no pose; where they are in line with the rods there is no force."""
+    ask = Ask(GIVEN["delta"])
+    ask.values[table.COUNTS : table.COUNTS + 3] = (0.0, 0.0, 3.0)
+    assert not end_of(ask.kind, ask.mechanism, ask.values, ask.last)[2]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "joints"),
+    [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))],
+)
+def test_too_much_torque_keeps_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
+    """Past the largest torque all come down by the same factor, and it is told."""
+    ask = Ask(GIVEN[name])
+    assert ask.kind == kind
+    _, whole = ask.torques(joints, (1.0, 0.5, 0.0))
+    ask.mechanism = ask.mechanism._replace(torque_max=0.01)
+    how, cut = ask.torques(joints, (1.0, 0.5, 0.0))
+    assert how == LIMITED
+    assert np.abs(cut).max() == pytest.approx(0.01, abs=1e-15)
+    np.testing.assert_allclose(cut * np.abs(whole).max(), whole * 0.01, rtol=1e-12, atol=1e-18)

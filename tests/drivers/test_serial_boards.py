@@ -1,0 +1,349 @@
+"""Boards that a rig describes: a Haply 2DIY and a Hapkit with its shipped sketch, by the contract and under faults."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
+from emulators.haply2diy import Firmware, Port, place
+from helpers.described_boards import ALONG, ASLANT, REST, TO_WORLD, force_of, fresh, opened, rig_options, settled
+from helpers.hid_devices import RefusedNode
+
+from softfinger.config.errors import DeviceNotFound
+from softfinger.config.errors import DeviceTimeout as NoAnswer
+from softfinger.config.load import load_rig
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.serial.device import open_device
+from softfinger.server import driver_contract
+from softfinger.server.driver_contract import Servo
+
+pytestmark = pytest.mark.real_time
+
+
+class BoardBench(driver_contract.Bench):
+    """What both have: refusals of a port on a plain file."""
+
+    rig: ClassVar[str]
+    patience_s: ClassVar[float] = 10.0
+
+    def __init__(self, node: RefusedNode, undo: contextlib.ExitStack) -> None:
+        self.node, self.undo, self.case = node, undo, ""
+
+    def refused(self) -> Device:
+        path = "/dev/ttyACM-none" if self.case == "not_found" else str(self.node.path)
+        return open_device(rig_options(self.rig, path=path), driver_contract.RATE_HZ)
+
+    def refuse(self, case: str) -> None:
+        self.case = case
+        if case != "not_found":
+            self.node.make(case)
+
+    def mend(self) -> None:
+        self.node.mend()
+        self.case = ""
+
+
+class TwoDiy(BoardBench):
+    """A 2DIY's firmware; float32 rounds its torques."""
+
+    rig: ClassVar[str] = "haply-2diy"
+    force_step_n: ClassVar[float] = 1e-6
+
+    def open(self) -> Device:
+        if self.case:
+            return self.refused()
+        self.board = Firmware()
+        self.port = self.undo.enter_context(Port(self.board))
+        self.device = opened(self.rig, self.port.path)
+        self.board.angles = list(REST)  # out of the calibration pose
+        return self.device
+
+    def part(self, *force: float) -> tuple[float, ...]:
+        return (force[0], 0.0, force[2])
+
+    def displayed(self) -> tuple[float, ...]:
+        if not self.port.pulled:
+            written = self.device.counts()["written"]
+            settled(lambda: self.board.answers + (self.port.mute.is_set()), lambda seen: seen >= written, 0.5)
+        return (*force_of(self.board), 0.0, 0.0, 0.0)
+
+    def make(self, case: str) -> None:
+        if case == "lost":
+            self.port.pull()
+        elif case == "timeout":
+            self.port.mute.set()
+        else:
+            self.refuse(case)
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if COMPILER is None:
+        pytest.skip(NO_COMPILER)
+    return compile_sketch(tmp_path_factory.mktemp("sketch") / "hapkit.so")
+
+
+class HapkitBench(BoardBench):
+    """The sketch, mounted so that its handle moves along x and z."""
+
+    rig: ClassVar[str] = "hapkit"
+    force_step_n: ClassVar[float] = 0.02
+    """A duty of 255 steps, whose square is the torque: 0.017 N at 1 N."""
+    library: Path
+
+    def open(self) -> Device:
+        if self.case:
+            return self.refused()
+        self.board = self.undo.enter_context(Hapkit(self.library))
+        self.device = opened(self.rig, self.board.path, mounting=ASLANT)
+        return self.device
+
+    def part(self, *force: float) -> tuple[float, ...]:
+        x, y, z = (float(v) for v in np.dot(force, ALONG) * ALONG)
+        return (x, y, z)
+
+    def displayed(self) -> tuple[float, ...]:
+        time.sleep(0.005)  # a loop of the sketch takes 0.1 ms
+        return (*(self.board.torque() / 0.09 * ALONG), 0.0, 0.0, 0.0)
+
+    def make(self, case: str) -> None:
+        if case == "lost":
+            self.board.pull()
+        elif case == "timeout":
+            self.board.mute()
+        else:
+            self.refuse(case)
+
+
+class Contract(driver_contract.DriverContract):
+    """The contract, for a bench of each board."""
+
+
+class TestTwoDiy(Contract):
+    """A Haply 2DIY."""
+
+    @pytest.fixture
+    def bench(self) -> Iterator[TwoDiy]:
+        with RefusedNode() as node, contextlib.ExitStack() as undo:
+            yield TwoDiy(node, undo)
+
+
+class TestHapkit(Contract):
+    """A Hapkit with its sketch."""
+
+    @pytest.fixture
+    def bench(self, library: Path) -> Iterator[HapkitBench]:
+        with RefusedNode() as node, contextlib.ExitStack() as undo:
+            made = HapkitBench(node, undo)
+            made.library = library
+            yield made
+            if hasattr(made, "board"):
+                made.board.pull()
+
+
+@contextlib.contextmanager
+def two_diy(**changes: Any) -> Iterator[tuple[Servo, Device, Firmware, Port]]:
+    """An open 2DIY in its calibration pose, whose arm then moves to the middle."""
+    board = Firmware()
+    with Port(board) as port, opened("haply-2diy", port.path, **changes) as device:
+        board.angles = list(REST)
+        yield Servo(device), device, board, port
+
+
+def test_pose_and_force_of_a_2diy() -> None:
+    """The place is where two circles meet, in the plane of the rig; a force in it is displayed, one across it not."""
+    with two_diy() as (servo, device, board, _):
+        fresh(servo)
+        x, y = place(*REST)
+        wanted = TO_WORLD @ (x - 0.019, y - 0.1, 0.0)
+        np.testing.assert_allclose(fresh(servo)[:3], wanted, atol=1e-7)  # a float32 of degrees: 8e-6 of them, 0.07 m
+        assert servo.write(0.3, 5.0, -0.4, 1.0, 1.0, 1.0) == OK
+        settled(lambda: board.torques, any)
+        np.testing.assert_allclose(force_of(board), (0.3, 0.0, -0.4), atol=1e-6)  # a float32 of 0.04 N m
+        assert (device.info.sensed_dof, device.info.actuated_dof) == (2, 2)
+
+
+Spoil = Callable[[bytes], bytes]
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda a: a[:-1], lambda a: a[1:], lambda a: a[:4] + a[3:], lambda a: a + a[:1], lambda a: b"\x09" + a[1:],
+        lambda a: a[:1] + b"\xff\xff\xff\x7f" + a[5:], lambda a: a[:1] + b"\x00\x00\x80\x7f" + a[5:], lambda a: a[:1],
+        lambda a: a[:5] + b"\x00\x00\xc8\x43", lambda a: bytes(9), lambda a: b"\xff" * 9,
+    ],
+    ids=[
+        "last byte lost", "first byte lost", "doubled inside", "doubled behind", "another device", "nan", "inf",
+        "no angles", "400 degrees", "zeros", "ones",
+    ],
+)  # fmt: skip
+def test_damaged_answers_of_a_2diy_are_no_pose_and_no_force(spoil: Spoil) -> None:
+    """Whatever comes in place of an answer, the last pose stays and the force ends within `quiet_s`; the next whole
+    answer mends it; if none comes, the run ends and the bytes are told."""
+    with two_diy(quiet_s=0.02, timeout_s=1.0) as (servo, device, board, port):
+        known = fresh(servo)
+        servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+        known = fresh(servo)
+        board.angles = [140.0, 40.0]
+        port.says = spoil
+        servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+        until = time.monotonic() + 0.1
+        while time.monotonic() < until:
+            status, sample = servo.read()
+            assert status in (STALE, WITHHELD)
+            assert sample[:3] == known[:3]
+            servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+            time.sleep(0.001)
+        assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
+        port.says = bytes
+        assert fresh(servo)[:3] != known[:3]
+        assert device.reason() == ""
+        port.says = spoil
+        while (status := servo.read()[0]) >= 0:
+            servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            time.sleep(0.001)
+        assert status == PROTOCOL
+        assert "its last bytes are" in device.reason()
+
+
+def test_an_answer_in_two_parts_is_read_when_it_is_whole() -> None:
+    """The rest of an answer a tick later is no pose before, and one after."""
+    with two_diy() as (servo, _, _, port):
+        fresh(servo)
+        parts: list[bytes] = []
+
+        def tear(answer: bytes) -> bytes:
+            parts.append(answer[4:])
+            return answer[:4]
+
+        port.says = tear
+        servo.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+        settled(lambda: parts, bool)
+        port.says = bytes
+        assert servo.read()[0] == STALE
+        assert servo.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0) == HELD
+        port.say(parts[0])
+        fresh(servo)
+
+
+def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
+    """The board waits for the rest of a frame, and the driver for its answer: after `quiet_s` a zero with resync bytes
+    in front ends the wait, so that no other byte of the host is read as a torque or a command, and the run goes on."""
+    with two_diy(quiet_s=0.02, timeout_s=2.0) as (servo, _, board, port):
+        for at in (1, 3, 6, 9):  # of the device's number, and of both torques
+            fresh(servo)
+            setups, logged = board.setups, len(board.log)
+            cut = at
+
+            def lose(data: bytes, cut: int = cut) -> bytes:
+                port.hears = bytes
+                return data[:cut] + data[cut + 1 :]
+
+            port.hears = lose
+            servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+            until = time.monotonic() + 1.0
+            while servo.read()[0] != OK and time.monotonic() < until:
+                servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+                time.sleep(0.001)
+            fresh(servo)
+            assert board.setups == setups and board.host == [5, 5]
+            assert all(abs(t) <= 0.123 for _, *torques in board.log[logged:] for t in torques)
+            servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
+
+
+def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() -> None:
+    """A reset leaves the motors on and the board deaf to torques: the run ends, and closing sets it up to zero it."""
+    with two_diy(quiet_s=0.02, timeout_s=0.3) as (servo, device, board, _):
+        fresh(servo)
+        servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+        settled(lambda: board.torques, any)
+        board.host = [0, 0]
+        until = time.monotonic() + 10.0
+        while (status := servo.read()[0]) >= 0 and time.monotonic() < until:
+            servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+            time.sleep(0.001)
+        assert status in (PROTOCOL, TIMEOUT)
+        assert any(board.torques)  # so the board is
+        device.close()
+        assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
+
+
+def test_links_of_a_2diy_in_line_give_no_force_and_say_so() -> None:
+    """Where the outer links come into line there is no torque, and the write says so and counts."""
+    with two_diy(kinematics={**rig_kinematics("haply-2diy"), "outer_m": 0.0875}) as (servo, device, board, _):
+        board.angles = [168.0, 12.0]
+        fresh(servo)
+        fresh_after_move = fresh(servo)
+        assert np.isfinite(fresh_after_move).all()
+        before = device.counts()["singular"]
+        assert servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0) == STALE
+        fresh(servo)
+        assert board.torques == [0.0, 0.0]
+        assert device.counts()["singular"] == before + 1
+
+
+def rig_kinematics(rig: str) -> dict[str, Any]:
+    kinematics: dict[str, Any] = dict(load_rig(rig).device.options["kinematics"])
+    return kinematics
+
+
+def test_a_described_rig_without_a_port_writes_to_none() -> None:
+    """With neither ids nor a path no port is opened: the error names what is attached."""
+    for rig in ("haply-2diy", "hapkit"):
+        with pytest.raises(DeviceNotFound, match="does not say which port: name it with path under"):
+            open_device(rig_options(rig), 1000.0)
+
+
+def test_a_board_that_never_answers_is_told() -> None:
+    """A port where nobody answers: the time is named, and what to check."""
+    board = Firmware()
+    with Port(board) as port:
+        port.mute.set()
+        with pytest.raises(NoAnswer, match=r"sends no frame within 0.5 s: check its power"):
+            opened("haply-2diy", port.path, wake_s=0.5)
+
+
+def test_the_sketch_switches_off_by_itself(library: Path) -> None:
+    """Without a frame the Hapkit's motor is off after 50 ms, as its sketch says, and no sooner than frames may come."""
+    with Hapkit(library) as board, opened("hapkit", board.path) as device:
+        servo = Servo(device)
+        fresh(servo)
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        assert settled(board.torque, lambda seen: seen > 0.0) > 0.0
+        assert settled(board.torque, lambda seen: seen == 0.0) == 0.0
+        (on, _), (off, last) = board.changes()[-2:]
+        assert last == 0.0
+        assert off - on > 0.045
+
+
+def test_a_hapkit_moves_on_its_arc(library: Path) -> None:
+    """The handle is where the joint has it, across jumps of the sensor; crc8 keeps bytes that are lost, doubled or
+    changed from being a pose."""
+    with Hapkit(library) as board, opened("hapkit", board.path) as device:
+        servo = Servo(device)
+        fresh(servo)
+        for angle in [*np.linspace(0.0, 0.5, 60), *np.linspace(0.5, -0.5, 120)]:
+            board.turn(angle)
+            time.sleep(0.003)
+        time.sleep(0.01)
+        fresh(servo)
+        sample = fresh(servo)
+        wanted = (-0.09 * (np.cos(-0.5) - 1.0), 0.0, 0.09 * np.sin(-0.5))
+        # counts of 20 um, and a fraction of one for the rig's five digits
+        np.testing.assert_allclose(sample[:3], wanted, atol=1e-4)
+        for damaged in (b"\xa5\x00", b"\xa5\x00\x00\x00\x00\x01", b"\xa5" * 7, bytes(40)):
+            board.say(damaged)
+            for _ in range(20):
+                assert np.abs(np.subtract(servo.read()[1][:3], wanted)).max() < 1e-4
+                time.sleep(0.001)
+        assert servo.read()[0] >= 0
+        board.pull()
+        assert settled(lambda: servo.read()[0], lambda status: status < 0) == LOST

@@ -1,0 +1,75 @@
+"""The guide of docs/devices/serial.md: its rig, as printed, runs the board that it describes, from check to a floor."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from emulators.guideboard import GuideBoard
+from helpers.described_boards import settled
+from test_pages import commands, fences
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+from softfinger.server.cli import main
+
+PAGE = "devices/serial.md"
+
+
+def printed(folder: Path) -> Path:
+    """The rig of the page, saved under its title."""
+    ((_, title, text),) = [fence for fence in fences(PAGE) if fence[1]]
+    path = folder / title
+    path.write_text(text)
+    return path
+
+
+def test_the_printed_rig_is_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each command of the page for a terminal succeeds in the reader's folder, and says along which line the handle
+    moves."""
+    printed(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    lines = [line for kind, _, text in fences(PAGE) if kind == "sh" for line in commands(text)]
+    assert lines == ["softfinger check my-board.toml"]
+    assert main(lines[0].split()[1:]) == 0
+    assert "on an arc, in its middle along (0.00, 0.00, 1.00) of the world" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("rig", "words"),
+    [
+        ("haply-2diy", "in the plane across (0.00, -1.00, 0.00) of the world; forces out of it are shown"),
+        ("hapkit", "on an arc, in its middle along (0.00, 0.00, 1.00) of the world; forces across it are shown"),
+    ],
+)
+def test_check_says_in_what_a_device_moves(rig: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """For devices of one and two degrees of freedom; others have no such line."""
+    assert main(["check", rig]) == 0
+    assert words in capsys.readouterr().out
+    assert main(["check", "woodenhaptics-v3"]) == 0
+    assert "of the world" not in capsys.readouterr().out
+
+
+@pytest.mark.real_time
+def test_the_printed_rig_runs(tmp_path: Path) -> None:
+    """A daemon on the page's rig renders a floor on the board: no torque above it, one that lifts the handle in it, and
+    none once the daemon has ended."""
+    with GuideBoard() as board:
+        board.angle = 0.3  # 24 mm up, and the fingertip has a radius of 10
+        changes: dict[str, Any] = {
+            "device.path": board.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "guard.ramp_s": 0.01,
+            "servo.realtime": "off", "telemetry.endpoint": "tcp://127.0.0.1:*",
+        }  # fmt: skip
+        with Daemon(load_rig(str(printed(tmp_path)), changes), load_scene("paper-plane")) as daemon:
+            daemon.start()
+            time.sleep(0.1)
+            assert board.most == 0.0
+            board.angle = 0.12
+            assert settled(lambda: board.torque, lambda torque: torque > 0.01, 20.0) > 0.01
+            # 0.3 N of the guard at 0.08 m, and steps of 1 uN m
+            assert board.most <= 0.3 * 0.08 + 1e-6
+        assert settled(lambda: board.torque, lambda torque: torque == 0.0) == 0.0

@@ -1,0 +1,198 @@
+"""Frames that a rig describes: published checksums, both byte orders, a stream that is damaged, and what is refused."""
+
+from __future__ import annotations
+
+import copy
+import re
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.fields import table
+from softfinger.drivers.serial import packets
+from softfinger.drivers.serial.device import Options, _encoded
+from softfinger.drivers.serial.options import CHECKS, Checksum, Frame, InputFrame
+from softfinger.proxy.kernels.jit.decorators import entry
+
+pytestmark = pytest.mark.plain
+
+DIGITS = b"123456789"
+PUBLISHED = {"sum8": 0xDD, "xor8": 0x31, "crc8": 0xF4, "crc16-ccitt": 0x29B1, "crc16-modbus": 0x4B37}
+"""Of the digits 1 to 9; the CRCs are CRC-8/SMBUS, CRC-16/IBM-3740 and CRC-16/MODBUS of the reveng catalogue."""
+
+
+@entry
+def feed(stream: Any, sizes: Any, buffer: Any, filled: Any, how: Any, memory: Any, found: Any) -> int:
+    """Hand a stream over in pieces; the newest value of `a` after each piece with a frame. `how`: aligned, rows."""
+    shape, fields, scratch, spare, newest = memory
+    at = came = 0
+    for size in sizes:
+        for k in range(size):
+            buffer[filled[0] + k] = stream[at + k]
+        filled[0] += size
+        at += size
+        tables = (fields.ctypes.data, how[1], scratch.ctypes.data)
+        if packets.take(buffer.ctypes.data, filled, how[0] != 0, shape.ctypes.data, tables, (spare, newest)) > 0:
+            found[came] = newest[table.COUNTS]
+            came += 1
+    return came
+
+
+def found_in(frame: InputFrame, stream: bytes, sizes: Any, aligned: bool = False, big: bool = False) -> list[float]:
+    fields = table.input_table(frame.field, big)
+    buffer, found = np.zeros(2 * frame.bytes + 2048, np.uint8), np.zeros(len(sizes))
+    memory = (
+        packets.shape_of(frame, big), fields, np.zeros(1, np.int64),
+        np.zeros(table.SENSED_SIZE), np.zeros(table.SENSED_SIZE),
+    )  # fmt: skip
+    given = np.frombuffer(stream, np.uint8)
+    how = np.array([aligned, len(fields)])
+    count = feed(given, np.array(sizes), buffer, np.zeros(1, np.int64), how, memory, found)
+    return found[:count].tolist()
+
+
+@pytest.mark.parametrize("kind", CHECKS)
+@pytest.mark.parametrize("big", [False, True])
+def test_checksums_of_the_catalogue(kind: Any, big: bool) -> None:
+    """Of the digits 1 to 9 each gives its published value, in the order of the frame; any other byte is refused."""
+    frame = Frame(bytes=12, check=Checksum(kind=kind, offset=10, first=1))
+    shape = packets.shape_of(frame, big)
+    data = np.frombuffer(b"!" + DIGITS + b"\0\0", np.uint8).copy()
+    packets.finish_once(data, shape)
+    size = 2 if PUBLISHED[kind] > 0xFF else 1
+    assert int.from_bytes(data[10 : 10 + size].tobytes(), "big" if big else "little") == PUBLISHED[kind]
+    rows = InputFrame(bytes=12, check=frame.check, field=build_fields("uint8", 5))
+    assert found_in(rows, data.tobytes(), [12], big=big) == [ord("5")]
+    for at in range(1, 10 + size):
+        damaged = data.copy()
+        damaged[at] ^= 0x10
+        assert found_in(rows, damaged.tobytes(), [12], big=big) == []
+
+
+def build_fields(kind: str, offset: int, **more: Any) -> Any:
+    wanted = {"bytes": 12, "field": [{"meaning": "a", "offset": offset, "type": kind, **more}]}
+    return build(InputFrame, wanted, "frame").field
+
+
+@pytest.mark.parametrize(("kind", "code"), [("int16", "h"), ("uint32", "I"), ("float32", "f")])
+@pytest.mark.parametrize("big", [False, True])
+def test_both_byte_orders(kind: str, code: str, big: bool) -> None:
+    """Python's struct and the table agree on every type, from and to the board."""
+    order = ">" if big else "<"
+    frame = InputFrame(bytes=6, start=(7,), end=(9,), field=build_fields(kind, 1))
+    size = struct.calcsize(code)
+    text = b"\x07" + struct.pack(order + code, 1234) + bytes(4 - size) + b"\x09"
+    assert found_in(frame, text, [6], big=big) == [1234.0]
+
+
+def numbered(n: int) -> bytes:
+    """A frame with a mark and a CRC."""
+    frame = Frame(bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5))
+    data = np.frombuffer(b"\xa5" + struct.pack("<i", n) + b"\0", np.uint8).copy()
+    packets.finish_once(data, packets.shape_of(frame, False))
+    return data.tobytes()
+
+
+def test_a_damaged_stream_finds_its_place_again() -> None:
+    """10 000 frames with bytes lost, doubled, put in or changed, in pieces of any size: numbers only rise, what was
+    never sent is read not more often than a CRC of eight bits lets through, and every whole frame behind two whole
+    ones is found."""
+    rng = np.random.default_rng(41)
+    stream, whole = bytearray(), []
+    for n in range(10_000):
+        frame, at = numbered(n), int(rng.integers(0, 6))
+        match int(rng.integers(0, 12)):
+            case 0:
+                frame = frame[:at] + frame[at + 1 :]
+            case 1:
+                frame = frame[:at] + frame[at : at + 2] + frame[at:]
+            case 2:
+                frame = frame[:at] + rng.bytes(int(rng.integers(1, 20))) + frame[at:]
+            case 3:
+                frame = frame[:at] + bytes([frame[at] ^ 0x21]) + frame[at + 1 :]
+        whole.append(frame == numbered(n))
+        stream += frame
+    sizes = rng.integers(1, 7, len(stream) // 3)
+    sizes = sizes[np.cumsum(sizes) <= len(stream)]
+    given = InputFrame(
+        bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5), field=build_fields("int32", 1, least=0, most=1e5)
+    )
+    found = found_in(given, bytes(stream), sizes)
+    # a piece of six bytes may end one frame and hold another: of two in a piece the newer counts
+    rising = [n for n in found if n == int(n) and int(n) < 10_000]
+    wrong = len(found) - len(rising) + int((np.diff(rising) <= 0).sum())
+    assert wrong <= 10  # some 3000 damaged frames, each with a few marks in it, 1 in 256 of which pass
+    certain = {n for n in range(2, 9_990) if whole[n] and whole[n - 1] and whole[n - 2]}
+    assert len(certain) > 2500
+    assert len(certain - {int(n) for n in found}) <= 10
+
+
+def test_an_answer_without_a_checksum_has_its_length() -> None:
+    """Just as many bytes as answers have are an answer, in as many pieces as they come; one more or fewer is none."""
+    frame = InputFrame(bytes=9, start=(5,), field=build_fields("float32", 5, least=-4.0, most=4.0))
+    answer = b"\x05" + struct.pack("<ff", 1.0, 0.5)
+    assert found_in(frame, answer, [9], aligned=True) == [0.5]
+    assert found_in(frame, answer, [4, 5], aligned=True) == [0.5]
+    assert found_in(frame, 2 * answer, [9, 9], aligned=True) == [0.5, 0.5]
+    assert found_in(frame, 2 * answer, [12, 6], aligned=True) == [0.5]
+    assert found_in(frame, answer[:-1], [8], aligned=True) == []
+    assert found_in(frame, answer + b"\x05", [10], aligned=True) == []
+    assert found_in(frame, b"\x06" + answer[1:], [9], aligned=True) == []
+    for bad in (float("nan"), float("inf"), 5.0):
+        assert found_in(frame, b"\x05" + struct.pack("<ff", 1.0, bad), [9], aligned=True) == []
+
+
+def test_shipped_frames_byte_by_byte() -> None:
+    """What both shipped rigs send is what the makers' programs send."""
+    frames = build(Options, load_rig("haply-2diy").device.options, "haply-2diy").frames
+    assert frames is not None and frames.setup is not None
+    assert _encoded(frames.output, frames) == b"\x02\x05" + bytes(8)
+    # HaplyHAPI 1.0.1, version 3: motor and encoder 1 on port 2, both turning 1, offsets 168 and 12, 4880 counts
+    numbers = struct.pack("<4f", 12.0, 4880.0, 168.0, 4880.0)
+    assert _encoded(frames.setup, frames) == bytes([1, 5, 3, 1, 1, 3, 1, 1, 0, 0]) + numbers
+    frames = build(Options, load_rig("hapkit").device.options, "hapkit").frames
+    assert frames is not None
+    assert _encoded(frames.output, frames) == b"\x5a\x00\x00\xa3"
+
+
+CHANGES: list[tuple[str, Any, str]] = [
+    ("frames.input.check.kind", "crc7", "check.kind = 'crc7': must be one of 'crc16-ccitt'"),
+    ("frames.input.check.offset", 4, r"field\[0\].offset = 1: byte 4 belongs to check"),
+    ("frames.input.check.offset", 6, "byte 6 is beyond a frame of 6: make room for it"),
+    ("frames.input.check.first", 5, "check.first = 5: must be below offset = 5"),
+    ("frames.input.field.0.offset", 0, r"field\[0\].offset = 0: byte 0 belongs to start"),
+    ("frames.input.field.0.offset", 4, r"field\[0\].offset = 4: bytes 4 to 7 of a frame of 6"),
+    ("frames.input.field.0.meaning", "b", "frames.input.field: lacks a, which a paddle needs"),
+    ("frames.output.field.0.meaning", "force_x", "frames.output.field: lacks torque_a, which a paddle needs"),
+    ("frames.input.check", None, "a stream needs a check, or both start and end"),
+    ("frames.mode", "ask", "frames.mode = 'ask': must be one of 'answer', 'stream'"),
+    ("frames.order", "middle", "frames.order = 'middle': must be one of"),
+    ("frames.setup", {"bytes": 1, "field": [{"meaning": "torque_a", "offset": 0, "type": "int8"}]}, "must be constant"),
+    ("kinematics", None, "and frames belong together: describe both, or neither"),
+    ("baud", 12345, "baud = 12345: must be one of"),
+    ("product_id", 0x0483, "product_id = 1155: needs vendor_id, and the other way round"),
+    ("kinematics.length_m", 0.0, "kinematics.length_m = 0.0"),
+]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"), CHANGES, ids=[f"{path} {value}"[:40] for path, value, _ in CHANGES]
+)
+def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:
+    """Each fault of a description is named with its key, what was given, and what would be right."""
+    options = copy.deepcopy(dict(load_rig("hapkit").device.options))
+    *way, last = path.split(".")
+    at: Any = options
+    for key in way:
+        at = at[int(key)] if key.isdigit() else at[key]
+    if value is None:
+        del at[last]
+    else:
+        at[last] = value
+    with pytest.raises(ConfigError) as caught:
+        build(Options, options, "rig [device]")
+    assert re.search(message, str(caught.value)), str(caught.value)

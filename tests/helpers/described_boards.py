@@ -1,0 +1,67 @@
+"""Boards that a rig describes, for the tests: a Haply 2DIY and a Hapkit, each behind a pseudo terminal."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from emulators.haply2diy import Firmware, place
+
+from softfinger.config.load import build, load_rig
+from softfinger.drivers.base import OK
+from softfinger.drivers.serial.device import Options, SerialDevice, open_device
+from softfinger.server.driver_contract import Servo
+
+PATIENT = {"quiet_s": 0.1, "timeout_s": 0.5}
+"""A thread of a busy machine may answer late."""
+REST = (150.0, 30.0)
+"""Angles (degrees) of a 2DIY's links in the middle of its workspace."""
+TO_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
+"""Axes of the shipped 2DIY rig: towards the user is down."""
+ALONG = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
+"""Which way the handle of a Hapkit that is mounted `ASLANT` moves in the world."""
+ASLANT = {"position_m": [0.0, 0.0, 0.03], "orientation_wxyz": [np.cos(np.pi / 8), 0.0, -np.sin(np.pi / 8), 0.0]}
+
+
+def rig_options(rig: str, **changes: Any) -> Options:
+    """The [device] table of a shipped rig with keys changed."""
+    return build(Options, {**load_rig(rig).device.options, **changes}, f"{rig} [device]")
+
+
+def opened(rig: str, path: str, **changes: Any) -> SerialDevice:
+    return open_device(rig_options(rig, **{"path": path, **PATIENT, **changes}), 1000.0)
+
+
+def fresh(servo: Servo) -> list[float]:
+    """The next new sample."""
+    until = time.monotonic() + 10.0
+    while True:
+        status, sample = servo.read()
+        if status == OK:
+            return sample
+        assert status >= 0, f"status {status}"
+        assert time.monotonic() < until, "no new sample"
+        time.sleep(0.0005)
+
+
+def settled(value: Callable[[], Any], wanted: Callable[[Any], bool], within_s: float = 5.0) -> Any:
+    """A value as soon as it is as wanted, or what it is after so long."""
+    until = time.monotonic() + within_s
+    while not wanted(value()) and time.monotonic() < until:
+        time.sleep(0.0005)
+    return value()
+
+
+def force_of(board: Firmware) -> np.ndarray:
+    """The force (3,) N on the hand in the world that a 2DIY's torques make: J^-T tau, J by differences of its place."""
+    h = 1e-4  # degrees
+    one, two = board.angles
+    columns = [
+        (np.subtract(place(one + h, two), place(one - h, two))) / np.radians(2 * h),
+        (np.subtract(place(one, two + h), place(one, two - h))) / np.radians(2 * h),
+    ]
+    torques = (board.torques[1], board.torques[0])  # link 1 is on port 2
+    x, y = np.linalg.solve(np.array(columns), torques)
+    return TO_WORLD @ np.array([x, y, 0.0])
