@@ -83,7 +83,7 @@ class Link:
     """An open WebSocket, owned by one thread after the other. Raises DeviceError and its kinds while it opens."""
 
     def __init__(self, port: int, until: float) -> None:
-        client, uri = _library()
+        client, uri = library()
         self._end = dial(port, until)
         self._end.setblocking(False)
         self._part = bytearray()
@@ -215,7 +215,8 @@ def _old(port: int) -> str:
     return f", but one on port {OLD_FORMAT_PORT}: a service of 3.0, whose format is not public, has to be updated"
 
 
-def _library() -> tuple[Any, Any]:
+def library() -> tuple[Any, Any]:
+    """Modules `client` and `uri` of websockets; DeviceError where it is not installed."""
     try:
         from websockets import client, uri
     except ImportError as error:

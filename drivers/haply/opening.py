@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Struct
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
-from softfinger.drivers.haply.link import START, Link, ask
+from softfinger.drivers.haply.link import START, Link, ask, library
 from softfinger.drivers.haply.messages import (
     GRIPS,
     GROUPS,
@@ -64,6 +64,7 @@ class Found(NamedTuple):
 
 def find(options: Options) -> Found:
     """Raises DeviceNotFound, DeviceTimeout, DeviceError."""
+    library()  # before a service is looked for
     until = time.monotonic() + OPEN_S
     version = number_of(options.version or _version(options.port, until))
     link = Link(options.port, until)

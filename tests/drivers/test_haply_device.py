@@ -3,10 +3,12 @@ The service is an emulated one in a process of its own, on real sockets; what co
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import re
 import signal
+import socket
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -554,3 +556,56 @@ def test_a_device_keeps_its_descriptors_to_itself(service: Service) -> None:
         device: HaplyDevice = opened(service)
         device.close()
     assert len(os.listdir("/proc/self/fd")) <= before
+
+
+class Listener:
+    """Something on a port that is no Inverse Service: it says some bytes to each client, and then waits or closes."""
+
+    def __init__(self, said: bytes, closes: bool) -> None:
+        self.end = socket.create_server(("127.0.0.1", 0))
+        self.port = self.end.getsockname()[1]
+        self._said, self._closes, self._kept = said, closes, []
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self.end.accept()
+                client.recv(65536)
+                client.sendall(self._said)
+                if self._closes:
+                    client.close()
+                else:
+                    self._kept.append(client)
+
+    def __enter__(self) -> Listener:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end.shutdown(socket.SHUT_RDWR)
+        self.end.close()
+        self._thread.join()
+        for client in self._kept:
+            client.close()
+
+
+@pytest.mark.parametrize("version", [None, "3.5"], ids=["asked its version", "asked for a WebSocket"])
+@pytest.mark.parametrize(
+    ("said", "closes"),
+    [
+        (b"", True), (b"", False), (b"\xff\x00" * 2000, True), (b"HTTP/1.1 200 OK\r\nA: " + 300_000 * b"x", False),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 999999999\r\n\r\n{", False),
+        (b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n", True),
+        (b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n", False),
+    ],
+    ids=["closes", "waits", "noise", "an endless head", "an endless body", "a bad chunk", "a false key"],
+)  # fmt: skip
+def test_whatever_else_listens_there_is_refused_in_time(said: bytes, closes: bool, version: str | None) -> None:
+    """Another program on the port, whatever it says or leaves unsaid: one error of a device, within two seconds and
+    what a busy machine adds."""
+    with Listener(said, closes) as other:
+        begun = time.monotonic()
+        with pytest.raises(DeviceError):
+            open_device(rig_options(other.port, version=version), 1000.0)
+        assert time.monotonic() - begun < 10.0

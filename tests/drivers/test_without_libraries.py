@@ -120,6 +120,7 @@ def said_by(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, s
         ("touch", "libHD is not on this machine"),
         ("woodenhaptics-2019", "no HID device 16c0:0486"),
         ("woodenhaptics-v3", "no serial port 16c0:0483"),
+        ("haply-inverse3", "no Inverse Service on port 10001"),
         ("spacemouse", "no SpaceMouse"),
     ],
 )

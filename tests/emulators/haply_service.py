@@ -29,6 +29,8 @@ from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
 
+from emulators.hand import Handle, stroke
+
 IDLE_S: Final = 0.1
 """How long a device keeps a force that nobody renews. Assumed."""
 CENTRE: Final = {"x": 0.0, "y": -0.12, "z": 0.15}
@@ -50,6 +52,8 @@ class Inverse:
         self.name = name
         self.position: Any = dict(CENTRE)
         """m; "clock": x is the fraction of the monotonic clock's second."""
+        self.handle: Handle | None = None
+        """The hand on it; each message moves it by a millisecond. None: it stays where it is."""
         self.given: dict[int, Given] = {}
         self.log: list[tuple[float, float, float, float]] = []
         """Time (s, monotonic clock) and force (N) of each command, and of each end of one."""
@@ -73,6 +77,10 @@ class Inverse:
         self.force(now)
         self.given[session] = Given(force, now + idle_s)
         self.log.append((now, *self._sum()))
+        if self.handle is not None:
+            self.handle.move(self._sum())
+            place = zip("xyz", self.handle.place, strict=True)
+            self.position = {axis: CENTRE[axis] + value for axis, value in place}
 
     def leave(self, session: int, now: float) -> None:
         """The session is over, and with it what it gave."""
@@ -347,6 +355,8 @@ class Desk:
                         setattr(service, name, value)
                 case "move":
                     self._device(line["id"]).position = line["to"]
+                case "hand":
+                    self._device(line["id"]).handle = Handle(stroke(tuple(line["at"]), line["press"], line["drag"]))
                 case "status":
                     self._device(line["id"]).status |= line["to"]
                 case "grip":

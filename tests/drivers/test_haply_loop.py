@@ -1,0 +1,182 @@
+"""The whole daemon on Haply's emulated service: closed loop, faults, signals, a missing library, what tools say."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.closed_loop import assert_engine_agrees, records_of_daemon
+from helpers.haply_devices import ID, RIG, Service
+
+from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
+from softfinger.config.load import find, load_rig, load_scene
+from softfinger.config.schema import Rig
+from softfinger.proxy.record import AT, MODE_NAMES
+from softfinger.server.app import Daemon
+from softfinger.server.verbs.check import examine_file
+from softfinger.tools.doctor import attached
+
+pytestmark = pytest.mark.real_time
+
+LIFT_M = 0.012
+"""Height of the hand over the plane: the fingertip of 10 mm is free by 2 mm."""
+PATIENT = {"stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
+"""A process of a busy machine may answer late."""
+
+
+def rig(service: Service, **changes: Any) -> Rig:
+    """The shipped rig at an emulated service."""
+    base = {
+        "device.port": service.port, "servo.realtime": "off", "guard.ramp_s": 0.01,
+        "telemetry.endpoint": "tcp://127.0.0.1:*",
+    }  # fmt: skip
+    return load_rig(RIG, base | {f"device.{key}": value for key, value in PATIENT.items()} | changes)
+
+
+def pushes(service: Service) -> None:
+    """Wait until the device pushes up."""
+    until = time.monotonic() + 60.0
+    while service.force()[2] < 0.5:
+        assert time.monotonic() < until
+        time.sleep(0.002)
+
+
+def test_closed_loop_through_the_daemon() -> None:
+    """A hand presses into the plane, drags and lets go: modes and forces are the engine's on the same poses, what the
+    device is given are forces of the ticks in their order, bit for bit, and the last one is zero."""
+    scene = load_scene("paper-plane")
+    with Service() as service:
+        service.do("hand", id=ID, at=[0.0, 0.0, LIFT_M], press=0.005, drag=0.02)
+        records = records_of_daemon(rig(service), scene, 2500)
+        given = np.array(service.log())[:, 1:]
+    compared = assert_engine_agrees(records, scene, 1000.0)
+    assert set(records[:, AT.contact_mode]) == set(range(len(MODE_NAMES)))
+    assert compared > 300, "the guard left too few ticks in contact to compare"
+    ticks = iter(records[:, AT.force : AT.force + 3].tolist())
+    felt = [row for row, _ in groupby(given.tolist()) if any(row)]  # a force is sent again where no newer one came
+    assert len(felt) > 300
+    assert all(any(row == tick for tick in ticks) for row in felt)
+    assert not given[-1].any()
+
+
+def vanish(service: Service) -> None:
+    service.do("vanish", id=ID)
+
+
+def mute(service: Service) -> None:
+    service.set(mute=True)
+
+
+def garble(service: Service) -> None:
+    service.set(spoil="<html>")
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "words"),
+    [
+        (vanish, DeviceLost, "inverse3 049D is no longer in the service's list"),
+        (Service.kill, DeviceLost, "closed the connection|broke"),
+        (mute, DeviceTimeout, "no answer to a read in time"),
+        (garble, DeviceLost, r"not in its protocol .*the service said '<html>'"),
+    ],
+)
+def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
+    """A device that leaves the list, a service that ends, falls silent or talks nonsense while it pushes: the daemon
+    ends with that error, and without force."""
+    with Service() as service:
+        service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
+        with Daemon(rig(service), load_scene("paper-plane")) as daemon:
+            daemon.start()
+            pushes(service)
+            fault(service)
+            with pytest.raises(error, match=words):
+                daemon.wait(20.0)
+        if service.process.poll() is None:
+            assert not any(service.force())
+
+
+@pytest.mark.parametrize(
+    ("sent", "code"),
+    [
+        (signal.SIGTERM, 0),
+        (signal.SIGKILL, -signal.SIGKILL),
+        (signal.SIGSTOP, None),
+        pytest.param(signal.SIGINT, 0, marks=pytest.mark.exhaustive),
+        pytest.param(signal.SIGHUP, 128 + signal.SIGHUP, marks=pytest.mark.exhaustive),
+        pytest.param(signal.SIGQUIT, 128 + signal.SIGQUIT, marks=pytest.mark.exhaustive),
+    ],
+)
+def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None:
+    """A signal in contact: where it can be caught a zero is the last that the device is given; after SIGKILL the
+    connection's end takes the force, and after SIGSTOP the service does, as it is assumed to."""
+    with Service(idle_s=0.1 if sent is signal.SIGSTOP else 60.0) as service:
+        service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
+        mine = tmp_path / "rig.toml"
+        text = find(RIG, Rig).read_text()
+        for key, value in {"port": service.port, **PATIENT}.items():
+            text = re.sub(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
+        mine.write_text(text)
+        command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
+        command += ["--scene", "paper-plane", "--endpoint", f"ipc://{tmp_path}/a"]
+        running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        timer = threading.Timer(120.0, running.kill)
+        timer.start()
+        try:
+            pushes(service)
+            running.send_signal(sent)
+            if code is not None:
+                said = running.communicate(timeout=60)[1]
+                assert running.returncode == code, said
+                assert code < 0 or "force is zero" in said
+            until = time.monotonic() + 10.0
+            while any(service.force()):
+                assert time.monotonic() < until
+                time.sleep(0.001)
+        finally:
+            timer.cancel()
+            running.kill()
+            running.communicate()
+
+
+def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
+    """Without websockets, `run` says in one line what to install."""
+    (tmp_path / "websockets.py").write_text("raise ImportError('not installed')")
+    environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", RIG, "--endpoint", f"ipc://{tmp_path}/a"]
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 4
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert "pip install 'softfinger[haply]'" in done.stderr
+
+
+def test_check_tells_what_is_done_to_a_force(tmp_path: Path) -> None:
+    """`check` shows the filters that opening will set, those that the rig leaves out too."""
+    mine = tmp_path / "rig.toml"
+    text = find(RIG, Rig).read_text()
+    mine.write_text(text[: text.index("[device.filters]")] + "[device.filters]\nforce_gate = 0.0\n")
+    rows = dict(examine_file(str(mine)).summary)
+    assert rows["  filters"].startswith(
+        "force gate 0, damping 0, gravity compensation times 1, torque scaling on, home return off"
+    )
+
+
+def test_doctor_asks_the_service() -> None:
+    """For a rig of this driver `doctor` says which devices the service has, and what to start where there is none."""
+    with Service() as service:
+        found = attached.inverse_service(rig(service))
+        assert (found.state, found.seen) == ("good", f"version 3.5.0.0, lists inverse3 {ID}")
+        service.do("vanish", id=ID)
+        assert attached.inverse_service(rig(service)).state == "bad"
+    found = attached.inverse_service(rig(service))
+    assert found.state == "bad"
+    assert "systemctl start haply-inverse-service" in found.remedy
