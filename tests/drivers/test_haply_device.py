@@ -69,7 +69,7 @@ class Bench(driver_contract.Bench):
         self.service.do("return", id=ID)
 
 
-@pytest.fixture(params=["3.5.0", "3.1.1"])
+@pytest.fixture(params=["3.5.0", pytest.param("3.1.1", marks=pytest.mark.exhaustive)])
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     with Service(request.param) as service:
         yield Bench(service)
