@@ -52,7 +52,7 @@ VERBS: Final = {
     ),
     "bridge": Verb("softfinger.server.bridges.verb", "a daemon or a recording in Foxglove or Rerun"),
     "keys": Verb("softfinger.server.gateway.verbs.keys", "CURVE keys, by which daemon and clients know each other"),
-    "devices": Verb("softfinger.server.verbs.devices", "what is attached, and why it cannot be opened"),
+    "devices": Verb("softfinger.tools.devices", "what is attached, and why it cannot be opened"),
     "doctor": Verb("softfinger.tools.doctor.verb", "is this machine good enough; a report of an attached device"),
     "scenes": Verb("softfinger.server.verbs.shipped", "the scenes that are shipped, a line each"),
     "rigs": Verb("softfinger.server.verbs.shipped", "the rigs that are shipped, a line each"),

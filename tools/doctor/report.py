@@ -6,6 +6,7 @@ import argparse
 import json
 import platform
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +17,7 @@ from softfinger.config.files import new_file
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
-from softfinger.drivers.base import Device
+from softfinger.drivers.base import Device, DeviceInfo
 from softfinger.drivers.registry import open_device
 from softfinger.drivers.system import discovery
 from softfinger.server.loop.guard import Guard
@@ -57,15 +58,46 @@ def run(args: argparse.Namespace) -> int:
     """Record, write and print the report; returns the exit code. Raises what kept the device from being opened or
     ended its exchange, after the report was written."""
     rig = load_rig(args.rig)
-    file = Path(args.device_report or f"softfinger-{single_device(rig).driver}-report.json")
-    if not file.parent.is_dir() or file.is_dir():
-        raise ConfigError(f"--device-report {file}: there is no folder {file.parent}, or it is one: name a file")
+    file = report_file(rig, args.device_report, "--device-report")
     check_force(args.with_force, args.seconds, rig)
     guided = sys.stdin.isatty() and not args.no_prompts
     report, serials = begun(rig, guided)
+
+    def work() -> None:
+        def guard_of(device: Device) -> Guard:
+            return disarmed(rig) if args.with_force is None else pushing(rig, device, args.with_force)
+
+        def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
+            return Session(exchange, info, report, args.seconds, guided)
+
+        session = record(rig, report, guard_of, session_of, args.with_force)
+        if args.plot is not None and len(session.timing):
+            draw(args.plot, session.timing, f"{report['driver']} at {report['rate_hz']:g} Hz")
+
+    return written(report, serials, file, args.json, work)
+
+
+def report_file(rig: Rig, given: str, option: str) -> Path:
+    """Where the report goes. ConfigError for what is no file in a folder that there is."""
+    file = Path(given or f"softfinger-{single_device(rig).driver}-report.json")
+    if not file.parent.is_dir() or file.is_dir():
+        raise ConfigError(f"{option} {file}: there is no folder {file.parent}, or it is one: name a file")
+    return file
+
+
+def written(
+    report: dict[str, Any],
+    serials: list[str],
+    file: Path,
+    as_json: bool,
+    work: Callable[[], None],
+    head: Callable[[Mapping[str, Any]], list[str]] = lambda report: [],
+) -> int:
+    """Do the work, and write and print the report whatever ends it; what ended it is raised then. `head` gives lines
+    above the text."""
     failure: HapticError | KeyboardInterrupt | None = None
     try:
-        record(rig, report, args.seconds, args.with_force, args.plot)
+        work()
         report["ended"], report["complete"] = "in full", True
     except KeyboardInterrupt as error:
         report["ended"], failure = "cut short by the user", error
@@ -79,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
     report["questions"] = answered(report)
     report = privacy.Privacy(serials).clean(report)
     write(file, report)
-    show(report, args.json, lines(report, file))
+    show(report, as_json, [*head(report), *lines(report, file)])
     if failure is not None:
         raise failure
     return 0
@@ -152,8 +184,14 @@ def identity(device: discovery.Attached) -> dict[str, Any]:
     return seen
 
 
-def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | None, plot: Path | None) -> None:
-    """Open the device, run the session, and put all of it into `report`, whatever ends it; draw the times to `plot`.
+def record(
+    rig: Rig,
+    report: dict[str, Any],
+    guard_of: Callable[[Device], Guard],
+    session_of: Callable[[Exchange, DeviceInfo], Session],
+    force_n: float | None,
+) -> Session:
+    """Open the device, run a session, and put all of it into `report`, whatever ends it.
 
     Zero force on every shutdown path. Raises what opening raises, and the error of a device that failed in use.
     """
@@ -161,9 +199,8 @@ def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | No
     with open_device(single_device(rig), rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
         report["maker_library"] = loaded_libraries()
-        guard = disarmed(rig) if force_n is None else pushing(rig, device, force_n)
-        exchange = Exchange(device, rig, guard)
-        session = Session(exchange, device.info, report, seconds, report["guided"])
+        exchange = Exchange(device, rig, guard_of(device))
+        session = session_of(exchange, device.info)
         try:
             with exchange:
                 session.run(force_n)
@@ -173,17 +210,16 @@ def record(rig: Rig, report: dict[str, Any], seconds: float, force_n: float | No
         finally:
             report["counts"], report["reason"] = device.counts(), device.reason()
             report["realtime"] = {setting.name: setting.ok for setting in exchange.settings}
-    if plot is not None and len(session.timing):
-        draw(plot, session.timing, f"{report['driver']} at {report['rate_hz']:g} Hz")
+    return session
 
 
-def pushing(rig: Rig, device: Device, force_n: float) -> Guard:
+def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-force") -> Guard:
     """The rig's guard with no more force than was asked for; ConfigError where the device cannot push so hard."""
     if device.info.actuated_dof == 0:
-        raise ConfigError(f"--with-force {force_n:g}: {device.info.name} displays no force: leave it out")
+        raise ConfigError(f"{option} {force_n:g}: {device.info.name} displays no force: leave it out")
     if force_n > device.info.force_max_n:
         raise ConfigError(
-            f"--with-force {force_n:g}: {device.info.name} takes {device.info.force_max_n:g} N at most: ask for less"
+            f"{option} {force_n:g}: {device.info.name} takes {device.info.force_max_n:g} N at most: ask for less"
         )
     return guard_limits(rig.guard, device.info)._replace(force_max=force_n)
 

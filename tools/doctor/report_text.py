@@ -38,7 +38,7 @@ def _measured(report: Report) -> list[str]:
         text.append(burst_line(report["without_pauses"]))
     if (rest := report["rest"]) is not None:
         noise = ", ".join(f"{value * 1e6:.1f}" for value in rest["position_std_m"])
-        held = "at rest" if report["guided"] else "in the first second, nobody was asked to hold it still"
+        held = "at rest" if report["guided"] else "at first, nobody was asked to hold it still"
         text.append(f"  noise along x, y, z, {held}: {noise} um")
     if (span := report["range"]) is not None:
         pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)
@@ -48,5 +48,7 @@ def _measured(report: Report) -> list[str]:
         text.append(f"  {one['asked']}: {one['seen']}{wanted}")
     if report["buttons"] is not None:
         text.append(f"  button masks: {', '.join(map(str, report['buttons']['masks']))}")
-    text += [f"  push along {one['axis']}: {one['seen']}" for one in report["pushes"]]
+    for one in report["pushes"]:
+        felt = f"; felt: {one['felt']}" if one.get("felt") else ""
+        text.append(f"  push along {one['axis']}: {one['seen']}{felt}")
     return text

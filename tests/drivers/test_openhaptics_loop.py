@@ -1,0 +1,136 @@
+"""3D Systems' devices under the servo and the daemon: closed loop, faults, signals, and what the motors have then."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.closed_loop import assert_engine_agrees, records_of_daemon
+from helpers.drd_stub import COMPILER, NO_COMPILER
+from helpers.hd_stub import HdStub, TouchBench, hd, hd_library, journal_in, touch
+
+from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop
+from softfinger.config.load import load_rig, load_scene
+from softfinger.config.schema import Rig
+from softfinger.drivers.registry import options
+from softfinger.proxy.record import AT, MODE_NAMES
+from softfinger.server.app import Daemon
+from softfinger.server.driver_contract import RATE_HZ
+from softfinger.server.wire.client import subscribe
+
+__all__ = ["hd", "hd_library", "touch"]  # fixtures
+
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
+
+PRESSING = {"y": 11.5, "ay": 3.5, "ax": 6.0, "az": 12.0, "hz": 1.0, "turn": 0.5}
+"""Once a second the hand goes 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and lets go."""
+DEEP = {"y": 8.0}
+"""2 mm deep, and still."""
+
+
+def touch_rig(stub: HdStub, **changes: Any) -> Rig:
+    base = {
+        "device.library_file": str(stub.path), "servo.realtime": "off", "telemetry.endpoint": "tcp://127.0.0.1:*",
+        "guard.ramp_s": 0.01, "device.force_age_max_s": 0.1,  # it counts real time: this machine holds threads up
+    }  # fmt: skip
+    return load_rig("touch", base | changes)
+
+
+def test_closed_loop_feels_what_the_contact_step_gives(hd: HdStub, touch: TouchBench) -> None:
+    """Press, roll, slide and release by a hand on a simulated handle, through the whole daemon, between two threads
+    that are not in step: forces and modes are those of the contact step on the sensed poses, the wall holds the
+    handle, no call of the library was misused, and the last tick of the motors has zero."""
+    hd.update(**PRESSING)
+    scene = load_scene("paper-plane")
+    records = records_of_daemon(touch_rig(hd), scene, 2500)
+    assert assert_engine_agrees(records, scene, RATE_HZ) > 300  # of each 1000 ticks, some 400 are in the plane
+    assert set(records[:, AT.contact_mode].tolist()) == set(range(len(MODE_NAMES)))
+    assert 0.5 < np.abs(records[:, AT.force + 2]).max() <= 2.5
+    depth = 0.01 - records[:, AT.probe_position + 2].min()
+    # Hand and wall, 1000 N/m each, share the 2 mm; two threads delay the force by two ticks at most, and inertia adds.
+    assert depth == pytest.approx(0.001, rel=0.15)
+    assert hd["misuse"] == hd["errors"] == 0
+    assert not hd.journal()["force"][-1].any() and hd["peak"] > 0.5
+    assert (hd["opens"], hd["closes"], hd["running"]) == (1, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "words"),
+    [
+        ({"unplug_at": 700}, DeviceLost, r"Touch, serial 70001 is gone.*does not answer \(error 0x0302"),
+        ({"error_at": 700, "error": 0x200}, SafetyStop, "turned its force off.*motors are too warm"),
+        ({"error_at": 700, "error": 0x203}, SafetyStop, "turned its force off.*faster than the device allows"),
+        ({"drop_at": 700}, DeviceTimeout, "no answer to a read"),
+        ({"hang_at": 700}, DeviceTimeout, "no answer to a read"),
+        ({"delay_at": 700, "delay_s": 0.9}, DeviceTimeout, "no answer to a read"),
+    ],
+)
+def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
+    fault: dict[str, float], error: type[HapticError], words: str, hd: HdStub, touch: TouchBench
+) -> None:
+    """Unplugged, motors too warm, too fast, a callback that is not called any more, a library that stands still or
+    hangs in a frame, all in contact: the daemon ends with the fault's own error, and the motors have no force."""
+    hd.update(**DEEP, **fault)
+    with Daemon(touch_rig(hd), load_scene("paper-plane")) as running:
+        running.start()
+        with pytest.raises(error, match=words):
+            running.wait(60.0)
+        assert not any(hd.wrench())
+    assert hd["peak"] > 0.5 and not any(hd.wrench())
+    touch.mend()
+    touch.open().close()
+
+
+OTHERS = (signal.SIGINT, signal.SIGHUP, signal.SIGXCPU)
+
+
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in OTHERS)]
+)
+def test_what_the_motors_have_after_a_signal(number: signal.Signals, hd_library: Path, tmp_path: Path) -> None:
+    """The command line's daemon, pressing: what it can catch ends it in order and the motors have zero in their last
+    tick; after SIGKILL these motors keep the last force, and it is no more than the rig's."""
+    rig, left = tmp_path / "rig.toml", tmp_path / "journal"
+    rig.write_text(
+        f'[device]\ndriver = "openhaptics"\nlibrary_file = "{hd_library}"\nforce_age_max_s = 0.1\n'
+        f'[guard]\nforce_max_n = 1.5\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n'
+        '[servo]\nrealtime = "off"\n'
+    )
+    settings = ",".join(f"{name}={value}" for name, value in DEEP.items())
+    process = subprocess.Popen(
+        [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--scene", "paper-plane"],
+        env=os.environ | {"STUB_HD_SET": settings, "STUB_HD_LOG": str(left)},
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        for sample in subscribe(f"ipc://{tmp_path}/t"):
+            if sample.force[2] > 0.5:
+                break
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    last = np.linalg.norm(journal_in(left)["force"], axis=1)
+    assert last.max() > 0.5
+    if number == signal.SIGKILL:
+        assert 0.0 < last[-1] <= 1.5, "the stand-in's motors do not keep their force"
+    else:
+        assert process.returncode == (0 if number in (signal.SIGTERM, signal.SIGINT) else 128 + number), said
+        assert last[-1] == 0.0
+
+
+def test_shipped_rig_opens_a_touch(hd: HdStub, touch: TouchBench) -> None:
+    """With its own limits below the device's, and no other model."""
+    rig = load_rig("touch", {"device.library_file": str(hd.path)})
+    assert rig.device is not None
+    from softfinger.drivers.openhaptics.device import open_device
+
+    with open_device(options(rig.device), rig.servo.rate_hz) as device:
+        assert rig.guard.force_max_n <= device.info.force_max_n
+        assert device.info.name.startswith("Touch")

@@ -1,0 +1,163 @@
+"""`devices --probe`: a device without force at a glance, the report that it writes, and small pushes on demand."""
+
+from __future__ import annotations
+
+import os
+import pty
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.drd_stub import COMPILER, NO_COMPILER
+from helpers.hd_stub import HdStub, hd, hd_library
+from test_device_report import checked, environment, home
+
+from softfinger.config.errors import DeviceNotFound
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.discovery import Attached
+from softfinger.server.cli import main
+from softfinger.tools.doctor import probe
+from softfinger.tools.doctor.axes_picture import picture
+
+__all__ = ["hd", "hd_library", "home"]  # fixtures
+
+pytestmark = pytest.mark.real_time
+
+Probing = Callable[..., str]
+
+
+@pytest.fixture
+def probing(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Probing:
+    """The verb in this process, its parts a tenth as long, with these lines typed at a terminal, or at none; what it
+    printed, once it has ended well."""
+    for name, value in environment(home).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.chdir(home)
+    monkeypatch.setattr(probe, "PART_S", 0.2)
+
+    def run(*words: str, typed: str | None = None) -> str:
+        if typed is None:
+            stdin = os.fdopen(os.open(os.devnull, os.O_RDONLY))
+        else:
+            main_end, side = pty.openpty()
+            os.write(main_end, typed.encode())
+            stdin = os.fdopen(side)
+        with stdin:
+            monkeypatch.setattr(sys, "stdin", stdin)
+            assert main(["devices", "--probe", *words]) == 0
+        return capsys.readouterr().out
+
+    return run
+
+
+def rig(home: Path, driver: str, *lines: str) -> str:
+    file = home / "mine.toml"
+    file.write_text("\n".join(["[device]", f'driver = "{driver}"', *lines, '[servo]\nrealtime = "off"\n']))
+    return str(file)
+
+
+def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
+    """Five parts in a row with zero force: rate, noise, range and buttons of all of them; nobody is asked."""
+    output = probing("--rig", rig(home, "replay", 'recording = "tap"', "loop = true", 'forces = "forces.npz"'))
+    found = checked(home / "softfinger-replay-report.json", home)
+    assert found["complete"] and not found["guided"]
+    assert found["exchange"]["ticks"] == 1000 and found["rest"]["ticks"] == 200
+    # five parts that follow each other, as one: no gap is in their time
+    assert found["exchange"]["seconds"] == pytest.approx(1.0, rel=0.2)
+    assert found["buttons"] == {"masks": [0]} and found["moves"] == found["pushes"] == []
+    assert not np.load(home / "forces.npz")["force"].any()
+    low, high = found["range"]["position_min_m"][2] * 1e3, found["range"]["position_max_m"][2] * 1e3
+    assert f"z  up: {low:.1f} to {high:.1f} mm" in output and "x  right: " in output
+    assert "new samples a second, the rig asks for 1000" in output
+    assert "attach it to an issue" in output
+
+
+def test_what_somebody_feels_is_in_the_report(probing: Probing, home: Path) -> None:
+    """At a terminal: Enter begins, each motion is judged, and each of the pushes of a fifth of a newton is followed by
+    a question whose answer is kept."""
+    still = rig(home, "simulated", "position_m = [0.0, 0.0, 0.03]")
+    output = probing("mine.json", "--rig", still, "--push", typed="\n\nright\naway from me\n up \n")
+    found = checked(home / "mine.json", home)
+    assert found["guided"] and [move["seen"] for move in found["moves"]] == ["no motion"] * 3
+    assert [push["felt"] for push in found["pushes"]] == ["right", "away from me", "up"]
+    assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
+    assert all(push["largest_n"] == pytest.approx(probe.PUSH_N, rel=1e-3) for push in found["pushes"])
+    assert "push along +y: +y; felt: away from me" in output
+    assert "right --> no motion   WRONG: it has to be +x" in output
+
+
+@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
+def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
+    """The stand-in's motors give nothing without --push; with it a fifth of a newton along each axis and back, and zero
+    at last."""
+    named = rig(home, "openhaptics", f'library_file = "{hd.path}"', "force_age_max_s = 0.1")
+    hd["buttons"] = 2
+    probing("--rig", named)
+    found = checked(home / "softfinger-openhaptics-report.json", home)
+    assert found["device"]["name"] == "Touch, serial ...01"
+    assert found["maker_library"] == [hd.path.name]
+    assert found["buttons"] == {"masks": [2]} and hd["peak"] == 0.0
+    probing("--rig", named, "--push")
+    found = checked(home / "softfinger-openhaptics-report.json", home)
+    assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
+    assert [push["felt"] for push in found["pushes"]] == ["", "", ""]
+    force = hd.journal()["force"]
+    # the library's axes: x right, y up, z towards the user
+    assert force.max(axis=0) == pytest.approx([0.2] * 3, rel=0.02)
+    assert force.min(axis=0) == pytest.approx([-0.2] * 3, rel=0.02)
+    assert not force[-1].any()
+
+
+@pytest.mark.parametrize(
+    ("words", "pieces"),
+    [
+        (["--push"], ["--push belongs to a probe"]),
+        (["--probe", "/no/such/folder/x.json", "--rig", "simulated"], ["--probe /no/such/folder", "no folder"]),
+        (["--probe", "--rig", "no-such-rig"], ["no-such-rig"]),
+    ],
+)
+def test_bad_words_give_one_clear_error(
+    words: list[str], pieces: list[str], home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each is refused before a device is opened, and no report is written."""
+    monkeypatch.chdir(home)
+    assert main(["devices", *words]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
+    assert list(home.iterdir()) == []
+
+
+def test_a_rig_that_allows_less_than_a_push_is_told(
+    home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before the device is opened."""
+    monkeypatch.chdir(home)
+    file = home / "weak.toml"
+    file.write_text('[device]\ndriver = "simulated"\n[guard]\nforce_max_n = 0.1\n')
+    assert main(["devices", "--probe", "--push", "--rig", str(file)]) == 2
+    assert "guard.force_max_n = 0.1 is below the push of 0.2 N" in capsys.readouterr().err
+
+
+def test_without_a_rig_it_is_the_first_attached_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first that has a shipped rig; with none attached the error says to name one."""
+    ports: list[Attached] = [Attached("usb", 0x1234, 0x0001, "a lamp", "", "")]
+    monkeypatch.setattr(discovery, "attached", lambda: ports)
+    with pytest.raises(DeviceNotFound, match="name yours with --rig"):
+        probe.attached_rig()
+    ports.append(Attached("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0"))
+    assert probe.attached_rig() == "touch"
+
+
+def test_the_picture_says_which_motion_came_out_wrong() -> None:
+    """An arrow from each motion that was asked for to the axis that moved."""
+    moves: list[dict[str, Any]] = [
+        {"kind": "translation", "expected": "+x", "seen": "+x", "agrees": True},
+        {"kind": "translation", "expected": "+y", "seen": "-z", "agrees": False},
+    ]
+    text = "\n".join(picture({"range": None, "moves": moves}))
+    assert "right --> +x   as it has to be" in text
+    assert "away from you --> -z   WRONG: it has to be +y" in text
+    assert "z  up: not seen" in text

@@ -1,0 +1,40 @@
+"""The axes of a device as a picture of text: where the world's lie, how far the handle went, what was seen of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+Report = Mapping[str, Any]
+
+WORDS: Final = {"+x": "right", "+y": "away from you", "+z": "up", "-x": "left", "-y": "towards you", "-z": "down"}
+
+
+def picture(report: Report) -> list[str]:
+    """Arrows of x, y and z with the range of the handle along each; beside an axis, which motion came out along it."""
+    span = report["range"]
+    reach = ["not seen"] * 3
+    if span is not None:
+        pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)
+        reach = [f"{low * 1e3:.1f} to {high * 1e3:.1f} mm" for low, high in pairs]
+    x, y, z = (f"{name}  {WORDS[f'+{name}']}: {reach[k]}" for k, name in enumerate("xyz"))
+    return [
+        f"    ^ {z}",
+        "    |",
+        f"    |    7 {y}",
+        "    |   /",
+        "    |  /",
+        "    | /",
+        f"    +----------> {x}",
+        *_motions(report),
+    ]
+
+
+def _motions(report: Report) -> list[str]:
+    """What was asked for, with an arrow to what was seen: the axis and sense that moved."""
+    found = []
+    for move in report["moves"]:
+        if move["kind"] == "translation":
+            right = "as it has to be" if move["agrees"] else f"WRONG: it has to be {move['expected']}"
+            found.append(f"    {WORDS[move['expected']]:>14} --> {move['seen']}   {right}")
+    return found

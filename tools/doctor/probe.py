@@ -1,0 +1,146 @@
+"""`devices --probe`: ten seconds of a device without force, told at a glance and written as a device report; and if it
+is asked for, one small push along each axis."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError, DeviceNotFound
+from softfinger.config.load import load_rig
+from softfinger.config.schema import Rig
+from softfinger.drivers.base import Device, DeviceInfo
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.claims import claim_on
+from softfinger.server.loop.guard import Guard
+from softfinger.tools.devices import PUSH_N
+from softfinger.tools.doctor import motions
+from softfinger.tools.doctor.axes_picture import picture
+from softfinger.tools.doctor.report import begun, pushing, record, report_file, written
+from softfinger.tools.doctor.session import TRANSLATIONS, Session
+from softfinger.tools.exchange import START, Exchange, Push, disarmed
+from softfinger.tools.exchange_figures import figures
+from softfinger.tools.measure import Array
+
+PART_S: Final = 2.0
+"""Of five parts: at rest, to the right, away, up, buttons. Ten seconds."""
+PUSH_S: Final = 1.5
+PEAK: Final = 3.0 * 3.0**0.5 / 8.0
+"""Largest value of one sine under its envelope, sin(pi s)^2 sin(2 pi s): it goes along the axis, and back."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Probe, write and print; returns the exit code. Raises as `report.run`."""
+    rig = load_rig(args.rig if args.rig is not None else attached_rig())
+    file = report_file(rig, args.probe, "--probe")
+    if args.push:
+        check_push(rig)
+    guided = sys.stdin.isatty()
+    report, serials = begun(rig, guided)
+
+    def guard_of(device: Device) -> Guard:
+        return pushing(rig, device, PUSH_N, "--push") if args.push else disarmed(rig)
+
+    def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
+        return Probe(exchange, info, report, PART_S, guided)
+
+    def work() -> None:
+        record(rig, report, guard_of, session_of, PUSH_N if args.push else None)
+
+    return written(report, serials, file, args.json, work, glance)
+
+
+def check_push(rig: Rig) -> None:
+    """ConfigError where the rig allows less force than a push has."""
+    if rig.guard.force_max_n < PUSH_N:
+        raise ConfigError(f"--push: guard.force_max_n = {rig.guard.force_max_n:g} is below the push of {PUSH_N:g} N")
+
+
+def attached_rig() -> str:
+    """Name of the shipped rig for the first attached device that has one. DeviceNotFound where there is none."""
+    for device in discovery.attached():
+        claim = claim_on(device)
+        if claim is not None and claim.rigs:
+            return claim.rigs[0]
+    raise DeviceNotFound(
+        "--probe: no device is attached that a shipped rig is for: name yours with --rig (`softfinger rigs` lists them)"
+    )
+
+
+class Probe(Session):
+    """Ten seconds of parts that follow each other without a word from the user, then the pushes."""
+
+    def run(self, force_n: float | None) -> None:
+        self._ask(
+            "ten seconds: 2 s each at rest, to the right, away from you, up, and for the buttons and turns. "
+            "Keep the handle where each motion ends"
+        )
+        parts = [self._cued("hold still")]
+        self._report["rest"] = motions.rest(parts[0], self._info.sensed_dof > 3)
+        for one in TRANSLATIONS:
+            rows = self._cued(one.words)
+            parts.append(rows)
+            found = motions.move(one.words, one.kind, one.expected, rows) if self._guided else None
+            if found is not None:
+                self._report["moves"].append(found)
+        parts.append(self._cued("press each button in turn, and turn the handle"))
+        together = joined(parts)
+        if len(together):
+            self._report["exchange"] = figures(together, self._exchange.rate_hz)
+            self._report["buttons"] = {"masks": motions.masks(together)}
+        if force_n is not None:
+            self._push_each(force_n)
+
+    def _cued(self, words: str) -> Array:
+        if self._guided and self._exchange.ended is None:
+            print(words, file=sys.stderr, flush=True)
+        return self._record(words, self._seconds)
+
+    def _push_each(self, force_n: float) -> None:
+        self._ask(f"hold the handle lightly: it pushes with {force_n:g} N along each axis and back")
+        frequency = 1.0 / PUSH_S
+        for axis, name in enumerate(motions.AXES):
+            x, y, z = (force_n / PEAK if k == axis else 0.0 for k in range(3))
+            rows = self._record(f"a push along {name}", PUSH_S, Push((x, y, z), frequency, PUSH_S))
+            found = motions.push(axis, frequency, self._exchange.rate_hz, rows)
+            if found is not None:
+                self._report["pushes"].append(found | {"felt": self._felt(name)})
+
+    def _felt(self, name: str) -> str:
+        """What the user says in a line; empty where nobody is asked."""
+        if not self._guided or self._exchange.ended is not None:
+            return ""
+        print(
+            f"pushed along {name}: what did you feel? (right, left, away, towards me, up, down, nothing)",
+            file=sys.stderr,
+        )
+        sys.stderr.flush()
+        said = sys.stdin.readline()
+        if not said:  # the terminal was closed
+            raise KeyboardInterrupt
+        return said.strip()[:80]
+
+
+def joined(parts: list[Array]) -> Array:
+    """Rows of parts as if they were one: the gaps between are left out of their times."""
+    kept: list[Array] = []
+    begins = 0.0
+    for rows in parts:
+        if len(rows):
+            later = rows.copy()
+            later[:, START] += begins - rows[0, START]
+            kept.append(later)
+            begins = later[-1, START] + float(np.median(np.diff(rows[:, START]))) if len(rows) > 1 else begins
+    return np.concatenate(kept) if kept else parts[0][:0]
+
+
+def glance(report: Mapping[str, Any]) -> list[str]:
+    """The picture of the axes, and what a user wants to know first."""
+    text = picture(report)
+    if (seen := report["exchange"]) is not None:
+        text.append(f"  {seen['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")
+    return text
