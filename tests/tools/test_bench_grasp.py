@@ -1,0 +1,32 @@
+"""`bench grasp`: a box that soft fingertips hold, beside MuJoCo's own contact."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from softfinger.server import cli
+
+pytestmark = pytest.mark.plain
+
+
+def test_soft_fingertips_hold_what_mujocos_contact_lets_go(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Here the box rests at m g d cos(theta) / (2 k_z); there it goes on, down and round; and it is drawn."""
+    assert cli.main(["bench", "grasp", "--seconds", "1", "--json", "--plot", str(tmp_path / "grasp.svg")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    ours, *theirs = told["contacts"]
+    expected = told["expected_turn_deg"]
+    assert ours["turn_deg"] == pytest.approx(expected * math.cos(math.radians(expected)), rel=0.01)
+    assert abs(ours["creep_um_per_s"]) < 1.0 and abs(ours["turn_creep_deg_per_s"]) < 0.01
+    assert len(theirs) == 3
+    assert all(each["creep_um_per_s"] > 1.0 and each["turn_deg"] > 1.5 * expected for each in theirs)
+    assert (tmp_path / "grasp.svg").stat().st_size > 1000
+
+
+def test_a_time_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """With the range."""
+    assert cli.main(["bench", "grasp", "--seconds", "0.1"]) == 2
+    assert "1 to 1000" in capsys.readouterr().err
