@@ -89,6 +89,9 @@ class HaplyDevice(Device):
     def reason(self) -> str:
         return self._pump.failure
 
+    def warning(self) -> str:
+        return self._pump.warning
+
     def counts(self) -> dict[str, int]:
         return self._block.counts()
 

@@ -98,6 +98,7 @@ class Config(Struct):
 class DeviceEntry(Struct):
     device_id: Name
     state: DeviceState
+    status: Status = msgspec.field(default_factory=Status)
 
 
 class GripEntry(Struct):
@@ -110,7 +111,6 @@ class Listed(Struct):
 
     device_id: Name
     config: Config = msgspec.field(default_factory=Config)
-    status: Status = msgspec.field(default_factory=Status)
 
 
 class State(Struct):
@@ -150,12 +150,13 @@ class Which(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """A pose in the service's frame: position (3,) m, orientation w x y z, buttons; NaN where it said no usable
-    number."""
+    """A pose in the service's frame: position (3,) m, orientation w x y z, buttons, NaN where it said no usable number;
+    and what is not as it should be."""
 
     position: Vec3
     orientation: Quaternion
     buttons: float
+    warning: str = ""
 
 
 _STATES: Final = msgspec.json.Decoder(State)
@@ -175,12 +176,12 @@ def read_state(message: bytes, device: Which, grip: Which | None) -> Seen:
     state: State = _decoded(_STATES, message)
     mine: DeviceEntry = _entry(state, device)
     held: GripEntry | None = None if grip is None else _entry(state, grip)
-    position = _place(mine.state.cursor_position)
+    position, warning = _place(mine.state.cursor_position), _warning(mine.status)
     if held is None:
-        return Seen(position, _UNTURNED, 0.0)
+        return Seen(position, _UNTURNED, 0.0, warning)
     pressed = held.state.buttons
     mask = float(held.state.button) if pressed is None else float(pressed.a + 2 * pressed.b + 4 * pressed.c)
-    return Seen(position, _turn(held.state.orientation), mask)
+    return Seen(position, _turn(held.state.orientation), mask, warning)
 
 
 def command(device: Which, key: str, force: Vec3, basis: bool = False) -> bytes:
@@ -239,6 +240,17 @@ def _entry(state: State, which: Which) -> Any:
         if entry.device_id == which.name:
             return entry
     raise Missing(f"{which} is no longer in the service's list")
+
+
+def _warning(status: Status) -> str:
+    if status.power_supply and status.calibrated and status.ready:
+        return ""
+    wrong = (
+        "" if status.power_supply else "it has no power supply, and gives no force",
+        "" if status.calibrated else "it is not calibrated, so its position may be off: calibrate it in the Haply Hub",
+        "" if status.ready else "it is not ready",
+    )
+    return "the Inverse Service says: " + "; ".join(filter(None, wrong))
 
 
 def _place(vector: Vector) -> Vec3:

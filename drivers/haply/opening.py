@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
@@ -32,8 +31,6 @@ from softfinger.drivers.haply.messages import (
     read_state,
 )
 from softfinger.drivers.haply.options import Filters, Options
-
-log: Final = logging.getLogger(__name__)
 
 PORT: Final = 10001
 """Of a service whose settings nobody changed."""
@@ -72,7 +69,6 @@ def find(options: Options) -> Found:
         inventory = _inventory(link, until)
         device, listed = choose_device(inventory, options.device_id)
         grip = choose_grip(inventory, options.grip)
-        _warn(device, listed)
         _set(options, version, device, listed.config, inventory.session_id, until)
         key = force_key(version)
         link.send(command(device, key, _ZERO, basis=True))
@@ -156,17 +152,6 @@ def _inventory(link: Link, until: float) -> Inventory:
         raise DeviceTimeout(f"the Inverse Service says nothing within {OPEN_S:g} s: restart it ({START})") from None
     except Malformed as error:
         raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
-
-
-def _warn(device: Which, listed: Listed) -> None:
-    status = listed.status
-    for wrong, what in (
-        (not status.power_supply, "has no power supply: it gives no force"),
-        (not status.calibrated, "is not calibrated: its position may be off; calibrate it in the Haply Hub"),
-        (not status.ready, "is not ready"),
-    ):
-        if wrong:
-            log.warning("the Inverse Service says that %s %s", device, what)
 
 
 def _set(options: Options, version: tuple[int, int], device: Which, config: Config, session: int, until: float) -> None:

@@ -61,6 +61,8 @@ class Pump:
         self._ending = threading.Event()
         self.failure = ""
         """What ended the thread before it was closed; empty while nothing did."""
+        self.warning = ""
+        """What is not as it should be, by the newest state."""
         read(self._wrenches, -1, self._copy)  # compiled now, and not in the thread
         self._publish(found.seen)
         self._thread = threading.Thread(target=self._run, name="haply exchange", daemon=True)
@@ -163,6 +165,7 @@ class Pump:
     def _publish(self, seen: Seen) -> None:
         self._pose[:] = (*seen.position, *seen.orientation, seen.buttons, time.monotonic_ns())
         publish(self._poses, self._pose)
+        self.warning = seen.warning
         self._word[AT.states] += 1
 
 

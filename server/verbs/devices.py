@@ -86,6 +86,10 @@ def as_map(
     }
 
 
+def _shown(value: Any) -> str:
+    return (" and ".join(value) or "none") if isinstance(value, list) else str(value)
+
+
 def lines(found: list[Found]) -> list[str]:
     """The same for people: what a driver claims first, then the rest."""
     text = []
@@ -99,7 +103,7 @@ def lines(found: list[Found]) -> list[str]:
         text.append(f"    driver {claim.driver}: softfinger run {command}")
         text.append(f"    {diagnosis.state}{': ' if diagnosis.reason else ''}{diagnosis.reason}")
         if said is not None:
-            text.append(f"    it says: {', '.join(f'{name} {value}' for name, value in said.items())}")
+            text.append(f"    it says: {', '.join(f'{name} {_shown(value)}' for name, value in said.items())}")
         if diagnosis.remedy:
             text.append(f"    mend it: {diagnosis.remedy}")
     if not any(claim for _, claim, *_ in found):

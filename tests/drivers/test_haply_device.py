@@ -14,15 +14,19 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
+import numba
 import numpy as np
 import pytest
+from helpers.compiled_code import called_in, functions
 from helpers.haply_devices import ID, Service, fresh, opened, rig_options, settle
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
 from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import Servo
 
@@ -305,12 +309,33 @@ def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
         opened(service)
 
 
-def test_what_the_service_warns_of_is_passed_on(service: Service, caplog: pytest.LogCaptureFixture) -> None:
-    """A device without power or calibration opens, with a warning."""
-    service.do("status", id=ID, to={"power_supply": False, "calibrated": False})
-    opened(service).close()
-    assert "has no power supply: it gives no force" in caplog.text
-    assert "is not calibrated" in caplog.text
+def test_what_the_service_warns_of_is_passed_on(service: Service) -> None:
+    """A device without power or calibration opens, and warns until that is mended."""
+    with opened(service) as device:
+        servo = Servo(device)
+        fresh(servo)
+        assert device.warning() == ""
+        for status, told in (
+            ({"power_supply": False, "calibrated": False}, "no power supply, and gives no force; it is not calibrated"),
+            ({"power_supply": True, "calibrated": True}, ""),
+        ):
+            service.do("status", id=ID, to=status)
+            end = time.monotonic() + 5.0
+            while told not in device.warning() or bool(told) != bool(device.warning()):
+                assert time.monotonic() < end, device.warning()
+                time.sleep(0.001)
+
+
+def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
+    """Compiled afresh, the C functions name nothing outside themselves but system calls, clock and libm."""
+    allowed = {"write", "clock_gettime", "__errno_location", "sqrt"}
+    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    for function in (exchange.read, exchange.write):
+        bodies = functions(numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm())
+        called = {name for body in bodies.values() for name in called_in(body)}
+        outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
+        assert "clock_gettime" in outside
+        assert outside <= allowed
 
 
 def test_forces_of_two_programs_add_up(service: Service) -> None:
