@@ -1,11 +1,11 @@
 """What a driver's tick costs beside the C calls that it makes: `python tests/exchange_cost.py`, `make exchange-cost`.
 
-For each driver for hardware a device is opened on a stand-in: Force Dimension's on a stub of the maker's library, the
-Falcon on a stub of libusb, HID devices and the puck on a packet socket, serial boards on a stream socket, Haply's on
-an emulated service. One compiled loop then times the driver's read and write, called as the servo calls them, in turn
-with the same C calls made bare, with the same arguments on the same stand-in. Both go back to back, so the caches are
-warm. What the driver adds is the difference of the two medians; the range is that of the same difference over twenty
-parts of the run. The stand-in's own work is in both.
+For each driver for hardware a device is opened on a stand-in: Force Dimension's and a Touch on stubs of the makers'
+libraries, the Falcon on a stub of libusb, HID devices and the puck on a packet socket, serial boards on a stream
+socket, Haply's on an emulated service. One compiled loop then times the driver's read and write, called as the servo
+calls them, in turn with the same C calls made bare, with the same arguments on the same stand-in. Both go back to back,
+so the caches are warm. What the driver adds is the difference of the two medians; the range is that of the same
+difference over twenty parts of the run. The stand-in's own work is in both.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from helpers.described_boards import rig_options as described_options
 from helpers.drd_stub import COMPILER, SOURCE, Stub, compile_stub
 from helpers.haply_devices import Service
 from helpers.haply_devices import opened as open_haply
+from helpers.hd_stub import SOURCE as HD_SOURCE
 from helpers.hid_devices import ends, rig_options
 from helpers.serial_devices import rig_options as serial_options
 from helpers.usb_stub import NO_COMPILER, SONAME, UsbStub, in_place_of_libusb
@@ -44,6 +45,8 @@ from softfinger.drivers.falcon.device import open_device as open_falcon
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension.block import AT as FD
 from softfinger.drivers.hid.device import HidDevice
+from softfinger.drivers.openhaptics.device import open_device as open_touch
+from softfinger.drivers.openhaptics.options import Options as TouchOptions
 from softfinger.drivers.serial.device import SerialDevice
 from softfinger.drivers.serial.packets import finish_once, shape_of
 from softfinger.drivers.spacemouse.device import SpaceMouse
@@ -277,6 +280,16 @@ def described(_: Path) -> Iterator[Case]:
 
 
 @contextmanager
+def openhaptics(folder: Path) -> Iterator[Case]:
+    """A Touch on the stub of libHD, whose thread makes the library's calls: the loop's own makes none."""
+    path = compile_stub(HD_SOURCE, folder / "libHD.so.3.4.0", "-pthread")
+    with open_touch(TouchOptions(library_file=str(path), force_age_max_s=0.1), RATE_HZ) as device:
+        device.arm()
+        io = device.io()
+        yield Case(io, DeviceIO(_nothing.address, _nothing.address, io.handle), wait_ns=2_000_000)
+
+
+@contextmanager
 def spacemouse(_: Path) -> Iterator[Case]:
     """A puck on a packet socket, with a report in each tick; what is written to it goes nowhere."""
     fd, end = ends()
@@ -317,6 +330,7 @@ CASES: Final[dict[str, Callable[[Path], AbstractContextManager[Case]]]] = {
     "hid": hid,
     "serial": serial,
     "described": described,
+    "openhaptics": openhaptics,
     "spacemouse": spacemouse,
 }
 
@@ -373,7 +387,7 @@ def main() -> int:
     try:
         found = {}
         for name in args.driver or CASES:
-            if COMPILER is None and name in ("forcedimension", "falcon"):
+            if COMPILER is None and name in ("forcedimension", "falcon", "openhaptics"):
                 print(f"{name}: left out: {NO_COMPILER}", file=sys.stderr)
                 continue
             with tempfile.TemporaryDirectory() as folder, CASES[name](Path(folder)) as case:

@@ -82,9 +82,13 @@ class OpenHaptics(Device):
         self._warm = False
         with self._scheduler.still():
             self._device = _initialise(self._library, options.name)
+            try:  # before the thread runs again: the current device may be one for all threads
+                self.model, self.serial, self._style = self._identity()
+                self.info = self._info()
+            except BaseException:
+                self._library.hdDisableDevice(self._device)
+                raise
         try:
-            self.model, self.serial, self._style = self._identity()
-            self.info = self._info()
             self.calibrated = self._calibrate(calibrates)
             self._set_up()
         except BaseException:

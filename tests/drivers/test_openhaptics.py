@@ -20,8 +20,11 @@ from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, to
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, HapticError
 from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import device as openhaptics
-from softfinger.drivers.openhaptics import library
+from softfinger.drivers.openhaptics import library, usb
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
+from softfinger.drivers.system.claims import claim_on
+from softfinger.drivers.system.diagnosis import needs
+from softfinger.drivers.system.rules import udev_rules
 from softfinger.server.driver_contract import DriverContract, Servo
 
 __all__ = ["hd", "hd_library", "touch"]  # fixtures
@@ -283,6 +286,19 @@ def test_identify_asks_and_gives_no_force(hd: HdStub, bench: TouchBench) -> None
     said = openhaptics.identify(PORT, bench.options())
     assert said == {"model": "Touch", "serial": "70001", "calibrated": False}
     assert hd["updated"] == hd["output_sets"] == 0 and not hd["running"]
+
+
+def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`devices` names driver and rig, says that the library is missing and where it comes from, and `install` writes a
+    rule for the port, which ModemManager leaves alone."""
+    claim = claim_on(PORT)
+    assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
+    monkeypatch.setattr(library, "FOLDERS", ())
+    found = needs(claim, {})
+    assert found.state == "library" and "libHD" in found.reason and "library_file" in found.remedy
+    (rule,) = [line for line in udev_rules().splitlines() if '"2988"' in line]
+    assert 'SUBSYSTEM=="tty"' in rule and "ID_MM_DEVICE_IGNORE" in rule and "idProduct" not in rule
+    assert usb.how_to_permit(PORT).startswith("Geomagic Touch (2988:0302) at /dev/ttyACM0 may not be opened")
 
 
 # --- the callback --------------------------------------------------------------------------------

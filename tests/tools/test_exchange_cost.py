@@ -25,10 +25,19 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["ticks"] == 300
-    assert list(found["seconds"]) == ["forcedimension", "falcon", "haply", "hid", "serial", "described", "spacemouse"]
+    assert list(found["seconds"]) == [
+        "forcedimension",
+        "falcon",
+        "haply",
+        "hid",
+        "serial",
+        "described",
+        "openhaptics",
+        "spacemouse",
+    ]
     for name, one in found["seconds"].items():
         # a stall of the machine may pass the drivers' own time limits
-        assert one["whole"] > (0.9 if name != "haply" else 0.5), name  # a thread and a process answer that one
+        assert one["whole"] > (0.5 if name in ("haply", "openhaptics") else 0.9), name  # threads of others answer those
         assert one["driver"] == pytest.approx(one["bare"] + one["own"], rel=1e-9)
         assert one["bare"] > 0.0 and one["least"] <= one["most"]
     assert figure.stat().st_size > 1000
