@@ -23,7 +23,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline.figures import figure, save
-from softfinger.tools.pages import sketches, states
+from softfinger.tools.pages import moving, sketches, states
 
 Array = NDArray[np.float64]
 
@@ -203,6 +203,7 @@ def main(argv: list[str] | None = None) -> int:
         draw(name, folder / f"model-{name}.svg")
     for name in OTHERS:
         draw(name, folder / f"{name}.svg")
+    moving.draw(folder / "lift-a-box.svg")
     return 0
 
 
