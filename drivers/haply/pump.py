@@ -22,6 +22,7 @@ import numpy as np
 from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT
 from softfinger.drivers.block import Block
+from softfinger.drivers.haply import turns
 from softfinger.drivers.haply.exchange import AT, COUNTERS, NUMBER, POSE, WRENCH, WRITTEN
 from softfinger.drivers.haply.messages import Malformed, Missing, Seen, command, read_state
 from softfinger.drivers.haply.opening import Found
@@ -68,6 +69,7 @@ class Pump:
         self._thread = threading.Thread(target=self._run, name="haply exchange", daemon=True)
 
     def start(self) -> None:
+        turns.shorten()
         self._thread.start()
 
     @property
@@ -98,6 +100,7 @@ class Pump:
             self._fail(PROTOCOL, repr(error))
         finally:
             self._leave()
+            turns.restore()
 
     def _leave(self) -> None:
         """A last zero, whatever has ended the exchange, and the connection's end."""

@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -23,7 +24,7 @@ from helpers.haply_devices import ID, Service, fresh, opened, rig_options, settl
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
-from softfinger.drivers.haply import exchange
+from softfinger.drivers.haply import exchange, turns
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.libc import IO_SIGNATURE
@@ -572,6 +573,19 @@ def test_the_service_is_asked_what_it_has(service: Service) -> None:
     board = Attached("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyACM0")
     said = identify(board, rig_options(service.port))
     assert said == {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
+
+
+def test_threads_take_short_turns_while_a_device_is_open(service: Service) -> None:
+    """Python's switch interval is short from the first device's opening to the last one's end, in whatever order they
+    end, and then what it was."""
+    before = sys.getswitchinterval()
+    first, second = opened(service), opened(service)
+    assert turns.SWITCH_S < before
+    assert sys.getswitchinterval() == pytest.approx(turns.SWITCH_S, rel=1e-2)  # it is kept in microseconds
+    first.close()
+    assert sys.getswitchinterval() < before
+    second.close()
+    assert sys.getswitchinterval() == before
 
 
 def test_a_device_keeps_its_descriptors_to_itself(service: Service) -> None:
