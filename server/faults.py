@@ -1,8 +1,11 @@
-"""What can go wrong, and what is done about it."""
+"""The fault model: every hazard that is provided for, what is done about it, and the test that injects it.
+
+`docs/reference/faults.md` is made from it.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 ADVICE: Final = {
     "not_finite": "the scene gave no finite force: softfinger check names values that do not go together",
@@ -18,3 +21,178 @@ ADVICE: Final = {
     "workspace_edge": "the handle is at the edge of guard.workspace: come back from it",
 }
 """What to do, by the name of a guard's event; those not here need nothing."""
+
+
+class Hazard(NamedTuple):
+    """A row of the fault model.
+
+    name      of the hazard
+    detection what finds it
+    reaction  ticks, or s, from the first tick with it until `state` holds
+    state     what the hand feels then, and what becomes of the run
+    recovery  what leads back to a force
+    events    kind and name of each event that tells it
+    tests     node ids of the tests that inject it
+    """
+
+    name: str
+    detection: str
+    reaction: str
+    state: str
+    recovery: str
+    events: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+FAILED: Final = "state faulted"
+"""The event of an error that ends a run; its cause is the error."""
+_ENDS: Final = "zero; the run ends"
+_START: Final = "start again"
+_NONE: Final = "none needed"
+_INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_force_that_it_may_not"
+
+HAZARDS: Final = (
+    Hazard(
+        "a wall that is unstable", "energy given in contacts, `energy_max_j`", "as soon as it is given",
+        "the force fades to zero at twice the limit", "by itself, over 1 s", ("guard energy_spent",),
+        ("tests/server/test_limits.py::test_an_unstable_wall_fades",),
+    ),
+    Hazard(
+        "a force that is not finite", "the guard", "0 ticks", "zero", "the ramp; 0.5 s of it end the run",
+        ("guard not_finite", FAILED),
+        ("tests/server/test_guard.py::test_what_is_not_finite_becomes_zero_and_ramps_anew",
+         "tests/server/test_health.py::test_half_a_second_without_a_force_is_a_fault"),
+    ),
+    Hazard(
+        "a pose that is not finite, out of range or short", "before the contact step", "0 ticks", "zero",
+        "the ramp; 0.5 s of it end the run", ("guard pose_refused", FAILED), (_INJECTED,),
+    ),
+    Hazard(
+        "a pose that jumps", "`speed_max_m_per_s`, `turn_max_rad_per_s`", "0 ticks", "zero",
+        "the ramp; five in a row end the run", ("guard pose_jumped", FAILED), (_INJECTED,),
+    ),
+    Hazard(
+        "a pose that stands still under a force", "`frozen_s`", "5 s by default", "zero", "once it moves, the ramp",
+        ("guard pose_frozen",), (_INJECTED,),
+    ),
+    Hazard(
+        "a handle that runs away", "`handle_speed_max_m_per_s`", "12 ticks at 3 m/s", "zero",
+        "slow for 0.5 s, or `arm`, as `arm` in the rig says", ("guard too_fast", FAILED),
+        ("tests/server/test_limits.py::test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says",
+         "tests/server/test_arming.py::test_a_handle_that_is_too_fast_gets_its_force_back_by_itself",
+         "tests/server/test_arming.py::test_a_handle_that_is_too_fast_waits_for_whoever_arms"),
+    ),
+    Hazard(
+        "motors that heat", "thermal model, `continuous_force_n`", "before they are hot",
+        "the force falls to what they bear", "by itself as they cool", ("guard motor_hot",),
+        ("tests/server/test_limits.py::test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears",),
+    ),
+    Hazard(
+        "a device that warns", "the driver, twice a second", "0.5 s", "as before", "see to the device",
+        ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_told_once",),
+    ),
+    Hazard(
+        "the end of the workspace", "`[guard.workspace]`", "0 ticks", "a soft wall pushes back", "by itself",
+        ("guard workspace_edge",),
+        ("tests/server/test_limits.py::test_the_soft_wall_pushes_back_by_the_depth_behind_it",),
+    ),
+    Hazard(
+        "a device that is lost, silent, or breaks its protocol", "status of the driver", "0 ticks; 1 of a write",
+        f"{_ENDS}, exit code 4", _START, (FAILED,),
+        (_INJECTED, "tests/server/test_daemon.py::test_device_failure_is_named_and_force_is_zero"),
+    ),
+    Hazard(
+        "a device that takes no force", "status of the driver", "0.25 s", f"{_ENDS}, exit code 4; until then the force "
+        "of before", _START, (FAILED,), (_INJECTED,),
+    ),
+    Hazard(
+        "a device that removes its force", "status of the driver", "0 ticks", f"{_ENDS}, exit code 6", _START,
+        (FAILED,), (_INJECTED,),
+    ),
+    Hazard(
+        "a loop that stalls", "supervisor: no tick", "0.25 s", f"{_ENDS}, exit code 6; until then the last force",
+        _START, ("fault stalled", FAILED),
+        (_INJECTED, "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
+    ),
+    Hazard(
+        "ticks that are missed", "the loop's clock", "the next tick", "the force changes by a tick's share", _NONE,
+        ("servo missed",), (_INJECTED, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
+    ),
+    Hazard(
+        "a machine that starves the loop", "half of the time lost", "0.5 s lost more than half",
+        f"{_ENDS}, exit code 6", _START, (FAILED,), ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",),
+    ),
+    Hazard(
+        "a machine that slept, a process that was stopped", "the time since the last tick", "0 ticks",
+        "the force begins at zero", "the ramp", ("guard ramping",),
+        ("tests/server/test_servo.py::test_after_a_long_pause_the_force_fades_in",
+         "tests/server/test_signals.py::test_no_force_while_the_process_is_stopped"),
+    ),
+    Hazard(
+        "a commanding program that is gone", "`heartbeat_s`", "`heartbeat_s` and 0.1 s", "zero, along the slew limit",
+        "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
+        ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",),
+    ),
+    Hazard(
+        "a scene that cannot be rendered", "checked and compiled before the swap", "none", "as before",
+        "give another", (),
+        ("tests/server/test_replace.py::test_what_cannot_be_built_changes_nothing",
+         "tests/server/test_commands.py::test_a_compiler_that_fails_is_told"),
+    ),
+    Hazard(
+        "bodies that diverge, take too long, or an error of MuJoCo", "the step of bodies", "the next tick",
+        "zero, along the slew limit; the run goes on", "`ctl reset_world`", ("fault bodies",),
+        ("tests/server/test_world.py::test_bodies_that_fail_are_let_go_and_put_back",
+         "tests/server/test_world.py::test_bodies_that_take_too_long_are_let_go"),
+    ),
+    Hazard(
+        "an exception in the servo's thread", "the thread's end", "0 ticks", f"{_ENDS}, exit code 1",
+        "report it", (FAILED,),
+        ("tests/server/test_servo.py::test_exception_in_the_servo_thread_zeroes_the_device",),
+    ),
+    Hazard(
+        "a supervisor that fails", "the thread's end", "at once", f"{_ENDS}, exit code 6", _START, (FAILED,),
+        ("tests/server/test_supervisor.py::test_a_supervisor_that_fails_ends_the_run",),
+    ),
+    Hazard(
+        "a daemon that is killed", "the device's own watchdog, or `run --watcher`", "as the device or the watcher",
+        "zero with either; else the last force", _START, (),
+        ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
+    ),
+    Hazard(
+        "a publisher that is killed", "the daemon", "none", "as before", "it is started again",
+        ("fault publisher",), ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",),
+    ),
+    Hazard(
+        "a disk that is full or stalls", "the recorder", "none",
+        "as before; the recording ends, or counts what it lost", "another recording", ("fault recording",),
+        ("tests/server/recording/test_recorder.py::test_a_full_disk_is_one_event_and_the_run_goes_on",
+         "tests/server/recording/test_recorder.py::test_a_disk_that_stalls_costs_ticks_and_no_time"),
+    ),
+    Hazard(
+        "a clock that is set", "none needed: ticks go by CLOCK_MONOTONIC", "none", "as before", _NONE, (),
+        ("tests/server/test_service_faults.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
+    ),
+    Hazard(
+        "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
+        "the second ends, and says who holds it", "end the first", (),
+        ("tests/drivers/test_serial_loop.py::test_the_command_line_on_a_port",
+         "tests/server/test_cli.py::test_endpoint_in_use_has_its_own_exit_code"),
+    ),
+    Hazard(
+        "a reader of ticks that fails", "the thread that hands ticks on", "none", "as before, without that reader",
+        _START, ("fault sink",),
+        ("tests/server/test_daemon.py::test_every_sink_takes_every_record_and_one_that_fails_is_left_out",),
+    ),
+    Hazard(
+        "a service that fails: hot-plugging, metrics, bodies on the wire", "the end of its thread", "none", "as before",
+        _START, ("fault hotplug", "fault metrics", "fault world"),
+        ("tests/server/test_service_faults.py::test_a_service_that_fails_is_told_and_ends_nothing",),
+    ),
+    Hazard(
+        "commands that cannot be taken", "an error in their thread", "none",
+        "as before; with `heartbeat_s` the run ends, exit code 6", _START, ("fault commands", FAILED),
+        ("tests/server/test_service_faults.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),
+    ),
+)  # fmt: skip
+"""Every hazard that is provided for, each injected by a test."""

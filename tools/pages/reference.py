@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
+from softfinger.server.faults import HAZARDS
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
@@ -125,6 +126,31 @@ arms is said by `arm` in [`[guard]`](rigs.md); what a fault is, in [Safety](../s
     return _page(head, figure, "## States", listed, "## Transitions", ways)
 
 
+def faults_page() -> str:
+    """The fault model."""
+    head = """\
+# Faults: every hazard
+
+What can go wrong, what finds it, and what the hand feels then. A reaction counts from the first tick with the
+fault. Every end of a run commands zero force. Each row is injected by the tests in its last column; `softfinger
+run --inject` [injects faults](../operate/faults.md) of a device into a run of yours. An error that ends a run is
+the cause of the event `state faulted`. [Safety](../safety.md) says what cannot be caught."""
+    rows = [
+        [
+            each.name,
+            each.detection,
+            each.reaction,
+            each.state,
+            each.recovery,
+            ", ".join(f"`{event}`" for event in each.events) or "none",
+            ", ".join(f"[{test.partition('::')[2]}](../../{test.partition('::')[0]})" for test in each.tests),
+        ]
+        for each in HAZARDS
+    ]
+    table = schema.grid(["hazard", "detection", "reaction", "safe state", "recovery", "event", "tests"], rows)
+    return _page(head, table)
+
+
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "scenes.md": scenes,
     "rigs.md": rigs,
@@ -132,6 +158,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "telemetry.md": telemetry,
     "commands.md": commands_page,
     "states.md": states_page,
+    "faults.md": faults_page,
 }
 
 

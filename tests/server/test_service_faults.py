@@ -1,0 +1,103 @@
+"""Services that fail, and a clock that is set: the run goes on or ends by name."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from softfinger.config.errors import SafetyStop
+from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
+from softfinger.server.metrics.counts import Counts, Wire
+from softfinger.server.metrics.service import Metrics
+from softfinger.server.services.commands import Commands
+from softfinger.server.services.hotplug import HotplugWatch
+from softfinger.server.services.recordings import Written
+from softfinger.server.services.world import WorldState
+from softfinger.server.states import State
+from softfinger.server.wire.events import RecordEvents
+from softfinger.server.wire.health import Health
+
+pytestmark = pytest.mark.plain
+
+WAIT_S = 20.0
+
+
+class Broken:
+    """Whatever is asked of it, the system has failed."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise OSError(f"{name} is gone")
+
+
+@pytest.mark.parametrize("name", ["hotplug", "metrics", "world"])
+def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
+    """Its thread meets an error of the system: one event of its name with the error, and it can be stopped."""
+    told: list[tuple[str, str, str]] = []
+    came = threading.Event()
+
+    def event(kind: str, what: str, message: str) -> None:
+        told.append((kind, what, message))
+        came.set()
+
+    broken = cast(Any, Broken())
+    if name == "metrics":
+        counts = Counts([""], lambda: Wire(0, 0, 0, 0), lambda: Written(0, 0, 0, 0, 0.0), lambda: State.READY)
+        bound = SimpleNamespace(
+            endpoint="tcp://127.0.0.1:1", listener=broken, files=SimpleNamespace(close=lambda: None)
+        )
+        service: Any = Metrics(cast(Any, bound), counts, event)
+    else:
+        service = HotplugWatch(broken, event) if name == "hotplug" else WorldState(broken, print, event)
+    service.start()
+    assert came.wait(WAIT_S)
+    service.stop()
+    ((kind, what, message),) = told
+    assert (kind, what) == ("fault", name) and "is gone" in message
+
+
+@pytest.mark.parametrize("heartbeat_s", [None, 0.5])
+def test_commands_that_fail_end_a_run_that_needs_heartbeats(heartbeat_s: float | None) -> None:
+    """An error of what looks after them: the event, nobody answers any more, and with a heartbeat the run ends."""
+    told: list[Any] = []
+    ended: list[Exception] = []
+    served: list[Any] = []
+
+    def advance() -> None:
+        raise OSError("no memory")
+
+    rig = SimpleNamespace(commands=SimpleNamespace(heartbeat_s=heartbeat_s))
+    rendering = SimpleNamespace(rig=rig, advance=advance)
+    doing = SimpleNamespace(
+        replace=print, serve=served.append, fail=ended.append, event=lambda *words, **more: told.append((words, more))
+    )
+    commands = Commands("ipc:///nowhere", cast(Any, rendering), cast(Any, doing), "a scene")
+    commands.start()
+    served[0].each_period()
+    commands.stop()
+    assert told == [(("fault", "commands"), {"message": "no memory"})]
+    assert served[1] is None
+    assert len(ended) == (heartbeat_s is not None)
+    assert all(isinstance(error, SafetyStop) and "no memory" in str(error) for error in ended)
+
+
+@pytest.mark.parametrize("jump_s", [-3600.0, 3600.0])
+def test_a_clock_that_is_set_back_loses_no_event_and_no_second(jump_s: float) -> None:
+    """Records whose timestamps jump by an hour, as of a daemon that is started anew meanwhile: every touch is told, and
+    each tick is counted in a `health`."""
+    records = np.zeros((5000, RECORD_SIZE))
+    records[:, AT.tick] = np.arange(5000)
+    records[:, AT.timestamp] = 1.7e9 + np.arange(5000) * 1e-3
+    records[2500:, AT.timestamp] += jump_s
+    touches = [100, 2400, 2501, 4000]
+    records[touches, AT.contact_cause] = CAUSE_TOUCH
+    records[touches, AT.contact_mode] = ROLLING
+    events, health = RecordEvents(), Health()
+    told = [event for event in events.observe(records) if event["name"] == "touch"]
+    assert [event["tick"] for event in told] == touches
+    seconds = health.add(records, 0)
+    counted = sum(sum(each["modes"].values()) for each in seconds)
+    assert counted == seconds[-1]["tick"] and counted >= 4000  # the last second may not be over
