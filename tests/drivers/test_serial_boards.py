@@ -288,6 +288,7 @@ def test_links_of_a_2diy_in_line_give_no_force_and_say_so() -> None:
         fresh(servo)
         assert board.torques == [0.0, 0.0]
         assert device.counts()["singular"] == before + 1
+        assert device.warning().startswith("the mechanism has been in a singular pose")
 
 
 def rig_kinematics(rig: str) -> dict[str, Any]:

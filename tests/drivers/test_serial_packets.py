@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import re
 import struct
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -144,6 +145,23 @@ def test_an_answer_without_a_checksum_has_its_length() -> None:
     assert found_in(frame, b"\x06" + answer[1:], [9], aligned=True) == []
     for bad in (float("nan"), float("inf"), 5.0):
         assert found_in(frame, b"\x05" + struct.pack("<ff", 1.0, bad), [9], aligned=True) == []
+
+
+@pytest.mark.scaled
+def test_random_bytes_are_no_pose(cases: Callable[[int, int], int]) -> None:
+    """Bytes of any kind, in pieces of any size: nothing out of a field's range is read, with a checksum next to
+    nothing, and the buffer never holds more than two frames."""
+    rng = np.random.default_rng(43)
+    count = cases(20_000, 1_000_000)
+    stream = rng.bytes(count)
+    sizes = rng.integers(1, 40, count // 20)
+    sizes = sizes[np.cumsum(sizes) <= count]
+    checked = InputFrame(
+        bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5), field=build_fields("int32", 1, least=-9, most=9)
+    )
+    assert len(found_in(checked, stream, sizes)) <= 1 + count // 1_000_000
+    bare = InputFrame(bytes=3, start=(5,), field=build_fields("int16", 1, least=-100.0, most=100.0))
+    assert all(abs(value) <= 100.0 for value in found_in(bare, stream, sizes, aligned=True))
 
 
 def test_shipped_frames_byte_by_byte() -> None:

@@ -26,6 +26,8 @@ TORQUE_MAX = 0.123
 READ_WAIT_S = 1.0
 """Arduino's Stream waits so long for bytes."""
 STEP_S = 50e-6
+TREMOR = 3e-5
+"""Degrees of a hand, two steps of a float32: less than 0.1 um at the handle."""
 
 
 def place(a: float, b: float) -> tuple[float, float]:
@@ -91,7 +93,8 @@ class Firmware:
         if mine:
             self.give(torques)
             self.taken += 1
-        shown = [self.encoders[k][0] + self.angles[self.motor(k)] - self.encoders[k][1] for k in mine]
+        tremor = TREMOR if self.answers % 2 else 0.0
+        shown = [self.encoders[k][0] + self.angles[self.motor(k)] - self.encoders[k][1] + tremor for k in mine]
         return bytes([device & 0xFF]) + struct.pack(f"<{len(mine)}f", *shown)
 
     def loop(self, port: Port) -> None:

@@ -1,0 +1,223 @@
+"""The whole daemon on described boards: contact, faults in contact, a second program, every signal, and kill -9. What
+the motors had is in the boards' own logs, with times."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
+from emulators.haply2diy import Firmware, Port
+from helpers.described_boards import force_of, settled
+
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
+from softfinger.config.load import find, load_rig, load_scene
+from softfinger.config.schema import Rig
+from softfinger.server.app import Daemon
+
+pytestmark = pytest.mark.real_time
+
+FLOOR = (168.0, 12.0)
+"""Angles of the 2DIY's links where its rig has the handle 64 mm above the floor; the fingertip has a radius of 10."""
+DEEP = (142.0, 38.0)
+"""And where the fingertip is some 4 mm in it."""
+
+
+def rig(name: str, path: str) -> Rig:
+    """A shipped rig on an emulated board; a thread of a busy machine may answer late."""
+    changes: dict[str, Any] = {
+        "device.path": path, "device.quiet_s": 0.1, "device.timeout_s": 0.5, "servo.realtime": "off",
+        "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
+    }  # fmt: skip
+    return load_rig(name, changes)
+
+
+@contextmanager
+def pressing() -> Iterator[tuple[Daemon, Firmware, Port]]:
+    """A daemon that pushes a 2DIY's handle out of a floor."""
+    board = Firmware()
+    with Port(board) as port, Daemon(rig("haply-2diy", port.path), load_scene("paper-plane")) as daemon:
+        daemon.start()
+        for share in np.linspace(0.0, 1.0, 200):  # slower than 10 m/s
+            board.angles = [a + share * (b - a) for a, b in zip(FLOOR, DEEP, strict=True)]
+            time.sleep(0.002)
+        assert settled(lambda: force_of(board)[2], lambda up: up > 0.2, 20.0) > 0.2
+        yield daemon, board, port
+
+
+def pull(port: Port) -> None:
+    port.pull()
+
+
+def hush(port: Port) -> None:
+    port.mute.set()
+
+
+def nan(port: Port) -> None:
+    port.says = lambda answer: answer[:1] + b"\xff\xff\xff\x7f" + answer[5:]
+
+
+def tear(port: Port) -> None:
+    port.says = lambda answer: answer[:5]
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "words"),
+    [
+        (pull, DeviceLost, r"serial at /dev/pts/\d+ is gone"),
+        (hush, DeviceTimeout, "no answer to a read in time: check cable and power"),
+        (nan, DeviceLost, r"not in its protocol \(status -3 on read\) \(its last bytes are "),
+        (tear, DeviceError, "no answer to a read in time|not in its protocol"),
+    ],
+)
+def test_faults_in_contact_end_the_daemon_without_force(
+    fault: Callable[[Port], None], error: type[DeviceError], words: str
+) -> None:
+    """Unplugged, silent, NaN, torn answers: the run ends with its own error, and the motors are off when it does."""
+    with pressing() as (daemon, board, port):
+        begun = time.monotonic()
+        fault(port)
+        with pytest.raises(error, match=words):
+            daemon.wait(20.0)
+        ended = time.monotonic()
+        assert settled(lambda: any(board.torques), lambda on: not on) is False
+        off, *_ = board.log[-1]
+        assert begun <= off <= ended + 1.0
+
+
+def test_a_late_board_goes_on() -> None:
+    """A board that answers after 5 ms gets a new force every few ticks, and the run goes on; one after 150 ms loses its
+    force, and has it again when it is in time."""
+    with pressing() as (daemon, board, port):
+        for late, stays in ((0.005, True), (0.15, False)):
+
+            def wait(answer: bytes, late: float = late) -> bytes:
+                time.sleep(late)
+                return answer
+
+            port.says = wait
+            if stays:
+                time.sleep(0.3)
+                assert force_of(board)[2] > 0.1
+            else:
+                assert settled(lambda: any(board.torques), lambda on: not on) is False
+        port.says = bytes
+        assert settled(lambda: force_of(board)[2], lambda up: up > 0.1) > 0.1
+        daemon.stop()
+        daemon.wait(20.0)
+        assert settled(lambda: any(board.torques), lambda on: not on) is False
+
+
+@contextmanager
+def command(name: str, path: str, folder: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
+    """`softfinger run` in a process of its own, on a copy of a shipped rig that names the port."""
+    mine = folder / "rig.toml"
+    named = f'driver = "serial"\npath = "{path}"\ntimeout_s = 2.0\n'
+    text = (
+        find(name, Rig).read_text().replace('driver = "serial"\n', named).replace("quiet_s = 0.02 ", "quiet_s = 0.1  ")
+    )
+    mine.write_text(text)
+    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
+    words += ["--scene", "paper-plane", "--endpoint", f"ipc://{folder}/a", *more]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        if process.stderr is not None:
+            process.stderr.close()
+
+
+SIGNALS = [
+    pytest.param(signal.SIGTERM, 0),
+    pytest.param(signal.SIGINT, 0, marks=pytest.mark.exhaustive),
+    pytest.param(signal.SIGHUP, 129, marks=pytest.mark.exhaustive),
+    pytest.param(signal.SIGQUIT, 131, marks=pytest.mark.exhaustive),
+    pytest.param(signal.SIGUSR1, 138, marks=pytest.mark.exhaustive),
+    pytest.param(signal.SIGXCPU, 152, marks=pytest.mark.exhaustive),
+]
+
+
+@pytest.mark.parametrize(("number", "code"), SIGNALS)
+def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, tmp_path: Path) -> None:
+    """Each catchable signal ends the daemon with its code, and the board has a zero; meanwhile a second program finds
+    the port held."""
+    board = Firmware()
+    with Port(board) as port, command("haply-2diy", port.path, tmp_path) as process:
+        press(board, process)
+        if number == signal.SIGTERM:
+            elsewhere = tmp_path / "second"
+            elsewhere.mkdir()
+            with command("haply-2diy", port.path, elsewhere) as second:
+                said = second.communicate(timeout=120)[1]
+            assert second.returncode == 4
+            assert re.search(rf"{port.path} is held by process {process.pid} \(python.*\): end that one", said), said
+            assert any(board.torques)
+        sent = time.monotonic()
+        process.send_signal(number)
+        said = process.communicate(timeout=60)[1]
+        assert process.returncode == code, said
+        assert board.torques == [0.0, 0.0]
+        assert board.log[-1][0] > sent
+
+
+def press(board: Firmware, process: subprocess.Popen[str]) -> None:
+    """Take the handle into the floor, once the daemon runs, and wait until it is pushed out."""
+    until = time.monotonic() + 120.0
+    while board.taken < 50:
+        assert process.poll() is None and time.monotonic() < until, process.stderr and process.stderr.read()
+        time.sleep(0.01)
+    for share in np.linspace(0.0, 1.0, 200):
+        board.angles = [a + share * (b - a) for a, b in zip(FLOOR, DEEP, strict=True)]
+        time.sleep(0.002)
+    while force_of(board)[2] < 0.2:
+        assert process.poll() is None and time.monotonic() < until
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("watched", [pytest.param(False, marks=pytest.mark.exhaustive), True])
+def test_a_killed_program_leaves_a_2diy_its_force_unless_it_is_watched(watched: bool, tmp_path: Path) -> None:
+    """The firmware has no watchdog: after kill -9 the last torque stays. A watcher takes it off."""
+    board = Firmware()
+    more = ("--watcher",) if watched else ()
+    with Port(board) as port, command("haply-2diy", port.path, tmp_path, *more) as process:
+        press(board, process)
+        process.kill()
+        process.wait()
+        if watched:
+            assert settled(lambda: any(board.torques), lambda on: not on) is False
+        else:
+            time.sleep(0.5)
+            assert any(board.torques)
+
+
+@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
+def test_a_killed_program_leaves_a_hapkit_without_force(tmp_path: Path) -> None:
+    """The sketch switches its motor off 50 ms after the last frame."""
+    with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board:
+        board.turn(0.3)  # to the right is up: 27 mm, and the fingertip has a radius of 10
+        with command("hapkit", board.path, tmp_path) as process:
+            until = time.monotonic() + 120.0
+            down = 0.3
+            while board.torque() < 0.02:
+                assert process.poll() is None and time.monotonic() < until
+                down = max(down - 0.004, -0.2)
+                board.turn(down)  # counted from where the board was when the port was opened, or started
+                time.sleep(0.01)
+            process.kill()
+            killed = time.monotonic()
+            process.wait()
+            assert settled(board.torque, lambda torque: torque == 0.0) == 0.0
+            off, last = board.changes()[-1]
+            assert last == 0.0
+            assert off - killed > 0.0
