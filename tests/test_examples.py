@@ -47,6 +47,19 @@ def test_a_box_hangs_by_soft_fingers(tmp_path: Path) -> None:
     assert number(r"points it turns by ([0-9.]+)", text) > 90.0
 
 
+def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
+    """Nothing before the gripper touches; then as much as it presses with, which actuator and object in series give."""
+    text = said("teleoperate_a_gripper.py", cwd=tmp_path, plain=True)
+    rows = re.findall(r"by ([0-9.]+) mm: the finger feels ([0-9.]+) N, the gripper presses with ([0-9.]+)", text)
+    assert len(rows) == 3
+    for pulled, felt, pressed in (tuple(map(float, row)) for row in rows):
+        expected = max(1e-3 * pulled - 0.004, 0.0) / (1.0 / 2000.0 + 1.0 / 300.0)
+        assert felt == pytest.approx(pressed, abs=2e-3)
+        assert felt == pytest.approx(
+            expected, rel=0.04
+        )  # MuJoCo's contact gives way by some hundredths of a millimetre
+
+
 def test_each_is_listed_short_and_tested() -> None:
     """Every program is on the folder's page and run here, and fits a screen or two."""
     page, tests = (EXAMPLES / "README.md").read_text(), Path(__file__).read_text()
