@@ -9,6 +9,7 @@ import ctypes
 import re
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,17 @@ from helpers.drd_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, HapticError
-from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers import opened
+from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import device as openhaptics
-from softfinger.drivers.openhaptics import library, usb
+from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
 from softfinger.drivers.system.claims import claim_on
 from softfinger.drivers.system.diagnosis import needs
 from softfinger.drivers.system.rules import udev_rules
+from softfinger.proxy.kernels.jit.atomics import call_device
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.server.driver_contract import DriverContract, Servo
 
 __all__ = ["hd", "hd_library", "touch"]  # fixtures
@@ -457,16 +462,45 @@ def test_poses_that_are_none(hd: HdStub, bench: TouchBench) -> None:
         servo = Servo(device)
         hd["mirror"] = 1
         until(lambda: np.isnan(servo.read()[1][3:7]).all())
-        hd.update(mirror=0, garbage=1)
-        servo.read()
-        for _ in range(200):
-            hd.after(1)
-            status, sample = servo.read()
-            assert status in (OK, STALE)
-            turn = np.array(sample[3:7])
-            assert np.isnan(turn).all() or abs(np.linalg.norm(turn) - 1.0) < 1e-9
-            servo.write(*sample[:3], 0.0, 0.0, 0.0)
-        assert hd["misuse"] == 0, "a force that is no number was given to the library"
+        hd.update(mirror=0, nan_at=hd["frames"] + 20)
+        until(lambda: np.isnan(servo.read()[1][0]))
+        until(lambda: np.isfinite(servo.read()[1]).all())
+
+
+@entry
+def fuzz(callback: int, read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, count: int) -> None:
+    """Frames, reads and writes in turn. Counts statuses that are neither OK nor STALE, orientations that are neither
+    NaN nor of unit length, and poses that were handed on."""
+    for _ in range(count):
+        call_int32(callback, (handle,))
+        status = call_device(read, handle, sample)
+        if status not in (OK, STALE):
+            out[0] += 1
+        norm = 0.0
+        for k in range(3, 7):
+            norm += sample[k] * sample[k]
+        if norm == norm:
+            out[2] += 1
+            if not abs(norm - 1.0) < 1e-9:
+                out[1] += 1
+        for k in range(6):
+            wrench[k] = sample[k]
+        call_device(write, handle, wrench)
+
+
+@pytest.mark.scaled
+def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, int], int]) -> None:
+    """Whatever bits the library gives, and whatever comes of them as a force: the library is never given a number that
+    is none, a read ends with OK or STALE, and an orientation is NaN or of unit length."""
+    with bench.open() as device:
+        hd["drop_at"] = 0  # from here on frames come from the test, as fast as they go
+        hd.after(3)
+        hd["garbage"] = 1
+        io, out = device.io(), np.zeros(3, np.int64)
+        arrays = np.zeros(SAMPLE_SIZE), np.zeros(6), out
+        fuzz(exchange.callback.address, io.read, io.write, io.handle, *arrays, cases(20_000, 1_000_000))
+        assert out[:2].tolist() == [0, 0]
+        assert hd["misuse"] == hd["errors"] == 0
 
 
 # --- two devices ---------------------------------------------------------------------------------
@@ -485,6 +519,11 @@ def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
         assert not any(hd.wrench(1))
         held(one, bench, (1.0, 0.0, 0.0))
     assert hd["misuse"] == 0 and not hd["running"]
+    both = [bench.open_unarmed(), bench.open_unarmed(name="Left Device")]
+    for device in both:
+        device.arm()
+    assert opened.at_once(lambda device: device.close(), both) == []  # as an end of the process closes them
+    assert not hd["running"] and not any(hd.wrench(0) + hd.wrench(1))
 
 
 def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBench) -> None:
