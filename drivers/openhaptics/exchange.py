@@ -72,7 +72,7 @@ def status_of(code: int) -> int:
     """What an error of the library means for the run."""
     if code in (hd.DEVICE_FAULT, hd.COMM_ERROR, hd.COMM_CONFIG_ERROR, hd.BAD_HANDLE):
         return LOST
-    if 0x0200 <= code <= 0x0204:
+    if hd.WARM_MOTORS <= code <= hd.FORCE_ERROR:
         return FORCE_OFF
     return PROTOCOL
 

@@ -29,11 +29,9 @@ CURRENT_BUTTONS: Final = 0x2000
 CURRENT_INKWELL_SWITCH: Final = 0x2002
 CURRENT_POSITION: Final = 0x2050
 CURRENT_TRANSFORM: Final = 0x2052
-VERSION: Final = 0x2500
 DEVICE_MODEL_TYPE: Final = 0x2501
 DEVICE_SERIAL_NUMBER: Final = 0x2504
 USABLE_WORKSPACE_DIMENSIONS: Final = 0x2551
-INPUT_DOF: Final = 0x2553
 OUTPUT_DOF: Final = 0x2554
 CALIBRATION_STYLE: Final = 0x2555
 NOMINAL_MAX_FORCE: Final = 0x2603
@@ -54,7 +52,8 @@ INKWELL: Final = 4
 INVALID_ENUM: Final = 0x0100
 INVALID_INPUT_TYPE: Final = 0x0103
 BAD_HANDLE: Final = 0x0104
-FORCE_ERRORS: Final = range(0x0200, 0x0205)
+WARM_MOTORS: Final = 0x0200
+FORCE_ERROR: Final = 0x0204
 DEVICE_FAULT: Final = 0x0300
 ALREADY_INITIATED: Final = 0x0301
 COMM_ERROR: Final = 0x0302
@@ -67,11 +66,11 @@ ERRORS: Final = {
     0x0102: "it cannot do this now",
     INVALID_INPUT_TYPE: "it does not have a parameter in this type",
     BAD_HANDLE: "it does not know the device any more",
-    0x0200: "the motors are too warm",
+    WARM_MOTORS: "the motors are too warm",
     0x0201: "the force was more than the device gives",
     0x0202: "the force changed faster than the device bears",
     0x0203: "the handle was faster than the device allows",
-    0x0204: "the motors do not give the force",
+    FORCE_ERROR: "the motors do not give the force",
     DEVICE_FAULT: "the device has a fault",
     ALREADY_INITIATED: "the device is in use already",
     COMM_ERROR: "the device does not answer",
