@@ -330,10 +330,7 @@ def _workspace(workspace: Workspace | None) -> str:
 
 
 def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
-    given, tool = device.options, device.tool
-    described = [key for key in ("frames", "reports") if isinstance(given.get(key), dict)]
-    options = ", ".join(f"{key} = {shown(value)}" for key, value in given.items() if key not in described)
-    options += "".join(f", {key} described" for key in described)
+    options, tool = ", ".join(f"{key} = {shown(value)}" for key, value in device.options.items()), device.tool
     rows = [(table, device.driver + (f" ({options})" if options else "")), *_driver_rows(table, device)]
     if tool is not None:
         turned = f"turned by {shown(tool.orientation_wxyz)}"

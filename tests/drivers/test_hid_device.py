@@ -20,8 +20,10 @@ from typing import Any, ClassVar
 import numba
 import numpy as np
 import pytest
+from emulators.haply2diy import LINKS, Firmware, place
 from emulators.woodenhaptics import Arm, Woody
 from helpers.compiled_code import called_in, functions
+from helpers.described_boards import REST, TO_WORLD, force_of
 from helpers.hid_devices import RIGS, Answering, RefusedNode, described, ends, rig_options, woody
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
@@ -554,3 +556,36 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
         outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
         assert "clock_gettime" in outside
         assert outside <= allowed
+
+
+def test_a_pantograph_on_hid() -> None:
+    """Reports of joint angles and torques: the place is where two circles meet, and the part of a force in the plane is
+    displayed; the device has two degrees of freedom."""
+    base, inner, outer = LINKS
+    fields = {"input": ("a", "b"), "output": ("torque_a", "torque_b")}
+    reports = {
+        way: {"bytes": 8, "field": [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate(meanings)]}
+        for way, meanings in fields.items()
+    }
+    links = {"kind": "pantograph", "base_m": base, "inner_m": inner, "outer_m": outer, "torque_max_nm": 0.5}
+    sent: list[tuple[float, ...]] = []
+
+    def answer(report: bytes) -> bytes:
+        sent.append(struct.unpack("<ff", report[1:]))
+        return struct.pack("<ff", *np.radians(REST))
+
+    fd, end = ends()
+    options = build(Options, described(kinematics=links, reports=reports, kick_s=0.2, timeout_s=1.0), "described")
+    with Answering(end, answer), HidDevice(options, fd) as device:
+        servo = Servo(device)
+        # a float32 of 2.6 rad, at 0.09 m
+        np.testing.assert_allclose(servo.read()[1][:3], (*place(*REST), 0.0), atol=1e-7)
+        assert servo.write(0.3, -0.2, 5.0, 0.0, 0.0, 0.0) == OK
+        board = Firmware()
+        board.angles = list(REST)
+        until = time.monotonic() + 10.0
+        while not any(sent[-1]) and time.monotonic() < until:
+            time.sleep(0.001)
+        board.torques = [sent[-1][1], sent[-1][0]]
+        np.testing.assert_allclose(TO_WORLD.T @ force_of(board), (0.3, -0.2, 0.0), atol=1e-6)  # a float32 of 0.03 N m
+        assert (device.info.sensed_dof, device.info.actuated_dof) == (2, 2)
