@@ -11,20 +11,27 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
+from helpers.drd_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.haply_devices import Service, opened
+from helpers.hd_stub import SOURCE, HdStub
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceTimeout, HapticError
 from softfinger.drivers.base import OK, SAMPLE_SIZE, Device
+from softfinger.drivers.openhaptics.device import Options as TouchOptions
+from softfinger.drivers.openhaptics.device import open_device as open_touch
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
+from softfinger.server.driver_contract import RATE_HZ
 from softfinger.server.loop.clock import now_ns, sleep_until
 from softfinger.tools import measure
 
@@ -84,7 +91,22 @@ def haply() -> Iterator[list[End]]:
         yield ends
 
 
-CASES: Final[dict[str, Callable[[], AbstractContextManager[list[End]]]]] = {"haply": haply}
+@contextmanager
+def openhaptics() -> Iterator[list[End]]:
+    """A Touch on the stub of libHD, whose thread calls the driver once a millisecond."""
+    with tempfile.TemporaryDirectory() as folder:
+        stub = HdStub(compile_stub(SOURCE, Path(folder) / "libHD.so.3.4.0", "-pthread"))
+        stub["clock"] = 1.0
+
+        def taken() -> NDArray[np.float64]:
+            rows = stub.journal()
+            return np.column_stack([rows["ns"] * 1e-9, rows["force"][:, 1]])  # up is the library's y
+
+        with open_touch(TouchOptions(library_file=str(stub.path)), RATE_HZ) as device:
+            yield [End(device, taken)]
+
+
+CASES: Final[dict[str, Callable[[], AbstractContextManager[list[End]]]]] = {"haply": haply, "openhaptics": openhaptics}
 
 
 def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
@@ -145,17 +167,20 @@ def main() -> int:
     found = {}
     try:
         for name in args.driver or CASES:
+            if COMPILER is None and name == "openhaptics":
+                print(f"{name}: left out: {NO_COMPILER}", file=sys.stderr)
+                continue
             with CASES[name]() as ends:
                 time.sleep(0.1)
                 found[name] = run(ends, args.ticks, args.rate)
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    lines = [f"{'age, us':15}" + "".join(f"{word:>9}" for word in ("p50", "p99", "most")) + f"{'share':>9}"]
+    lines = [f"{'age, us':20}" + "".join(f"{word:>9}" for word in ("p50", "p99", "most")) + f"{'share':>9}"]
     for name, one in found.items():
         for what, share in (("pose", "new"), ("force", "arrived")):
             row = "".join(f"{one[what][key] * 1e6:9.0f}" for key in ("p50", "p99", "most"))
-            lines.append(f"{name + ', ' + what:15}{row}{one[share]:9.1%}")
+            lines.append(f"{name + ', ' + what:20}{row}{one[share]:9.1%}")
     measure.show({"ticks": args.ticks, "rate_hz": args.rate, "seconds": found}, args.json, lines)
     return 0
 

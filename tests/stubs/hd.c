@@ -58,6 +58,8 @@ static const HHD HANDLE[DEVICES] = {17, 42};
  /* what is attached: so many, models by number (see MODELS), serial, styles of calibration, what is to be done for it */ \
     X(devices, 1) X(model, 0) X(serial, 70001) X(style, 2) X(calibration, 0x5000) X(updates_needed, 1) \
     X(held, 0) X(init_error, 0) X(outputs, 3) X(max_force, 3.3) \
+ /* whether x (mm) is the fraction of the monotonic clock's second, so that its age can be told */ \
+    X(clock, 0) \
  /* the handles and the hands, kg, N s/m, N/m, N */ \
     X(mass, 0.1) X(damping, 8) X(stiffness, 1000) X(motor_max, 22) \
  /* a hand's path, mm, Hz and rad, in the library's frame: centre, amplitude of a sine in x and z and a cosine in y, of
@@ -119,6 +121,8 @@ static int64_t now_ns(void)
     clock_gettime(CLOCK_MONOTONIC, &now);
     return now.tv_sec * 1000000000ll + now.tv_nsec;
 }
+
+static double clock_mm(void) { return (double)(now_ns() % 1000000000ll) * 1e-6; }
 
 /* What the motors of a device give: nothing without power, or with the output off. */
 static bool powered(int d) { return device[d].output && !(k.unplugged && (k.only < 0 || k.only == d)); }
@@ -356,6 +360,7 @@ void hdGetDoublev(HDenum what, double *out)
     switch (what) {
     case POSITION:
         for (int i = 0; i < 3; i++) out[i] = k.garbage ? random_number() : device[d].position[i];
+        if (k.clock != 0) out[0] = clock_mm();
         if (mine(d) && device[d].frames - 1 == k.nan_at) out[0] = NAN;
         break;
     case TRANSFORM: {
@@ -367,6 +372,7 @@ void hdGetDoublev(HDenum what, double *out)
         out[4 * i2 + i1] = -sin(a);
         out[4 * i1 + i2] = sin(a);
         for (int i = 0; i < 3; i++) out[12 + i] = device[d].position[i];
+        if (k.clock != 0) out[12] = clock_mm();
         out[15] = 1;
         for (int i = 0; k.garbage && i < 16; i++) out[i] = random_number();
         break;
