@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
@@ -19,7 +20,9 @@ from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.publishing.setup import Shown
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
+from softfinger.server.services.blackbox import BlackBoxes
 from softfinger.server.services.commands import Commands, Doing
+from softfinger.server.services.description import described
 from softfinger.server.services.device_warnings import DeviceWarnings
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import Notify
@@ -74,6 +77,8 @@ class Daemon:
         self._rig = rig
         self._failure: HapticError | None = None
         self._failed_at = math.inf
+        self._told: Final[set[str]] = set()
+        """Messages of faults that were published."""
         # First: what is plugged in or pulled out from here on is news, however late its first look comes.
         hotplug = Hotplug()
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
@@ -105,6 +110,8 @@ class Daemon:
         self.servo: Final = self.rendering.servo
         self._show(scene_name)
         self.recordings: Final = Recordings(self.rendering, fingers, self._event)
+        self.blackbox: Final = BlackBoxes(self.servo, fingers, lambda: described(self.rendering, self._scene_name))
+        self.publisher.tell = self._event
         self.supervisor: Final = Supervisor(self.servo, self.fail, self._event)
         self.commands_endpoint: Final = doors.commands
         """Where commands are taken, None where they are off."""
@@ -171,6 +178,7 @@ class Daemon:
             return self._wait(timeout_s)
         except Exception as error:
             self.states.fail(str(error))
+            self._tell_failure(error)
             raise
 
     def _wait(self, timeout_s: float | None) -> bool:
@@ -210,14 +218,25 @@ class Daemon:
         self.close(error)
 
     def _event(self, kind: str, name: str, **fields: Any) -> None:
-        """Publish an event, and record it."""
+        """Publish an event, and record it; of a fault it names the file of the black box."""
+        if kind == "fault":
+            self._told.add(str(fields.get("message", "")))
+            fields["blackbox"] = self.blackbox.due(name)
         self.publisher.event(kind, name, **fields)
         self.recordings.tell(kind, name, fields)
+        self.blackbox.tell(kind, name, fields)
+
+    def _tell_failure(self, error: Exception) -> None:
+        """Publish what ended the run, named by the error's kind, unless whoever found it has."""
+        if str(error) not in self._told:
+            self._event("fault", fault_name(error), message=str(error))
 
     def _tell_state(self, before: State, now: State, cause: str) -> None:
         """Publish a state, and record it."""
         self.publisher.state(before.value, now.value, cause)
-        self.recordings.tell("state", now.value, {"before": before.value, "cause": cause})
+        fields = {"before": before.value, "cause": cause}
+        self.recordings.tell("state", now.value, fields)
+        self.blackbox.tell("state", now.value, fields)
 
     def _world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
         """Publish where bodies are, and record it."""
@@ -238,10 +257,18 @@ class Daemon:
         if metrics is not None:
             others.append(metrics)
         arming = Arming(self.rendering, self.states)
-        taking = [telemetry.sink, self.recordings.sink, arming.sink, *sinks, *(service.sink for service in others)]
+        taking = [
+            telemetry.sink,
+            self.recordings.sink,
+            self.blackbox.sink,
+            arming.sink,
+            *sinks,
+            *(service.sink for service in others),
+        ]
         return [
             telemetry,
             self.recordings,
+            self.blackbox,
             Records(self.servo, self.publisher.tap, taking, self.fail, self._event),
             self.supervisor,
             HotplugWatch(hotplug, self._event),
@@ -275,3 +302,8 @@ class Daemon:
         if self._report is not None:
             self._report(settings.settings)
         return settings.undo
+
+
+def fault_name(error: Exception) -> str:
+    """What the event of an error is called: the words of its class, such as `device_lost`."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()

@@ -54,6 +54,9 @@ VERBS: Final = {
     "keys": Verb("softfinger.server.gateway.verbs.keys", "CURVE keys, by which daemon and clients know each other"),
     "devices": Verb("softfinger.tools.devices", "what is attached, and why it cannot be opened"),
     "doctor": Verb("softfinger.tools.doctor.verb", "is this machine good enough; a report of an attached device"),
+    "report": Verb(
+        "softfinger.tools.report", "what an issue needs, in an archive: black boxes, log, doctor, rig, scene"
+    ),
     "scenes": Verb("softfinger.server.verbs.shipped", "the scenes that are shipped, a line each"),
     "rigs": Verb("softfinger.server.verbs.shipped", "the rigs that are shipped, a line each"),
     "recordings": Verb("softfinger.server.verbs.shipped", "the recordings that are shipped, a line each"),

@@ -44,9 +44,11 @@ for _number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
 
 @pytest.fixture(scope="session", autouse=True)
 def _runtime_folder() -> Iterator[None]:
-    """Sockets of commands are the tests' own, not those of whoever runs them; in a short path, as sockets need it."""
+    """Sockets of commands and files of the black box are the tests' own, not those of whoever runs them; in a short
+    path, as sockets need it."""
     with tempfile.TemporaryDirectory(prefix="softfinger-") as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", folder)
+        patch.setenv("SOFTFINGER_BLACKBOX_DIR", f"{folder}/blackbox")
         yield
 
 
@@ -160,11 +162,8 @@ def plane_scene() -> SceneFactory:
 def endpoints(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str]]:
     """Telemetry and commands of a daemon that replays the shipped recording on the paper's plane."""
     from softfinger.config.load import load_rig, load_scene
-    from softfinger.proxy.kernels.jit.decorators import PLAIN
     from softfinger.server.app import Daemon
 
-    if PLAIN:
-        pytest.skip("a daemon needs machine code, and NUMBA_DISABLE_JIT is set")
     folder = tmp_path_factory.mktemp("daemon")
     telemetry, commands = (f"ipc://{folder}/{name}" for name in ("telemetry", "commands"))
     rig = {"telemetry.endpoint": telemetry, "commands.endpoint": commands, "servo.realtime": "off"}

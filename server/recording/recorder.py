@@ -16,8 +16,8 @@ from typing import IO, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.record import AT, FIELDS
-from softfinger.server.recording.writer import RecordingFile
+from softfinger.proxy.record import AT
+from softfinger.server.recording.writer import RecordingFile, with_whole_numbers
 from softfinger.server.wire.events import RecordEvents
 
 Array = NDArray[np.float64]
@@ -34,8 +34,6 @@ BLOCK_ROWS: Final = 1024
 """Ticks encoded at a time, in less than the interpreter's switch interval of 5 ms."""
 END: Final = "end"
 """Table of metadata that a recording that ended in order has: how many ticks it has, and how many it lacks."""
-
-_WHOLE: Final = [field.at for field in FIELDS if field.kind == "int"]
 
 
 class Recorded(NamedTuple):
@@ -185,8 +183,7 @@ class Recorder:
             batches.setdefault(finger, []).append(records)
             rows += len(records)
         for finger, each in batches.items():
-            records = np.concatenate(each)
-            records[:, _WHOLE] = np.rint(np.nan_to_num(records[:, _WHOLE], nan=0.0, posinf=0.0, neginf=0.0))
+            records = with_whole_numbers(np.concatenate(each))
             told = self._told[finger]
             for first in range(0, len(records), BLOCK_ROWS):  # some at a time: other threads have their turn
                 some = records[first : first + BLOCK_ROWS]

@@ -1,6 +1,6 @@
 """What the messages of a recording consist of: protobuf descriptors, made at run time, that travel in the file.
 
-Ticks follow from the record table, events from the table of the wire. Beside them stand three of Foxglove's well-known
+Ticks follow from the record table, events from the table of the wire. Beside them stand four of Foxglove's well-known
 messages, from which its 3-D panel and Rerun draw the run without knowing this program. Source of their fields:
 https://github.com/foxglove/foxglove-sdk, schemas/proto/foxglove.
 """
@@ -23,6 +23,7 @@ WORLD: Final = "softfinger.World"
 POSE: Final = "foxglove.PoseInFrame"
 FRAME: Final = "foxglove.FrameTransform"
 SCENE: Final = "foxglove.SceneUpdate"
+LOG: Final = "foxglove.Log"
 
 BODIES: Final = "bodies[]."
 """What the keys of a body begin with."""
@@ -41,6 +42,14 @@ _FOXGLOVE: Final[dict[str, dict[str, str]]] = {
     "Pose": {"position": "Vector3", "orientation": "Quaternion"},
     "KeyValuePair": {"key": "string", "value": "string"},
     "PoseInFrame": {"timestamp": _TIME, "frame_id": "string", "pose": "Pose"},
+    "Log": {
+        "timestamp": _TIME,
+        "level": "UNKNOWN DEBUG INFO WARNING ERROR FATAL",
+        "message": "string",
+        "name": "string",
+        "file": "string",
+        "line": "fixed32",
+    },
     "FrameTransform": {
         "timestamp": _TIME,
         "parent_frame_id": "string",
@@ -187,6 +196,13 @@ def event_message(event: Mapping[str, Any]) -> bytes:
 def world_message(world: Mapping[str, Any]) -> bytes:
     """A message of `world`, a map as the wire has it, encoded."""
     return bytes(message_class(WORLD)(**world).SerializeToString())
+
+
+def log_message(time_ns: int, level: int, name: str, text: str) -> bytes:
+    """A line of the log, encoded; Foxglove counts levels from 1, `logging` in tens."""
+    message = message_class(LOG)(level=min(max(level // 10, 0), 5), message=text, name=name)
+    message.timestamp.FromNanoseconds(time_ns)
+    return bytes(message.SerializeToString())
 
 
 def event_of(message: Any) -> dict[str, Any]:

@@ -17,19 +17,21 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
-from softfinger.proxy.record import AT
+from softfinger.proxy.record import AT, FIELDS
 from softfinger.server.recording import picture
 from softfinger.server.recording.layout import tick_layout
 from softfinger.server.recording.mcapfile import McapFile
 from softfinger.server.recording.schemas import (
     EVENT,
     FRAME,
+    LOG,
     POSE,
     SCENE,
     TICK,
     WORLD,
     descriptor_set,
     event_message,
+    log_message,
     world_message,
 )
 from softfinger.server.wire.protocol import contact_topic
@@ -45,12 +47,14 @@ POSE_TOPIC: Final = "pose"
 FRAME_TOPIC: Final = "tf"
 SCENE_TOPIC: Final = "scene"
 FORCE_TOPIC: Final = "forces"
+LOG_TOPIC: Final = "log"
 SCENE_PERIOD_S: Final = 1.0
 """A player that is moved to another moment has the scene within so long."""
 JSON: Final = "json"
 """Key of the text in each table of metadata."""
 
 _NS: Final = 1e9
+_WHOLE: Final = [field.at for field in FIELDS if field.kind == "int"]
 _TIME_MAX_S: Final = 9e9  # MCAP has no time before 1970, and none after 2554
 
 
@@ -112,6 +116,11 @@ class Topics:
         if self._drawn:
             for message in picture.body_messages(world["bodies"], time_ns):
                 self._add(FRAME_TOPIC, FRAME, time_ns, message)
+
+    def log(self, time_s: float, level: int, name: str, text: str) -> None:
+        """Add a line of the log: time since the epoch, level as `logging` has it, who said it, what."""
+        time_ns = event_time_ns({"timestamp": time_s})
+        self._add(LOG_TOPIC, LOG, time_ns, log_message(time_ns, level, name, text))
 
     def show(self, scene: schema.Scene) -> None:
         """Draw another scene from here on."""
@@ -179,6 +188,12 @@ class RecordingFile(Topics):
         if not self._file.closed:
             with self._file:
                 self.mcap.finish()
+
+
+def with_whole_numbers(records: Array) -> Array:
+    """Records (n, RECORD_SIZE), changed in place, whose integers a file can have: of a record that is spoilt 0."""
+    records[:, _WHOLE] = np.rint(np.nan_to_num(records[:, _WHOLE], nan=0.0, posinf=0.0, neginf=0.0))
+    return records
 
 
 def times_ns(records: Array) -> NDArray[np.int64]:

@@ -21,6 +21,7 @@ from softfinger.server.recording.recorder import Recorded, Recorder
 from softfinger.server.services.description import described
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
+from softfinger.server.wire.events import event_map
 from softfinger.server.wire.protocol import SCHEMA
 
 log: Final = logging.getLogger(__name__)
@@ -121,9 +122,7 @@ class Recordings:
         """Record an event that is published; from any thread."""
         recorder = self._recorder
         if recorder is not None:
-            tick = self._rendering.servo.ticks - 1
-            head = {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
-            recorder.event(fields | head)
+            recorder.event(event_map(self._rendering.servo.ticks - 1, kind, name, fields))
 
     def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
         """Record where the bodies of a [world] are; from any thread."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -118,6 +119,11 @@ class RecordEvents:
             self._sent_s[key] = now
             events.append(event)
         return events
+
+
+def event_map(tick: int, kind: str, name: str, fields: Mapping[str, Any]) -> Map:
+    """The map of an event that happens now, with further keys."""
+    return {**fields, "schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
 
 
 def _head(record: NDArray[np.float64], kind: str, name: str) -> Map:

@@ -19,7 +19,7 @@ from softfinger.proxy.record import RECORD_SIZE, columns
 from softfinger.server.closing import Closing
 from softfinger.server.publishing.setup import Figures, Kind, Setup, Shown, Ticks
 from softfinger.server.wire.doors import Doors, door
-from softfinger.server.wire.events import RecordEvents
+from softfinger.server.wire.events import RecordEvents, event_map
 from softfinger.server.wire.health import Health, together
 from softfinger.server.wire.link import Answering, Link
 from softfinger.server.wire.native.memory import LAYOUT
@@ -78,6 +78,8 @@ class Publisher(Closing):
         if every < 1:
             raise ConfigError(f"[telemetry] every = {every} is below 1: 1 publishes each tick, 10 one in ten")
         self._lock = threading.Lock()
+        self.tell: Callable[..., None] = self.event
+        """Called as `event` is with what has happened to the process; whoever also records events puts itself here."""
         self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *([WORLD] if bodies else []), SCHEMA_TOPIC]
         self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
         self._backlog, self._priority, self._shown, self._health_body = backlog, priority, Shown(), b""
@@ -127,7 +129,7 @@ class Publisher(Closing):
             say(Kind.GREETING, HEALTH.encode(), self._health_body)
 
     def _restarted(self, said: str) -> None:
-        self.event("fault", "publisher", message=said)
+        self.tell("fault", "publisher", message=said)
 
     def ring(self) -> dict[str, Any]:
         """Where programs of this user find every tick as memory, for `describe`."""
@@ -215,10 +217,7 @@ class Publisher(Closing):
         with self._lock:
             if self._closed:
                 return
-            tick = self._relay.tick
-            self._send(
-                EVENT, fields | {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
-            )
+            self._send(EVENT, event_map(self._relay.tick, kind, name, fields))
 
     def state(self, before: str, now: str, cause: str) -> None:
         """Send that the state of the daemon is another one; `health` has it from there on."""

@@ -1,0 +1,170 @@
+"""The black box: what it keeps, how much room it takes, and the file that a fault's event names."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from softfinger.config.errors import ConfigError, DeviceLost
+from softfinger.config.load import build, load_rig, load_scene
+from softfinger.config.schema import Faults
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.app import Daemon
+from softfinger.server.recording import blackbox
+from softfinger.server.recording.blackbox import BYTES_MAX, FILES_MAX, KEPT_S, BlackBox, files, make_room
+from softfinger.server.recording.reader import Event, Ticks, contents
+
+WAIT_S = 60.0
+
+
+def records(first: int, count: int) -> np.ndarray:
+    """Ticks with numbers from `first` on, of now."""
+    made = np.zeros((count, RECORD_SIZE))
+    made[:, AT.tick] = np.arange(first, first + count)
+    made[:, AT.timestamp] = time.time()
+    return made
+
+
+def ticks_in(path: Path) -> list[int]:
+    parts = [part.records() for part in contents(path) if isinstance(part, Ticks)]
+    return [int(tick) for part in parts for tick in part[:, AT.tick]]
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("batches", [(5,), (250, 250), (999, 999, 7), (2500,), (1000,), (1,) * 30])
+def test_the_newest_ticks_are_kept_in_their_order(batches: tuple[int, ...], tmp_path: Path) -> None:
+    """However they come, the file has the last ten seconds of them at 100 Hz."""
+    box, first = BlackBox([""], [], 100.0), 0
+    for count in batches:
+        box.take(records(first, count))
+        first += count
+    box.write(tmp_path / "box.mcap", {})
+    assert ticks_in(tmp_path / "box.mcap") == list(range(max(0, first - round(100.0 * KEPT_S)), first))
+
+
+@pytest.mark.plain
+def test_old_events_and_lines_are_left_out(tmp_path: Path) -> None:
+    """What is older than ten seconds is not in the file; a foreign reader finds the rest by topic and time."""
+    box, now = BlackBox([""], [], 100.0), time.time()
+    box.take(records(0, 3))
+    for age in (KEPT_S + 5.0, 1.0):
+        about = {"schema": 1, "timestamp": now - age, "tick": 1, "kind": "fault", "name": f"{age:g} s ago"}
+        box.event(about | {"message": "x"})
+        record = logging.LogRecord("softfinger.test", logging.ERROR, "file", 1, f"{age:g} s ago", None, None)
+        record.created = now - age
+        box.log.handle(record)
+    box.write(tmp_path / "box.mcap", {"scene_name": "s"})
+    with (tmp_path / "box.mcap").open("rb") as file:
+        found = [
+            (channel.topic, message)
+            for _, channel, _, message in make_reader(
+                file, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages()
+        ]
+    assert [message.name for topic, message in found if topic == "event"] == ["1 s ago"]
+    ((level, name, text),) = [(m.level, m.name, m.message) for topic, m in found if topic == "log"]
+    assert (level, name, text) == (4, "softfinger.test", "1 s ago")  # 4: ERROR of Foxglove
+
+
+@pytest.mark.plain
+def test_a_file_that_cannot_be_written_leaves_none(tmp_path: Path) -> None:
+    """Where the folder is away the error is the system's, and where writing fails no part of a file stays."""
+    box = BlackBox([""], [], 100.0)
+    with pytest.raises(FileNotFoundError):
+        box.write(tmp_path / "away" / "box.mcap", {})
+    with pytest.raises(TypeError):
+        box.write(tmp_path / "box.mcap", {"scene_name": object()})  # no JSON
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.plain
+def test_the_folder_is_bounded(tmp_path: Path) -> None:
+    """The oldest files make room, by number and by size; others' files stay; a folder that others may write to is
+    refused."""
+    place = tmp_path / "boxes"
+    make_room(place)
+    assert place.stat().st_mode & 0o777 == 0o700
+    for number in range(FILES_MAX + 3):
+        (place / f"{number:02d}.mcap").write_bytes(b"x")
+        os.utime(place / f"{number:02d}.mcap", (number, number))
+    (place / "notes.txt").write_text("mine")
+    make_room(place)
+    assert [path.name for path in files(place)] == [f"{n:02d}.mcap" for n in range(4, FILES_MAX + 3)]
+    with (place / "20.mcap").open("wb") as file:
+        file.truncate(BYTES_MAX)
+    os.utime(place / "20.mcap", (20, 20))
+    make_room(place)
+    assert [path.name for path in files(place)] == ["21.mcap", "22.mcap"]
+    assert (place / "notes.txt").read_text() == "mine"
+    place.chmod(0o777)
+    with pytest.raises(ConfigError, match="others may write to it"):
+        make_room(place)
+
+
+@contextmanager
+def running(faults: list[dict[str, Any]] | None = None) -> Iterator[Daemon]:
+    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+    injected = None if faults is None else build(Faults, {"fault": faults}, "faults")
+    with Daemon(rig, load_scene("paper-plane"), faults=injected) as daemon:
+        daemon.start()
+        yield daemon
+
+
+def named_in(path: Path) -> dict[str, dict[str, Any]]:
+    """Faults among the events of a file, by name."""
+    events = [part.event for part in contents(path) if isinstance(part, Event)]
+    return {event["name"]: event for event in events if event["kind"] == "fault"}
+
+
+@pytest.mark.real_time
+def test_what_ends_a_run_leaves_a_file_that_its_event_names() -> None:
+    """A device that is lost: the file has every tick of the run, the event with the error's words, and the log."""
+    with pytest.raises(DeviceLost) as lost, running([{"kind": "disconnect", "at_tick": 700}]) as daemon:
+        daemon.wait(WAIT_S)
+    path = files(blackbox.folder())[-1]
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert ticks_in(path) == list(range(700))
+    event = named_in(path)["device_lost"]
+    assert event["message"] == str(lost.value) and event["blackbox"] == str(path)
+    assert event["tick"] == 699
+
+
+@pytest.mark.real_time
+def test_a_publisher_that_is_killed_leaves_a_file_too() -> None:
+    """The daemon goes on, and the file has the event, by which it is named, and ticks from before the kill to behind
+    it."""
+    with running() as daemon:
+        while daemon.servo.ticks < 200:
+            time.sleep(0.01)
+        killed_at = daemon.servo.ticks
+        os.kill(daemon.publisher.pid, signal.SIGKILL)
+        until = time.monotonic() + WAIT_S
+        while not (found := list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap"))):
+            assert time.monotonic() < until, "no file"
+            time.sleep(0.02)
+        assert daemon.publisher.restarts == 1 and daemon.servo.running
+    (path,) = found
+    ticks = ticks_in(path)
+    assert ticks == list(range(ticks[0], ticks[-1] + 1)) and ticks[0] < killed_at < ticks[-1]
+    event = named_in(path)["publisher"]
+    assert "was started again" in event["message"] and event["blackbox"] == str(path)
+
+
+@pytest.mark.real_time
+def test_without_a_folder_a_run_goes_on(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """Where no file can be made the end is the same, and a line says why there is none."""
+    monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", "/proc/nowhere")
+    with pytest.raises(DeviceLost), running([{"kind": "disconnect", "at_tick": 50}]) as daemon:
+        daemon.wait(WAIT_S)
+    assert "/proc/nowhere" in caplog.text and "cannot be written" in caplog.text

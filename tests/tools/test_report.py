@@ -1,0 +1,68 @@
+"""`softfinger report`: what is in the archive, and what is not."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import logging
+import platform
+import re
+import tarfile
+import time
+from pathlib import Path
+
+import pytest
+from helpers.recorded import about, run
+
+from softfinger.config.load import load_rig
+from softfinger.proxy.record import AT
+from softfinger.server.cli import main
+from softfinger.server.recording.blackbox import BlackBox
+from softfinger.server.recording.reader import Event, Note, Ticks, contents
+
+PREFIX = "softfinger-report/"
+
+
+def test_the_archive_has_what_an_issue_needs_and_no_private_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Versions, doctor, rig, scene, log and the newest black boxes, each ticks and all; the user's name, the home
+    folder, the host and a serial number that were put into each of them are gone; what cannot be read is left out."""
+    private = [str(Path.home()), platform.node(), "SN1234567"]
+    words = f"{Path.home()}/study/hand.toml on {platform.node()}: serial number SN1234567, user {getpass.getuser()}"
+    place = tmp_path / "boxes"
+    place.mkdir(0o700)
+    monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", str(place))
+    box, ticks = BlackBox([""], [], 1000.0), run()[:500].copy()
+    ticks[:, AT.timestamp] += time.time() - ticks[-1, AT.timestamp]
+    box.take(ticks)
+    event = {"schema": 1, "timestamp": time.time(), "tick": 7, "kind": "fault", "name": "device_lost"}
+    box.event(event | {"message": words, "blackbox": f"{Path.home()}/x.mcap"})
+    box.event(event | {"kind": "device", "name": "found", "serial": "SN1234567", "node": "/dev/hidraw0"})
+    box.log.handle(logging.LogRecord("softfinger", logging.WARNING, "f", 1, words, None, None))
+    box.write(place / "new.mcap", about(note=words))
+    (place / "broken.mcap").write_bytes(b"\x89MCAP0\r\nnothing")
+    out = tmp_path / "report.tar.gz"
+    rig = load_rig("replay")
+    assert main(["report", "--out", str(out), "--seconds", "0.3"]) == 0
+    assert "broken.mcap" in caplog.text
+    with tarfile.open(out) as archive:
+        for member in archive:
+            assert member.uname == "" and member.uid == 0 and member.mtime == 0
+        archive.extractall(tmp_path / "out", filter="data")
+    found = tmp_path / "out" / PREFIX
+    assert {path.name for path in found.rglob("*.*")} == {
+        "report.json", "rig.json", "scene.json", "log.txt", "new.mcap",
+    }  # fmt: skip
+    told = json.loads((found / "report.json").read_text())
+    assert told["softfinger"] and told["doctor"]["checks"]
+    assert json.loads((found / "rig.json").read_text())["guard"]["force_max_n"] == rig.guard.force_max_n
+    assert "hand.toml" in (found / "log.txt").read_text()
+    parts = list(contents(found / "blackbox" / "new.mcap"))
+    copied = [part.records() for part in parts if isinstance(part, Ticks)]
+    assert sum(map(len, copied)) == 500 and copied[0][0].tolist() == ticks[0].tolist()
+    told_texts = json.dumps([part.event for part in parts if isinstance(part, Event)])
+    told_texts += json.dumps([part.value for part in parts if isinstance(part, Note)])
+    told_texts += "".join(path.read_text() for path in found.rglob("*.*") if path.suffix != ".mcap")
+    for word in filter(None, private):
+        assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", told_texts), word

@@ -1,0 +1,154 @@
+"""`softfinger report`: what somebody needs who is to find out what went wrong, in one archive, without private words.
+
+report.json   versions, system, what `doctor` says
+rig.json, scene.json
+log.txt       lines of the log that the black boxes have
+blackbox/     the newest black boxes, written anew with their texts cleaned
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import logging
+import platform
+import tarfile
+import tempfile
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.files import new_file, open_input
+from softfinger.config.load import describe, load_rig, load_scene
+from softfinger.drivers.containers import mcap_messages
+from softfinger.drivers.system import discovery
+from softfinger.server.recording import blackbox
+from softfinger.server.recording.reader import Event, Note, Ticks, contents
+from softfinger.server.recording.schemas import class_of
+from softfinger.server.recording.writer import LOG_TOPIC, RecordingFile
+from softfinger.tools.doctor import machine, privacy
+from softfinger.tools.doctor.verb import examine
+from softfinger.tools.exchange import check_seconds
+
+log: Final = logging.getLogger(__name__)
+
+BOXES: Final = 3
+OUT: Final = "softfinger-report.tar.gz"
+LEVEL_STEP: Final = 10
+"""Between levels of `logging`; Foxglove's are numbered from 1."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Write an archive for an issue: versions, doctor, rig and scene, and the newest files of the black box with "
+        "their log. Names of the user and the machine, folders and serial numbers are taken out. Look at it before you "
+        "send it."
+    )
+    parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
+    parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
+    parser.add_argument("--out", type=Path, default=Path(OUT), metavar="FILE", help="archive (default: %(default)s)")
+    parser.add_argument(
+        "--boxes",
+        type=int,
+        default=BOXES,
+        metavar="N",
+        help="how many black boxes, newest first (default: %(default)s)",
+    )
+    parser.add_argument("--seconds", type=float, default=1.0, help="of each loop of doctor (default: %(default)s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the archive, whole or not at all; returns 0. Raises ConfigError where it cannot be written."""
+    check_seconds(args.seconds)
+    if args.boxes < 0:
+        raise ConfigError(f"--boxes {args.boxes}: must be 0 or more")
+    rig, scene = load_rig(args.rig), load_scene(args.scene)
+    found = blackbox.files(blackbox.folder())
+    boxes = found[len(found) - min(args.boxes, len(found)) :]
+    cleaner = privacy.Privacy(device.serial for device in discovery.attached())
+    told = {
+        "softfinger": version("softfinger"),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "packages": machine.versions(),
+        "doctor": examine(rig, Path(args.rig).name, Path(args.scene).name, args.seconds, None),
+    }
+    parts = {
+        "report.json": _json(cleaner.clean(told)),
+        "rig.json": _json(cleaner.clean(private_rig(describe(rig)))),
+        "scene.json": _json(cleaner.clean(describe(scene))),
+    }
+    lines: list[str] = []
+    for path in boxes:
+        try:
+            parts[f"blackbox/{path.name}"] = cleaned(path, cleaner)
+        except RecordingError as error:  # cut short by a kill, or another version's
+            log.warning("left out: %s", error)
+            continue
+        lines += [f"--- {path.name}", *(f"{line.text}" for line in log_lines(path, cleaner))]
+    parts["log.txt"] = "\n".join([*lines, ""]).encode()
+    try:
+        with new_file(args.out) as file:
+            archive(file, parts)
+    except OSError as error:
+        raise ConfigError(f"--out {args.out}: cannot be written: {error.strerror or error}: name another") from error
+    log.info("%s has %s: look at it before you send it", args.out, ", ".join(parts))
+    return 0
+
+
+def archive(file: Any, parts: Mapping[str, bytes]) -> None:
+    """A gzipped tar of files by name, with nobody's name and no time."""
+    with tarfile.open(fileobj=file, mode="w:gz") as tar:
+        for name, data in parts.items():
+            info = tarfile.TarInfo(f"softfinger-report/{name}")
+            info.size = len(data)
+            tar.addfile(info, io.BytesIO(data))
+
+
+def private_rig(rig: dict[str, Any]) -> dict[str, Any]:
+    """A rig as `describe` has it, whose device options name no folder and no whole serial number."""
+    named = rig | {key: privacy.options(rig[key]) for key in ("device", "devices") if rig.get(key)}
+    return {key: value for key, value in named.items() if key != "security"}
+
+
+def cleaned(path: Path, cleaner: privacy.Privacy) -> bytes:
+    """A file of the black box written anew, its ticks as they were and its texts cleaned. RecordingError."""
+    parts = list(contents(path))
+    about = {part.name: part.value for part in parts if isinstance(part, Note)}
+    if isinstance(about.get("rig"), dict):
+        about["rig"] = private_rig(about["rig"])
+    fingers = list(dict.fromkeys(part.finger for part in parts if isinstance(part, Ticks)))
+    with tempfile.TemporaryFile(buffering=0) as file:
+        copy = io.FileIO(file.fileno(), "wb", closefd=False)
+        recording = RecordingFile(copy, fingers or [""], cleaner.clean(about))
+        for part in parts:
+            if isinstance(part, Ticks):
+                recording.ticks(part.records(), part.finger)
+            elif isinstance(part, Event):
+                recording.event(cleaned_event(part.event, cleaner))
+        for line in log_lines(path, cleaner):
+            recording.log(*line)
+        recording.close()
+        file.seek(0)
+        return file.read()
+
+
+def cleaned_event(event: dict[str, Any], cleaner: privacy.Privacy) -> dict[str, Any]:
+    """An event without private words; a device's serial number is shortened."""
+    clean: dict[str, Any] = cleaner.clean(event)
+    return clean | ({"serial": privacy.shortened(str(event["serial"]))} if "serial" in event else {})
+
+
+def log_lines(path: Path, cleaner: privacy.Privacy) -> Iterator[blackbox.Line]:
+    """Lines of the log in a file of the black box, cleaned."""
+    with open_input(path) as file:
+        for schema, _, message in mcap_messages(file, LOG_TOPIC):
+            line = class_of(schema.data, schema.name).FromString(message.data)
+            time_s = message.log_time / 1e9
+            yield blackbox.Line(time_s, LEVEL_STEP * line.level, line.name, cleaner.text(line.message))
+
+
+def _json(value: Any) -> bytes:
+    return (json.dumps(value, indent=2, default=str) + "\n").encode()
