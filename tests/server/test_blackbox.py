@@ -24,6 +24,7 @@ from softfinger.server.app import Daemon
 from softfinger.server.recording import blackbox
 from softfinger.server.recording.blackbox import BYTES_MAX, FILES_MAX, KEPT_S, BlackBox, files, make_room
 from softfinger.server.recording.reader import Event, Ticks, contents
+from softfinger.server.wire.client import subscribe
 
 WAIT_S = 60.0
 
@@ -145,8 +146,8 @@ def test_a_publisher_that_is_killed_leaves_a_file_too() -> None:
     """The daemon goes on, and the file has the event, by which it is named, and ticks from before the kill to behind
     it."""
     with running() as daemon:
-        while daemon.servo.ticks < 200:
-            time.sleep(0.01)
+        with subscribe(daemon.publisher.endpoint, timeout_s=WAIT_S) as samples:
+            next(iter(samples))  # one that is killed before it is ready is not started again
         killed_at = daemon.servo.ticks
         os.kill(daemon.publisher.pid, signal.SIGKILL)
         until = time.monotonic() + WAIT_S
