@@ -124,12 +124,6 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
     """Objects there must be, and those that ride on bodies need a world, and no force of their own."""
     if not known(scene.world, scene.object):
         return
-    if scene.world is not None and known(scene.passivity) and scene.passivity is not None:
-        yield (
-            "passivity",
-            scene.passivity.mode if known(scene.passivity.mode) else msgspec.UNSET,
-            "counts the weight of a body that is lowered as energy of the contact: leave it out beside [world]",
-        )
     if scene.world is None and not scene.object:
         yield "object", msgspec.UNSET, "is missing: add at least one table [[object]]"
     for index, item in enumerate(scene.object):

@@ -22,6 +22,7 @@ from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, TOO_FAST, Gua
 from softfinger.server.loop.limits import COLD, SPEED_S, Limited
 from softfinger.server.loop.output import Instant, Passed, at_rest, felt, output_wrench
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, keep_passive
+from softfinger.server.loop.reactions import no_reactions, reactions_of, relative_energy
 
 UNMOVED: Final = (-0.0, -0.0, -0.0)
 """An offset that changes no bit of what it is added to, a zero's sign included."""
@@ -45,12 +46,14 @@ class Tuning(NamedTuple):
 
 class FingerMemory(NamedTuple):
     """What a tick leaves for the next of one finger: its contact's state, the guard's, the energy so far, and that of
-    the limits, which lasts whatever becomes of the others."""
+    the limits, which lasts whatever becomes of the others; and what its contacts give to bodies that move, a tuple of
+    Reaction, or None in a scene without."""
 
     contact: FingerState
     guarded: Guarded
     energy: Energy
     limited: Limited = COLD
+    reactions: Any = None
 
 
 class Memory(NamedTuple):
@@ -61,18 +64,23 @@ class Memory(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What each finger's wrench passes on its way to the hand: guards and tools, one for each, and the passivity of
-    all."""
+    """What each finger's wrench passes on its way to the hand: guards and tools, one for each, and the passivity and
+    the bodies of all."""
 
     guards: Any
     passivity: Any
     tools: Any
+    bodies: Any
 
 
 def begin(scene: Scene) -> Memory:
     """Memory before the first tick."""
     state = start_state(scene)
-    return Memory(state.world, tuple(FingerMemory(finger, DISENGAGED, NO_ENERGY, COLD) for finger in state.fingers))
+    fingers = tuple(
+        FingerMemory(finger, DISENGAGED, NO_ENERGY, COLD, no_reactions(scene.bodies, finger))
+        for finger in state.fingers
+    )
+    return Memory(state.world, fingers)
 
 
 def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
@@ -90,20 +98,20 @@ def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
 @jit
 def let_go(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
     """What is remembered after the hand was given no force, whatever was commanded: the guard's begins anew."""
-    return FingerMemory(hand.contact, start.guarded, hand.energy, hand.limited)
+    return FingerMemory(hand.contact, start.guarded, hand.energy, hand.limited, start.reactions)
 
 
 @jit
 def elsewhere(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
     """What is remembered of a finger that is somewhere else now, without a way there: its contact begins anew."""
-    return FingerMemory(start.contact, hand.guarded, hand.energy, hand.limited)
+    return FingerMemory(start.contact, hand.guarded, hand.energy, hand.limited, start.reactions)
 
 
 @jit
 def held(before: Guarded, hand: FingerMemory) -> FingerMemory:
     """What is remembered after the hand was left the force of `before`: the guard counts on from that one."""
     guarded = Guarded(before.force, before.torque, hand.guarded.gain)
-    return FingerMemory(hand.contact, guarded, hand.energy, hand.limited)
+    return FingerMemory(hand.contact, guarded, hand.energy, hand.limited, hand.reactions)
 
 
 @jit
@@ -186,8 +194,9 @@ def command_one(
         now = Pose(position, orientation)
         was = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
         motion = Motion(was, now, tool)
+        energy = relative_energy(output.passivity, output.bodies, hand.energy, hand.reactions)
         energy, force = keep_passive(
-            output.passivity, hand.energy, felt(guard, hand.guarded), motion, contact.mode, contact.force, instant.dt
+            output.passivity, energy, felt(guard, hand.guarded), motion, contact.mode, contact.force, instant.dt
         )
         torque = about_handle(tool, orientation, force, contact.torque)
         passed = Passed(hand.guarded, hand.limited)
@@ -206,7 +215,10 @@ def command_one(
     record[AT.limits_speed] = norm(limited.velocity)
     record[AT.limits_heat] = limited.heat
     record[AT.limits_energy] = limited.given
-    return (FingerMemory(state, guarded, energy, limited),)
+    shown = felt(guard, guarded)
+    given = Guarded(shown.force, about_tip(tool, orientation, shown.force, shown.torque), shown.gain)
+    reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, given, position)
+    return (FingerMemory(state, guarded, energy, limited, reactions),)
 
 
 @command.of(2)
@@ -215,8 +227,8 @@ def command_several(
 ) -> Any:
     first = (stepped[0][:1], stepped[1][:1])
     others = (stepped[0][1:], stepped[1][1:])
-    own = Output(output.guards[:1], output.passivity, output.tools[:1])
-    rest = Output(output.guards[1:], output.passivity, output.tools[1:])
+    own = Output(output.guards[:1], output.passivity, output.tools[:1], output.bodies)
+    rest = Output(output.guards[1:], output.passivity, output.tools[1:], output.bodies)
     hand = command(hands[:1], starts[:1], samples[:1], first, own, instant, records[:1])
     return hand + command(hands[1:], starts[1:], samples[1:], others, rest, instant, records[1:])
 
@@ -240,6 +252,7 @@ def tick(
     state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)
     hands = command(
         memory.fingers, start.fingers, samples, (state.fingers, contacts),
-        Output(tuning.guards, tuning.passivity, tuning.tools), Instant(number, dt, period), records,
+        Output(tuning.guards, tuning.passivity, tuning.tools, tuning.scene.bodies),
+        Instant(number, dt, period), records,
     )  # fmt: skip
     return Memory(state.world, hands)

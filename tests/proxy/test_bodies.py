@@ -391,7 +391,6 @@ WRONG: dict[str, Callable[[dict[str, Any]], Any]] = {
             )
         ]
     ),
-    "an observer of the hand": lambda scene: scene.update(passivity={"mode": "observe"}),
     "nothing to touch": lambda scene: scene.pop("world"),
     "a material for nothing": lambda scene: scene["world"].update(geom=[{"material": RUBBER}]),
 }

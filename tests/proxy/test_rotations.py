@@ -83,3 +83,17 @@ def test_quaternion_of_a_matrix_is_exact_to_rounding():
         assert sum(part * part for part in back) == pytest.approx(1.0, abs=4 * ULP)
         # Up to sign the same; the matrix's own rounding is a few units of the last place, and no component is lost.
         assert min(np.abs(back - q).max(), np.abs(back + q).max()) < 8 * ULP
+
+
+def test_what_was_normalised_stays_as_it_is():
+    """A unit quaternion that is recorded and read again has the same bits, whatever it was normalised from; and what is
+    farther from unit than rounding explains is normalised."""
+    random = np.random.default_rng(5)
+    for q in (random.standard_normal((20000, 4)) * random.uniform(0.5, 1.5, (20000, 1))).tolist():
+        once = rotations.normalize(tuple(q))
+        assert rotations.normalize(once) == once
+        wide = np.array(q, np.longdouble)
+        exact = (wide / np.sqrt(wide @ wide)).astype(float)
+        assert np.abs(np.array(once) - exact).max() <= 2.5 * ULP  # five roundings of half a unit each
+        near = tuple(x * (1.0 + 16.0 * ULP) for x in once)
+        assert abs(sum(x * x for x in rotations.normalize(near)) - 1.0) < rotations.UNIT_TO_ROUNDING

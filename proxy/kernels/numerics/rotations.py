@@ -10,6 +10,12 @@ SMALL = 0.1
 """Below this a tangent or an angle (rad) is put into a power series, a fifth of the time of the library's call. The
 first term left out is below 1e-17 of the sum; the rotation of one tick is hardly ever larger."""
 
+UNIT_TO_ROUNDING = 8.0 * 2.0**-52
+"""How far from 1 the sum of the squares of a quaternion that was normalised may be computed: else a recorded one would
+be changed by a bit when it is read. With u = 2^-53: the sum is wrong by 4 u at most, the root of that and its own
+rounding make 3 u, the quotient 4 u, the product 5 u of each component, so 10 u of the square; and it is summed again:
+14 u = 7 eps, and one more for terms of second order."""
+
 
 @jit
 def sinc(x: float) -> float:
@@ -72,8 +78,11 @@ def rotate(q: Quaternion, v: Vec3) -> Vec3:
 
 @jit
 def normalize(q: Quaternion) -> Quaternion:
-    """Unit quaternion along `q`; `q` must not be zero."""
-    s = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    """Unit quaternion along `q`; `q` must not be zero. What is unit to rounding stays as it is, to the bit."""
+    square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if abs(square - 1.0) <= UNIT_TO_ROUNDING:
+        return q
+    s = 1.0 / sqrt(square)
     return (s * q[0], s * q[1], s * q[2], s * q[3])
 
 
