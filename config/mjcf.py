@@ -57,12 +57,17 @@ def read_model(path: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     _check_folders(text, Path(path), name, set())
     try:
         spec = package.MjSpec.from_file(path)
+        _check_count(len(spec.bodies) - 1, name)  # the world is one of them
         model = spec.compile()
     except (ValueError, package.FatalError) as error:
         raise ConfigError(f"world.model {name}: {' '.join(str(error).split())}") from error
-    if model.nbody > BODIES_MAX:
-        raise ConfigError(f"world.model {name}: has {model.nbody} bodies; at most {BODIES_MAX} can be stepped in time")
     return spec, model
+
+
+def _check_count(bodies: int, name: str) -> None:
+    """MuJoCo takes a minute to read ten thousand bodies: they are counted before."""
+    if bodies > BODIES_MAX:
+        raise ConfigError(f"world.model {name}: has {bodies} bodies; at most {BODIES_MAX} can be stepped in time")
 
 
 def _check_folders(text: str, path: Path, name: str, seen: set[Path]) -> None:
@@ -79,6 +84,7 @@ def _check_folders(text: str, path: Path, name: str, seen: set[Path]) -> None:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise ConfigError(f"world.model {name}: is no XML: {error}") from error
+    _check_count(sum(element.tag in ("body", "link") for element in root.iter()), name)
     home = path.resolve().parent
     keys = ("file", "filename", "meshdir", "texturedir", "assetdir")
     for element in root.iter():

@@ -358,7 +358,22 @@ HOSTILE = {
     ),
     "a folder outside": ('<mujoco><compiler meshdir="/etc"/></mujoco>', "outside of its folder"),
     "another time step": (f"<mujoco><worldbody>{BALL}</worldbody></mujoco>", "0.002 s"),
-    "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 1100}</worldbody></mujoco>", "1101 bodies"),
+    "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 10000}</worldbody></mujoco>", "10000 bodies"),
+    "too many bodies in a few words": (
+        f'<mujoco>{OPTION}<worldbody><replicate count="1100" offset="1 0 0">{BALL}</replicate></worldbody></mujoco>',
+        "1100 bodies",
+    ),
+    "bodies that overlap at the start, in too little memory": (
+        f'<mujoco><size memory="30K"/>{OPTION}<worldbody>'
+        + '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4
+        + "</worldbody></mujoco>",
+        "cannot be simulated as it begins: {'constraints full'",
+    ),
+    "an inertia of which a part is none": (
+        f'<mujoco>{OPTION}<worldbody><body><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="nan 1 1"/>'
+        '<geom size="0.1"/></body></worldbody></mujoco>',
+        "inertia",
+    ),
 }
 
 
