@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from math import asin, atan2, degrees, radians
 from typing import Any, Final, NamedTuple
 
@@ -25,7 +25,9 @@ GRAZING: Final = 0.05
 HELP: Final = (
     "Take the white ball with the mouse: **drag** moves it, with **shift** up and down, which presses, with **ctrl** "
     "it rolls like a ball. Drag anywhere else to look around. Keys: **I J K L** level, **O** presses, **U** lifts, "
-    "**N M** spin, **shift** rolls. A gamepad: left stick, triggers; right stick rolls, bumpers spin."
+    "**N M** spin, **shift** rolls; **H G** move several fingers together and apart. Choose *both fingers*, and a drag "
+    "of one leads both: towards the other one it pinches. A gamepad: left stick, triggers; right stick rolls, bumpers "
+    "spin."
 )
 NO_HAND: Final = (
     "Nothing here is to be led: a person, a puck or a recording moves the fingertip. `softfinger run --view` has a "
@@ -40,6 +42,8 @@ class Target(NamedTuple):
     orientation: Quaternion
 
 
+BOTH: Final = "both fingers"
+"""In place of a finger, whose name has no space: several are led at once."""
 HOW: Final = {"moves": "move", "presses or lifts": "press", "rolls": "roll"}
 """What a plain drag may do, by its name on the page: a touch screen has no shift and no ctrl."""
 
@@ -97,6 +101,19 @@ def nudged(start: Target, nudge: Nudge, radius: float) -> Target:
     return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(turn, start.orientation))
 
 
+def mirrored(way: Array, line: Array) -> Array:
+    """How one finger goes (3,) m when another goes `way`: along with it across their `line`, against it along that."""
+    length = float(line @ line)
+    return way if length == 0.0 else way - 2.0 * float(way @ line) / length * line
+
+
+def closed(place: Array, middle: Array, way: float) -> Array:
+    """A place (3,) m, `way` m nearer to the middle of all fingers, and not past it."""
+    apart = middle - place
+    distance = float(np.linalg.norm(apart))
+    return place if distance == 0.0 else place + min(way, distance) / distance * apart
+
+
 def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
     """First about x, then y, then z, all of the world; rad."""
     x, y, z = (np.array(axis, dtype=np.float64) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
@@ -121,7 +138,7 @@ class Hand:
         self._fingers: dict[str, Led] = {}
         self._targets: dict[str, Target] = {}
         self._seen: dict[str, Target] = {}
-        self._begun: dict[str, tuple[Target, Array]] = {}
+        self._begun: dict[str, tuple[dict[str, Target], Array]] = {}
         self._placed = 0.0
         self._help = gui.add_markdown(HELP)
         self._how = gui.add_dropdown("a drag", tuple(HOW))
@@ -146,7 +163,7 @@ class Hand:
         self._seen.clear()
         self._help.content = HELP if fingers else NO_HAND
         if fingers:
-            self._finger.options = tuple(self._fingers)
+            self._finger.options = (*self._fingers, BOTH) if len(fingers) > 1 else tuple(self._fingers)
         self._finger.visible = len(fingers) > 1
         for control in (self._how, *self._sliders, self._handles, self._let_go):
             control.disabled = not fingers
@@ -173,12 +190,16 @@ class Hand:
             self._placed = now
 
     def nudge(self, nudge: Nudge) -> None:
-        """Go a piece of a way further with the finger that is chosen."""
-        finger = self._chosen()
-        target = self._target(finger)
-        if target is not None and finger in self._fingers:
-            self._go(finger, nudged(target, nudge, self._fingers[finger].radius))
-            self._show()
+        """Go a piece of a way further with the finger that is chosen, or with all."""
+        targets = self._targets_of(self._fingers)
+        if not targets:
+            return
+        middle = np.mean([target.position for target in targets.values()], axis=0)
+        led = self._led() if nudge.close == 0.0 else list(targets)
+        for finger in filter(targets.__contains__, led):
+            target = nudged(targets[finger], nudge, self._fingers[finger].radius)
+            self._go(finger, Target(closed(target.position, middle, nudge.close), target.orientation))
+        self._show()
 
     def _plain(self) -> str:
         return HOW[self._how.value] if on_list(self._how) else "move"
@@ -186,6 +207,14 @@ class Hand:
     def _chosen(self) -> str:
         only = len(self._fingers) < 2 or self._finger.value not in self._fingers
         return next(iter(self._fingers), "") if only else str(self._finger.value)
+
+    def _led(self) -> list[str]:
+        """The fingers that keys and a drag lead."""
+        return list(self._fingers) if self._finger.value == BOTH else [self._chosen()]
+
+    def _targets_of(self, fingers: Iterable[str]) -> dict[str, Target]:
+        found = ((finger, self._target(finger)) for finger in fingers)
+        return {finger: target for finger, target in found if target is not None}
 
     def _target(self, finger: str) -> Target | None:
         return self._targets.get(finger, self._seen.get(finger))
@@ -199,18 +228,22 @@ class Hand:
 
     def _dragged(self, finger: str, event: Any, how: str) -> None:
         if event.phase == "start":
-            target = self._target(finger)
-            if target is not None:
-                self._begun[finger] = (target, np.array(event.start_position) / CM)
+            targets = self._targets_of({finger, *self._led()} if finger in self._led() else {finger})
+            if finger in targets:
+                self._begun[finger] = (targets, np.array(event.start_position) / CM)
         if finger not in self._begun or finger not in self._fingers:
             if event.phase == "start":
                 self._send(finger, self._target(finger))  # which the daemon declines, with the reason
             return
-        start, grabbed = self._begun[finger]
+        starts, grabbed = self._begun[finger]
+        start = starts[finger]
         eye, pointer = np.array(event.client.camera.position) / CM, np.array(event.end_position) / CM
         target = moved(start, eye, grabbed, pointer, how, self._fingers[finger].radius)
         if target is not None:
             self._go(finger, target)
+            for other in starts.keys() & self._fingers.keys() - {finger}:
+                way = mirrored(target.position - start.position, starts[other].position - start.position)
+                self._go(other, Target(starts[other].position + way, starts[other].orientation))
             if finger == self._chosen():
                 self._place_sliders()
         if event.phase == "end":

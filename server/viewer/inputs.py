@@ -27,7 +27,8 @@ STEP_RAD: Final = radians(5.0)
 
 
 class Nudge(NamedTuple):
-    """A piece of a way: x, y, z m in the world; roll_x, roll_y m, as a ball on a level plane; spin rad about z."""
+    """A piece of a way: x, y, z m in the world; roll_x, roll_y m, as a ball on a level plane; spin rad about z; close
+    m, of each of several fingers towards their middle."""
 
     x: float = 0.0
     y: float = 0.0
@@ -35,6 +36,7 @@ class Nudge(NamedTuple):
     roll_x: float = 0.0
     roll_y: float = 0.0
     spin: float = 0.0
+    close: float = 0.0
 
     def times(self, factor: float) -> Nudge:
         """So many times as far."""
@@ -54,6 +56,8 @@ KEYS: Final[dict[str, tuple[str, str | None, Nudge]]] = {
     "roll nearer": ("K", "shift", Nudge(roll_y=-STEP_M)),
     "spin to the left": ("N", None, Nudge(spin=STEP_RAD)),
     "spin to the right": ("M", None, Nudge(spin=-STEP_RAD)),
+    "fingers together": ("H", None, Nudge(close=STEP_M)),
+    "fingers apart": ("G", None, Nudge(close=-STEP_M)),
 }
 """What each key does, by the name that the page's list of commands has for it: key, modifier, nudge a stroke.
 

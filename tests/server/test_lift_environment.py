@@ -1,0 +1,44 @@
+"""The environment of a lift: Gymnasium's own checker, and two hands that lift the box by a script."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from softfinger.server.bridges import lift_environment
+
+pytestmark = pytest.mark.plain
+
+
+def led(thumb: tuple[float, float, float], index: tuple[float, float, float]) -> np.ndarray:
+    return np.array([*thumb, *index])
+
+
+def test_gymnasium_takes_the_lift() -> None:
+    """The checker finds nothing to warn of, as warnings are errors here; an episode is cut off at its end."""
+    env = gymnasium.make(lift_environment.NAME, episode_steps=2, step_ticks=5)
+    check_env(env.unwrapped)
+    env.reset(seed=1)
+    assert [env.step(env.action_space.sample())[3] for _ in range(2)] == [False, True]
+
+
+def test_a_script_lifts_the_box() -> None:
+    """Squeeze and go up: the box is at its goal, level, pressed from both sides; the same again gives the same bits."""
+    env = gymnasium.make(lift_environment.NAME).unwrapped
+    squeeze, up, hold = led((1, 0, 0), (-1, 0, 0)), led((0, 0, 1), (0, 0, 1)), led((0, 0, 0), (0, 0, 0))
+    ends = []
+    for _ in range(2):
+        start, _ = env.reset(seed=0)
+        for action in [squeeze] * 8 + [hold] * 5 + [up] * 50 + [hold] * 10:
+            seen, reward, terminated, _, info = env.step(action)
+        ends.append(seen)
+    height = seen["body.position"][2] - start["body.position"][2]
+    assert height == pytest.approx(0.1, abs=0.002)  # less the sag of contacts and hands
+    assert reward == pytest.approx(-abs(height - 0.1), abs=1e-3) and not terminated
+    assert seen["thumb.force"][0] < -2.0 and seen["index.force"][0] > 2.0
+    assert abs(seen["body.orientation"][0]) > 0.999
+    assert len(info["records"]["thumb"]) == 20
+    for name, value in ends[0].items():
+        np.testing.assert_array_equal(value, ends[1][name])
