@@ -98,7 +98,7 @@ def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
     probing("--rig", named)
     found = checked(home / "softfinger-openhaptics-report.json", home)
     assert found["device"]["name"] == "Touch, serial ...01"
-    assert found["maker_library"] == [hd.path.name]
+    assert hd.path.name in found["maker_library"]  # of this process, which other tests share
     assert found["buttons"] == {"masks": [2]} and hd["peak"] == 0.0
     probing("--rig", named, "--push")
     found = checked(home / "softfinger-openhaptics-report.json", home)
