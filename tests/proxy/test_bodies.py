@@ -220,6 +220,25 @@ def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float,
     assert max(fastest[-windows // 4 :]) < 0.8 * max(fastest[: windows // 4]) < 0.8
 
 
+@pytest.mark.parametrize(
+    ("mass", "stiffness"),
+    [(1.0, 3000.0), *(pytest.param(*case, marks=REST) for case in ((1.0, 1000.0), (0.3, 3000.0)))],
+)
+def test_dampers_that_fit_a_heavy_body_bring_it_to_rest(mass: float, stiffness: float, tmp_path: Path) -> None:
+    """c = 0.2 sqrt(K m), and sqrt(k_z I) for torsion: within two seconds of the blow it is slower by a thousand."""
+    damping, inertia = 0.2 * math.sqrt(stiffness * mass), mass * (2.0 * HALF) ** 2 / 6.0
+    coupling = {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping}
+    coupling["torsional_damping_nms_per_rad"] = math.sqrt(TORSION * inertia)
+    material = RUBBER | {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping}
+    engine = held_by_two(box(tmp_path, mass, gravity=0.0), material, coupling)
+    way = pinch(200, 3.0 * STIFFNESS / stiffness, beside=0.004)
+    engine.run({name: poses[:150] for name, poses in way.items()})
+    blow = np.array([0.01, 0.02, -0.03, 0.5, -0.3, 0.4])
+    engine.data.qvel[:] = blow
+    engine.run({name: np.repeat(poses[-1:], 2000, axis=0) for name, poses in way.items()})
+    assert np.abs(engine.data.qvel).max() < 1e-3 * np.abs(blow).max()
+
+
 def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
     """Again after a reset, and in another engine; a parameter that is set leaves the bodies where they are."""
     way = pinch(150, 3.0, beside=0.008, height=HALF)
