@@ -87,7 +87,14 @@ def test_automatic_arming_gives_force_from_the_first_tick(tmp_path: Path) -> Non
     assert run.forces[1] > 0.0 and run.forces[100] > TOUCH_N
 
 
-def test_a_button_arms_and_none_that_was_held_before(tmp_path: Path) -> None:
+def test_a_button_that_was_held_before_arms_nothing(tmp_path: Path) -> None:
+    """A button that is down in the first tick and for 1 s gives no force, nor does its release."""
+    held = {"kind": "bounce", "buttons": 1, "at_tick": 0, "ticks": 1000, "every_ticks": 1}
+    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", held)
+    assert not run.forces.any() and run.state == "ready"
+
+
+def test_a_button_arms(tmp_path: Path) -> None:
     """Until a button is pressed at tick 800 every wrench is zero; then the force fades in."""
     press = {"kind": "bounce", "buttons": 1, "at_tick": 800, "ticks": 50}
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", press)

@@ -109,6 +109,18 @@ def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
     assert bits == 0 and passed.guarded.force[0] == 5.0
 
 
+@pytest.mark.parametrize("slow_s", [lim.SLOW_S, inf])
+def test_a_tick_without_a_pose_ends_no_wait(slow_s):
+    """A handle that was too fast and gives no pose waits on: as long as before where it is to be slow for a time."""
+    guard, passed = limited(speed=2.0, slow_s=slow_s), BEGUN
+    for _ in range(100):
+        passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
+    blind = at_rest(guard, passed.limited, T)
+    assert blind.wait == passed.limited.wait == slow_s and blind.velocity == NONE
+    _, bits = tick(guard, passed._replace(limited=blind), (5.0, 0.0, 0.0))
+    assert bits == g.TOO_FAST
+
+
 def test_heat_is_that_of_a_body_that_warms_and_cools():
     """Under F the heat is (F / F_c)^2 (1 - r^n), r = tau / (tau + T); without force and without pose it falls by r."""
     guard, passed = limited(continuous=4.0, heat_s=2.0), BEGUN
@@ -236,7 +248,7 @@ def test_an_unstable_wall_fades(energy):
     plant = make_plant(T, Handle((0.2,) * 3, (0.3,) * 3, delay=1), Impedance(0.05, 0.5, 300.0))
     wanted = np.array([0.0, 0.0, 0.005, *LEVEL])
     device = Simulation(plant, resting((0.0, 0.0, 0.008)), Intention(1.0, 0.0, NONE, 0.0, 0.0), wanted)
-    records = np.concatenate(list(run_closed_loop(tuning, device, 1.0 / T, 1500)))[:, 0]
+    records = np.concatenate(list(run_closed_loop(tuning, [device], 1.0 / T, 1500)))[:, 0]
     late = np.linalg.norm(records[1000:, AT.force : AT.force + 3], axis=1).max()
     spent = bool((records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT).any())
     given = records[:, AT.limits_energy].max()
