@@ -1,14 +1,17 @@
-"""The objects of a scene as nodes of the page, each where it is at a tick."""
+"""The objects of a scene as nodes of the page, each where it is at a tick, and geoms of its [world] beside them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.mjcf import taken
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.query.motion import carried, pose_at
@@ -62,7 +65,7 @@ class Bodies:
         self._moving: Final[dict[int, tuple[Any, Pose]]] = {}
         self._riding: Final[dict[int, tuple[str, Place]]] = {}
         """Those that ride on a body: its name, and the place in its frame."""
-        for number, thing in enumerate(scene.object):
+        for number, thing in enumerate((*scene.object, *untouched(scene))):
             place = (thing.position_m, thing.orientation_wxyz)
             self.places.append(place)
             self._frames.append(api.add_frame(f"/objects/{number}", show_axes=False))
@@ -110,8 +113,8 @@ class Bodies:
 
     def ground(self, point: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """The place (3,) m on a plane straight below a point, the highest one; None where there is none."""
-        heights = []
-        for thing, (position, turn) in zip(self._scene.object, self.places, strict=True):
+        heights = []  # of what is touched, which comes first among the places
+        for thing, (position, turn) in zip(self._scene.object, self.places, strict=False):
             if thing.shape == "plane":
                 up = rotated(turn, np.array([[0.0, 0.0, 1.0]]))[0]
                 if up[2] > LEVEL:
@@ -122,6 +125,20 @@ class Bodies:
     def remove(self) -> None:
         """With all that hangs on them."""
         self._root.remove()
+
+
+def untouched(scene: schema.Scene) -> list[schema.Object]:
+    """The geoms of a scene's [world] that no finger touches, as objects to be drawn; none where its model, which may be
+    another machine's, cannot be read here."""
+    if scene.world is None:
+        return []
+    anything = msgspec.structs.replace(scene.world, material=schema.Material(stiffness_n_per_m=1.0), geom=())
+    have = {thing.name for thing in scene.object}
+    try:
+        geoms = [each.object for each in taken(anything) if each.name not in have]
+    except ConfigError:
+        return []
+    return [thing for thing in geoms if thing is not None and not isinstance(thing, Filed)]
 
 
 def _colour(number: int, thing: Any) -> Colour:

@@ -1,0 +1,37 @@
+"""Bodies of a [world] on the page: those that fingers touch, and the others beside them."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from softfinger.config.load import load_scene
+from softfinger.server.viewer.nodes.bodies import Began, Bodies, untouched
+
+viser = pytest.importorskip("viser")
+pytestmark = pytest.mark.plain
+
+
+def test_boxes_that_no_finger_touches_are_drawn_where_their_bodies_are() -> None:
+    """On `stack-boxes` fingers touch the floor and one box; the page has the other two as well, and moves them."""
+    scene = load_scene("stack-boxes")
+    assert [thing.name for thing in scene.object] == ["floor", "top"]
+    assert [thing.name for thing in untouched(scene)] == ["bottom", "middle"]
+    server = viser.ViserServer(port=0, verbose=False)
+    try:
+        bodies = Bodies(server.scene, scene, Began(0, 0, 1e-3, True))
+        upright = (1.0, 0.0, 0.0, 0.0)
+        bodies.ride(dict.fromkeys(("bottom", "middle"), ((0.0, 0.1, 0.2), upright)))
+        assert [place[0] for place in bodies.places[2:]] == [(0.0, 0.1, 0.2)] * 2
+        assert bodies.ground(np.array([0.0, 0.0, 0.1])).tolist() == [0.0, 0.0, 0.0]
+    finally:
+        server.stop()
+
+
+def test_a_model_that_is_not_here_draws_nothing_more() -> None:
+    """As of a daemon on another machine."""
+    scene = load_scene("stack-boxes")
+    assert scene.world is not None
+    elsewhere = msgspec.structs.replace(scene.world, model="/no/such/place.xml")
+    assert untouched(msgspec.structs.replace(scene, world=elsewhere)) == []
