@@ -6,7 +6,10 @@ import re
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_faults, shipped
@@ -76,3 +79,26 @@ def test_times_become_ticks_of_the_rate(given: dict[str, Any], window: tuple[int
     """By tick, or by the time that so many ticks take at 2 kHz."""
     (row,) = table(faults(**given, every_ticks=2).fault, 2000.0)
     assert (row[FIRST], row[BEHIND], row[EVERY]) == (*window, 2)
+
+
+VALUES = st.one_of(
+    st.none(), st.booleans(), st.integers(-(1 << 70), 1 << 70), st.floats(), st.text(max_size=5),
+    st.sampled_from(["read", "write", "x", "qz", *sorted(KINDS)]), st.lists(st.floats(), max_size=4),
+)  # fmt: skip
+KEYS = sorted({"what", *(name for kind in get_args(Injection) for name in kind.__struct_fields__)})
+
+
+@given(st.lists(st.dictionaries(st.sampled_from(["kind", *KEYS]), VALUES, max_size=5) | VALUES, max_size=3) | VALUES)
+def test_whatever_a_file_says_it_is_faults_or_a_message(tables: Any) -> None:
+    """Random tables: faults whose kernels' rows are numbers in range, or an error that names the file."""
+    said = ""
+    try:
+        made = build(Faults, {"fault": tables}, "my-faults.toml")
+    except ConfigError as error:
+        said = str(error)
+    if said:
+        assert "my-faults.toml: fault" in said
+        return
+    rows = table(made.fault, 1000.0)
+    assert np.isfinite(rows[:, [FIRST, BEHIND, EVERY]]).all() and (rows[:, FIRST] <= rows[:, BEHIND]).all()
+    assert (rows[:, EVERY] >= 1).all()
