@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from softfinger.proxy.engine import Engine, PoseError
     from softfinger.proxy.record import ContactMode
     from softfinger.proxy.records import NoField
+    from softfinger.server.experiment.experiment import Experiment
     from softfinger.server.offline.simulate import run_recording
     from softfinger.server.remote import Client
     from softfinger.server.wire.asking import NoAnswer
@@ -63,6 +64,7 @@ __all__ = [
     "Different",
     "Engine",
     "Exhausted",
+    "Experiment",
     "HapticError",
     "NoAnswer",
     "NoField",
@@ -93,6 +95,7 @@ _HOMES = {
     "Different": "softfinger.config.errors",
     "Engine": "softfinger.proxy.engine",
     "Exhausted": "softfinger.config.errors",
+    "Experiment": "softfinger.server.experiment.experiment",
     "HapticError": "softfinger.config.errors",
     "NoAnswer": "softfinger.server.wire.asking",
     "NoField": "softfinger.proxy.records",

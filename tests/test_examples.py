@@ -17,6 +17,9 @@ from nbclient import NotebookClient
 
 from softfinger.drivers.base import PROTOCOL
 from softfinger.server.driver_contract import Servo
+from softfinger.server.experiment.analysis import analysed
+from softfinger.server.experiment.experiment import Experiment, Running
+from softfinger.server.experiment.folder import load
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PNG = b"\x89PNG"
@@ -58,6 +61,17 @@ def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
         assert felt == pytest.approx(
             expected, rel=0.04
         )  # MuJoCo's contact gives way by some hundredths of a millimetre
+
+
+def test_an_experiment_with_pandas_and_scipy(tmp_path: Path) -> None:
+    """Its thresholds are those of `softfinger figure`, to the step of its grid."""
+    experiment = Experiment("curvature-by-rolling")
+    experiment.run(tmp_path / "out", 1, Running(dry_run=True, no_daemon=True))
+    text = said("analyse_experiment.py", "out", "out.png", cwd=tmp_path)
+    for group in analysed(*load(tmp_path / "out")):
+        # 300 steps from a quarter of the least level to four times the largest are 2.3 % each.
+        assert number(rf"{group.condition}: threshold ([\d.]+)", text) == pytest.approx(group.fit.threshold, rel=0.04)
+    assert (tmp_path / "out.png").read_bytes().startswith(PNG)
 
 
 def test_each_is_listed_short_and_tested() -> None:

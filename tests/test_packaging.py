@@ -34,6 +34,7 @@ KERNEL_STANDARD_LIBRARY = {
     "decorators.py": {"gc", "hashlib", "os", "pathlib", "sys"},
     "memory.py": {"ctypes"},
     "foreign.py": {"ctypes"},
+    "rescue.py": {"ctypes"},
     "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
     "dispatch.py": {"functools"},
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets"},

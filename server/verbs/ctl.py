@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     """Send the command and print its result; returns 0."""
     if args.method not in METHODS:
         raise ConfigError(f"no method {shown(args.method)}{near(args.method, METHODS)}: there are {', '.join(METHODS)}")
-    params = dict(map(_parameter, args.params))
+    params = dict(map(parameter, args.params))
     scene = params.get("scene")
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
         # Read here, as this user: the daemon opens no file that a client names.
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _parameter(word: str) -> tuple[str, Any]:
+def parameter(word: str) -> tuple[str, Any]:
     key, equals, text = word.partition("=")
     if not equals or not key:
         raise ConfigError(f"{shown(word)} is no parameter: write key=value")

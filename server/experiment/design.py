@@ -1,0 +1,113 @@
+"""From factors to the order of trials: every choice by the seed and the participant's number, so made again alike."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple, TypeVar
+
+import numpy as np
+
+from softfinger.server.experiment.schema import ExperimentFile
+
+T = TypeVar("T")
+
+_ORDER: Final = 1
+"""Streams of random numbers: of the order, and below of each trial."""
+TRIAL: Final = 2
+
+
+class Condition(NamedTuple):
+    """A combination of levels.
+
+    name     of all factors' levels, "all" without factors
+    levels   by factor
+    scene    that it needs, None: the experiment's
+    changes  parameters by dotted path
+    """
+
+    name: str
+    levels: dict[str, float | str]
+    scene: str | None
+    changes: dict[str, Any]
+
+
+class Planned(NamedTuple):
+    """A trial as designed.
+
+    number      from 1
+    practice    does not count
+    condition   place in the list of conditions
+    level       None: a procedure chooses it when the trial comes
+    test_first  of two touches the first is not the reference
+    """
+
+    number: int
+    practice: bool
+    condition: int
+    level: float | None
+    test_first: bool
+
+
+def conditions(experiment: ExperimentFile) -> list[Condition]:
+    """All combinations of the factors' levels, the last factor's changing fastest."""
+    made = []
+    for levels in itertools.product(*(factor.levels for factor in experiment.factor)):
+        scene, changes = None, dict[str, Any]()
+        for factor, level in zip(experiment.factor, levels, strict=True):
+            scene = factor.scenes.get(str(level), scene)
+            changes |= {factor.parameter: level} if factor.parameter else factor.values.get(str(level), {})
+        names = [str(level) for level in levels]
+        by_factor = dict(zip((factor.name for factor in experiment.factor), levels, strict=True))
+        made.append(Condition(", ".join(names) or "all", by_factor, scene, changes))
+    return made
+
+
+def williams(count: int, row: int) -> list[int]:
+    """Row `row` of a latin square of `count` in which each follows each other equally often (Williams 1949).
+
+    For an odd count it takes two squares, the second one the mirror image of the first: rows repeat after 2 count.
+    """
+    first = [0, *itertools.chain.from_iterable(zip(range(1, count), range(count - 1, 0, -1), strict=True))][:count]
+    line = [(each + row) % count for each in first]
+    return line[::-1] if count % 2 and row // count % 2 else line
+
+
+def planned(experiment: ExperimentFile, participant: int) -> list[Planned]:
+    """The trials of a participant, practice first."""
+    rng = np.random.default_rng([experiment.design.seed, participant, _ORDER])
+    count = len(conditions(experiment))
+    blocks = [_block(experiment, condition, rng) for condition in range(count)]
+    match experiment.design.order:
+        case "random":
+            trials = _mixed(blocks, rng)
+        case "latin-square":
+            trials = [trial for at in williams(count, participant - 1) for trial in blocks[at]]
+        case _:
+            trials = [trial for block in blocks for trial in block]
+    practice = [trials[int(k)] for k in rng.integers(len(trials), size=experiment.design.practice)]
+    both = [(True, trial) for trial in practice] + [(False, trial) for trial in trials]
+    first = rng.permutation(len(both)) % 2 == 0  # as often first as second
+    return [Planned(k + 1, early, *trial, bool(first[k])) for k, (early, trial) in enumerate(both)]
+
+
+def _block(experiment: ExperimentFile, condition: int, rng: np.random.Generator) -> list[tuple[int, float | None]]:
+    """Trials of a condition: its number, and the level where that is known."""
+    procedure = experiment.procedure
+    if procedure.kind != "constant":
+        return [(condition, None)] * procedure.trials
+    levels = [level for _ in range(procedure.repetitions) for level in _shuffled(procedure.levels, rng)]
+    return [(condition, level) for level in levels]
+
+
+def _mixed(
+    blocks: Sequence[Sequence[tuple[int, float | None]]], rng: np.random.Generator
+) -> list[tuple[int, float | None]]:
+    """Trials of all blocks in random order, those of each in its own."""
+    whose = _shuffled([at for at, block in enumerate(blocks) for _ in block], rng)
+    left = [iter(block) for block in blocks]
+    return [next(left[at]) for at in whose]
+
+
+def _shuffled(values: Sequence[T], rng: np.random.Generator) -> list[T]:
+    return [values[int(at)] for at in rng.permutation(len(values))]

@@ -1,0 +1,183 @@
+"""An experiment from Python: read it, rehearse it, run it with a participant or with the simulated observer."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_rig
+from softfinger.server import signals
+from softfinger.server.experiment import files
+from softfinger.server.experiment.answers import DryRun, Person
+from softfinger.server.experiment.design import Condition, conditions
+from softfinger.server.experiment.folder import Folder, load, trials_in
+from softfinger.server.experiment.haptics import Haptics
+from softfinger.server.experiment.journal import Entry, Journal, Memory
+from softfinger.server.experiment.masses import scene_with
+from softfinger.server.experiment.session import Nothing, Session, Stopped
+
+log: Final = logging.getLogger(__name__)
+
+PARTICIPANT_MAX: Final = 9999
+DOCTOR_S: Final = 120.0
+FIRST_TICK_S: Final = 30.0
+ENDED_S: Final = 0.0
+
+
+class Running(NamedTuple):
+    """How a session runs.
+
+    dry_run     the simulated observer answers
+    no_daemon   nothing is rendered: the simulated observer, the journal and the tables alone
+    doctor      `softfinger doctor` looks at the machine first
+    rig         values for the rig by dotted key, such as telemetry.endpoint
+    """
+
+    dry_run: bool = False
+    no_daemon: bool = False
+    doctor: bool = True
+    rig: Mapping[str, Any] = {}
+
+
+class Experiment:
+    """An experiment with participants.
+
+    source   a file, the name of a shipped experiment, or a mapping like a file
+    changes  other values by dotted key, such as {"design.seed": 2, "procedure.trials": 60}
+
+    Raises ConfigError with every fault of the file, also of its scenes and rig.
+
+    >>> from softfinger import Experiment
+    >>> rows = Experiment("stiffness-discrimination").rehearse(participant=1)
+    >>> len(rows), rows[0]["answer"] in ("first", "second")
+    (82, True)
+    """
+
+    def __init__(self, source: str | Path | Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> None:
+        self.file, self._folder = files.load(source, changes or {})
+        files.check(self.file, self._folder)
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """All combinations of the factors' levels."""
+        return conditions(self.file)
+
+    def __repr__(self) -> str:
+        return f"<Experiment: {self.file.title}>"
+
+    def rehearse(self, participant: int = 1) -> list[Entry]:
+        """Trials answered by the simulated observer, without a daemon and without a file; a row each."""
+        journal = Memory()
+        Session(self.file, _checked(participant)).run(journal, Nothing(), DryRun(self.file, participant))
+        return [entry for entry in journal.entries if entry["kind"] == "done"]
+
+    def run(self, folder: str | Path, participant: int, running: Running = Running()) -> list[Entry]:  # noqa: B008
+        """Run the trials of a participant that have no answer yet, and write into `folder`; returns all rows.
+
+        The daemon runs in this process, on the experiment's rig. Raises what ends a daemon; Stopped where a signal
+        asked for the end; ConfigError for a folder of another experiment.
+        """
+        own = Folder(Path(folder), self.file, _checked(participant))
+        session = Session(self.file, participant, log.info)
+        session.begin(own)
+        with Journal(own.journal) as journal:
+            if not journal.of("finished"):
+                self._go_on(session, journal, own, running)
+            own.tables()
+            return trials_in([own.journal])
+
+    def _go_on(self, session: Session, journal: Journal, own: Folder, running: Running) -> None:
+        number = own.run()
+        if running.no_daemon:
+            own.keep(own.name(number, "about.json"), {"daemon": False})
+            journal.write("started", run=number, dry_run=True, time=time.time())
+            session.run(journal, Nothing(), DryRun(self.file, own.participant), own)
+            return
+        rig = files.beside(self._folder, self.file.rig)
+        if running.doctor:
+            own.keep(own.name(number, "doctor.json"), doctors_answer(str(rig)))
+        with self._rendered(own, rig, running) as (haptics, about):
+            own.keep(own.name(number, "about.json"), about)
+            journal.write("started", run=number, dry_run=running.dry_run, time=time.time())
+            answering = DryRun(self.file, own.participant) if running.dry_run else Person(self.file, haptics)
+            if not running.dry_run and self.file.instructions:
+                print(self.file.instructions, flush=True)
+            with recorded(haptics, f"{own.label}/{own.name(number, 'ticks.mcap')}"):
+                session.run(journal, haptics, answering, own)
+
+    @contextmanager
+    def _rendered(self, own: Folder, rig: str | Path, running: Running) -> Iterator[tuple[Haptics, dict[str, Any]]]:
+        """A daemon on the rig with the experiment's scene, and what presents stimuli on it."""
+        from softfinger.server.app import Daemon
+        from softfinger.server.remote import Client
+
+        values = {"recording.directory": str(own.root.absolute()), **running.rig}
+        scene = scene_with(self._scene(self.file.scene), self.file.overrides, "overrides")
+        with ExitStack() as opened:
+            daemon = opened.enter_context(
+                Daemon(load_rig(rig, values), scene, scene_name=Path(self.file.scene).stem[:64])
+            )
+            if daemon.commands_endpoint is None:
+                raise ConfigError(
+                    f"{rig}: takes no commands, and an experiment needs them: leave commands.endpoint out"
+                )
+            opened.enter_context(signals.asked(daemon.stop, daemon.pause))
+            daemon.start()
+            client = opened.enter_context(Client(daemon.publisher.endpoint, daemon.commands_endpoint))
+            log.info("telemetry on %s, commands on %s", daemon.publisher.endpoint, daemon.commands_endpoint)
+            models = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="softfinger-models-")))
+            haptics = Haptics(client, self.file, self._scene, models, lambda: _check(daemon.wait))
+            yield haptics, client.describe()
+
+    def _scene(self, name: str) -> str | Path:
+        return files.beside(self._folder, name)
+
+
+def results(folder: str | Path) -> list[Entry]:
+    """All answered trials of an experiment's folder, a row each, from its journals."""
+    return load(Path(folder))[1]
+
+
+def doctors_answer(rig: str) -> Any:
+    """What `softfinger doctor` says of this machine, in a process of its own; a text where it says nothing of use."""
+    words = [sys.executable, "-m", "softfinger.server.cli", "doctor", "--json", "--seconds", "1", "--rig", rig]
+    try:
+        said = subprocess.run(words, capture_output=True, timeout=DOCTOR_S, check=False)
+        return msgspec.json.decode(said.stdout)
+    except (subprocess.TimeoutExpired, msgspec.DecodeError) as error:
+        return {"failed": str(error)}
+
+
+@contextmanager
+def recorded(haptics: Haptics, file: str) -> Iterator[None]:
+    """Every tick and marker of the block in a file of the rig's folder of recordings."""
+    haptics.client.record_start(file)
+    try:
+        yield
+    finally:
+        try:
+            haptics.release()
+        finally:
+            haptics.client.record_stop()
+
+
+def _check(ended: Callable[[float], bool]) -> None:
+    """Raise what ended the daemon, or Stopped."""
+    if ended(ENDED_S):
+        raise Stopped("stopped; the same command goes on at this trial")
+
+
+def _checked(participant: int) -> int:
+    if not 1 <= participant <= PARTICIPANT_MAX:
+        raise ConfigError(f"participant = {participant}: must be a whole number from 1 to {PARTICIPANT_MAX}")
+    return participant

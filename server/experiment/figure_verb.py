@@ -1,0 +1,56 @@
+"""`softfinger figure`: the folder of an experiment as figures, and the numbers that they show."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from softfinger.config.files import new_file
+from softfinger.server.experiment.analysis import analysed, table
+from softfinger.server.experiment.figures import draw
+from softfinger.server.experiment.folder import load, write_csv
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.description = (
+        "Fit the answers of an experiment's folder and draw them as PNG and SVG, the numbers beside as CSV and JSON. "
+        "Made anew each time."
+    )
+    parser.add_argument("folder", metavar="FOLDER", help="what `softfinger experiment` wrote")
+    parser.add_argument("--out", metavar="FOLDER", help="where figures go (default: FOLDER/figures)")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw and print; returns 0. ConfigError for a folder without answers."""
+    root = Path(args.folder)
+    experiment, rows = load(root)
+    groups = analysed(experiment, rows)
+    numbers = table(groups)
+    out = Path(args.out) if args.out else root / "figures"
+    out.mkdir(parents=True, exist_ok=True)
+    drawn = draw(experiment, groups, out)
+    write_csv(out / "numbers.csv", numbers)
+    text = json.dumps([without_nan(row) for row in numbers], indent=1)
+    with new_file(out / "numbers.json") as file:
+        file.write(text.encode() + b"\n")
+    if args.json:
+        print(text)
+        return 0
+    for row in numbers:
+        what = "threshold" if "threshold" in row else "exponent"
+        print(
+            f"{row['participant']}, {row['condition']}: {what} {row[what]:.3g} "
+            f"({row[f'{what}_95_low']:.3g} to {row[f'{what}_95_high']:.3g}), {row['trials']} trials"
+        )
+    print(f"drawn: {', '.join(str(path) for path in drawn)}")
+    return 0
+
+
+def without_nan(row: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no nan."""
+    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}

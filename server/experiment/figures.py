@@ -1,0 +1,115 @@
+"""Figures of an experiment: the psychometric functions or power laws, and what was felt, by condition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError
+from softfinger.server.experiment.analysis import ALL, FELT, Group, PowerLaw
+from softfinger.server.experiment.journal import Entry
+from softfinger.server.experiment.schema import ExperimentFile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ENDINGS: Final = ("png", "svg")
+LABELS: Final = {
+    "peak_force_n": "peak force (N)",
+    "mean_force_n": "mean force (N)",
+    "path_m": "path (m)",
+    "duration_s": "duration (s)",
+}
+
+
+def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list[Path]:
+    """Draw the fits, and what was felt where something was; returns the files. ConfigError without matplotlib."""
+    try:
+        import matplotlib
+
+        matplotlib.use("agg")
+        import matplotlib.pyplot as plt
+    except ImportError as error:
+        raise ConfigError(f"figures need matplotlib ({error}): pip install 'softfinger[plots]'") from error
+    people = list(dict.fromkeys(group.participant for group in groups))
+    shown = ALL if ALL in people else people[0]
+    plt.rcParams["svg.hashsalt"] = "softfinger"  # the same file from the same answers
+    drawn = []
+    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+    for group in groups:
+        (_power if isinstance(group.fit, PowerLaw) else _psychometric)(axes, group, faint=group.participant != shown)
+    axes.set(xscale="log", title=f"{experiment.title}: {shown}", xlabel=_level(experiment))
+    if experiment.task.kind == "compare":
+        axes.set(ylabel="share of right answers", ylim=(0.0, 1.02))
+    else:
+        axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
+    axes.legend(fontsize="small")
+    drawn += _saved(figure, out / "fit")
+    main = [group for group in groups if group.participant == shown]
+    if any(group.felt for group in main):
+        figure, several = plt.subplots(1, len(FELT), figsize=(11, 3.2), layout="constrained")
+        for axes, name in zip(several, FELT, strict=True):
+            _felt(axes, main, name)
+        drawn += _saved(figure, out / "felt")
+    plt.close("all")
+    return drawn
+
+
+def _level(experiment: ExperimentFile) -> str:
+    task = experiment.task
+    return "difference, as a share of the reference" if task.kind == "compare" else task.parameter
+
+
+def _psychometric(axes: Axes, group: Group, faint: bool) -> None:
+    fit: Any = group.fit
+    x, chance, low, high = fit.curve.T
+    if faint:
+        axes.plot(x, chance, color="0.75", lw=0.8)
+        return
+    name = "" if group.condition == "all" else f"{group.condition}: "
+    said = f"{name}threshold {fit.threshold:.3g} ({fit.threshold_95[0]:.3g} to {fit.threshold_95[1]:.3g})"
+    (line,) = axes.plot(x, chance, label=said)
+    axes.fill_between(x, low, high, color=line.get_color(), alpha=0.2, lw=0)
+    levels, place = np.unique([row["level"] for row in group.rows], return_inverse=True)
+    right, count = np.bincount(place, [row["right"] for row in group.rows]), np.bincount(place)
+    axes.scatter(levels, right / count, 8.0 * np.sqrt(count), color=line.get_color())
+
+
+def _power(axes: Axes, group: Group, faint: bool) -> None:
+    fit: Any = group.fit
+    levels = np.array([row["level"] for row in group.rows])
+    x = np.geomspace(levels.min(), levels.max(), 50)
+    if faint:
+        axes.plot(x, fit.scale * x**fit.exponent, color="0.75", lw=0.8)
+        return
+    name = "" if group.condition == "all" else f"{group.condition}: "
+    said = f"{name}exponent {fit.exponent:.3g} ({fit.exponent_95[0]:.3g} to {fit.exponent_95[1]:.3g})"
+    (line,) = axes.plot(x, fit.scale * x**fit.exponent, label=said)
+    axes.scatter(levels, [row["answer"] for row in group.rows], 10.0, color=line.get_color(), alpha=0.4)
+
+
+def _felt(axes: Axes, groups: Sequence[Group], name: str) -> None:
+    """The values of all trials of each condition, and their mean."""
+    for place, group in enumerate(groups):
+        values = _values(group.rows, name)
+        if values:
+            spread = np.linspace(-0.15, 0.15, len(values))
+            axes.plot(place + spread, values, ".", ms=3, alpha=0.5)
+            axes.plot(place, np.mean(values), "k_", ms=16)
+    axes.set_xticks(range(len(groups)), [group.condition for group in groups])
+    axes.set(ylabel=LABELS[name], xlim=(-0.5, len(groups) - 0.5))
+    axes.set_ylim(bottom=0.0)
+
+
+def _values(rows: Sequence[Entry], name: str) -> list[float]:
+    return [row[name] for row in rows if name in row]
+
+
+def _saved(figure: Any, name: Path) -> list[Path]:
+    paths = [name.with_suffix(f".{ending}") for ending in ENDINGS]
+    for path in paths:
+        figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
+    return paths

@@ -1,0 +1,65 @@
+"""Files of experiments: shipped ones by name, and scenes and rigs beside one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, load_rig, overridden, read_toml
+from softfinger.config.words import near, shown
+from softfinger.server.experiment.design import conditions
+from softfinger.server.experiment.masses import scene_with
+from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.session import parameters
+
+SHIPPED: Final = Path(__file__).resolve().parents[2] / "config" / "experiments"
+
+
+def shipped() -> list[str]:
+    """Names of the experiments that come with the program."""
+    return sorted(path.stem for path in SHIPPED.glob("*.toml"))
+
+
+def find(name: str | Path) -> Path:
+    """The file of an experiment: a text without a folder and without .toml is a shipped name. ConfigError for none."""
+    path = Path(name)
+    if isinstance(name, Path) or path.name != name or path.suffix == ".toml":
+        return path
+    if name not in shipped():
+        raise ConfigError(
+            f"no experiment is called {shown(name)}{near(name, shipped())}; shipped are {', '.join(shipped())}; a file "
+            "of your own is named with its ending, such as my-experiment.toml"
+        )
+    return SHIPPED / f"{name}.toml"
+
+
+def load(source: str | Path | Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[ExperimentFile, Path]:
+    """An experiment and the folder that its files are in; `changes` are other values by dotted key.
+
+    Raises ConfigError with every fault of the file, or the first one of a scene that it makes.
+    """
+    if isinstance(source, Mapping):
+        experiment, folder = build(ExperimentFile, source, "experiment"), Path()
+    else:
+        path = find(source)
+        experiment, folder = build(ExperimentFile, read_toml(path), str(path.name)), path.parent
+    return (overridden(experiment, changes, "experiment") if changes else experiment), folder
+
+
+def beside(folder: Path, name: str) -> str | Path:
+    """What a scene's or rig's name in an experiment means: a shipped name, or a file beside the experiment."""
+    return folder / name if name.endswith(".toml") else name
+
+
+def check(experiment: ExperimentFile, folder: Path) -> None:
+    """Raise ConfigError where a scene, a parameter or the rig cannot be used, before a participant finds out."""
+    load_rig(beside(folder, experiment.rig))
+    task, procedure = experiment.task, experiment.procedure
+    ends = procedure.levels or (procedure.smallest, procedure.largest)
+    for condition in conditions(experiment):
+        name = condition.scene or experiment.scene
+        for level in (min(ends), max(ends)):
+            values = experiment.overrides | condition.changes | parameters(experiment, task.value(level))
+            scene_with(beside(folder, name), values, f"condition {condition.name}, level {level:g}")

@@ -1,0 +1,228 @@
+"""Touches on a running daemon, by its commands and its telemetry: from zero force, through the ramp, to zero force."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import SafetyStop
+from softfinger.config.load import describe
+from softfinger.config.schema import Scene
+from softfinger.server.experiment.masses import scene_with, split
+from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.session import Felt, Stimulus
+from softfinger.server.remote import Client
+from softfinger.server.wire.client import Sample, Subscription
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, finger_of
+
+SLICE_S: Final = 0.02
+"""How long a wait for telemetry lasts before anything else is looked at."""
+ZERO_S: Final = 5.0
+"""The guard takes the force off in milliseconds; a ramp of parameters takes 10 s at most."""
+HEARTBEAT_S: Final = 0.1
+ONE: Final = "fingertip"
+"""How an experiment calls the finger of a scene that has one."""
+
+
+class Haptics:
+    """Presents stimuli on a daemon.
+
+    scene_of  where a scene is that the experiment names
+    models    folder for models of bodies with other masses
+    running   raises what ended the daemon, or Stopped where it was asked to end
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        experiment: ExperimentFile,
+        scene_of: Callable[[str], str | Path],
+        models: Path,
+        running: Callable[[], None],
+    ) -> None:
+        self.client: Final = client
+        self._experiment, self._scene_of, self._models, self._running = experiment, scene_of, models, running
+        self._set: dict[str, Any] = dict(experiment.overrides)
+        self._scene: str | None = None
+        self.newest: dict[str, Sample] = {}
+        """The last tick of each finger, by name."""
+        self.answers: list[Any] = []
+        """Values of marks with the label `answer`, as the page and other clients send them."""
+        self._heard_s = 0.0
+        self._kept: list[dict[str, Any]] | None = None
+        self.samples: Final[Subscription] = client.subscribe((CONTACT, FINGERS, EVENT))
+        self._until(lambda: bool(self.newest), "there is no tick")
+        self._led = self._hands()
+
+    # --- a touch ----------------------------------------------------------------------------------------
+
+    def touch(self, stimulus: Stimulus) -> Felt:
+        """Present a stimulus; the change is made at zero force, and without a compile where only values change."""
+        trial, client = self._experiment.trial, self.client
+        self.release()
+        self._change(stimulus)
+        self._lead_back()
+        self.wait(trial.gap_s)
+        client.mark("touch", {"trial": stimulus.trial, "touch": stimulus.touch, "changes": stimulus.changes})
+        self._kept = []
+        try:
+            client.arm()
+            begun = time.monotonic()
+            reached = self._move(begun)
+            client.mark("release", {"trial": stimulus.trial, "touch": stimulus.touch})
+            self.release()
+        finally:
+            ticks, self._kept = self._kept, None
+        return Felt(summary(ticks, reached), ticks)
+
+    def release(self) -> None:
+        """Take the force off, and wait until it is zero."""
+        self.client.disarm()
+        ticks = {name: sample.tick for name, sample in self.newest.items()}
+        self._until(
+            lambda: all(
+                sample.tick > ticks.get(name, -1) and not any(sample.data.force) for name, sample in self.newest.items()
+            ),
+            "the force does not become zero",
+        )
+
+    def _change(self, stimulus: Stimulus) -> None:
+        """Have the scene and its parameters.
+
+        Another scene or mass, and a parameter that goes back to the scene's own value, take set_scene; all else is
+        set_params.
+        """
+        wanted = self._experiment.overrides | stimulus.changes
+        changed = {path: value for path, value in wanted.items() if self._set.get(path) != value}
+        if stimulus.scene != self._scene or self._set.keys() - wanted.keys() or split(changed)[0]:
+            name = stimulus.scene or self._experiment.scene
+            scene = scene_with(self._scene_of(name), wanted, f"trial {stimulus.trial}", self._models)
+            self.client.set_scene(as_file(scene), name=Path(name).stem[:64])
+            self._led = self._hands()
+        elif changed:
+            self.wait(self.client.set_params(changed).ramp_s)
+        self._scene, self._set = stimulus.scene, wanted
+
+    def _hands(self) -> dict[str, bool]:
+        """Whether a program may lead the hand of each finger, by name."""
+        return {finger["name"]: finger["led"] for finger in self.client.describe()["fingers"]}
+
+    # --- hands that can be led --------------------------------------------------------------------------
+
+    def _lead_back(self) -> None:
+        """Hands that can be led go where their path begins, or to the trial's start."""
+        for name in self._led:
+            path = self._experiment.motion.get(name or ONE)
+            start = path[0][1:] if path else self._experiment.trial.start_m
+            if start is not None:
+                self._lead(name, start)
+
+    def _lead(self, name: str, at: tuple[float, float, float]) -> None:
+        if self._led[name]:
+            self.client.hand(at, finger=name or None)
+
+    def _move(self, begun: float) -> float | None:
+        """Let it be touched; hands that can be led follow their path. Returns when a target was reached, s."""
+        experiment = self._experiment
+        paths = {name: experiment.motion.get(name or ONE, ()) for name, led in self._led.items() if led}
+        while (passed := time.monotonic() - begun) < experiment.trial.touch_s:
+            for name, path in paths.items():
+                if path:
+                    self._lead(name, along(path, passed))
+            self.wait(SLICE_S)
+            target = experiment.task.target_m
+            if target is not None and self._near(target, experiment.task.target_radius_m):
+                return time.monotonic() - begun
+        return None
+
+    def _near(self, target: tuple[float, float, float], radius: float) -> bool:
+        return any(math.dist(sample.data.probe.position, target) <= radius for sample in self.newest.values())
+
+    # --- telemetry --------------------------------------------------------------------------------------
+
+    def wait(self, seconds: float) -> None:
+        """Take telemetry for so long, and give signs of life."""
+        until = time.monotonic() + seconds
+        while True:
+            now = time.monotonic()
+            if now - self._heard_s > HEARTBEAT_S:
+                self._running()
+                self.client.heartbeat()
+                self._heard_s = now
+            sample = self.samples.receive(max(0.0, min(until - now, HEARTBEAT_S)))
+            if sample is not None:
+                self._take(sample)
+            elif now >= until:
+                return
+            if now >= until + SLICE_S:  # more comes than is taken: that shows as ticks lost
+                return
+
+    def _until(self, true: Callable[[], bool], what: str) -> None:
+        until = time.monotonic() + ZERO_S
+        while not true():
+            self.wait(SLICE_S)
+            if time.monotonic() > until:
+                raise SafetyStop(f"{what} within {ZERO_S:g} s: the session ends")
+
+    def _take(self, sample: Sample) -> None:
+        name = finger_of(sample.topic)
+        if name is None:
+            event = sample.data
+            if event.get("kind") == "mark" and event.get("label") == "answer":
+                self.answers.append(event.get("data", {}).get("value"))
+            return
+        self.newest[name] = sample
+        if self._kept is not None:
+            self._kept.append(row(name, sample))
+
+
+def as_file(scene: Scene) -> dict[str, Any]:
+    """A scene as its file would have it: what a [world] adds is left to whoever reads it."""
+    mapping = describe(scene)
+    if scene.world is not None:
+        mapping["object"] = [each for each in mapping["object"] if (each.get("motion") or {}).get("kind") != "body"]
+    return mapping
+
+
+def along(path: tuple[tuple[float, float, float, float], ...], t: float) -> tuple[float, float, float]:
+    """Where a path of waypoints t, x, y, z is at a time; before the first and after the last it rests."""
+    times = [point[0] for point in path]
+    x, y, z = (float(np.interp(t, times, [point[axis] for point in path])) for axis in (1, 2, 3))
+    return x, y, z
+
+
+def row(finger: str, sample: Sample) -> dict[str, Any]:
+    """A tick as the table of a trial has it."""
+    tick = sample.data
+    (x, y, z), (fx, fy, fz) = tick.probe.position, tick.force
+    return {
+        "finger": finger, "tick": tick.tick, "timestamp": tick.timestamp, "x_m": x, "y_m": y, "z_m": z,
+        "fx_n": fx, "fy_n": fy, "fz_n": fz, "mode": tick.contact.mode, "object": tick.contact.object,
+        "penetration_m": tick.contact.penetration, "buttons": tick.buttons, "lost": sample.lost,
+    }  # fmt: skip
+
+
+def summary(ticks: list[dict[str, Any]], reached_s: float | None) -> dict[str, Any]:
+    """What the table of trials has of a touch: of several fingers the first one's path and the largest force."""
+    if not ticks:
+        return {}
+    force = np.array([[tick["fx_n"], tick["fy_n"], tick["fz_n"]] for tick in ticks])
+    first = [tick for tick in ticks if tick["finger"] == ticks[0]["finger"]]
+    path = np.array([[tick["x_m"], tick["y_m"], tick["z_m"]] for tick in first])
+    norm = np.linalg.norm(force, axis=1)
+    touching = norm > 0.0
+    return {
+        "first_tick": first[0]["tick"],
+        "last_tick": first[-1]["tick"],
+        "lost_ticks": sum(tick["lost"] for tick in first),
+        "peak_force_n": float(norm.max()),
+        "mean_force_n": float(norm[touching].mean()) if touching.any() else 0.0,
+        "path_m": float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()),
+        "duration_s": float(first[-1]["timestamp"] - first[0]["timestamp"]) if reached_s is None else reached_s,
+        "reached": reached_s is not None,
+    }

@@ -1,0 +1,34 @@
+"""The simulated observer of a dry run: answers by chance, the same in every run of the same trial."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from softfinger.server.experiment.design import TRIAL, Condition, Planned
+from softfinger.server.experiment.psychometric import probability
+from softfinger.server.experiment.schema import ExperimentFile, Observer
+
+
+def observer_in(experiment: ExperimentFile, condition: Condition) -> Observer:
+    """The observer in a condition: its own values there in place of those for all."""
+    import msgspec
+
+    return msgspec.structs.replace(experiment.observer, **experiment.observer.by.get(condition.name, {}))
+
+
+class Simulated:
+    """Answers of a participant who is like the file's [observer]; each by the seed and the trial's number alone."""
+
+    def __init__(self, experiment: ExperimentFile, participant: int) -> None:
+        self._experiment, self._participant = experiment, participant
+
+    def answer(self, trial: Planned, condition: Condition, level: float) -> str | float:
+        """`first` or `second` of a comparison, else a number."""
+        rng = np.random.default_rng([self._experiment.design.seed, self._participant, TRIAL, trial.number])
+        who = observer_in(self._experiment, condition)
+        if self._experiment.task.kind == "compare":
+            right = rng.random() < float(probability(level, who.threshold, who.slope, lapse=who.lapse))
+            return "first" if right == trial.test_first else "second"
+        return who.scale * math.pow(level, who.exponent) * math.exp(who.noise * rng.standard_normal())

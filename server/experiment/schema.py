@@ -1,0 +1,202 @@
+"""The tables of an experiment's file, and what they demand of each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+from msgspec import Meta
+
+from softfinger.config.limits import NAME_LENGTH, Range
+from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
+
+LEVELS: Final = Range(1, 200, "nobody feels more")
+TRIALS: Final = Range(1, 2000, "longer than any session")
+SECONDS: Final = Range(0.0, 600.0, "ten minutes are longer than any touch")
+SHARE: Final = Range(0.0, 0.5, "half of the answers at random is no observer")
+POSITIVE: Final = Range(1e-9, 1e9, "a level above 0")
+TEXT: Final = Range(0, 4000, "a screen")
+WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
+
+Seconds = Annotated[float, Meta(ge=SECONDS.low, le=SECONDS.high)]
+Waypoint = tuple[Seconds, Coordinate, Coordinate, Coordinate]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Positive = Annotated[float, Meta(gt=0.0, le=POSITIVE.high)]
+Label = Annotated[str, Meta(min_length=1, max_length=int(NAME_LENGTH.high), pattern=r"^[\w .+-]+$")]
+
+
+class Task(Table, frozen=True, kw_only=True):
+    """What a trial asks. `level` is the number that changes from trial to trial.
+
+    compare  two touches in random order, one of them the reference; the answer is which had more
+    rate     one touch; the answer is a number
+    trace    one movement to a target; what counts is how long it took
+    """
+
+    kind: Literal["compare", "rate", "trace"]
+    parameter: Annotated[
+        str, sized(Range(1, 200, ""), "parameter that the level sets", "object.table.material.stiffness_n_per_m")
+    ]
+    also: Annotated[
+        dict[str, float],
+        said("other parameters that the level sets, each the value times a factor", {"a.kinetic": 0.8}),
+    ] = msgspec.field(default_factory=dict)
+    reference: Annotated[Positive | None, said("compare: value of the reference", 500.0)] = None
+    more: Annotated[
+        Literal["up", "down"], said("compare: whether the value rises or falls with the level; 'less' answers fall")
+    ] = "up"
+    question: Annotated[str, sized(TEXT, "what the participant is asked", "Which was stiffer?")]
+    target_m: Annotated[Point | None, said("trace: where it ends", [0.0, 0.0, 0.0])] = None
+    target_radius_m: Annotated[float, within(Range(1e-4, 1.0, "a target"), "trace: how near", 0.005)] = 0.005
+
+    def value(self, level: float) -> float:
+        """The parameter's value at a level: of a comparison the reference changed by the share `level`."""
+        if self.reference is None:
+            return level
+        return self.reference * (1.0 + level) if self.more == "up" else self.reference / (1.0 + level)
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.kind, self.reference) and (self.kind == "compare") != (self.reference is not None):
+            yield "reference", self.reference, "compare needs a reference, and nothing else has one"
+        if known(self.kind, self.target_m) and (self.kind == "trace") != (self.target_m is not None):
+            yield "target_m", self.target_m, "trace needs a target_m, and nothing else has one"
+
+
+class Procedure(Table, frozen=True, kw_only=True):
+    """How the level of a trial is chosen.
+
+    constant   every level as often, in random order
+    staircase  `down` right answers in a row make it smaller, a wrong one larger (Levitt 1971)
+    questplus  the level that is expected to tell most (Kontsevich and Tyler 1999; Watson 2017)
+    """
+
+    kind: Literal["constant", "staircase", "questplus"]
+    levels: Annotated[
+        tuple[Positive, ...], sized(Range(0, 200, ""), "constant, questplus: the levels", [0.05, 0.1, 0.2])
+    ] = ()
+    repetitions: Annotated[int, within(TRIALS, "constant: trials of each level", 10)] = 1
+    trials: Annotated[int, within(TRIALS, "staircase, questplus: trials of each condition", 40)] = 40
+    start: Annotated[Positive, said("staircase: first level", 0.5)] = 0.5
+    step: Annotated[
+        float, within(Range(1.01, 10.0, "a step"), "staircase: factor of a step; twice as large until it turned", 1.2)
+    ] = 1.2
+    down: Annotated[int, within(Range(1, 5, ""), "staircase: right answers before a step down", 2)] = 2
+    smallest: Annotated[Positive, said("staircase: least level", 0.005)] = 0.005
+    largest: Annotated[Positive, said("staircase: largest level", 1.0)] = 1.0
+
+    def faults(self) -> Iterator[Complaint]:
+        if not known(self.kind, self.levels, self.start, self.smallest, self.largest):
+            return
+        if self.kind != "staircase" and not self.levels:
+            yield "levels", msgspec.UNSET, f"{self.kind} needs levels"
+        if self.kind == "staircase" and not self.smallest <= self.start <= self.largest:
+            yield "start", self.start, f"must be from smallest = {self.smallest:g} to largest = {self.largest:g}"
+
+
+class Factor(Table, frozen=True, kw_only=True):
+    """A factor of the design: a parameter with values, whole scenes, or sets of parameters by name."""
+
+    name: Label
+    parameter: Annotated[
+        str, sized(TEXT, "parameter of the scene that takes the levels", "coupling.damping_ns_per_m")
+    ] = ""
+    levels: Annotated[tuple[float | Label, ...], sized(LEVELS, "its levels", [0.3, 0.6])]
+    scenes: Annotated[dict[str, str], said("scene of each level, in place of a parameter")] = msgspec.field(
+        default_factory=dict
+    )
+    values: Annotated[dict[str, dict[str, Any]], said("parameters of each level, in place of one parameter")] = (
+        msgspec.field(default_factory=dict)
+    )
+
+    def faults(self) -> Iterator[Complaint]:
+        if not known(self.parameter, self.levels, self.scenes, self.values):
+            return
+        if sum(map(bool, (self.parameter, self.scenes, self.values))) != 1:
+            yield "parameter", self.parameter, "give one of parameter, scenes and values"
+        names = {str(level) for level in self.levels}
+        if len(names) < len(self.levels):
+            yield "levels", list(self.levels), "has a level twice"
+        for key, table in (("scenes", self.scenes), ("values", self.values)):
+            if table and set(table) != names:
+                yield key, sorted(table), f"must have the levels {', '.join(sorted(names))}"
+
+
+class Design(Table, frozen=True, kw_only=True):
+    """Conditions are all combinations of the factors' levels.
+
+    random        trials of all conditions mixed
+    latin-square  a block for each condition, in an order balanced over participants (Williams 1949)
+    given         a block for each condition, in the order of the file
+    """
+
+    order: Literal["random", "latin-square", "given"] = "random"
+    seed: Annotated[int, within(Range(0, 2**32 - 1, "32 bits"), "seed of every random choice", 1)]
+    practice: Annotated[int, within(Range(0, 100, ""), "trials before the first one that counts", 2)] = 0
+    break_every: Annotated[int, within(Range(0, 2000, ""), "trials between breaks; 0: none", 40)] = 0
+
+
+class Trial(Table, frozen=True, kw_only=True):
+    """Times and places of a trial. The force is off whenever the scene changes."""
+
+    touch_s: Annotated[
+        float, within(Range(0.02, 600.0, "20 ticks"), "length of a touch, or of a movement at most", 2.0)
+    ] = 2.0
+    gap_s: Annotated[float, within(SECONDS, "pause without force before each touch, at least", 0.2)] = 0.2
+    start_m: Annotated[
+        Point | None,
+        said("where a hand that can be led and has no motion waits; default: it is not led", [0.0, 0.0, 0.02]),
+    ] = None
+
+
+class Observer(Table, frozen=True, kw_only=True):
+    """The simulated observer of a dry run: what a real one is thought to be like.
+
+    compare      right with probability 1/2 + (1/2 - lapse) (1 - exp(-(level / threshold)^slope))  (Weibull)
+    rate, trace  answer = scale level^exponent exp(noise n), n standard normal  (Stevens 1957)
+    """
+
+    threshold: Annotated[Positive, said("compare: level at which 82 % are right, but for lapses", 0.15)] = 0.15
+    slope: Annotated[float, within(Range(0.3, 20.0, ""), "compare: slope of the Weibull function", 2.0)] = 2.0
+    lapse: Annotated[float, within(SHARE, "compare: share of wrong answers however large the level", 0.02)] = 0.02
+    scale: Annotated[Positive, said("rate, trace: answer at level 1", 10.0)] = 10.0
+    exponent: Annotated[float, within(Range(-5.0, 5.0, ""), "rate, trace: exponent", 0.8)] = 1.0
+    noise: Annotated[float, within(Range(1e-3, 2.0, ""), "rate, trace: standard deviation of the logarithm", 0.2)] = 0.2
+    by: Annotated[dict[str, dict[str, float]], said("other values in a condition, by its name", {"rolling": {}})] = (
+        msgspec.field(default_factory=dict)
+    )
+
+
+class ExperimentFile(Table, frozen=True, kw_only=True):
+    """An experiment: title, scene, rig and the tables above."""
+
+    title: Annotated[str, sized(Range(1, 200, ""), "title", "Stiffness discrimination")]
+    scene: Annotated[str, sized(Range(1, 4096, ""), "scene: a shipped name, or a file beside this one", "paper-plane")]
+    rig: Annotated[str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file beside this one", "omega-6")] = (
+        "simulated-hand"
+    )
+    instructions: Annotated[str, sized(TEXT, "what the participant reads first")] = ""
+    overrides: Annotated[dict[str, Any], said("parameters of the scene that hold throughout")] = msgspec.field(
+        default_factory=dict
+    )
+    task: Task
+    procedure: Procedure
+    factor: Annotated[tuple[Factor, ...], sized(Range(0, 8, "a design"), "factors of the design")] = ()
+    design: Design
+    trial: Trial = Trial()
+    motion: Annotated[
+        dict[str, tuple[Waypoint, ...]],
+        said("where a led hand goes in a touch, t x y z, by finger; `fingertip` where there is one"),
+    ] = msgspec.field(default_factory=dict)
+    observer: Observer = Observer()
+
+    def faults(self) -> Iterator[Complaint]:
+        if known(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
+            yield "procedure.kind", self.procedure.kind, f"must be constant: a {self.task.kind} is not right or wrong"
+        if known(self.factor):
+            names = [factor.name for factor in self.factor if known(factor)]
+            if len(set(names)) < len(names):
+                yield "factor", names, "has a name twice"
+            if math.prod(len(each.levels) for each in self.factor if known(each) and known(each.levels)) > LEVELS.high:
+                yield "factor", names, f"has more than {LEVELS.high:g} combinations"

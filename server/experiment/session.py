@@ -1,0 +1,158 @@
+"""A session: the trials of one participant in their order, from the first one that has no answer yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple, Protocol
+
+from softfinger.config.errors import HapticError
+from softfinger.server.experiment.design import Condition, Planned, conditions, planned
+from softfinger.server.experiment.folder import Folder
+from softfinger.server.experiment.journal import Entry, Memory
+from softfinger.server.experiment.procedures import adaptive
+from softfinger.server.experiment.schema import ExperimentFile
+
+
+class Stopped(HapticError):
+    """The session was asked to end before its last trial; started again, it goes on at that trial."""
+
+    exit_code = 0
+
+
+class Stimulus(NamedTuple):
+    """What is felt in a touch.
+
+    trial, touch  number of the trial, and of the touch in it, from 1
+    scene         that it needs, None: the experiment's
+    changes       parameters by dotted path
+    """
+
+    trial: int
+    touch: int
+    scene: str | None
+    changes: dict[str, Any]
+
+
+class Felt(NamedTuple):
+    """What became of a touch: numbers for the table of trials, and every tick."""
+
+    summary: dict[str, Any]
+    ticks: list[dict[str, Any]]
+
+
+class Apparatus(Protocol):
+    """Presents stimuli."""
+
+    def touch(self, stimulus: Stimulus) -> Felt:
+        """Present one, from zero force to zero force."""
+
+
+class Nothing:
+    """No apparatus: design, answers, journal and tables alone, as fast as they go."""
+
+    def touch(self, stimulus: Stimulus) -> Felt:
+        return Felt({}, [])
+
+
+class Answering(Protocol):
+    """Where answers come from."""
+
+    def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> str | float:
+        """`first` or `second` of a comparison, else a number."""
+
+    def pause(self, done: int, of: int) -> None:
+        """Wait until the participant goes on."""
+
+
+class Session:
+    """The trials of a participant.
+
+    tell  says what a person beside it may want to know, a line each
+    """
+
+    def __init__(
+        self, experiment: ExperimentFile, participant: int, tell: Callable[[str], None] = lambda line: None
+    ) -> None:
+        self.experiment: Final = experiment
+        self.conditions: Final = conditions(experiment)
+        self.trials: Final = planned(experiment, participant)
+        self._tell = tell
+        self._procedures = [adaptive(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
+
+    def begin(self, folder: Folder) -> None:
+        """Write the design into the participant's folder."""
+        folder.begin(self.experiment, self.conditions, self.trials)
+
+    def run(self, journal: Memory, apparatus: Apparatus, answering: Answering, folder: Folder | None = None) -> None:
+        """Run what has no answer in the journal. Answers of before are told to the procedures first, in their order."""
+        answered = {entry["trial"]: entry for entry in journal.of("done")}
+        begun = [entry["trial"] for entry in journal.of("begun")]
+        for trial in self.trials:
+            if trial.number in answered:
+                self._learn(trial, answered[trial.number])
+                continue
+            attempt = 1 + begun.count(trial.number)
+            if attempt == 1:
+                self._break(trial, answering)
+            journal.write("begun", trial=trial.number, attempt=attempt)
+            entry, ticks = self._one(trial, attempt, apparatus, answering)
+            if folder is not None and ticks:
+                folder.ticks(trial.number, attempt, ticks)
+            journal.write("done", **entry)
+            self._learn(trial, entry)
+        if not journal.of("finished"):
+            journal.write("finished", trials=len(self.trials))
+
+    def _break(self, trial: Planned, answering: Answering) -> None:
+        every, done = self.experiment.design.break_every, trial.number - 1 - self.experiment.design.practice
+        if (every and done > 0 and done % every == 0) or (done == 0 and trial.number > 1):
+            answering.pause(trial.number - 1, len(self.trials))
+
+    def _one(
+        self, trial: Planned, attempt: int, apparatus: Apparatus, answering: Answering
+    ) -> tuple[Entry, list[dict[str, Any]]]:
+        """Present a trial and take its answer; its entry in the journal, and its ticks."""
+        condition, task = self.conditions[trial.condition], self.experiment.task
+        procedure = self._procedures[trial.condition]
+        level = trial.level if trial.level is not None or procedure is None else procedure.level()
+        assert level is not None
+        self._tell(f"trial {trial.number} of {len(self.trials)}{', practice' if trial.practice else ''}")
+        values = [task.value(level)]
+        if task.reference is not None:
+            values.insert(1 if trial.test_first else 0, task.reference)
+        felt = []
+        for touch, value in enumerate(values, 1):
+            changes = condition.changes | parameters(self.experiment, value)
+            felt.append(apparatus.touch(Stimulus(trial.number, touch, condition.scene, changes)))
+        test = felt[0 if trial.test_first or len(felt) == 1 else 1]
+        answer = answering.answer(trial, condition, level, test)
+        entry = {
+            "trial": trial.number,
+            "practice": trial.practice,
+            "condition": condition.name,
+            "levels": condition.levels,
+            "level": level,
+            "value": task.value(level),
+            "test_first": trial.test_first,
+            "answer": answer,
+            "right": right(trial, answer) if task.kind == "compare" else None,
+            "attempt": attempt,
+        }
+        ticks = [{"touch": touch} | row for touch, each in enumerate(felt, 1) for row in each.ticks]
+        return entry | test.summary, ticks
+
+    def _learn(self, trial: Planned, entry: Entry) -> None:
+        procedure = self._procedures[trial.condition]
+        if procedure is not None and not trial.practice:
+            procedure.answered(entry["level"], entry["right"])
+
+
+def parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:
+    """Parameters of a touch whose level has the value."""
+    also: Mapping[str, float] = experiment.task.also
+    return {experiment.task.parameter: value} | {path: factor * value for path, factor in also.items()}
+
+
+def right(trial: Planned, answer: str | float) -> bool:
+    """Whether the answer to a comparison names the touch that was not the reference."""
+    return (answer == "first") == trial.test_first

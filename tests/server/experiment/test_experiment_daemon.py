@@ -1,0 +1,180 @@
+"""Sessions on a real daemon with a simulated hand: force, markers, recordings, a participant at a terminal."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_experiment_design import small
+
+from softfinger.server.experiment.experiment import Experiment, Running, results
+from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.haptics import along
+from softfinger.server.experiment.journal import read
+from softfinger.server.recording.run import Run, load_run
+from softfinger.server.remote import Client
+
+pytestmark = pytest.mark.real_time
+
+MOTION = [[0.0, 0.0, 0.0, 0.015], [0.2, 0.0, 0.0, 0.008], [0.9, 0.0, 0.0, 0.008]]
+WAIT_S = 120.0
+SLEW_N = 2.0
+"""What the guard of the rig lets the force change in a tick."""
+RAMP_TICKS = 500
+
+
+def experiment(**changes: Any) -> dict[str, Any]:
+    """Two trials of a comparison, without factors, of a hand that presses."""
+    procedure = {"kind": "constant", "levels": [0.5, 1.0], "repetitions": 1}
+    trial = {"touch_s": 0.9, "gap_s": 0.1}
+    return small(factor=[], procedure=procedure, trial=trial, motion={"fingertip": MOTION}, **changes)
+
+
+def settings(folder: Path) -> Running:
+    endpoints = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
+    return Running(dry_run=True, doctor=False, rig=endpoints | {"servo.realtime": "off"})
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+    """The folder of a session that the simulated observer answered, and its recording."""
+    folder = tmp_path_factory.mktemp("session")
+    Experiment(experiment()).run(folder / "out", 1, settings(folder))
+    recording = folder / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
+    return folder / "out", load_run(recording, ("force", "contact.normal_force", "contact.mode"))
+
+
+def marks(run: Run, label: str) -> list[dict[str, Any]]:
+    return [event for event in run.events if event["kind"] == "mark" and event["label"] == label]
+
+
+def at(run: Run, tick: int) -> int:
+    return int(np.searchsorted(run.first["tick"], tick))
+
+
+def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
+    """Two touches a trial, each with its beginning and its end, and what was set for it."""
+    _, run = session
+    begun = [(event["data"]["trial"], event["data"]["touch"]) for event in marks(run, "touch")]
+    assert begun == [(1, 1), (1, 2), (2, 1), (2, 2)]
+    assert [(event["data"]["trial"], event["data"]["touch"]) for event in marks(run, "release")] == begun
+    values = [event["data"]["changes"].popitem()[1] for event in marks(run, "touch")]
+    assert sorted(values) == [500.0, 500.0, 750.0, 1000.0]
+
+
+def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, Run]) -> None:
+    """Zero in the ticks of a change and at each beginning; from tick to tick no more than the guard allows."""
+    _, run = session
+    force = run.first["force"]
+    changed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "set_params"]
+    assert len(changed) >= 2
+    for tick in [*changed, *(event["tick"] for event in marks(run, "touch"))]:
+        assert not force[at(run, tick)].any()
+    assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= SLEW_N
+    assert not [event for event in run.events if event.get("name") == "set_scene"]  # and so nothing was compiled
+
+
+def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> None:
+    """Once the ramp is over the force is the contact's, to the bit of its sum; the ramp is 0.5 s from `arm` on."""
+    _, run = session
+    armed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "arm"]
+    for tick, end in zip(armed, marks(run, "release"), strict=True):
+        # The daemon is told between two ticks, takes it in the next, and the touch ends when it is told so.
+        rows = slice(at(run, tick) + RAMP_TICKS + 3, at(run, end["tick"]))
+        force, wanted = run.first["force"][rows, 2], run.first["contact.normal_force"][rows]
+        assert len(force) > 100 and wanted.max() > 0.3
+        assert force == pytest.approx(wanted, abs=1e-12)
+
+
+def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
+    """The same forces at the same ticks, none lost; the row of the trial has their largest."""
+    folder, run = session
+    for row in results(folder):
+        ticks = pd.read_csv(folder / "sub-01" / "trials" / f"sub-01_trial-{row['trial']:04d}.csv")
+        places = np.searchsorted(run.first["tick"], ticks["tick"])
+        assert np.array_equal(run.first["force"][places], ticks[["fx_n", "fy_n", "fz_n"]])
+        test = ticks[ticks["touch"] == (1 if row["test_first"] else 2)]
+        assert row["lost_ticks"] == 0 and row["peak_force_n"] == pytest.approx(test["fz_n"].max())
+
+
+def program(file: Path, folder: Path, *words: str) -> list[str]:
+    ends = ["--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
+    common = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", str(file), "--no-doctor"]
+    return [*common, "--out", str(folder / "out"), *ends, *words]
+
+
+EXPERIMENT = """
+title = "at a terminal"
+scene = "paper-plane"
+[task]
+kind = "compare"
+parameter = "object.table.material.stiffness_n_per_m"
+reference = 500.0
+question = "Which?"
+[procedure]
+kind = "constant"
+levels = [0.5, 1.0]
+[design]
+seed = 1
+[trial]
+touch_s = 0.1
+gap_s = 0.0
+"""
+
+
+def test_a_participant_answers_by_key_and_by_mark_and_may_stop(tmp_path: Path) -> None:
+    """A key at a terminal answers, Ctrl-C ends in order, and the next start takes a client's mark for the second."""
+    file = tmp_path / "terminal.toml"
+    file.write_text(EXPERIMENT)
+    ours, theirs = pty.openpty()
+    try:
+        with subprocess.Popen(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert "Which?" in process.stdout.readline()
+            os.write(ours, b"x2")
+            assert "Which?" in process.stdout.readline()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(WAIT_S) == 130 or process.returncode == 0
+        with subprocess.Popen(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert "Which?" in process.stdout.readline()
+            with Client(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", timeout_s=WAIT_S) as client:
+                client.mark("answer", {"value": "neither"})
+                client.mark("answer", {"value": "first"})
+            assert process.wait(WAIT_S) == 0
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    rows = results(tmp_path / "out")
+    assert [(row["trial"], row["answer"], row["attempt"]) for row in rows] == [(1, "second", 1), (2, "first", 2)]
+    journal = read(tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl")
+    assert [entry["kind"] for entry in journal] == [
+        "started", "begun", "done", "begun", "started", "begun", "done", "finished",
+    ]  # fmt: skip
+    assert len(list((tmp_path / "out" / "sub-01").glob("*.mcap"))) == 2
+
+
+def test_a_hand_follows_straight_lines() -> None:
+    """Between waypoints, and rests before the first and behind the last."""
+    path = ((0.0, 0.0, 0.0, 0.0), (2.0, 1.0, 2.0, 4.0))
+    assert along(path, 1.0) == (0.5, 1.0, 2.0)
+    assert along(path, -1.0) == (0.0, 0.0, 0.0) and along(path, 9.0) == (1.0, 2.0, 4.0)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", shipped())
+def test_each_shipped_experiment_runs_on_a_daemon(name: str, tmp_path: Path) -> None:
+    """One trial of its least and of its largest level: the hand feels something, and no tick is lost."""
+    levels = Experiment(name).file.procedure.levels or (0.1, 0.6)
+    changes: dict[str, Any] = {"procedure.kind": "constant", "procedure.levels": [min(levels), max(levels)]}
+    changes |= {"procedure.repetitions": 1, "design.practice": 0}
+    rows = Experiment(name, changes).run(tmp_path / "out", 1, settings(tmp_path))
+    assert all(row["peak_force_n"] > 0.1 and row["lost_ticks"] == 0 for row in rows)

@@ -1,0 +1,112 @@
+"""The design of an experiment: conditions, orders, and what a file is refused for."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.server.experiment.design import conditions, planned, williams
+from softfinger.server.experiment.experiment import Experiment
+from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.schema import ExperimentFile
+
+pytestmark = pytest.mark.plain
+
+STIFFNESS = "object.table.material.stiffness_n_per_m"
+
+
+def small(**tables: Any) -> dict[str, Any]:
+    """An experiment on the paper's plane, some tables of it others."""
+    task = {"kind": "compare", "parameter": STIFFNESS, "reference": 500.0, "question": "Which was stiffer?"}
+    procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": 4}
+    factor = {"name": "damping", "parameter": "object.table.material.damping_ns_per_m", "levels": [0.0, 1.0, 2.0]}
+    given = {"title": "small", "scene": "paper-plane", "task": task, "procedure": procedure, "factor": [factor]}
+    return given | {"design": {"seed": 5}} | tables
+
+
+def file(**tables: Any) -> ExperimentFile:
+    return Experiment(small(**tables)).file
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_each_shipped_experiment_can_be_used(name: str) -> None:
+    """Its scenes take its levels at both ends, and its rig is there."""
+    assert Experiment(name).file.title
+
+
+def test_all_combinations_come_equally_often() -> None:
+    """Two factors of 3 and 2 levels are 6 conditions, each with 4 trials of each of 3 levels."""
+    both = [*small()["factor"], {"name": "radius", "parameter": "fingertip.radius_m", "levels": [0.008, 0.01]}]
+    experiment = file(factor=both)
+    assert len(conditions(experiment)) == 6
+    count = Counter((trial.condition, trial.level) for trial in planned(experiment, 1))
+    assert len(count) == 18 and set(count.values()) == {4}
+
+
+def test_the_order_is_of_seed_and_participant() -> None:
+    """The same again for the same two, another one for another seed or participant."""
+    one = planned(file(), 1)
+    assert planned(file(), 1) == one
+    assert planned(file(), 2) != one and planned(file(design={"seed": 6}), 1) != one
+
+
+def test_the_reference_comes_first_as_often_as_second() -> None:
+    """Half of the trials begin with it."""
+    assert sum(trial.test_first for trial in planned(file(), 3)) == 18
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 8])
+def test_a_latin_square_is_balanced(count: int) -> None:
+    """Each condition is as often in each place, and follows each other one equally often (Williams 1949)."""
+    rows = [williams(count, row) for row in range(count * (1 + count % 2))]
+    for place in range(count):
+        assert len(set(Counter(row[place] for row in rows).values())) == 1
+    follows = Counter(pair for row in rows for pair in pairwise(row))
+    assert len(follows) == count * (count - 1) and len(set(follows.values())) <= 1
+
+
+def test_blocks_are_blocks() -> None:
+    """With a latin square or a given order all trials of a condition come together."""
+    for order, wanted in (("latin-square", williams(3, 1)), ("given", [0, 1, 2])):
+        trials = planned(file(design={"seed": 5, "order": order}), 2)
+        assert [trial.condition for trial in trials] == [at for at in wanted for _ in range(12)]
+
+
+def test_practice_comes_first() -> None:
+    """So many trials more, which do not count."""
+    trials = planned(file(design={"seed": 5, "practice": 3}), 1)
+    assert [trial.practice for trial in trials] == [True] * 3 + [False] * 36
+    assert [trial.number for trial in trials] == list(range(1, 40))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"task.reference": None}, "compare needs a reference"),
+        ({"procedure.kind": "stair"}, "did you mean 'staircase'"),
+        ({"procedure.levels": []}, "constant needs levels"),
+        ({"procedure.kind": "staircase", "procedure.start": 2.0}, "must be from smallest = 0.005"),
+        ({"task.parameter": "object.table.material.stifness"}, "is not a key here"),
+        ({"task.parameter": "object.chair.material.stiffness_n_per_m"}, "there is no object.chair"),
+        ({"task.parameter": "mass.box"}, "the scene has no .world"),
+        ({"factor.0.levels": [-1.0, 0.0]}, "damping_ns_per_m = -1.0"),
+        ({"factor.0.scenes": {"a": "sphere"}}, "give one of parameter, scenes and values"),
+        ({"rig": "omega-66"}, "did you mean"),
+        ({"design.seed": -1}, "design.seed = -1"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_it_runs(changes: dict[str, Any], said: str) -> None:
+    """With the key, the value and what to do."""
+    with pytest.raises(ConfigError, match=said):
+        Experiment(small(), changes)
+
+
+def test_numbers_are_no_comparison() -> None:
+    """A rating is neither right nor wrong, so that no staircase can go by it."""
+    task = {"kind": "rate", "parameter": STIFFNESS, "question": "How stiff?"}
+    with pytest.raises(ConfigError, match="must be constant: a rate is not right or wrong"):
+        Experiment(small(task=task, procedure={"kind": "staircase"}))

@@ -1,0 +1,118 @@
+"""Procedures and fits: where a staircase settles, what QUEST+ chooses, what maximum likelihood finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from softfinger.server.experiment.analysis import power_law, student_975
+from softfinger.server.experiment.procedures import GRID, QuestPlus, Staircase
+from softfinger.server.experiment.psychometric import SLOPE, SLOPE_SD, SLOPES, fit, probability
+from softfinger.server.experiment.schema import Procedure
+
+pytestmark = pytest.mark.plain
+
+LEVELS = (0.05, 0.1, 0.2, 0.4)
+
+
+def test_the_function_has_its_closed_form() -> None:
+    """Chance at level 0, 1 - lapse far up, and 1 - 1/e of the way between at the threshold."""
+    assert probability(0.0, 0.2, 2.0, lapse=0.02) == 0.5
+    assert probability(1e6, 0.2, 2.0, lapse=0.02) == pytest.approx(0.98, abs=1e-15)
+    assert probability(0.2, 0.2, 2.0, lapse=0.02) == pytest.approx(0.5 + 0.48 * (1.0 - np.exp(-1.0)), abs=1e-15)
+
+
+def test_a_staircase_settles_where_two_in_a_row_are_as_likely_as_not() -> None:
+    """After the start its levels have the geometric mean where p^2 = 1/2 (Levitt 1971), within a step of 2 %."""
+    stairs = Staircase(Procedure(kind="staircase", start=0.5, step=1.02, smallest=1e-3))
+    rng, tried = np.random.default_rng(1), []
+    for _ in range(20_000):
+        tried.append(stairs.level())
+        stairs.answered(tried[-1], bool(rng.random() < probability(tried[-1], 0.2, 2.0)))
+    wanted = 0.2 * np.sqrt(-np.log(1.0 - (np.sqrt(0.5) - 0.5) / 0.5))
+    # Small steps wander by a few steps, and the mean of 20 000 trials by less than one.
+    assert np.exp(np.mean(np.log(tried[1000:]))) == pytest.approx(wanted, rel=0.02)
+
+
+def test_a_staircase_goes_by_its_rule() -> None:
+    """Two right: a big step down, until it has turned twice; one wrong: a step up; never past its ends."""
+    stairs = Staircase(Procedure(kind="staircase", start=0.4, step=2.0, smallest=0.1, largest=0.8))
+    seen = []
+    for right in (True, True, False, True, True, False, False, False):
+        stairs.answered(stairs.level(), right)
+        seen.append(round(stairs.level(), 9))
+    assert seen == [0.4, 0.1, 0.4, 0.4, 0.2, 0.4, 0.8, 0.8]
+
+
+def test_quest_plus_chooses_what_leaves_least_uncertainty() -> None:
+    """Among four levels it takes the one of least expected entropy, computed here answer by answer on its grid."""
+    chosen = QuestPlus(LEVELS, 0.02)
+    thresholds = np.geomspace(0.5 * LEVELS[0], 2.0 * LEVELS[-1], GRID)
+    pairs = [(threshold, slope) for threshold in thresholds for slope in SLOPES]
+    weights = np.full(len(pairs), 1.0 / len(pairs))
+    for right in (True, False, True):
+        expected = []
+        for level in LEVELS:
+            hit = np.array([float(probability(level, a, b, lapse=0.02)) for a, b in pairs])
+            total = 0.0
+            for outcome in (hit, 1.0 - hit):
+                joint = weights * outcome
+                total += joint.sum() * stats.entropy(joint / joint.sum())
+            expected.append(total)
+        best = LEVELS[int(np.argmin(expected))]
+        assert chosen.level() == best
+        hit = np.array([float(probability(best, a, b, lapse=0.02)) for a, b in pairs])
+        weights = weights * (hit if right else 1.0 - hit)
+        weights /= weights.sum()
+        chosen.answered(best, right)
+
+
+def test_the_fit_is_the_maximum_of_the_likelihood() -> None:
+    """SciPy finds the same maximum, to the grid's step, and the same ends of the profile interval."""
+    rng = np.random.default_rng(3)
+    levels = np.repeat([0.05, 0.1, 0.2, 0.4, 0.8], 40)
+    right = rng.random(len(levels)) < probability(levels, 0.2, 1.8, lapse=0.02)
+
+    def loss(pair: np.ndarray) -> float:
+        chance = probability(levels, np.exp(pair[0]), np.exp(pair[1]), lapse=0.02)
+        penalty = 0.5 * ((pair[1] - np.log(SLOPE)) / SLOPE_SD) ** 2
+        return penalty - float(np.log(np.where(right, chance, 1.0 - chance)).sum())
+
+    best = optimize.minimize(loss, np.log([0.2, 2.0]), method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-10})
+
+    def beyond(threshold: float) -> float:
+        other = optimize.minimize_scalar(lambda slope: loss(np.array([np.log(threshold), slope])), bracket=(0.0, 1.0))
+        return float(other.fun - best.fun - stats.chi2.ppf(0.95, 1) / 2.0)
+
+    found, (low, high) = fit(levels, right, 0.02), np.exp(best.x[0]) * np.array([0.4, 2.5])
+    # A step of the grid is 1.9 % of the threshold and 8 % of the slope.
+    assert found.threshold == pytest.approx(np.exp(best.x[0]), rel=0.03)
+    assert found.slope == pytest.approx(np.exp(best.x[1]), rel=0.09)
+    assert found.log_likelihood == pytest.approx(-best.fun, abs=0.05)
+    assert found.threshold_95[0] == pytest.approx(optimize.brentq(beyond, low, np.exp(best.x[0])), rel=0.03)
+    assert found.threshold_95[1] == pytest.approx(optimize.brentq(beyond, np.exp(best.x[0]), high), rel=0.03)
+    x, curve, below, above = found.curve.T
+    assert (below <= curve).all() and (curve <= above).all() and len(x) == 60 and not found.bounded
+
+
+def test_answers_that_say_little_bound_little() -> None:
+    """All right answers leave the threshold without a lower bound, and the fit says so."""
+    assert fit([0.2] * 20, [True] * 20, 0.02).bounded
+
+
+def test_students_quantile_is_scipys() -> None:
+    """For few and for many degrees of freedom."""
+    for freedom in (1, 2, 3, 4, 5, 10, 31, 200):
+        assert student_975(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), abs=1e-10)
+
+
+def test_a_power_law_is_a_line_of_logarithms() -> None:
+    """Exponent, scale and interval are those of SciPy's regression."""
+    rng = np.random.default_rng(4)
+    levels = np.repeat([0.1, 0.3, 0.9], 5)
+    answers = 10.0 * levels**0.8 * np.exp(0.2 * rng.standard_normal(15))
+    line, found = stats.linregress(np.log(levels), np.log(answers)), power_law(levels, answers)
+    half = line.stderr * stats.t.ppf(0.975, 13)
+    assert found.exponent == pytest.approx(line.slope) and found.scale == pytest.approx(np.exp(line.intercept))
+    assert found.exponent_95 == pytest.approx((line.slope - half, line.slope + half))

@@ -1,0 +1,154 @@
+"""Sessions without a daemon: journal, resume after a kill, tables, figures, the command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from test_experiment_design import small
+
+from softfinger.config.errors import ConfigError
+from softfinger.server import cli
+from softfinger.server.experiment.analysis import analysed
+from softfinger.server.experiment.experiment import Experiment, Running, results
+from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.folder import load
+from softfinger.server.experiment.journal import Journal, read
+
+pytestmark = pytest.mark.plain
+
+OFFLINE = Running(dry_run=True, no_daemon=True)
+PNG, SVG = b"\x89PNG", b"<?xml"
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path: Path) -> None:
+    """The simulated observer answers every trial, and the folder has figures, numbers and a tidy table."""
+    assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["figure", str(tmp_path / "out")]) == 0
+    figures = tmp_path / "out" / "figures"
+    assert (figures / "fit.png").read_bytes().startswith(PNG) and (figures / "fit.svg").read_bytes().startswith(SVG)
+    numbers = json.loads((figures / "numbers.json").read_text())
+    with (tmp_path / "out" / "trials.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["trial"]) for row in rows] == list(range(1, len(rows) + 1))
+    assert sum(each["trials"] for each in numbers) == sum(row["practice"] == "False" for row in rows)
+
+
+def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> None:
+    """Of 95 % intervals of the threshold over seeds no more miss it than one in seven: chance is below one in 100.
+
+    All seeds have the same observer, and QUEST+ chooses the levels.
+    """
+    seeds, misses = cases(6, 50), 0
+    for seed in range(seeds):
+        experiment = Experiment("texture-roughness", {"design.seed": seed, "procedure.trials": 80})
+        rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
+        low, high = analysed(experiment.file, rows)[0].fit.threshold_95
+        misses += not low <= experiment.file.observer.threshold <= high
+    assert misses <= max(1, seeds // 7)
+
+
+def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
+    """Start a session again and again, and kill it when its journal has grown by some lines."""
+    words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
+    words += ["--no-daemon", "--out", str(folder)]
+    rng, journal = random.Random(seed), folder / "sub-01" / "sub-01_journal.jsonl"
+    size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
+    for _ in range(kills):
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
+        until = size() + rng.randrange(1, 400)
+        while size() < until and process.poll() is None:
+            time.sleep(1e-4)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert subprocess.run(words, check=False, stdout=subprocess.DEVNULL).returncode == 0
+
+
+def test_a_session_that_is_killed_loses_no_trial_and_repeats_none(
+    tmp_path: Path, cases: Callable[[int, int], int]
+) -> None:
+    """Killed at random moments and resumed, the answers are those of a session that ran through, in its order."""
+    killed_and_resumed(tmp_path / "killed", cases(3, 50), seed=7)
+    rows = results(tmp_path / "killed")
+    assert [row["trial"] for row in rows] == list(range(1, len(rows) + 1))
+    whole = Experiment("friction-magnitude").rehearse()
+    assert [(row["trial"], row["level"], row["answer"]) for row in rows] == [
+        (row["trial"], row["level"], row["answer"]) for row in whole
+    ]
+    assert len(read(tmp_path / "killed" / "sub-01" / "sub-01_journal.jsonl")) > 2 * len(rows)
+
+
+def test_an_adaptive_session_goes_on_at_the_level_it_was(tmp_path: Path) -> None:
+    """Without the last half of its journal a staircase takes the same levels again."""
+    experiment = Experiment("stiffness-discrimination", {"procedure.trials": 30})
+    rows = experiment.run(tmp_path, 1, OFFLINE)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:31]) + lines[31][:17])  # the last line cut short, as by a power cut
+    again = experiment.run(tmp_path, 1, OFFLINE)
+    assert [row["level"] for row in again] == [row["level"] for row in rows]
+    assert [row["answer"] for row in again] == [row["answer"] for row in rows]
+
+
+def test_a_finished_session_is_not_run_again(tmp_path: Path) -> None:
+    """The command says what there is, and writes no entry."""
+    experiment = Experiment(small())
+    rows = experiment.run(tmp_path, 1, OFFLINE)
+    before = (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_bytes()
+    assert experiment.run(tmp_path, 1, OFFLINE) == rows
+    assert (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_bytes() == before
+
+
+def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
+    """Another value in the file is refused for the next participant."""
+    Experiment(small()).run(tmp_path, 1, OFFLINE)
+    with pytest.raises(ConfigError, match="is of an experiment with other values"):
+        Experiment(small(), {"task.reference": 600.0}).run(tmp_path, 2, OFFLINE)
+
+
+def test_one_session_of_a_participant_at_a_time(tmp_path: Path) -> None:
+    """A second one is refused while the first has the journal."""
+    with Journal(tmp_path / "j.jsonl"), pytest.raises(ConfigError, match="another session of this participant"):
+        Journal(tmp_path / "j.jsonl")
+
+
+def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
+    """A line that is no entry, and that no session went on behind, is named."""
+    (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun"}\n{"ki\n{"kind":"done"}\n')
+    with pytest.raises(ConfigError, match="line 2 is no entry"):
+        read(tmp_path / "j.jsonl")
+
+
+def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path) -> None:
+    """Three groups of two participants, the last of both; one table of both."""
+    experiment = Experiment(small(factor=[]))
+    for participant in (1, 2):
+        experiment.run(tmp_path, participant, OFFLINE)
+    groups = analysed(*load(tmp_path))
+    assert [group.participant for group in groups] == ["sub-01", "sub-02", "all participants"]
+    assert groups[2].trials == groups[0].trials + groups[1].trials == 24
+    assert (tmp_path / "participants.tsv").read_text() == "participant_id\nsub-01\nsub-02\n"
+
+
+def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """--list names each shipped experiment; no daemon without a dry run; no such experiment; no such folder."""
+    assert cli.main(["experiment", "--list"]) == 0
+    assert all(name in capsys.readouterr().out for name in shipped()[:1])
+    for words, said in (
+        (["experiment"], "needs a FILE"),
+        (["experiment", "friction-magnitude", "--no-daemon"], "give --dry-run too"),
+        (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
+        (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
+        (["figure", str(tmp_path)], "is this a folder that `softfinger experiment` made"),
+    ):
+        assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2
+        assert said in capsys.readouterr().err

@@ -1,0 +1,114 @@
+"""How well experiments recover what they measure: bias of the estimate, and how often its interval holds the truth.
+
+    python -m softfinger.tools.experiment_recovery --seeds 50 docs/measured/experiments.md
+
+Each shipped experiment is answered by its simulated observer, whose threshold or exponent is the truth, over seeds. The
+table of the page, between its two comments, is replaced.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from softfinger.server.experiment.analysis import PowerLaw, analysed
+from softfinger.server.experiment.experiment import Experiment
+from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.observer import observer_in
+
+BLOCK: Final = re.compile(r"(<!-- recovery -->\n).*?(<!-- end -->)", re.S)
+
+
+STAIRCASE: Final = "stiffness-discrimination"
+OTHER_SLOPES: Final = (1.0, 3.0)
+"""Of observers who differ from what the fit thinks of slopes."""
+
+
+class Recovery(NamedTuple):
+    """Of a condition of an experiment over seeds.
+
+    what      threshold or exponent
+    truth     the observer's
+    bias      mean of the estimate over the truth less 1; of thresholds of their logarithms
+    spread    standard deviation of the same
+    coverage  share of 95 % intervals that hold the truth
+    """
+
+    experiment: str
+    condition: str
+    what: str
+    trials: int
+    truth: float
+    bias: float
+    spread: float
+    coverage: float
+
+
+def recovery(name: str, seeds: Sequence[int], slope: float | None = None) -> Iterator[Recovery]:
+    """Run a shipped experiment for each seed; a Recovery for each of its conditions.
+
+    slope  of the observer, in place of the file's
+    """
+    found = dict[str, list[tuple[float, bool, int, str, float]]]()
+    for seed in seeds:
+        experiment = Experiment(name, {"design.seed": seed} | ({} if slope is None else {"observer.slope": slope}))
+        rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
+        for group in analysed(experiment.file, rows):
+            condition = next(each for each in experiment.conditions if each.name == group.condition)
+            who = observer_in(experiment.file, condition)
+            if isinstance(group.fit, PowerLaw):
+                what, truth, estimate, interval = "exponent", who.exponent, group.fit.exponent, group.fit.exponent_95
+                error = estimate / truth - 1.0
+            else:
+                what, truth, estimate, interval = (
+                    "threshold",
+                    who.threshold,
+                    group.fit.threshold,
+                    group.fit.threshold_95,
+                )
+                error = math.log(estimate / truth)
+            held = interval[0] <= truth <= interval[1]
+            found.setdefault(group.condition, []).append((error, held, group.trials, what, truth))
+    for named, each in found.items():
+        errors = np.array([error for error, *_ in each])
+        _, _, trials, what, truth = each[0]
+        coverage = sum(held for _, held, *_ in each) / len(each)
+        said = named if slope is None else f"{named}, slope {slope:g}"
+        yield Recovery(name, said, what, trials, truth, float(errors.mean()), float(errors.std()), coverage)
+
+
+def table(rows: Sequence[Recovery]) -> str:
+    """As Markdown."""
+    lines = ["| experiment | condition | trials | truth | bias | spread | held by |", "|---|---|---|---|---|---|---|"]
+    lines += [
+        f"| `{row.experiment}` | {row.condition} | {row.trials} | {row.what} {row.truth:g} | {row.bias:+.1%} | "
+        f"{row.spread:.1%} | {row.coverage:.0%} |"
+        for row in rows
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="How well the shipped experiments recover a simulated observer.")
+    parser.add_argument("page", nargs="?", type=Path, help="page whose table is replaced (default: print it)")
+    parser.add_argument("--seeds", type=int, default=50, help="how many (default: %(default)s)")
+    args = parser.parse_args()
+    seeds = range(args.seeds)
+    rows = [row for name in shipped() for row in recovery(name, seeds)]
+    rows += [row for slope in OTHER_SLOPES for row in recovery(STAIRCASE, seeds, slope)]
+    text = table(rows)
+    if args.page is None:
+        print(text)
+        return
+    page = args.page.read_text("utf-8")
+    args.page.write_text(BLOCK.sub(lambda match: f"{match[1]}\n{text}\n{match[2]}", page), "utf-8")
+
+
+if __name__ == "__main__":
+    main()
