@@ -175,6 +175,10 @@ def test_every_bit_has_a_name():
         g.DISARMED,
         g.POSE_JUMPED,
         g.POSE_FROZEN,
+        g.TOO_FAST,
+        g.MOTOR_HOT,
+        g.ENERGY_SPENT,
+        g.WORKSPACE_EDGE,
     )
     assert bits == tuple(1 << n for n in range(len(g.GUARD_NAMES)))
 

@@ -19,10 +19,10 @@ from helpers.compiled_code import called_in, functions
 from softfinger.config.load import describe, load_scene
 
 MAY_CALL = {
-    "frictionless-plane": {"clock_gettime", "clock_nanosleep", "eventfd_write"},
-    "paper-plane": {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2"},
+    "frictionless-plane": {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"},
+    "paper-plane": {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"},
 }
-"""Everything outside itself that the loop of a scene may name: clock, sleep, wake-up, and libm where it rolls."""
+"""Everything outside itself that the loop of a scene may name: clock, sleep, wake-up, and libm."""
 
 COMPILER = """
 from softfinger.server.loop.servo import servo_loop

@@ -9,6 +9,7 @@ from softfinger.config import schema
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import DeviceInfo
 from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.limits import UNLIMITED, Limits, Workspace
 from softfinger.server.loop.tuning import guard_limits, make_tuning
 
 FAR = (1.0, 1.0, 1.0)
@@ -16,8 +17,13 @@ STRONG = DeviceInfo("strong", 6, 6, 100.0, 10.0, 1e4, 10.0, (-1.0, -1.0, -1.0), 
 RIG = schema.Guard(
     force_max_n=7.0, torque_max_nm=0.2, force_slew_n_per_s=1234.0, torque_slew_nm_per_s=56.0, ramp_s=0.25,
     speed_max_m_per_s=4.0, turn_max_rad_per_s=30.0, frozen_s=2.0,
+    handle_speed_max_m_per_s=1.5, continuous_force_n=3.0, heat_time_s=20.0, energy_max_j=0.4,
+    workspace=schema.Workspace(center_m=(0.1, 0.0, 0.0), radius_m=0.05, stiffness_n_per_m=300.0, force_max_n=4.0),
+    arm="command",
 )  # fmt: skip
-LIMITS = Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0, 4.0, 30.0, 2.0)
+WALL = Workspace((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), 0.05, 300.0, 4.0)
+HAND = Limits(1.5, math.inf, 3.0, 20.0, 0.4, WALL)
+LIMITS = Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0, 4.0, 30.0, 2.0, limits=HAND)
 
 
 def test_every_limit_of_the_rig_reaches_the_guard():
@@ -26,8 +32,9 @@ def test_every_limit_of_the_rig_reaches_the_guard():
 
 
 def test_poses_are_doubted_where_a_force_is_in_a_hand():
-    """Of what is recorded or computed, of a device that displays none, and of none at all, every pose is believed."""
-    believing = LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0)
+    """Of what is recorded or computed, of a device that displays none, and of none at all, every pose is believed, and
+    no hand needs a limit of its speed, its energy, the motors' heat or the workspace."""
+    believing = LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0, limits=UNLIMITED)
     recorded, puck = dataclasses.replace(STRONG, own_clock=True), dataclasses.replace(STRONG, actuated_dof=0)
     assert guard_limits(RIG) == guard_limits(RIG, recorded) == guard_limits(RIG, puck)._replace(turns=1.0) == believing
 

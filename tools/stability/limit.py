@@ -42,6 +42,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.limits import UNLIMITED
 from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
 from softfinger.server.offline.closed_loop import NOWHERE
@@ -180,7 +181,10 @@ def wall_and_weight(
     scene = Scene(fingers=(finger,), objects=(wall,), rolling=None, effects=(weight,), bodies=None)
     # The observer is always there: with a largest damping of 0 it leaves the force alone.
     return Tuning(
-        scene, (Guard(inf, inf, inf, inf, 0.0, 1.0, inf, inf, 0.0, 1.0),), Passivity(passivity_damping), (None,)
+        scene,
+        (Guard(inf, inf, inf, inf, 0.0, 1.0, inf, inf, 0.0, 1.0, UNLIMITED),),
+        Passivity(passivity_damping),
+        (None,),
     )
 
 
