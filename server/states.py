@@ -12,7 +12,7 @@ from typing import Final
 
 
 class State(StrEnum):
-    """What the daemon is in: `health.state`, `get_state`, events of kind `state`."""
+    """What the daemon is in: `health.state`, `describe`, events of kind `state`."""
 
     STARTING = "starting"
     READY = "ready"

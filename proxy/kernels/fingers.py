@@ -5,7 +5,7 @@ from typing import Any
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import Pose
-from softfinger.proxy.kernels.numerics.rotations import normalize
+from softfinger.proxy.kernels.numerics.rotations import as_unit
 from softfinger.proxy.kernels.record_writer import write_contact
 from softfinger.proxy.record import AT
 
@@ -29,7 +29,7 @@ def rows_of_several(fingers: Any, table: Any, first: int) -> Any:
 @jit
 def pose_in(row: Any) -> Pose:
     """Pose in a row x, y, z, qw, qx, qy, qz."""
-    return Pose((row[0], row[1], row[2]), normalize((row[3], row[4], row[5], row[6])))
+    return Pose((row[0], row[1], row[2]), as_unit((row[3], row[4], row[5], row[6])))
 
 
 @by_count

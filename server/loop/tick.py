@@ -11,7 +11,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
-from softfinger.proxy.kernels.numerics.rotations import normalize
+from softfinger.proxy.kernels.numerics.rotations import as_unit
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
 from softfinger.proxy.kernels.numerics.vec3 import norm
 from softfinger.proxy.kernels.record_writer import put3, write_contact
@@ -142,7 +142,7 @@ def pose_of(tool: Any, hand: FingerMemory, sample: Any) -> Pose:
     """The fingertip's pose by a sample of the handle; the last one where it holds none."""
     if usable(sample):
         position = (sample[0], sample[1], sample[2])
-        return tip_of(tool, Pose(position, normalize((sample[3], sample[4], sample[5], sample[6]))))
+        return tip_of(tool, Pose(position, as_unit((sample[3], sample[4], sample[5], sample[6]))))
     return Pose(hand.contact.probe.position, hand.contact.probe.orientation)
 
 

@@ -169,9 +169,7 @@ class Commands:
     def _get_state(self, request: Request) -> wire.State:
         if self._newest is None:
             raise Declined("refused", "there has been no tick yet: ask again later")
-        return wire.state_of(
-            self._newest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name, self._rendering.state
-        )
+        return wire.state_of(self._newest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
 
     def _heartbeat(self, request: Request) -> wire.Alive:
         if self._rendering.disarmed_for(SILENT):

@@ -43,8 +43,7 @@ Quaternion = tuple[float, float, float, float]
 
 class State(Struct, frozen=True):
     """The newest tick of the first finger. `timestamp` is in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and
-    force (N) are in the world frame; `field_state` has `mode`, `object` and `penetration`; `state` is the daemon's:
-    starting, ready, armed, faulted or stopping."""
+    force (N) are in the world frame; `field_state` has `mode`, `object` and `penetration`."""
 
     timestamp: float
     sequence: int
@@ -53,7 +52,6 @@ class State(Struct, frozen=True):
     force: Vector
     active_field: str
     field_state: dict[str, Any]
-    state: str = ""
 
 
 class Alive(Struct, frozen=True):
@@ -236,8 +234,8 @@ METHODS: Final = {
 """Every method."""
 
 
-def state_of(record: NDArray[np.float64], epoch_s: float, scene: str, state: str) -> State:
-    """State of a record (RECORD_SIZE,); `epoch_s` is the epoch's offset to CLOCK_MONOTONIC, s; `state` the daemon's."""
+def state_of(record: NDArray[np.float64], epoch_s: float, scene: str) -> State:
+    """State of a record (RECORD_SIZE,); `epoch_s` is the epoch's offset to CLOCK_MONOTONIC, s."""
     row = record.tolist()
     mode, touched, depth = row[AT.contact_mode], row[AT.contact_object], row[AT.contact_penetration]
     return State(
@@ -248,7 +246,6 @@ def state_of(record: NDArray[np.float64], epoch_s: float, scene: str, state: str
         force=tuple(row[AT.force : AT.force + 3]),
         active_field=scene,
         field_state={"mode": int(mode), "object": int(touched), "penetration": depth},
-        state=state,
     )
 
 

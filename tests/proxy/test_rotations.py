@@ -91,9 +91,9 @@ def test_what_was_normalised_stays_as_it_is():
     random = np.random.default_rng(5)
     for q in (random.standard_normal((20000, 4)) * random.uniform(0.5, 1.5, (20000, 1))).tolist():
         once = rotations.normalize(tuple(q))
-        assert rotations.normalize(once) == once
+        assert rotations.as_unit(once) == once
         wide = np.array(q, np.longdouble)
         exact = (wide / np.sqrt(wide @ wide)).astype(float)
         assert np.abs(np.array(once) - exact).max() <= 2.5 * ULP  # five roundings of half a unit each
         near = tuple(x * (1.0 + 16.0 * ULP) for x in once)
-        assert abs(sum(x * x for x in rotations.normalize(near)) - 1.0) < rotations.UNIT_TO_ROUNDING
+        assert abs(sum(x * x for x in rotations.as_unit(near)) - 1.0) < rotations.UNIT_TO_ROUNDING

@@ -43,7 +43,7 @@ def pressed(path: Path, fast_at_s: float | None = None) -> str:
 
 class Run:
     """A daemon's run to the end of its ticks: forces (n,) N that the device was given, states with their causes, names
-    of the guard's events, and states as `get_state` had them."""
+    of the guard's events, and the state as `describe` had it."""
 
     def __init__(
         self,
@@ -104,13 +104,13 @@ def test_a_button_arms(tmp_path: Path) -> None:
 
 
 def test_a_command_arms_where_the_rig_asks_for_one(tmp_path: Path) -> None:
-    """Neither time nor a button gives force, `arm` does; `get_state` and `describe` have the state meanwhile."""
+    """Neither time nor a button gives force, `arm` does; `describe` has the state meanwhile."""
     seen: list[str] = []
     armed_at: list[int] = []
 
     def during(control: Control, tick: int) -> None:
         if tick >= 0:
-            seen.append(control.ask("get_state").state)
+            seen.append(control.ask("describe")["state"])
         if tick > 1000 and not armed_at:
             control.arm()
             armed_at.append(tick)
@@ -145,7 +145,7 @@ def test_a_handle_that_is_too_fast_waits_for_whoever_arms(tmp_path: Path) -> Non
             control.arm()
             armed_at.append(tick)
         if tick > 1600 and len(armed_at) == 1:
-            assert control.ask("get_state").state == "faulted"
+            assert control.ask("describe")["state"] == "faulted"
             control.arm()
             armed_at.append(tick)
 

@@ -47,7 +47,7 @@ def test_changes_are_told_once(root: Path) -> None:  # noqa: F811
     assert seen.changes() == []
     plug_serial(root, "ttyACM5", "16c0", "0483", "SN42", product="Haply inverse3")
     ((what, haply),) = seen.changes()
-    assert (what, hotplug.described(haply)["driver"]) == ("attached", "")
+    assert (what, hotplug.described(haply)["driver"]) == ("attached", "haply")
     assert hotplug.described(TEENSY)["driver"] == "serial"
 
 

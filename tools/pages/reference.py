@@ -118,7 +118,7 @@ def states_page() -> str:
     head = """\
 # States: every transition
 
-A daemon is in one of these states. `health.state` and the command `get_state` have it, each change is an event of
+A daemon is in one of these states. `health.state` and the command `describe` have it, each change is an event of
 kind `state`, and Prometheus has `softfinger_state`. A transition that is not in the table does not exist. Who
 arms is said by `arm` in [`[guard]`](rigs.md); what a fault is, in [Safety](../safety.md)."""
     listed, ways = states.tables()

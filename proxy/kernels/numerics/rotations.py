@@ -78,12 +78,18 @@ def rotate(q: Quaternion, v: Vec3) -> Vec3:
 
 @jit
 def normalize(q: Quaternion) -> Quaternion:
-    """Unit quaternion along `q`; `q` must not be zero. What is unit to rounding stays as it is, to the bit."""
-    square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-    if abs(square - 1.0) <= UNIT_TO_ROUNDING:
-        return q
-    s = 1.0 / sqrt(square)
+    """Unit quaternion along `q`; `q` must not be zero."""
+    s = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (s * q[0], s * q[1], s * q[2], s * q[3])
+
+
+@jit
+def as_unit(q: Quaternion) -> Quaternion:
+    """`normalize` of what is read: a quaternion that is unit to rounding stays as it is, to the bit. Not for a product
+    of rotations, whose rounding would come together over many."""
+    if abs(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1.0) <= UNIT_TO_ROUNDING:
+        return q
+    return normalize(q)
 
 
 @jit
