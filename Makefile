@@ -31,7 +31,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-all test-numba coverage mutants test-vm emulators browser vm-packages subscribers lint bench exchange-cost handover-age study reference figures page-picture \
+.PHONY: help setup run test test-all test-numba coverage mutants test-vm emulators browser vm-packages subscribers lint bench soak exchange-cost handover-age study reference figures page-picture \
     docs docs-serve warmup wheel constraints docker-check host-check clean distclean
 
 help: ## This list
@@ -126,6 +126,9 @@ bench: $(STAMP) ## Cost of a step, wake-up lateness beside C, tick-to-subscriber
 
 handover-age: $(STAMP) ## How old a pose is when it is used and a force when it arrives, with a thread or library between (ARGS=--json)
 	@exec $(BIN)/python tests/handover_age.py $(ARGS)
+
+soak: $(STAMP) ## Ten minutes with everything on: memory, descriptors, threads, missed and lost ticks (ARGS="--minutes 120 --plot FILE --json")
+	@exec $(BIN)/softfinger bench soak $(ARGS)
 
 exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that it makes, on the tests' stand-ins (ARGS=--json, --plot FILE)
 	@exec $(BIN)/python tests/exchange_cost.py $(ARGS)

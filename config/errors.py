@@ -61,7 +61,7 @@ class SafetyStop(HapticError):
 
 
 class Unfit(HapticError):
-    """`doctor` found something that keeps this machine from running the rig."""
+    """`doctor` found something that keeps this machine from running the rig, or `bench soak` something that grows."""
 
     exit_code = 10
 

@@ -1,0 +1,65 @@
+"""`bench soak`: what grows is found in made series, and a short run of the real thing has every process and figure."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softfinger.config.errors import ConfigError
+from softfinger.server import cli
+from softfinger.tools.bench.soak import Soaked, evaluate, growth
+
+HOURS = np.linspace(0.0, 2.0, 7200)
+
+
+def noisy(slope: float) -> np.ndarray:
+    """MB of a process that gains so much an hour, with an allocator's steps of 4 MB to and fro."""
+    random = np.random.default_rng(3)
+    return 100.0 + slope * HOURS + 4.0 * (random.random(len(HOURS)) < 0.2)
+
+
+def soaked(memory: np.ndarray, lost: int = 0) -> Soaked:
+    rows = np.column_stack([memory, np.full(len(memory), 20.0), np.full(len(memory), 8.0)])
+    return Soaked(3600.0 * HOURS, {"daemon": rows}, 7_200_000, 3, 2, lost)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])
+def test_growth_is_found_in_noise(slope: float) -> None:
+    """Within 0.1 MB an hour of the truth, and the bound is below it."""
+    found, at_least = growth(HOURS, noisy(slope))
+    assert found == pytest.approx(slope, abs=0.1)
+    assert at_least <= found
+
+
+def test_more_than_a_megabyte_an_hour_is_a_fault() -> None:
+    """A lost tick is one, too; a single step, a process that was away for a while, and a stall are none."""
+    assert evaluate(soaked(noisy(0.3)))["faults"] == []
+    (fault,) = evaluate(soaked(noisy(2.0)))["faults"]
+    assert fault.startswith("daemon: resident_mb grows by 2.0")
+    assert evaluate(soaked(noisy(0.0), lost=2))["faults"] == ["subscribers did not get 2 ticks"]
+    step, away = noisy(0.0), noisy(0.0)
+    step[4000:] += 10.0
+    away[3000:3050] = np.nan
+    assert evaluate(soaked(step))["faults"] == evaluate(soaked(away))["faults"] == []
+
+
+def test_a_length_that_is_none_is_refused() -> None:
+    """Below six seconds there is nothing to see."""
+    assert cli.main(["bench", "soak", "--minutes", "0"]) == ConfigError.exit_code
+
+
+@pytest.mark.exhaustive
+@pytest.mark.real_time
+def test_a_short_run_has_every_process(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Daemon, publisher, page and subscribers are there, ticks went on at their rate, and a figure is drawn."""
+    drawing = tmp_path / "soak.svg"
+    cli.main(["bench", "soak", "--minutes", "0.2", "--json", "--plot", str(drawing)])
+    found = json.loads(capsys.readouterr().out)
+    names = set(found["processes"])
+    assert {"daemon", "daemon: server.publishing", "page", *(f"subscriber {k}" for k in range(1, 5))} <= names
+    assert found["ticks"] + found["missed"] > 11_000
+    assert all(each["threads"]["last"] >= 1.0 for each in found["processes"].values())
+    assert drawing.stat().st_size > 0

@@ -1,0 +1,319 @@
+"""`bench soak`: a daemon with all that goes on around it, for a long time: does anything grow, is anything lost?
+
+One daemon at 1 kHz on the simulated device, recorded, with four subscribers, a viewer, a client that changes a
+parameter ten times a second, and a program that is busy a third of the time. Beside it, all the while, the loop in C
+of `bench loop`, where there is a compiler: what it misses too is the machine's doing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError, Unfit
+from softfinger.config.load import load_rig
+from softfinger.config.schema import Rig
+from softfinger.server.offline.figures import figure, save
+from softfinger.server.progress import progress
+from softfinger.server.remote import Client
+from softfinger.server.wire.client import subscribe
+from softfinger.tools.bench.loop import compile_reference, run_reference
+from softfinger.tools.bench.telemetry import await_messages, source
+from softfinger.tools.bench.view import viewer
+from softfinger.tools.measure import Array, add_output_options, show
+
+SUBSCRIBERS: Final = 4
+CHANGE_S: Final = 0.1
+SAMPLE_S: Final = 1.0
+C_TURN_S: Final = 60.0
+"""The loop in C keeps what it measured in memory until a turn is over."""
+WARM_S: Final = 600.0
+"""Allocators and caches fill in the first minutes; of a run of less than half an hour a third is left out."""
+GROWTH_MAX: Final = {"resident_mb": 1.0, "descriptors": 1.0, "threads": 1.0}
+"""What may be gained in an hour: less could not be told from an allocator's steps."""
+LIMITED: Final = {"resident_mb": 0.5, "descriptors": 1.0, "threads": 1.0}
+"""What may be gained in the whole run, however short: a page of memory is no leak."""
+BLOCKS: Final = 120
+"""Samples are put together into so many medians."""
+NORMAL_95: Final = 1.645
+"""Of a one-sided 95 % bound."""
+FIELDS: Final = tuple(GROWTH_MAX)
+
+BUSY: Final = """
+import time
+while True:
+    until = time.monotonic() + 0.003
+    while time.monotonic() < until:
+        pass
+    time.sleep(0.006)
+"""
+
+
+Sizes = dict[str, tuple[float, ...]]
+"""MB, descriptors and threads of processes, by name."""
+
+
+class Soaked(NamedTuple):
+    """What a run has shown.
+
+    times      (n,) s         of the samples
+    processes                 for each, (n, 3) MB, descriptors, threads
+    ticks                     of the servo
+    missed                    deadlines of it, and of the loop in C (None without one)
+    lost                      ticks that subscribers did not get
+    """
+
+    times: Array
+    processes: dict[str, Array]
+    ticks: int
+    missed: int
+    missed_c: int | None
+    lost: int
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--minutes", type=float, default=10.0, metavar="N", help="how long (default: %(default)s)")
+    parser.add_argument("--realtime", default="auto", help="auto, require or off (default: %(default)s)")
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; raises Unfit where something grows, or a tick was lost."""
+    if not 0.1 <= args.minutes <= 10_000.0:
+        raise ConfigError(f"--minutes {args.minutes:g} must be from 0.1 to 10 000")
+    rig = load_rig("simulated", {"servo.realtime": args.realtime})
+    soaked = soak(rig, 60.0 * args.minutes)
+    result = evaluate(soaked)
+    show(result, args.json, table(result))
+    if args.plot:
+        draw(args.plot, soaked)
+    if result["faults"]:
+        raise Unfit("; ".join(result["faults"]))
+    return 0
+
+
+def soak(rig: Rig, seconds: float) -> Soaked:
+    """Run everything for so long, and look at it once a second."""
+    with tempfile.TemporaryDirectory() as made, ExitStack() as running:
+        folder = Path(made)
+        commands, recording = f"ipc://{folder}/commands", str(folder / "soak.mcap")
+        words = ["run", "--rig", "simulated", "--realtime", rig.servo.realtime, "--record", recording]
+        daemon = [sys.executable, "-m", "softfinger.server.cli", *words, "--endpoint", "ENDPOINT"]
+        shown = running.enter_context(source([*daemon, "--commands", commands], "ipc", folder))
+        await_messages(shown.endpoint)
+        page, _ = running.enter_context(viewer("--endpoint", shown.endpoint, "--commands", commands))
+        readers = [running.enter_context(ended(receiver(shown.endpoint))) for _ in range(SUBSCRIBERS)]
+        running.enter_context(ended([sys.executable, "-c", BUSY]))
+        client = running.enter_context(Client(shown.endpoint, commands, timeout_s=30.0))
+        beside = running.enter_context(in_c(rig, seconds, folder))
+        trees = {"daemon": shown.process.pid, "page": page.pid}
+        trees |= {f"subscriber {number}": reader.pid for number, reader in enumerate(readers, 1)}
+        first = newest(shown.endpoint)
+        times, processes = watched(trees, lambda number: change(client, number), seconds)
+        last = newest(shown.endpoint)
+        for reader in readers:
+            reader.send_signal(signal.SIGTERM)
+        lost = sum(int(reader.communicate(timeout=30.0)[0]) for reader in readers)
+        return Soaked(times, processes, last[0] - first[0], last[1] - first[1], beside(), lost)
+
+
+def watched(trees: dict[str, int], act: Callable[[int], None], seconds: float) -> tuple[Array, dict[str, Array]]:
+    """Samples (n,) s and (n, 3) of every process and its children, NaN where it was not there; `act` is called ten
+    times a second. One that was there for less than half of the time is left out."""
+    begun = time.monotonic()
+    times, seen = list[float](), list[Sizes]()
+    with progress("soaking", round(seconds)) as done:
+        for number in itertools.count():
+            passed = time.monotonic() - begun
+            if passed >= seconds:
+                break
+            act(number)
+            if passed >= SAMPLE_S * len(times):
+                times.append(passed)
+                seen.append({})
+                for name, pid in trees.items():
+                    seen[-1] |= sizes(name, pid)
+                done(int(passed))
+            time.sleep(max(0.0, begun + CHANGE_S * (number + 1) - time.monotonic()))
+    nothing = (np.nan,) * len(FIELDS)
+    names = dict.fromkeys(name for each in seen for name in each)
+    found = {name: np.array([each.get(name, nothing) for each in seen]) for name in names}
+    return np.array(times), {name: rows for name, rows in found.items() if np.isfinite(rows[:, 0]).mean() > 0.5}
+
+
+def sizes(name: str, pid: int) -> Sizes:
+    """Resident memory (MB), descriptors and threads of a process and of its children, by name."""
+    process = Path(f"/proc/{pid}")
+    try:
+        status = dict(line.split(":\t", 1) for line in (process / "status").read_text().splitlines() if ":\t" in line)
+        found: Sizes = {
+            name: (
+                float(status["VmRSS"].split()[0]) / 1024.0,
+                float(len(list((process / "fd").iterdir()))),
+                float(status["Threads"]),
+            )
+        }
+        children = " ".join(each.read_text() for each in process.glob("task/*/children")).split()
+        for child in map(int, children):
+            words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+            module = next((word.decode() for word in words if word.startswith(b"softfinger.")), "child")
+            found |= sizes(f"{name}: {module.removeprefix('softfinger.')}", child)
+    except (OSError, KeyError):  # it has ended meanwhile
+        return {}
+    return found
+
+
+def change(client: Client, number: int) -> None:
+    """Another stiffness, to and fro."""
+    client.set_params({"object.table.material.stiffness_n_per_m": 900.0 + 100.0 * (number % 3)})
+
+
+def newest(endpoint: str) -> tuple[int, int]:
+    """The newest tick, and the deadlines missed until then."""
+    with subscribe(endpoint, timeout_s=30.0) as samples:
+        tick = next(iter(samples))
+        return tick.tick, tick.servo.missed
+
+
+@contextmanager
+def ended(words: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """A process that is there until the block ends, and then neither it nor what it has started."""
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
+        try:
+            yield process
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def receiver(endpoint: str) -> list[str]:
+    """The words of a subscriber."""
+    return [sys.executable, "-m", "softfinger.tools.bench.soak", endpoint]
+
+
+@contextmanager
+def in_c(rig: Rig, seconds: float, folder: Path) -> Iterator[Callable[[], int | None]]:
+    """The loop in C, in turns, for so long; a function that says what it has missed, None without a compiler."""
+    program = compile_reference(folder)
+    if program is None:
+        yield lambda: None
+        return
+    priority = "off" if rig.servo.realtime == "off" else "on"
+    words = [str(program), repr(rig.servo.rate_hz), repr(seconds), priority, str(rig.servo.priority)]
+    with ended([sys.executable, "-m", "softfinger.tools.bench.soak", "--c", *words]) as process:
+        yield lambda: int(process.communicate(timeout=C_TURN_S + 60.0)[0])
+
+
+def evaluate(soaked: Soaked) -> dict[str, Any]:
+    """Growth of every process, in an hour and with its lower bound, and what is wrong."""
+    hours = soaked.times / 3600.0
+    faults, processes = list[str](), dict[str, Any]()
+    for name, values in soaked.processes.items():
+        processes[name] = {}
+        warm = (soaked.times >= min(WARM_S, soaked.times[-1] / 3.0)) & np.isfinite(values[:, 0])
+        for column, field in enumerate(FIELDS):
+            series = values[warm, column]
+            slope, at_least = growth(hours[warm], series)
+            gained = at_least * (hours[warm][-1] - hours[warm][0])
+            processes[name][field] = {"last": float(series[-1]), "an_hour": slope, "an_hour_at_least": at_least}
+            if at_least > GROWTH_MAX[field] and gained > LIMITED[field]:
+                faults.append(f"{name}: {field} grows by {slope:.2f} an hour, at least {at_least:.2f}")
+    if soaked.lost:
+        faults.append(f"subscribers did not get {soaked.lost} ticks")
+    return {
+        "minutes": float(soaked.times[-1] / 60.0),
+        "ticks": soaked.ticks,
+        "missed": soaked.missed,
+        "missed_c": soaked.missed_c,
+        "lost": soaked.lost,
+        "processes": processes,
+        "faults": faults,
+    }
+
+
+def growth(hours: Array, values: Array) -> tuple[float, float]:
+    """Slope in an hour and the lower end of its one-sided 95 % interval: the median of the slopes of all pairs, and the
+    order statistic below it. Both are blind to single steps and to a stall.
+
+    Source: Sen (1968), Estimates of the regression coefficient based on Kendall's tau.
+    """
+    parts = min(BLOCKS, len(values))
+    x, y = (np.array([np.median(part) for part in np.array_split(each, parts)]) for each in (hours, values))
+    first, second = np.triu_indices(parts, 1)
+    if len(first) == 0:
+        return 0.0, 0.0
+    slopes = np.sort((y[second] - y[first]) / (x[second] - x[first]))
+    spread = NORMAL_95 * np.sqrt(parts * (parts - 1) * (2 * parts + 5) / 18.0)
+    lower = int(max(0.0, (len(slopes) - spread) / 2.0))
+    return float(np.median(slopes)), float(slopes[lower])
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    beside = "no C compiler" if result["missed_c"] is None else f"the loop in C beside it {result['missed_c']}"
+    lines = [
+        f"{result['minutes']:.0f} minutes, {result['ticks']} ticks: {result['missed']} deadlines missed ({beside}), "
+        f"{result['lost']} ticks lost by {SUBSCRIBERS} subscribers",
+        f"  {'':<40}{'MB':>8}{'an hour':>10}{'descriptors':>13}{'threads':>9}",
+    ]
+    for name, each in result["processes"].items():
+        memory = each["resident_mb"]
+        counts = f"{each['descriptors']['last']:>13.0f}{each['threads']['last']:>9.0f}"
+        lines.append(f"  {name:<40}{memory['last']:>8.1f}{memory['an_hour']:>+10.2f}{counts}")
+    return lines + [f"  {fault}" for fault in result["faults"]]
+
+
+def draw(path: Path, soaked: Soaked) -> None:
+    drawing = figure()
+    axes = drawing.add_subplot()
+    for name, values in soaked.processes.items():
+        axes.plot(soaked.times / 60.0, values[:, 0], label=name)
+    axes.set_xlabel("time, minutes")
+    axes.set_ylabel("resident memory, MB")
+    axes.legend(fontsize="small")
+    axes.grid(True, alpha=0.3)
+    save(drawing, path)
+
+
+def receive(endpoint: str) -> None:
+    """A subscriber: counts the ticks that it did not get, and says so when it is asked to end."""
+    going = [True]
+    signal.signal(signal.SIGTERM, lambda *_: going.clear())
+    lost = 0
+    with subscribe(endpoint) as samples:
+        while going:
+            if (sample := samples.receive(0.1)) is not None:
+                lost += sample.lost
+    print(lost)
+
+
+def repeat_in_c(program: str, rate_hz: str, seconds: str, realtime: str, priority: str) -> None:
+    """The loop in C, turn after turn; says how many deadlines it missed."""
+    rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.priority": int(priority)})
+    if realtime == "off":
+        rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.realtime": "off"})
+    until, missed = time.monotonic() + float(seconds), 0
+    while (left := until - time.monotonic()) > 0.0:
+        rows = run_reference(Path(program), rig, max(1, round(min(left, C_TURN_S) * rig.servo.rate_hz)))
+        missed += int(np.floor(rows[:, 0] * rig.servo.rate_hz).sum())
+    print(missed)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "--c":
+        repeat_in_c(*sys.argv[2:])
+    else:
+        receive(sys.argv[1])
