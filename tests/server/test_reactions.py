@@ -10,11 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.record import AT
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 
-pytestmark = pytest.mark.plain
+pytestmark = [
+    pytest.mark.plain,
+    pytest.mark.skipif(not PLAIN, reason="would compile two loops for minutes; `make test` runs it"),
+]
 
 R, HALF, MASS, STIFFNESS, PRESS = 0.008, 0.02, 0.1, 500.0, 3.0
 BOX = f"""

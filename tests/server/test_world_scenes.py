@@ -10,8 +10,10 @@ from helpers.simulated_hands import SimulatedHands
 
 from softfinger.config.load import FOLDERS, describe, load_scene, shipped
 from softfinger.config.schema import Rig, Scene
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 
 pytestmark = pytest.mark.plain
+PLAIN_ONLY = pytest.mark.skipif(not PLAIN, reason="would compile a minute for each scene; `make test` plays them")
 
 RADIUS = 0.01
 G = 9.81
@@ -24,6 +26,7 @@ def test_every_scene_with_bodies_has_hands_that_play_it() -> None:
     assert {f"simulated-{name}" for name in worlds} <= set(shipped(Rig))
 
 
+@PLAIN_ONLY
 def test_torsion_turns_a_knob() -> None:
     """The hand turns by 1 rad; the knob lags by what its bearing takes of the contact's torsion, and stays there."""
     hands = SimulatedHands("turn-a-knob")
@@ -32,6 +35,7 @@ def test_torsion_turns_a_knob() -> None:
     assert hands.data.qpos[0] == pytest.approx(1.0 - lag, abs=1e-3)  # MuJoCo's friction gives way by 0.0004
 
 
+@PLAIN_ONLY
 def test_a_point_turns_no_knob() -> None:
     """The same without torsion: the knob stands still."""
     scene = describe(load_scene("turn-a-knob"))
@@ -43,6 +47,7 @@ def test_a_point_turns_no_knob() -> None:
     assert hands.data.qpos[0] == 0.0
 
 
+@PLAIN_ONLY
 def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
     """Open by the finger's way less its clearance and the depth that friction holds; pushed to its end; let go."""
     hands = SimulatedHands("open-a-drawer")
@@ -57,6 +62,7 @@ def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
     assert hands.data.qpos[0] == pytest.approx(0.0, abs=1e-4)
 
 
+@PLAIN_ONLY
 def test_a_door_turns_until_its_face_is_on_the_finger_and_closes_by_itself() -> None:
     """The finger's centre is a radius, less the depth, before the door's face; force times arm is the spring's."""
     hands = SimulatedHands("open-a-door")
@@ -72,6 +78,7 @@ def test_a_door_turns_until_its_face_is_on_the_finger_and_closes_by_itself() -> 
     assert abs(hands.data.qpos[0]) < 1e-3
 
 
+@PLAIN_ONLY
 def test_a_button_clicks_at_the_load_of_its_dome() -> None:
     """Force grows to the largest of spring and dome less the cap's weight, and falls as the dome snaps; and back."""
     depth = np.linspace(0.0, 0.003, 3001)
@@ -90,6 +97,7 @@ def test_a_button_clicks_at_the_load_of_its_dome() -> None:
     assert hands.data.qpos[0] > -0.0003
 
 
+@PLAIN_ONLY
 def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
     """No slip on the table nor under the finger: 5 mm of 10, and that over the radius as an angle."""
     hands = SimulatedHands("roll-a-pencil")
@@ -104,6 +112,7 @@ def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
     assert way / 0.004 < rolled < way / (0.004 - sunk)
 
 
+@PLAIN_ONLY
 def test_a_ball_rolls_back_and_rests_at_the_bottom() -> None:
     """Its first swing takes 2 pi sqrt(7 (R - r) / (5 g)); it ends where friction and facets of the bowl leave it."""
     hands = SimulatedHands("ball-in-a-bowl")
