@@ -258,6 +258,14 @@ def test_an_unstable_wall_fades(energy):
         assert late < 0.8 * 12.0 and spent and energy < given < 2.0 * energy
 
 
+def slewed(size, allowed):
+    """Largest norm (N) that a force of norm `size` has after 2 N of the straight way to one of `allowed` at most: along
+    the tangent to that ball, since any other way leads inward."""
+    if size <= allowed:
+        return allowed
+    return math.sqrt(size * size - 4.0 * math.sqrt(size * size - allowed * allowed) + 4.0)
+
+
 any_force = st.tuples(*[st.one_of(st.floats(-50, 50), st.floats(allow_nan=True, allow_infinity=True))] * 3)
 any_way = st.tuples(*[st.floats(-0.01, 0.01)] * 3)
 
@@ -276,10 +284,8 @@ def test_no_limit_is_ever_passed(steps):
         passed, bits = tick(guard, passed, force, moved, mode, at, torque)
         size = math.hypot(*passed.guarded.force)
         assert all(map(math.isfinite, (*passed.guarded.force, *passed.guarded.torque)))
-        # The slew limit brings a force down in ticks: what is allowed, or less than the tick before.
         allowed = lim.coolest(guard.limits, before.limited.heat, 12.0)
-        fading = max(allowed, math.hypot(*before.guarded.force) - 2.0)
-        assert size <= min(12.0, fading) * (1 + 1e-9)
+        assert size <= min(12.0, max(allowed, slewed(math.hypot(*before.guarded.force), allowed))) * (1 + 1e-9)
         assert (size == 0.0) or not bits & g.TOO_FAST
         assert bool(bits & g.TOO_FAST) == (passed.limited.wait > 0.0)
         if before.limited.wait == 0.0 and math.hypot(*passed.limited.velocity) <= 2.0:
