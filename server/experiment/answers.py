@@ -37,10 +37,10 @@ class Person:
         if task.kind == "trace":
             return float(felt.summary.get("duration_s", 0.0))
         choice = task.kind == "compare"
-        said(f"{task.question} {'1: the first, 2: the second' if choice else 'A number above 0, then Enter'}")
         self._haptics.answers.clear()
         pressed, typed = self._buttons(), ""
-        with keyboard(single=choice) as keys:
+        with keyboard(single=choice) as keys:  # which forgets what was typed before the question
+            said(f"{task.question} {'1: the first, 2: the second' if choice else 'A number above 0, then Enter'}")
             while True:
                 self._haptics.wait(SLICE_S)
                 typed += keys()
@@ -61,10 +61,10 @@ class Person:
                     typed = typed.rpartition("\n")[2]
 
     def pause(self, done: int, of: int) -> None:
-        said(f"{done} of {of} trials are done. A break: Enter, a button or a mark `answer` goes on.")
         self._haptics.answers.clear()
         pressed = self._buttons()
         with keyboard(single=True) as keys:
+            said(f"{done} of {of} trials are done. A break: Enter, a button or a mark `answer` goes on.")
             while not (keys() or self._buttons() & ~pressed or self._haptics.answers):
                 self._haptics.wait(SLICE_S)
 
