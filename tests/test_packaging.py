@@ -123,7 +123,7 @@ def test_the_types_of_the_installed_wheel_are_seen(installed: Path, tmp_path: Pa
 
 @pytest.mark.parametrize("kind", ["scenes", "rigs", "recordings", "faults", "experiments"])
 def test_the_wheel_ships_data(wheel: Path, kind: str) -> None:
-    """Scenes, rigs, recordings, faults and experiments are in the wheel, so `softfinger run` works without a checkout."""
+    """Scenes, rigs, recordings, faults and experiments are in the wheel: `softfinger run` needs no checkout."""
     assert [name for name in zipfile.ZipFile(wheel).namelist() if name.startswith(f"softfinger/config/{kind}/")]
 
 
