@@ -32,6 +32,7 @@ from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.models import Model, model_of
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
 from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
@@ -187,7 +188,7 @@ class ForceDimension(Device):
         word[AT.has_gripper] = call.dhdHasGripper(self._id)
         word[AT.turns] = call.dhdHasActiveWrist(self._id) and self._model.limits.torque_max_nm > 0.0
         for place, name in LOOP_CALLS.items():
-            word[place] = library.address(call, name)
+            word[place] = address(call, name)
         if not self._model.name:
             log.warning(
                 "%s: its limits are not known, so it gets the least of any: %g N, no torque; begin with a soft scene",

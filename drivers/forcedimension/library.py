@@ -13,7 +13,8 @@ from ctypes import POINTER, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, 
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.drivers.system import makers_library
+from softfinger.drivers.system.makers_library import MakersLibrary
 
 NAME: Final = "Force Dimension's library"
 DOWNLOAD: Final = "https://www.forcedimension.com/software/sdk"
@@ -82,32 +83,22 @@ def patterns(environ: Mapping[str, str]) -> list[Path]:
     return [*kits, home / ".local" / "lib" / "libdrd.so*", Path("/usr/local/lib/libdrd.so*")]
 
 
-def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
-    """The library, from the file `named` or from where it is usually put, with every prototype declared.
+LIBRARY: Final = MakersLibrary(
+    name="Force Dimension's library libdrd",
+    sonames=SONAMES,
+    prototypes=PROTOTYPES,
+    advice=f"get the maker's SDK ({DOWNLOAD}), then set FDSDK to its folder, or give the file as `library_file` in the "
+    "rig's [device] table",
+    needs=f"it has to be the build for {platform.machine()}, and libusb-1.0 has to be installed",
+    version=f"SDK 3.17 or a later 3.x, {DOWNLOAD}",
+)
 
-    Raises DeviceNotFound when it is nowhere, with each place looked in, and DeviceError when a file is there but
-    cannot be used.
-    """
-    if named is not None:
-        path = Path(named).expanduser()
-        if not os.path.isfile(path):  # also where this user may not look
-            raise DeviceNotFound(f"library_file = '{named}': there is no such file; {_advice()}")
-        return _declared(_opened(str(path)), str(path))
-    for pattern in patterns(environ):
-        # The longest name has the whole version in it; of several versions the newest sorts last.
-        for path in sorted(pattern.parent.glob(pattern.name), key=lambda p: (len(p.name), p.name), reverse=True):
-            return _declared(_opened(str(path)), str(path))
-    for name in SONAMES:
-        try:
-            return _declared(ctypes.CDLL(name), name)
-        except OSError:
-            continue
-    looked = [*map(str, patterns(environ)), *(f"{name} by the loader" for name in SONAMES)]
+
+def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
+    """The library: see `makers_library.load`."""
     unset = [f"${name} is not set" for name in ("FDSDK", "FORCEDIM_SDK") if not environ.get(name)]
-    raise DeviceNotFound(
-        f"Force Dimension's library libdrd is not on this machine: looked for {', '.join(looked)}"
-        f"{' (' + ', '.join(unset) + ')' if unset else ''}; {_advice()}"
-    )
+    note = f" ({', '.join(unset)})" if unset else ""
+    return makers_library.load(LIBRARY, named, patterns(environ), note)
 
 
 def error_text(library: ctypes.CDLL) -> str:
@@ -115,35 +106,3 @@ def error_text(library: ctypes.CDLL) -> str:
     text = library.dhdErrorGetLastStr()
     number = library.dhdErrorGetLast()
     return f"{text.decode(errors='replace')} (error {number})" if text else f"error {number}"
-
-
-def address(library: ctypes.CDLL, name: str) -> int:
-    """Address of a function for the loop."""
-    return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
-
-
-def _advice() -> str:
-    return (
-        f"get the maker's SDK ({DOWNLOAD}), then set FDSDK to its folder, or give the file as `library_file` in the "
-        "rig's [device] table"
-    )
-
-
-def _opened(path: str) -> ctypes.CDLL:
-    try:
-        return ctypes.CDLL(path)
-    except OSError as error:
-        raise DeviceError(
-            f"{path} cannot be loaded: {error}: it has to be the build for {platform.machine()}, "
-            "and libusb-1.0 has to be installed"
-        ) from error
-
-
-def _declared(library: ctypes.CDLL, path: str) -> ctypes.CDLL:
-    for name, (result, parameters) in PROTOTYPES.items():
-        try:
-            function = getattr(library, name)
-        except AttributeError:
-            raise DeviceError(f"{path} has no function {name}: take SDK 3.17 or a later 3.x, {DOWNLOAD}") from None
-        function.restype, function.argtypes = result, list(parameters)
-    return library

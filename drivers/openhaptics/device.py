@@ -31,6 +31,7 @@ from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, scheduler_of, within
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
@@ -224,7 +225,7 @@ class OpenHaptics(Device):
     def _set_up(self) -> None:
         call, options, word = self._library, self._options, self._word
         for place, name in CALLS.items():
-            word[place] = library.address(call, name)
+            word[place] = address(call, name)
         word[AT.device] = self._device
         word[AT.age_max] = round(options.force_age_max_s * 1e9)
         word[AT.started_at] = word[AT.read_at] = time.monotonic_ns()

@@ -6,13 +6,13 @@ libHD belongs to OpenHaptics. It is proprietary and not shipped; nothing here is
 from __future__ import annotations
 
 import ctypes
-import os
 import platform
 from ctypes import POINTER, c_char_p, c_double, c_int, c_int32, c_ubyte, c_uint32, c_ulong, c_ushort, c_void_p
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.drivers.system import makers_library
+from softfinger.drivers.system.makers_library import MakersLibrary
 
 NAME: Final = "3D Systems' library"
 DOWNLOAD: Final = "https://support.3dsystems.com (Touch device driver, and OpenHaptics for Linux developer edition)"
@@ -135,28 +135,20 @@ ERRORS_MAX: Final = 64
 """Errors taken off the stack at once: the library may put one on it for each call of a frame that failed."""
 
 
-def load(named: str | None) -> ctypes.CDLL:
-    """The library, from the file `named` or from where it is usually put, with every prototype declared.
+LIBRARY: Final = MakersLibrary(
+    name=f"{NAME} libHD",
+    sonames=SONAMES,
+    prototypes=PROTOTYPES,
+    advice=f"install the Touch driver and OpenHaptics ({DOWNLOAD}), or give the file as `library_file` in [device]",
+    needs=f"the maker has it for x86_64 only (this is {platform.machine()}), and it needs libPhantomIOLib42.so of the "
+    "Touch driver",
+    version=f"OpenHaptics 3.4, {DOWNLOAD}",
+)
 
-    Raises DeviceNotFound when it is nowhere, with each place looked in, and DeviceError when a file is there but
-    cannot be used.
-    """
-    if named is not None:
-        path = Path(named).expanduser()
-        if not os.path.isfile(path):  # also where this user may not look
-            raise DeviceNotFound(f"library_file = '{named}': there is no such file; {_advice()}")
-        return _declared(_opened(str(path)), str(path))
-    for folder in FOLDERS:
-        # The longest name has the whole version in it; of several versions the newest sorts last.
-        for path in sorted(folder.glob("libHD.so*"), key=lambda p: (len(p.name), p.name), reverse=True):
-            return _declared(_opened(str(path)), str(path))
-    for name in SONAMES:
-        try:
-            return _declared(ctypes.CDLL(name), name)
-        except OSError:
-            continue
-    looked = [*(str(folder / "libHD.so*") for folder in FOLDERS), *(f"{name} by the loader" for name in SONAMES)]
-    raise DeviceNotFound(f"{NAME} libHD is not on this machine: looked for {', '.join(looked)}; {_advice()}")
+
+def load(named: str | None) -> ctypes.CDLL:
+    """The library: see `makers_library.load`."""
+    return makers_library.load(LIBRARY, named, [folder / "libHD.so*" for folder in FOLDERS])
 
 
 def errors(library: ctypes.CDLL) -> list[Error]:
@@ -176,32 +168,3 @@ def told(library: ctypes.CDLL, code: int, internal: int) -> str:
     ours = ERRORS.get(code)
     said = f", '{words}'" if words else ""
     return f"{ours or 'an error that is not known'} (error 0x{code:04x}{said}, the device's code {internal})"
-
-
-def address(library: ctypes.CDLL, name: str) -> int:
-    """Address of a function for the loop."""
-    return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
-
-
-def _advice() -> str:
-    return f"install the Touch driver and OpenHaptics ({DOWNLOAD}), or give the file as `library_file` in [device]"
-
-
-def _opened(path: str) -> ctypes.CDLL:
-    try:
-        return ctypes.CDLL(path)
-    except OSError as error:
-        raise DeviceError(
-            f"{path} cannot be loaded: {error}: the maker has it for x86_64 only (this is {platform.machine()}), and "
-            "it needs libPhantomIOLib42.so of the Touch driver"
-        ) from error
-
-
-def _declared(library: ctypes.CDLL, path: str) -> ctypes.CDLL:
-    for name, (result, parameters) in PROTOTYPES.items():
-        try:
-            function = getattr(library, name)
-        except AttributeError:
-            raise DeviceError(f"{path} has no function {name}: take OpenHaptics 3.4, {DOWNLOAD}") from None
-        function.restype, function.argtypes = result, list(parameters)
-    return library
