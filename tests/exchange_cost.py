@@ -25,8 +25,9 @@ import numba
 import numpy as np
 from emulators.puck import combined
 from emulators.serialboard import FRAME_BYTES, Board
+from helpers.c_stub import COMPILER, compile_stub
 from helpers.described_boards import rig_options as described_options
-from helpers.drd_stub import COMPILER, SOURCE, Stub, compile_stub
+from helpers.drd_stub import SOURCE, Stub
 from helpers.haply_devices import Service
 from helpers.haply_devices import opened as open_haply
 from helpers.hd_stub import SOURCE as HD_SOURCE

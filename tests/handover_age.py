@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
-from helpers.drd_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.haply_devices import Service, opened
 from helpers.hd_stub import SOURCE, HdStub
 from numpy.typing import NDArray

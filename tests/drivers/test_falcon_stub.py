@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.drd_stub import COMPILER
+from helpers.c_stub import COMPILER
 from helpers.usb_stub import (
     NO_COMPILER,
     FalconBench,

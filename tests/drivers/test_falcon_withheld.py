@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.drd_stub import COMPILER
+from helpers.c_stub import COMPILER
 from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, stub, usb_library
 
 from softfinger.config.load import load_rig, load_scene

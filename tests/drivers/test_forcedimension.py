@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, StubBench, bench, plugged_in, stub, stub_library
+from helpers.c_stub import COMPILER, NO_COMPILER
+from helpers.drd_stub import Stub, StubBench, bench, plugged_in, stub, stub_library
 
 from softfinger.config.errors import (
     ConfigError,

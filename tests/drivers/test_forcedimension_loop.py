@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
-from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, StubBench, bench, stub, stub_library
+from helpers.drd_stub import Stub, StubBench, bench, stub, stub_library
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene, shipped

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.drd_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, HapticError

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
-from helpers.drd_stub import COMPILER, NO_COMPILER
 from helpers.hd_stub import HdStub, TouchBench, hd, hd_library, journal_in, touch
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop

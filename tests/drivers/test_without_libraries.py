@@ -14,7 +14,8 @@ from pathlib import Path
 
 import libusb_package
 import pytest
-from helpers.drd_stub import COMPILER, stub_library
+from helpers.c_stub import COMPILER
+from helpers.drd_stub import stub_library
 
 from softfinger.drivers.system.libusb import SONAME
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 import math
 import os
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,43 +17,16 @@ import usb.backend
 import usb.backend.libusb1
 import usb.core
 
+from helpers.c_stub import COMPILER, NO_COMPILER, CStub, compile_stub
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension import usb as fd_usb
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
-COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-NO_COMPILER = "the stand-in for the maker's library is C, and there is no compiler (cc, gcc, clang) to build it"
 
 
-def compile_stub(source: Path, path: Path, *flags: str) -> Path:
-    """A C file as a shared library at `path`."""
-    always = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
-    subprocess.run([str(COMPILER), *always, *flags, "-o", str(path), str(source), "-lm"], check=True)
-    return path
-
-
-class Stub:
-    """The library as tests steer it: `stub["fail_read"] = 0`, `stub["watchdog"]`."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._library = ctypes.CDLL(str(path))  # the very library that the driver loads: one file, one state
-        self._library.stub_get.restype = ctypes.c_double
-        self._library.stub_set.argtypes = [ctypes.c_char_p, ctypes.c_double]
-
-    def __getitem__(self, name: str) -> float:
-        return float(self._library.stub_get(name.encode()))
-
-    def __setitem__(self, name: str, value: float) -> None:
-        self._library.stub_set(name.encode(), value)
-
-    def update(self, **values: float) -> None:
-        for name, value in values.items():
-            self[name] = value
-
-    def reset(self) -> None:
-        self._library.stub_reset()
+class Stub(CStub):
+    """Force Dimension's library."""
 
     def force(self) -> tuple[float, float, float]:
         """Force of the motors now, in the library's frame (x towards the user, y right, z up)."""

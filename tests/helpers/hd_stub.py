@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from helpers.drd_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.c_stub import COMPILER, NO_COMPILER, CStub, compile_stub
 from softfinger.drivers.openhaptics import device as openhaptics
 from softfinger.drivers.openhaptics import usb
 from softfinger.drivers.system.discovery import Attached
@@ -38,28 +38,12 @@ def journal_in(file: Path) -> NDArray[Any]:
     return rows_of(np.fromfile(file, JOURNAL)[0])
 
 
-class HdStub:
-    """The library as tests steer it: `stub["error_at"] = 300`, `stub["frames"]`."""
+class HdStub(CStub):
+    """3D Systems' library."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self._library = ctypes.CDLL(str(path))  # the very library that the driver loads: one file, one state
-        self._library.stub_get.restype = ctypes.c_double
-        self._library.stub_set.argtypes = [ctypes.c_char_p, ctypes.c_double]
+        super().__init__(path)
         self._library.stub_journal.restype = ctypes.c_void_p
-
-    def __getitem__(self, name: str) -> float:
-        return float(self._library.stub_get(name.encode()))
-
-    def __setitem__(self, name: str, value: float) -> None:
-        self._library.stub_set(name.encode(), value)
-
-    def update(self, **values: float) -> None:
-        for name, value in values.items():
-            self[name] = value
-
-    def reset(self) -> None:
-        self._library.stub_reset()
 
     def reset_hand(self) -> None:
         """Put the handles where the hands' paths begin."""

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import usb.backend.libusb1
 
-from helpers.drd_stub import COMPILER, compile_stub
+from helpers.c_stub import COMPILER, compile_stub
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import SAMPLE_SIZE
 from softfinger.drivers.falcon.block import AT

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.drd_stub import COMPILER, NO_COMPILER, Stub, stub, stub_library
+from helpers.c_stub import COMPILER, NO_COMPILER
+from helpers.drd_stub import Stub, stub, stub_library
 from helpers.telemetry_records import join, put, synthetic
 from test_forcedimension_loop import PRESSING, fd_rig
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from helpers.drd_stub import COMPILER, NO_COMPILER
+from helpers.c_stub import COMPILER, NO_COMPILER
 
 pytestmark = pytest.mark.real_time
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.drd_stub import COMPILER
+from helpers.c_stub import COMPILER
 
 SCRIPT = Path(__file__).parents[1] / "handover_age.py"
 

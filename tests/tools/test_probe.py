@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.drd_stub import COMPILER, NO_COMPILER
+from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.hd_stub import HdStub, hd, hd_library
 from test_device_report import checked, environment, home
 
