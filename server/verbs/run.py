@@ -97,20 +97,9 @@ def run(args: argparse.Namespace) -> int:
             daemon.recordings.record(args.record, args.scene)
         if args.watcher:
             watchers = watch_over(daemon)
-        log.info("scene %s: %s", args.scene, explain(scene))
-        log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rate, daemon.publisher.endpoint)
         if faults is not None:
             log.warning("faults are injected, from %s: %s", args.inject, told(faults, rate))
-        log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
-        if (daemon.commands_endpoint or "").startswith("tcp:"):
-            log.warning("commands by tcp: every user of this machine may command; ipc:///PATH keeps others out")
-        for name, endpoint in daemon.public.items():
-            log.info("%s for other machines on %s, by key", name, endpoint)
-        if daemon.metrics_endpoint is not None:
-            log.info("metrics on %s/metrics", daemon.metrics_endpoint)
-        if page is None:
-            log.info("to see it in the browser, with the mouse for a hand: run it with --view")
-        log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(daemon.publisher.endpoint))
+        announce(daemon, args.scene, page is not None)
         begun = time.monotonic()
         with making("kernels of the scene"):
             found = daemon.servo.compile()
@@ -130,6 +119,23 @@ def run(args: argparse.Namespace) -> int:
         if failed is not None and failed is not first:
             raise failed
     return signals.code_of_stop()
+
+
+def announce(daemon: Daemon, scene_name: str, shown: bool) -> None:
+    """Log what runs, and where it is to be reached; `shown`: a page is open."""
+    rendering, telemetry = daemon.rendering, daemon.publisher.endpoint
+    log.info("scene %s: %s", scene_name, explain(rendering.scene))
+    log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rendering.rig.servo.rate_hz, telemetry)
+    log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
+    if (daemon.commands_endpoint or "").startswith("tcp:"):
+        log.warning("commands by tcp: every user of this machine may command; ipc:///PATH keeps others out")
+    for name, endpoint in daemon.public.items():
+        log.info("%s for other machines on %s, by key", name, endpoint)
+    if daemon.metrics_endpoint is not None:
+        log.info("metrics on %s/metrics", daemon.metrics_endpoint)
+    if not shown:
+        log.info("to see it in the browser, with the mouse for a hand: run it with --view")
+    log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(telemetry))
 
 
 def told(faults: Faults, rate_hz: float) -> str:
