@@ -136,7 +136,7 @@ exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that
 study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)
 
-reference: $(STAMP) ## Write docs/reference/ anew, from the schema, the record table, commands, states and faults
+reference: $(STAMP) ## Write docs/reference/: keys of scenes and rigs, record, telemetry, commands, states, faults
 	@exec $(BIN)/python -m softfinger.tools.pages.reference docs/reference
 
 figures: $(STAMP) ## Draw the figures of the model pages anew (docs/figures/model-*.svg)

@@ -81,7 +81,7 @@ class Words(NamedTuple):
 
     ticks: Annotated[int, word("reads so far")]
     injected_ticks: Annotated[int, counter("reads and writes in which a fault has acted")]
-    newest: Annotated[int, word("place of the fault that has acted last, -1 before the first")]
+    newest: Annotated[int, word("index of the fault that acted last, -1 before the first")]
     newest_tick: Annotated[int, word("in which it has")]
     known: Annotated[int, word("whether there is a sample of before")]
     random: Annotated[int, word("state of the random numbers")]

@@ -86,7 +86,7 @@ class Words(NamedTuple):
     opened_at: Annotated[int, word("ns")]
     read_at: Annotated[int, word("ns, when the loop last read")]
     heard_at: Annotated[int, word("ns, when the state came that the loop has")]
-    seen: Annotated[int, word("counter of the pose that the loop has")]
+    seen: Annotated[int, word("sequence number of the newest pose that the loop has read")]
     dropped_seen: Annotated[int, word("`dropped` at the last read")]
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]

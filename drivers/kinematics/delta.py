@@ -38,7 +38,7 @@ class Delta(NamedTuple):
     joints    e, length that the joints at both ends of a rod add to it
     shift     f, along the axis of the joints
     base      r, from the centre to a motor's axis
-    aside     s, of a leg from its radius
+    offset    s, distance of a leg from the line through the centre that its angle gives
     cos, sin  (3,) of the legs' angles phi
     home      (3,) within every leg's reach: where a search without a last solution begins
     origin    (3,) workspace centre
@@ -50,7 +50,7 @@ class Delta(NamedTuple):
     joints: float
     shift: float
     base: float
-    aside: float
+    offset: float
     cos: Vec3
     sin: Vec3
     home: Vec3
@@ -73,7 +73,7 @@ Rows = tuple[Vec3, Vec3, Vec3]
 def _leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3]:
     """theta1 (rad) of one leg and its row of K (rad/m); NaN where the leg does not reach or is stretched."""
     u = cos_phi * p[0] + sin_phi * p[1] - d.base
-    v = -sin_phi * p[0] + cos_phi * p[1] - d.aside
+    v = -sin_phi * p[0] + cos_phi * p[1] - d.offset
     w = p[2]
     cos3 = (v + d.shift) / d.rod
     if not abs(cos3) < 1.0:

@@ -102,7 +102,7 @@ def _make_delta(given: options.Delta, origin: Vec3) -> delta.Delta:
         joints=0.0,
         shift=0.0,
         base=base,
-        aside=0.0,
+        offset=0.0,
         cos=(cos(one), cos(two), cos(three)),
         sin=(sin(one), sin(two), sin(three)),
         home=(0.0, 0.0, sqrt(0.75) * arm + sqrt(rod * rod - gap * gap)),
