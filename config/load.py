@@ -34,6 +34,7 @@ FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {
     Rig: _HERE / "rigs",
     Faults: _HERE / "faults",
 }
+EXPERIMENTS: Final = _HERE / "experiments"
 _KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig", Faults: "file of faults"}
 _SIZE_MAX: Final = 1 << 20
 _ENTRY: Final = re.compile(r"\[(\d+)\]")
@@ -143,26 +144,36 @@ def describe(config: msgspec.Struct) -> dict[str, Any]:
 
 def shipped(struct_type: type[msgspec.Struct]) -> list[str]:
     """Names of the files of a kind that come with the program."""
-    return sorted(path.stem for path in FOLDERS[struct_type].glob("*.toml"))
+    return names_in(FOLDERS[struct_type])
+
+
+def names_in(folder: Path) -> list[str]:
+    """Names of the files in a folder of shipped ones."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
 
 
 def find(path_or_name: str | Path, struct_type: type[msgspec.Struct]) -> Path:
-    """Where a scene, rig or file of faults is. A text without a folder and without .toml is a shipped name first.
+    """Where a scene, rig or file of faults is: see `find_in`."""
+    return find_in(FOLDERS[struct_type], _KINDS[struct_type], path_or_name)
+
+
+def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
+    """Where a file is, of a kind whose shipped ones are in a folder. A text without a folder and without .toml is a
+    shipped name first.
 
     The path need not exist, unless the text is neither a shipped name nor a file: then ConfigError.
     """
     path = Path(path_or_name)
     if isinstance(path_or_name, Path) or path.name != path_or_name or path.suffix == ".toml":
         return path
-    names = shipped(struct_type)
+    names = names_in(folder)
     if path_or_name in names:
-        return FOLDERS[struct_type] / f"{path_or_name}.toml"
+        return folder / f"{path_or_name}.toml"
     try:
         if path.exists():
             return path
     except (OSError, ValueError):
         pass
-    kind = _KINDS[struct_type]
     own = f"my-{kind.split()[-1]}.toml"
     raise ConfigError(
         f"no {kind} is called {shown(path_or_name)}{near(path_or_name, names)}; "

@@ -38,7 +38,7 @@ case $verb in
     monitor) set -- --endpoint {telemetry} --once --timeout 400 "$@" ;;
     ctl) set -- --endpoint {commands} "$@" ;;
     doctor) set -- --seconds 1 "$@" ;;
-    experiment) case "$*" in *--list*) ;; *) set -- --endpoint {telemetry} --commands {commands} "$@" ;; esac ;;
+    experiment) set -- --endpoint {telemetry} --commands {commands} "$@" ;;
 esac
 exec {program} "$verb" "$@"
 """

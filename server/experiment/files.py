@@ -4,35 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, load_rig, overridden, read_toml
-from softfinger.config.words import near, shown
+from softfinger.config.load import EXPERIMENTS, build, find_in, load_rig, names_in, overridden, read_toml
 from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.masses import scene_with
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import parameters
 
-SHIPPED: Final = Path(__file__).resolve().parents[2] / "config" / "experiments"
-
 
 def shipped() -> list[str]:
     """Names of the experiments that come with the program."""
-    return sorted(path.stem for path in SHIPPED.glob("*.toml"))
-
-
-def find(name: str | Path) -> Path:
-    """The file of an experiment: a text without a folder and without .toml is a shipped name. ConfigError for none."""
-    path = Path(name)
-    if isinstance(name, Path) or path.name != name or path.suffix == ".toml":
-        return path
-    if name not in shipped():
-        raise ConfigError(
-            f"no experiment is called {shown(name)}{near(name, shipped())}; shipped are {', '.join(shipped())}; a file "
-            "of your own is named with its ending, such as my-experiment.toml"
-        )
-    return SHIPPED / f"{name}.toml"
+    return names_in(EXPERIMENTS)
 
 
 def load(source: str | Path | Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[ExperimentFile, Path]:
@@ -43,7 +26,7 @@ def load(source: str | Path | Mapping[str, Any], changes: Mapping[str, Any]) -> 
     if isinstance(source, Mapping):
         experiment, folder = build(ExperimentFile, source, "experiment"), Path()
     else:
-        path = find(source)
+        path = find_in(EXPERIMENTS, "experiment", source)
         experiment, folder = build(ExperimentFile, read_toml(path), str(path.name)), path.parent
     return (overridden(experiment, changes, "experiment") if changes else experiment), folder
 

@@ -10,10 +10,8 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 from softfinger.server import signals
 from softfinger.server.experiment.experiment import Experiment, Running
-from softfinger.server.experiment.files import SHIPPED, shipped
 from softfinger.server.experiment.session import Stopped
 from softfinger.server.verbs.ctl import parameter
-from softfinger.server.verbs.shipped import first_sentence
 
 log: Final = logging.getLogger(__name__)
 
@@ -24,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Run an experiment: the trials of one participant in their order, from the first one without an answer. "
         "Started again after a crash or Ctrl-C it goes on where it ended."
     )
-    parser.add_argument("file", metavar="FILE", nargs="?", help="an experiment's .toml, or the name of a shipped one")
+    parser.add_argument("file", metavar="FILE", help="an experiment's .toml, or the name of a shipped one")
     parser.add_argument("--out", metavar="FOLDER", help="folder for all participants; default: the experiment's name")
     parser.add_argument("--participant", type=int, default=1, metavar="N", help="number, from 1 (default: %(default)s)")
     parser.add_argument("--dry-run", action="store_true", help="the simulated observer answers; a led hand moves")
@@ -36,18 +34,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="another value for a key of the file"
     )
-    parser.add_argument("--list", action="store_true", help="list the shipped experiments")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the session; returns 0, also where it was asked to end."""
-    if args.list:
-        width = max(map(len, shipped()))
-        for name in shipped():
-            print(f"{name:{width}}  {first_sentence((SHIPPED / f'{name}.toml').read_text('utf-8'))}")
-        return 0
-    if args.file is None:
-        raise ConfigError("experiment needs a FILE, or --list for what is shipped")
     if args.no_daemon and not args.dry_run:
         raise ConfigError("--no-daemon: only the simulated observer needs none: give --dry-run too")
     changes: dict[str, Any] = dict(map(parameter, args.set)) | ({"rig": args.rig} if args.rig else {})

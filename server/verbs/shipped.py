@@ -1,4 +1,4 @@
-"""`scenes`, `rigs`, `recordings`, `faults`: what is shipped, a line each."""
+"""`scenes`, `rigs`, `recordings`, `faults`, `experiments`: what is shipped, a line each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.load import FOLDERS
+from softfinger.config.load import EXPERIMENTS, FOLDERS
 from softfinger.config.schema import Faults, Rig, Scene
 from softfinger.drivers.poses import SHIPPED
 
@@ -19,6 +19,7 @@ FOLDER_OF: Final = {
     "rigs": FOLDERS[Rig],
     "recordings": SHIPPED,
     "faults": FOLDERS[Faults],
+    "experiments": EXPERIMENTS,
 }
 
 OPTIONS: Final = {
