@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, settings
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.config.schema.rig import IPC_PATH_MAX
+from softfinger.config.schema.addresses import IPC_PATH_MAX
 from softfinger.drivers import opened
 
 pytest_plugins = ["helpers.pages"]

@@ -8,6 +8,14 @@ A struct may have `faults()`, for what concerns several of its fields. `load.bui
 struct as far as it could be read: a field with an unusable value holds `UNSET`, hence `known`.
 """
 
+from softfinger.config.schema.addresses import (
+    BESIDE,
+    commands_beside,
+    endpoint_complaint,
+    is_public,
+    runtime_folder,
+    telemetry_of,
+)
 from softfinger.config.schema.contact import (
     Coupling,
     Finger,
@@ -49,14 +57,13 @@ from softfinger.config.schema.fields import (
     unit,
     within,
 )
+from softfinger.config.schema.guard import Guard, Workspace
 from softfinger.config.schema.materials import Friction, Material, Normal, Torsion, TorsionModel
 from softfinger.config.schema.motions import Body, Driven, Motion, Sinusoid, Turntable
 from softfinger.config.schema.patch import Patch
 from softfinger.config.schema.rig import (
-    BESIDE,
     Commands,
     DeviceConfig,
-    Guard,
     Metrics,
     RealtimeMode,
     Recording,
@@ -65,12 +72,6 @@ from softfinger.config.schema.rig import (
     Servo,
     Telemetry,
     Tool,
-    Workspace,
-    commands_beside,
-    endpoint_complaint,
-    is_public,
-    runtime_folder,
-    telemetry_of,
 )
 from softfinger.config.schema.scene import FingerParts, Scene
 from softfinger.config.schema.shapes import (

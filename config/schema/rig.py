@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import re
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import msgspec
 
 from softfinger.config import limits
+from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_beside, endpoint_complaint, is_public
 from softfinger.config.schema.fields import Complaint, Component, Table, TopicPart, known, said, sized, within
+from softfinger.config.schema.guard import Arm, Guard
 
 RealtimeMode = Literal["auto", "require", "off"]
-
-
-Arm = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)]
 
 
 class Tool(Table, frozen=True, kw_only=True):
@@ -62,98 +57,6 @@ class Servo(Table, frozen=True, kw_only=True):
     cpu: Annotated[int, within(limits.CPU, "processor to run on; default: any", 1)] | None = None
 
 
-Size = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.WORKSPACE_SIZE_M.high)]
-
-
-class Workspace(Table, frozen=True, kw_only=True):
-    """Soft wall in front of the end stops: a sphere by `radius_m`, or a box by `size_m`."""
-
-    center_m: Annotated[tuple[Arm, Arm, Arm], said("its centre, as the device says positions", [0.0, 0.0, 0.0])] = (
-        0.0,
-        0.0,
-        0.0,
-    )
-    radius_m: Annotated[float, within(limits.WORKSPACE_SIZE_M, "radius of the sphere", 0.07)] | None = None
-    size_m: Annotated[tuple[Size, Size, Size], said("edges of the box, along x, y and z", [0.1, 0.1, 0.1])] | None = (
-        None
-    )
-    stiffness_n_per_m: Annotated[float, within(limits.WALL_STIFFNESS_N_PER_M, "stiffness of the wall", 500.0)] = 500.0
-    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force of the wall", 4.0)] = 4.0
-
-    def faults(self) -> Iterator[Complaint]:
-        if not known(self.radius_m, self.size_m):
-            return
-        if self.radius_m is None and self.size_m is None:
-            yield "radius_m", msgspec.UNSET, "is missing: give radius_m of a sphere, or size_m of a box"
-        elif self.radius_m is not None and self.size_m is not None:
-            yield "size_m", self.size_m, "stands beside radius_m: give one of them"
-
-
-Arming = Literal["automatic", "command", "button"]
-
-
-class Guard(Table, frozen=True, kw_only=True):
-    """Limits on every force before it reaches the device."""
-
-    arm: Annotated[
-        Arming,
-        said(
-            "what gives the force, at the start and after handle_speed_max_m_per_s has removed it; automatic: the "
-            "program, once the handle is slow; command: softfinger ctl arm; button: that, or a press of a button of "
-            "the device",
-            "automatic",
-        ),
-    ] = "automatic"
-
-    force_max_n: Annotated[
-        float, within(limits.FORCE_MAX_N, "largest norm of the force; the direction is kept", 12.0)
-    ] = 12.0
-    torque_max_nm: Annotated[
-        float, within(limits.TORQUE_MAX_NM, "largest norm of the torque; the direction is kept", 0.3)
-    ] = 0.3
-    force_slew_n_per_s: Annotated[
-        float, within(limits.FORCE_SLEW_N_PER_S, "largest rate of change of the force", 2000.0)
-    ] = 2000.0
-    torque_slew_nm_per_s: Annotated[
-        float, within(limits.TORQUE_SLEW_NM_PER_S, "largest rate of change of the torque", 50.0)
-    ] = 50.0
-    ramp_s: Annotated[float, within(limits.RAMP_S, "time over which the force fades in after engaging", 0.5)] = 0.5
-    speed_max_m_per_s: Annotated[
-        float, within(limits.SPEED_MAX_M_PER_S, "a faster motion counts as a jump and gets no force", 10.0)
-    ] = 10.0
-    turn_max_rad_per_s: Annotated[
-        float, within(limits.TURN_MAX_RAD_PER_S, "a faster rotation counts as a jump and gets no force", 100.0)
-    ] = 100.0
-    frozen_s: Annotated[
-        float,
-        within(
-            limits.FROZEN_S,
-            "the force is removed after the pose repeats bit for bit for this long under force; 0: no check",
-            5.0,
-        ),
-    ] = 5.0
-    handle_speed_max_m_per_s: Annotated[
-        float, within(limits.HANDLE_SPEED_MAX_M_PER_S, "a faster handle, over 10 ms, gets no force", 2.0)
-    ] = 2.0
-    continuous_force_n: (
-        Annotated[
-            float,
-            within(
-                limits.CONTINUOUS_FORCE_N,
-                "force that the motors bear for ever; above it they heat, and the force is lowered before they are "
-                "hot; default: no limit",
-                3.0,
-            ),
-        ]
-        | None
-    ) = None
-    heat_time_s: Annotated[float, within(limits.HEAT_TIME_S, "thermal time constant of the motors", 30.0)] = 30.0
-    energy_max_j: Annotated[
-        float, within(limits.ENERGY_MAX_J, "energy that contacts may give to the hand; beyond it the force fades", 0.2)
-    ] = 0.2
-    workspace: Annotated[Workspace | None, said("soft wall in front of the end stops; default: none")] = None
-
-
 class Telemetry(Table, frozen=True, kw_only=True):
     """Telemetry publisher."""
 
@@ -171,68 +74,6 @@ class Telemetry(Table, frozen=True, kw_only=True):
         complaint = endpoint_complaint(self.endpoint) if known(self.endpoint) else None
         if complaint is not None:
             yield "endpoint", self.endpoint, complaint
-
-
-_TCP: Final = re.compile(r"tcp://(\[[^\]]*\]|[^:/@\[\]]+):(\*|[0-9]{1,5})")
-_LOOPBACK: Final = re.compile(r"localhost|127(\.[0-9]{1,3}){3}|\[::1\]")
-_PORT_MAX: Final = 65535
-IPC_PATH_MAX: Final = 107
-"""Bytes of a Unix socket's path."""
-
-
-BESIDE: Final = ".commands"
-"""What a socket of commands is called by, behind the port or the path of the telemetry."""
-
-
-def runtime_folder() -> Path:
-    """`softfinger` in $XDG_RUNTIME_DIR, or where that is not set a folder of this user in the temp directory; whether
-    it is there or not."""
-    given = os.environ.get("XDG_RUNTIME_DIR", "")
-    if given.startswith("/"):
-        return Path(given) / "softfinger"
-    return Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
-
-
-def commands_beside(telemetry: str) -> str:
-    """Where commands are taken of a daemon with this telemetry, where its rig does not say.
-
-    A socket that this user alone reaches: the path with .commands behind, of a port on loopback one in the user's
-    runtime folder, named by the port. Beside telemetry that is open to the network the next port, by key as that.
-    """
-    if telemetry.startswith("ipc://"):
-        return f"{telemetry}{BESIDE}"
-    host, _, port = telemetry.rpartition(":")
-    if not is_public(telemetry):
-        return f"ipc://{runtime_folder()}/{port}{BESIDE}"
-    if not port.isdecimal() or port == "0":
-        return telemetry
-    return f"{host}:{int(port) + (1 if int(port) < _PORT_MAX else -1)}"
-
-
-def telemetry_of(endpoint: str) -> str:
-    """Where the daemon of an address publishes, which may be that of a socket of commands beside the telemetry;
-    otherwise the address itself."""
-    if not endpoint.startswith("ipc://") or not endpoint.endswith(BESIDE):
-        return endpoint
-    path = Path(endpoint.removeprefix("ipc://").removesuffix(BESIDE))
-    return f"tcp://127.0.0.1:{path.name}" if path.parent == runtime_folder() else f"ipc://{path}"
-
-
-def is_public(endpoint: str) -> bool:
-    """Whether other machines may reach what is bound to a valid endpoint."""
-    match = _TCP.fullmatch(endpoint)
-    return match is not None and not _LOOPBACK.fullmatch(match[1])
-
-
-def endpoint_complaint(endpoint: str) -> str | None:
-    """What is wrong with a ZeroMQ address to bind; None if nothing is."""
-    if endpoint.startswith("ipc://"):
-        size = len(endpoint.removeprefix("ipc://").encode(errors="replace"))
-        return None if 0 < size <= IPC_PATH_MAX else f"must have a path of 1 to {IPC_PATH_MAX} bytes"
-    match = _TCP.fullmatch(endpoint)
-    if match is None or (match[2] != "*" and int(match[2]) > _PORT_MAX):
-        return "must be tcp://HOST:PORT, port 0 to 65535 or *, or ipc://PATH; such as tcp://127.0.0.1:5555"
-    return None
 
 
 OFF: Final = "off"

@@ -1,0 +1,103 @@
+"""The guard: limits on every force before it reaches the device, and who gives it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+import msgspec
+
+from softfinger.config import limits
+from softfinger.config.schema.fields import Complaint, Table, known, said, within
+
+Arm = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)]
+Size = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.WORKSPACE_SIZE_M.high)]
+
+
+class Workspace(Table, frozen=True, kw_only=True):
+    """Soft wall in front of the end stops: a sphere by `radius_m`, or a box by `size_m`."""
+
+    center_m: Annotated[tuple[Arm, Arm, Arm], said("its centre, as the device says positions", [0.0, 0.0, 0.0])] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    radius_m: Annotated[float, within(limits.WORKSPACE_SIZE_M, "radius of the sphere", 0.07)] | None = None
+    size_m: Annotated[tuple[Size, Size, Size], said("edges of the box, along x, y and z", [0.1, 0.1, 0.1])] | None = (
+        None
+    )
+    stiffness_n_per_m: Annotated[float, within(limits.WALL_STIFFNESS_N_PER_M, "stiffness of the wall", 500.0)] = 500.0
+    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force of the wall", 4.0)] = 4.0
+
+    def faults(self) -> Iterator[Complaint]:
+        if not known(self.radius_m, self.size_m):
+            return
+        if self.radius_m is None and self.size_m is None:
+            yield "radius_m", msgspec.UNSET, "is missing: give radius_m of a sphere, or size_m of a box"
+        elif self.radius_m is not None and self.size_m is not None:
+            yield "size_m", self.size_m, "stands beside radius_m: give one of them"
+
+
+Arming = Literal["automatic", "command", "button"]
+
+
+class Guard(Table, frozen=True, kw_only=True):
+    """Limits on every force before it reaches the device."""
+
+    arm: Annotated[
+        Arming,
+        said(
+            "what gives the force, at the start and after handle_speed_max_m_per_s has removed it; automatic: the "
+            "program, once the handle is slow; command: softfinger ctl arm; button: that, or a press of a button of "
+            "the device",
+            "automatic",
+        ),
+    ] = "automatic"
+
+    force_max_n: Annotated[
+        float, within(limits.FORCE_MAX_N, "largest norm of the force; the direction is kept", 12.0)
+    ] = 12.0
+    torque_max_nm: Annotated[
+        float, within(limits.TORQUE_MAX_NM, "largest norm of the torque; the direction is kept", 0.3)
+    ] = 0.3
+    force_slew_n_per_s: Annotated[
+        float, within(limits.FORCE_SLEW_N_PER_S, "largest rate of change of the force", 2000.0)
+    ] = 2000.0
+    torque_slew_nm_per_s: Annotated[
+        float, within(limits.TORQUE_SLEW_NM_PER_S, "largest rate of change of the torque", 50.0)
+    ] = 50.0
+    ramp_s: Annotated[float, within(limits.RAMP_S, "time over which the force fades in after engaging", 0.5)] = 0.5
+    speed_max_m_per_s: Annotated[
+        float, within(limits.SPEED_MAX_M_PER_S, "a faster motion counts as a jump and gets no force", 10.0)
+    ] = 10.0
+    turn_max_rad_per_s: Annotated[
+        float, within(limits.TURN_MAX_RAD_PER_S, "a faster rotation counts as a jump and gets no force", 100.0)
+    ] = 100.0
+    frozen_s: Annotated[
+        float,
+        within(
+            limits.FROZEN_S,
+            "the force is removed after the pose repeats bit for bit for this long under force; 0: no check",
+            5.0,
+        ),
+    ] = 5.0
+    handle_speed_max_m_per_s: Annotated[
+        float, within(limits.HANDLE_SPEED_MAX_M_PER_S, "a faster handle, over 10 ms, gets no force", 2.0)
+    ] = 2.0
+    continuous_force_n: (
+        Annotated[
+            float,
+            within(
+                limits.CONTINUOUS_FORCE_N,
+                "force that the motors bear for ever; above it they heat, and the force is lowered before they are "
+                "hot; default: no limit",
+                3.0,
+            ),
+        ]
+        | None
+    ) = None
+    heat_time_s: Annotated[float, within(limits.HEAT_TIME_S, "thermal time constant of the motors", 30.0)] = 30.0
+    energy_max_j: Annotated[
+        float, within(limits.ENERGY_MAX_J, "energy that contacts may give to the hand; beyond it the force fades", 0.2)
+    ] = 0.2
+    workspace: Annotated[Workspace | None, said("soft wall in front of the end stops; default: none")] = None
