@@ -38,17 +38,17 @@ class Arming:
         by, fast, pressed = self._rendering.rig.guard.arm, False, False
         for tick, *each in records[:, self._columns].tolist():
             bits = [int(guard) for guard in each[::2]]
-            fast = tick >= self._rendering.armed_at and any(b & TOO_FAST and not b & DISARMED for b in bits)
+            fast = tick >= self._rendering.force.given_at and any(b & TOO_FAST and not b & DISARMED for b in bits)
             if fast and by != "automatic":
                 self._rendering.disarm(FAST)
             pressed |= self._press(each[1::2])
         if by == "automatic":
-            self._rendering.tell_fault(FAST, fast)
+            self._rendering.force.note_guard(FAST, fast)
         elif by == "button" and pressed:
             self._rendering.arm(UNARMED, FAST)
         self._rendering.advance()
         self._states.fire(Trigger.TICK, "the first tick")
-        self._rendering.tell()
+        self._rendering.force.tell()
 
     def _press(self, buttons: list[float]) -> bool:
         """Whether a button is down that was not."""

@@ -152,7 +152,11 @@ class Commands:
     def _look_after(self) -> None:
         self._rendering.advance()
         silent_s = time.monotonic() - self._heard_s
-        if self._heartbeat_s is not None and silent_s > self._heartbeat_s and not self._rendering.disarmed_for(SILENT):
+        if (
+            self._heartbeat_s is not None
+            and silent_s > self._heartbeat_s
+            and not self._rendering.force.kept_off(SILENT)
+        ):
             self._rendering.disarm(SILENT)
             log.warning("commands: none for %.2f s: the force is taken off until the next heartbeat", silent_s)
             self._tell("heartbeat_missed", "", {"after_s": self._heartbeat_s})
@@ -172,9 +176,9 @@ class Commands:
         return wire.state_of(self._newest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
 
     def _heartbeat(self, request: Request) -> wire.Alive:
-        if self._rendering.disarmed_for(SILENT):
+        if self._rendering.force.kept_off(SILENT):
             self._rendering.arm(SILENT)
-            self._tell("heartbeat", request.command_id, {"armed": self._rendering.armed})
+            self._tell("heartbeat", request.command_id, {"armed": self._rendering.force.wanted})
         return wire.Alive(round(1000 * (self._heartbeat_s or 0.0)))
 
     def _set_params(self, request: Request) -> wire.Changed:
@@ -287,24 +291,24 @@ class Commands:
         return place
 
     def _arm(self, request: Request) -> wire.Armed:
-        before = self._rendering.armed
+        before = self._rendering.force.wanted
         self._rendering.arm(COMMANDED, SILENT, UNARMED, FAST)
         return self._switched(request, before)
 
     def _disarm(self, request: Request) -> wire.Armed:
-        before = self._rendering.armed
+        before = self._rendering.force.wanted
         self._rendering.disarm(COMMANDED)
         return self._switched(request, before)
 
     def _switched(self, request: Request, before: bool) -> wire.Armed:
-        if self._rendering.armed != before:
-            self._tell(request.method, request.command_id, {"armed": self._rendering.armed})
-        return wire.Armed(self._rendering.armed)
+        if self._rendering.force.wanted != before:
+            self._tell(request.method, request.command_id, {"armed": self._rendering.force.wanted})
+        return wire.Armed(self._rendering.force.wanted)
 
     def _zero(self, request: Request) -> wire.Zeroed:
         asked: wire.Zero = request.params
         place = self._finger(asked.finger)
-        if self._rendering.armed:
+        if self._rendering.force.wanted:
             raise Declined(
                 "refused", "there may be force, and the probe would jump under it: disarm first, and arm after"
             )

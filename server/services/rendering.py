@@ -25,10 +25,11 @@ from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.servo_thread import Loop, Servo
 from softfinger.server.loop.tick import UNMOVED
-from softfinger.server.loop.tuning import fading_out, make_tuning, seconds_to_zero, with_armed, with_offsets, with_scene
+from softfinger.server.loop.tuning import make_tuning, seconds_to_zero, with_armed, with_offsets, with_scene
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.devices import check_replacement, injected, open_devices, tools
+from softfinger.server.services.force import Force
 from softfinger.server.states import UNARMED, States
 
 PAUSE_TICKS: Final = 3
@@ -39,8 +40,6 @@ PAUSE_WAIT_S: Final = 0.5
 POLL_S: Final = 0.001
 CHANGE_WAIT_S: Final = 0.5
 """A change of parameters waits for another one, or for a replacement, so long: both take milliseconds."""
-ARM_TICKS: Final = 2
-"""The first begun before may have met the force; the second has the guard forget it, so that the next fades in."""
 
 
 class Replacing(HapticError):
@@ -80,22 +79,14 @@ class Rendering:
         self._handing_over = threading.Lock()
         """Held by whoever changes the tuning of the loop, or the loop."""
         self._states = states or States()
-        self._disarmed = set[str]() if rig.guard.arm == "automatic" else {UNARMED}
-        """Why there is to be no force."""
-        self._guarded = set[str]()
-        """Why the guard gives none by itself."""
-        self._armed_at = 0
-        self._force: float | None = float(self.armed)
-        """What the guards' `armed` is, None while the force is on its way to zero."""
-        self._due = 0
-        """Ticks after which `advance` may change it."""
+        self.force: Final = Force(rig.guard.arm != "automatic", self._states)
         self._moved = 0
         """How many ticks had begun when an offset was set last."""
         devices = self._open(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
-            begun = with_armed(self._tuning, float(self.armed))
             with making("kernels that call the device"):
+                begun = self.force.applied(self._tuning)
                 self.servo: Final = Servo(devices, begun, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s)
         except BaseException as error:
             shutdown.every(lambda: shutdown.close_all(devices), first=error)
@@ -135,13 +126,14 @@ class Rendering:
             with self._handing_over:
                 scene = scene or self._scene  # whose parameters may have changed meanwhile
                 if not keeps and rig.guard.arm != "automatic":  # it may be another hand
-                    self._disarmed.add(UNARMED)
+                    self.force.keep_off(UNARMED)
                 self._fade_out()
                 first = servo.replace(
                     (lambda: self._loop(scene, rig)) if keeps else (lambda: self._opened(scene, rig)), keeps
                 )
                 self._since = first
-                self._rig, self._scene, self._force, self._due = rig, scene, servo.tuning.guards[0].armed, 0
+                self.force.begin(servo.tuning.guards[0].armed)
+                self._rig, self._scene = rig, scene
                 self._tuning = with_armed(servo.tuning, 1.0)
             self.advance()
             if self._stopped:  # and did not wait until the devices were open
@@ -168,19 +160,9 @@ class Rendering:
         return self._rig
 
     @property
-    def armed(self) -> bool:
-        """Whether there is force, or is to be."""
-        return not self._disarmed
-
-    @property
     def state(self) -> str:
         """The daemon's."""
         return self._states.now.value
-
-    @property
-    def armed_at(self) -> int:
-        """How many ticks may have begun before the force was given last."""
-        return self._armed_at
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
         """Put values in place of the scene's, keys as of `load_scene`: from one tick on all of them, or none. What acts
@@ -202,7 +184,7 @@ class Rendering:
     @property
     def forceless(self) -> bool:
         """Whether the force has been taken off, and all hands feel none."""
-        return self._force == 0.0 and self.servo.ticks >= self._due
+        return self.force.is_off(self.servo.ticks)
 
     @property
     def offsets(self) -> tuple[Vec3, ...]:
@@ -237,46 +219,25 @@ class Rendering:
         with self._change():
             lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], wanted)
 
-    def disarmed_for(self, why: str) -> bool:
-        """Whether the force is kept off for this reason."""
-        return why in self._disarmed
-
     def disarm(self, why: str) -> None:
         """Take the force off along the slew limit, and keep it off; never waits."""
-        self._disarmed.add(why)
+        self.force.keep_off(why)
         self.advance()
-        self.tell()
+        self.force.tell()
 
     def arm(self, *why: str) -> None:
         """Take back reasons of `disarm`: with the last of them the force fades in, along the guard's ramp."""
-        self._disarmed.difference_update(why)
+        self.force.allow(*why)
         self.advance()
-        self.tell()
-
-    def tell_fault(self, why: str, there: bool) -> None:
-        """Note whether the guard keeps the force off by itself for this reason."""
-        (self._guarded.add if there else self._guarded.discard)(why)
-
-    def tell(self) -> None:
-        """Have the state go by what keeps the force off now."""
-        self._states.follow(self._disarmed | self._guarded)
+        self.force.tell()
 
     def advance(self) -> None:
         """What is next in taking the force off or giving it back; to be called at times, never waits."""
         if not self._handing_over.acquire(blocking=False):
             return
         try:
-            if self.servo.ticks < self._due:
-                return
-            if self._force is None:
-                self._force, self._due = 0.0, self.servo.ticks + ARM_TICKS
-            elif self._force and self._disarmed:
-                self._force, self._due = None, self.servo.ticks + self._ticks_to_zero()
-            elif not self._force and not self._disarmed:
-                self._force, self._armed_at = 1.0, self.servo.ticks + ARM_TICKS
-            else:
-                return
-            self._tune()
+            if self.force.advance(self.servo.ticks, self._ticks_to_zero()):
+                self._tune()
         finally:
             self._handing_over.release()
 
@@ -291,16 +252,15 @@ class Rendering:
 
     def _tune(self) -> int:
         """Hand the tuning over as it is to be now; returns how many ticks had begun without it at the least."""
-        tuning = fading_out(self._tuning) if self._force is None else with_armed(self._tuning, self._force)
         ticks = self.servo.ticks
-        self.servo.tune(tuning)
+        self.servo.tune(self.force.applied(self._tuning))
         return ticks
 
     def _loop(self, scene: schema.Scene, rig: schema.Rig, given: Sequence[Device] = ()) -> Loop:
         """A loop on the devices given, or on the present ones."""
         devices = given or self.servo.devices
         infos = [device.info for device in devices]
-        tuning = with_armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.armed))
+        tuning = with_armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.force.wanted))
         if not given:  # an offset is of a device, and stays with it
             tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
@@ -325,13 +285,14 @@ class Rendering:
 
     def _fade_out(self) -> None:
         """Take the force off as fast as the guard lets it change."""
-        if self._force == 0.0:
+        before = self.force.share
+        if before == 0.0:
             return
-        before, self._force = self._force, None
+        self.force.share = None
         count = self._ticks_to_zero()
         self._tune()
         if not self._ticked(count, 2.0 * count * self.servo.period_ns / NS_PER_S + PAUSE_WAIT_S):
-            self._force = before
+            self.force.share = before
             self._tune()
             raise SafetyStop(f"nothing was replaced: the servo did not tick {count} times to take the force off")
 
