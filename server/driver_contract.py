@@ -307,7 +307,7 @@ class DriverContract:
                 until = time.monotonic() + 30.0  # on a busy machine a withheld force fades in again
                 while math.hypot(*bench.displayed()) <= 0.5:
                     assert servo.running and time.monotonic() < until, case
-                    servo.wait_record()
+                    servo.records.wait()
                 bench.make(case)
                 ended = servo.join(30.0)
                 assert ended is not None
@@ -322,7 +322,7 @@ def run_for(servo: Loop, ticks: int) -> None:
     """Wait until a loop has done so many ticks; fails where it ends before, after which no record comes."""
     while servo.ticks < ticks:
         assert servo.running, f"the loop ended after {servo.ticks} ticks of {ticks}"
-        servo.wait_record()
+        servo.records.wait()
 
 
 def first_failure(servo: Servo, patience_s: float) -> int:
@@ -340,5 +340,5 @@ def failing() -> Callable[[], None]:
 def last_force(servo: Loop) -> float:
     """Norm (N) of the force of the last tick."""
     out = np.empty((4096, RECORD_SIZE))
-    records = out[: servo.take(out)]
+    records = out[: servo.records.take(out)]
     return float(np.linalg.norm(records[-1, AT.force : AT.force + 3]))

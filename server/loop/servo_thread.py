@@ -7,15 +7,13 @@ parameters in and records out.
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Final
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import Device
@@ -25,13 +23,15 @@ from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.all_devices import Io, make_line
 from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.handover import Handover, Loop
 from softfinger.server.loop.health import HELD_MAX_S
 from softfinger.server.loop.inputs.ramp import leaves, make_way
 from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
-from softfinger.server.loop.shared.bell import wait_for
-from softfinger.server.loop.shared.ring import Feed, Ring, make_ring, take
+from softfinger.server.loop.shared.ring import make_ring, take
+from softfinger.server.loop.shared.rings import Rings
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, Ended
 from softfinger.server.loop.tick import Tuning, begin, carried_over
+from softfinger.server.loop.tuning import alike
 
 log: Final = logging.getLogger(__name__)
 
@@ -41,30 +41,6 @@ RING_SECONDS: Final = 8
 HANDOVER_S: Final = 5.0
 """A loop that has not ended within this, or whose successor has not begun, hangs in its device."""
 HANDOVER_POLL_S: Final = 0.05
-
-
-class Loop(NamedTuple):
-    """What a servo runs: an open device for each finger, the tuning that the loop is compiled for, and the memory of
-    both."""
-
-    devices: tuple[Device, ...]
-    tuning: Tuning
-    shared: Shared
-    arguments: tuple[Any, ...]
-
-
-class _Handover:
-    """From one loop to the next, between the servo's thread and the one that replaces.
-
-    keeps  the devices stay as they are, armed and at zero; else those of before are stopped, and the next ones armed
-    """
-
-    def __init__(self, keeps: bool) -> None:
-        self.keeps = keeps
-        self.left, self.ready, self.begun = threading.Event(), threading.Event(), threading.Event()
-        self.loop: Loop | None = None
-        self.error: BaseException | None = None
-        self.first = 0
 
 
 class Servo:
@@ -81,7 +57,7 @@ class Servo:
 
     The devices are armed in that thread once everything else is done, right before the first tick.
 
-    Use: `compile`, `start`, `take` again and again after `wait_record`, `stop`, `join`.
+    Use: `compile`, `start`, `records.take` again and again after `records.wait`, `stop`, `join`.
     """
 
     def __init__(
@@ -98,19 +74,15 @@ class Servo:
         self._tuned_at = 0
         self._ended: Ended | None = None
         self._armed = self._stopping = False
-        self._handover: _Handover | None = None
+        self._handover: Handover | None = None
         self._done = threading.Event()
-        self._wake_fd = os.eventfd(0)
         # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset serves the whole run.
         self._epoch_ns = _epoch_offset_ns()
         self._words = np.zeros(8, np.int64), np.zeros(8, np.int64)
-        self._turns = np.zeros(8, np.int64)
         self._missed_before = 0
-        self._rings: list[Ring] = []
-        """The one that is read, and after it the one of the next loop, where that has another."""
-        self._dropped = 0
+        self.records: Final = Rings()
         self._loop = self.loop(devices, tuning, rate_hz)
-        self._rings.append(self._loop.shared.ring)
+        self.records.add(self._loop.shared.ring)
         self._thread = threading.Thread(target=self._run, name="servo", daemon=True)
 
     def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
@@ -121,11 +93,11 @@ class Servo:
         held_max = int(HELD_MAX_S * rate_hz)
         lines = tuple(make_line(record, held_max) for record in np.split(row, len(devices)))
         capacity = 1 << int(np.ceil(np.log2(max(RING_SECONDS * rate_hz, 1024))))
-        ring = self._rings[-1] if self._rings else None
+        ring = self.records.newest
         if ring is None or len(ring.slots) != capacity:
             ring = make_ring(capacity, len(row))
         motion = np.zeros(motion_size(tuning.scene))
-        shared = Shared(*self._words, make_slot(values), ring, self._wake_fd, make_slot(motion))
+        shared = Shared(*self._words, make_slot(values), ring, self.records.wake_fd, make_slot(motion))
         arguments = (
             tuning,
             begin(tuning.scene),
@@ -181,8 +153,7 @@ class Servo:
             else:  # what ended the loop is the first error
                 log.error("%s", failed)
         self._done.set()
-        self._turns[0] += 1
-        os.eventfd_write(self._wake_fd, 1)
+        self.records.end()
 
     def _arm(self) -> None:
         if not self._stopping:
@@ -198,7 +169,7 @@ class Servo:
                 return Ended(ending, status, finger=finger)
             self._take_over(handover)
 
-    def _take_over(self, handover: _Handover) -> None:
+    def _take_over(self, handover: Handover) -> None:
         """Between two loops, with the devices at zero."""
         if not handover.keeps:
             self._armed = False  # no tick is due until the next devices are armed
@@ -208,9 +179,7 @@ class Servo:
         if handover.loop is None:
             raise handover.error or SafetyStop("there was no loop to go on with")
         self._loop, self._handover = self._carried_over(handover.loop), None
-        if self._loop.shared.ring is not self._rings[-1]:
-            self._rings.append(self._loop.shared.ring)
-            self._turns[0] += 1
+        self.records.add(self._loop.shared.ring)
         self.shared.stop[0] = 0
         if self._stopping:  # asked for meanwhile
             self.shared.stop[0] = 1
@@ -236,7 +205,7 @@ class Servo:
         missed deadline. Raises SafetyStop where the servo is not running. One thread only.
         """
         self.check_running()
-        handover = _Handover(keeps)
+        handover = Handover(keeps)
         self._handover = handover
         self.shared.stop[0] = 1
         try:
@@ -339,38 +308,6 @@ class Servo:
         """Of a loop that lost its time: whether most of it was lost before the thread was woken."""
         return bool(self.shared.progress[2])
 
-    @property
-    def drops(self) -> int:
-        """Records the ring had no room for."""
-        return self._dropped + int(self._rings[0].drops[0])
-
-    def wait_record(self) -> None:
-        """Sleep until there is a record to take, or the loop has ended. One thread only."""
-        wait_for(self._wake_fd)
-
-    def take(self, out: NDArray[np.float64]) -> int:
-        """Move the oldest records into `out` (n, width), a row a tick; returns how many. One thread only."""
-        last = (
-            len(self._rings) > 1
-        )  # asked before emptying it: nothing more comes into the ring of a loop that has ended
-        count = int(take(self._rings[0], out))
-        if count == 0 and last:
-            self._next_ring()
-            count = int(take(self._rings[0], out))
-        return count
-
-    def feeds(self) -> Iterator[Feed]:
-        """The rings one after the other, for a reader without Python, in place of `take` and `wait_record`: each once
-        the one before has turned and was emptied; the last one has turned when the servo has ended."""
-        yield Feed(self._rings[0], self._turns, self._wake_fd)
-        while len(self._rings) > 1:
-            self._next_ring()
-            yield Feed(self._rings[0], self._turns, self._wake_fd)
-
-    def _next_ring(self) -> None:
-        self._dropped += int(self._rings[0].drops[0])
-        del self._rings[0]
-
     def fits(self, tuning: Tuning) -> bool:
         """Whether the loop was compiled for the parts of this tuning."""
         return alike(tuning, self._loop.tuning)
@@ -389,21 +326,10 @@ class Servo:
         self._tuned_at = self.ticks
 
     def close(self) -> None:
-        """Release the eventfd, after the loop has ended and its reader has gone."""
+        """Release what its reader waited on, after the loop has ended and its reader has gone."""
         if self._thread.ident is not None:
             self._thread.join()
-        if self._wake_fd >= 0:
-            os.close(self._wake_fd)
-            self._wake_fd = -1
-
-
-def alike(a: Any, b: Any) -> bool:
-    """Whether two trees have the same parts, so that one loop serves both; `numba.typeof` takes milliseconds for it."""
-    if isinstance(a, tuple):
-        return type(a) is type(b) and len(a) == len(b) and all(map(alike, a, b))
-    if isinstance(a, float):
-        return isinstance(b, float)
-    return b is None if a is None else bool(numba.typeof(a) == numba.typeof(b))
+        self.records.close()
 
 
 def _epoch_offset_ns() -> int:

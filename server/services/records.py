@@ -73,7 +73,7 @@ class Records(Worker):
             # asked before it is emptied: what came before the end is handed on
             running = not (self._tap.ended or self._given_up)
             while (count := self._tap.take(batch)) > 0:
-                self._hand_on(batch[:count], self._servo.drops + self._tap.lost)
+                self._hand_on(batch[:count], self._servo.records.drops + self._tap.lost)
         if self._tap.failed:
             raise RuntimeError("the thread that hands ticks on has ended")
 

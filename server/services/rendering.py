@@ -23,7 +23,8 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
-from softfinger.server.loop.servo_thread import Loop, Servo
+from softfinger.server.loop.handover import Loop
+from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import make_tuning, seconds_to_zero, with_armed, with_offsets, with_scene
 from softfinger.server.progress import making

@@ -19,7 +19,7 @@ class Telemetry:
         self.sink = Sink("publisher", publisher.observe, _lost)
 
     def start(self) -> None:
-        self._publisher.attach(self._servo)
+        self._publisher.attach(self._servo.records)
         self._publisher.event("lifecycle", "started", device=names(self._servo.devices))
         self._told = True
 

@@ -176,7 +176,7 @@ def watch(daemon: Daemon, page: Shown | None) -> None:
             if show is None and time.monotonic() - told < PLAIN_PERIOD_S:
                 continue
             told, servo = time.monotonic(), daemon.servo
-            line = f"{servo.ticks} ticks, {servo.missed} missed, {servo.drops} records dropped"
+            line = f"{servo.ticks} ticks, {servo.missed} missed, {servo.records.drops} records dropped"
             if show is None:
                 log.info("%s", line)
             else:

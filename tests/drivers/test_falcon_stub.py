@@ -74,7 +74,7 @@ def run(device: Falcon, ticks: int) -> tuple[s.Ended, np.ndarray]:
     ended = servo.join(60.0)
     assert ended is not None
     records = np.empty((8192, RECORD_SIZE))
-    records = records[: servo.take(records)]
+    records = records[: servo.records.take(records)]
     servo.close()
     return ended, records
 

@@ -41,7 +41,7 @@ PRESSING = {"type": 34, "wrist": 1, "z": 0.0115, "az": 0.0035, "ax": 0.006, "ay"
 
 def records_of(servo: s.Servo) -> np.ndarray:
     out = np.empty((8192, RECORD_SIZE))
-    return out[: servo.take(out)]
+    return out[: servo.records.take(out)]
 
 
 def fd_rig(stub: Stub, **changes: Any) -> Rig:

@@ -352,7 +352,7 @@ def test_a_puck_feels_its_way_through_a_scene() -> None:
         ended = servo.join(30.0)
         assert ended is not None and ended.ending == s.FINISHED
         records = np.empty((900, RECORD_SIZE))
-        assert servo.take(records) == 900
+        assert servo.records.take(records) == 900
         servo.close()
         assert not device.written().wrench[-1].any()
     engine, compared = Engine(scene), 0

@@ -83,9 +83,9 @@ def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None]) -> None:
     out = np.empty((1024, RECORD_SIZE))
     running = True
     while running:
-        servo.wait_record()
+        servo.records.wait()
         running = servo.running
-        while (count := servo.take(out)) > 0:
+        while (count := servo.records.take(out)) > 0:
             take(out[:count])
 
 

@@ -350,7 +350,7 @@ def test_a_stop_that_fails_is_told_and_skips_nothing(faulty, caplog):
     assert [act for act, *_ in faulty.device.acts] == ["arm", "stop", "close", "stop"]
     assert not faulty.device.wrenches[-1].any() and faulty.device.wrenches.any()
     assert not Path(f"/proc/{running.publisher.pid}").exists()
-    assert not running.servo.running and running.servo._wake_fd == -1
+    assert not running.servo.running and running.servo.records.wake_fd == -1
     assert "could not be closed" in caplog.text
 
 

@@ -52,7 +52,7 @@ def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.End
     ended = servo.join(60.0)
     assert ended is not None
     out = np.empty((8192, servo.width))
-    records = out[: servo.take(out)].reshape(-1, len(devices), RECORD_SIZE)
+    records = out[: servo.records.take(out)].reshape(-1, len(devices), RECORD_SIZE)
     servo.close()
     return ended, records
 

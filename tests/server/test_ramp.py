@@ -154,7 +154,7 @@ def test_a_stiffness_that_changes_in_contact_is_no_step_of_the_force():
     servo.stop()
     assert servo.join(30.0) is not None
     out = np.empty((16384, RECORD_SIZE))
-    records = out[: servo.take(out)]
+    records = out[: servo.records.take(out)]
     servo.close()
     normal, felt = records[:, AT.contact_normal_force], records[:, AT.force + 2]
     assert (normal[50:] == felt[50:]).all()

@@ -87,7 +87,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
         # Fewer is nothing left, too: a file of kept kernels may have been open when they were counted first.
         assert all(now <= before for now, before in zip(left_open(), open_before, strict=True))
         assert not running.wait(0.0)  # it goes on
-        assert len(running.servo._rings) == 1
+        assert len(running.servo.records._rings) == 1
         gc.collect()
         assert sum(loop() is not None for loop in loops) == 0
         (device,) = running.devices

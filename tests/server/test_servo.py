@@ -53,7 +53,7 @@ def finish(servo: s.Servo) -> tuple[s.Ended, np.ndarray]:
     ended = servo.join(30.0)
     assert ended is not None
     out = np.empty((16384, RECORD_SIZE))
-    records = out[: servo.take(out)]
+    records = out[: servo.records.take(out)]
     servo.close()
     return ended, records
 

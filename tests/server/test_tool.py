@@ -158,7 +158,7 @@ def test_servo_writes_the_carried_wrench(fault: Any) -> None:
     servo.start()
     assert servo.join(60.0) is not None
     records = np.empty((600, RECORD_SIZE))
-    assert servo.take(records) == 600
+    assert servo.records.take(records) == 600
     servo.close()
     wrenches = device.wrenches[:600]
     felt = records[:, AT.force : AT.force + 3]

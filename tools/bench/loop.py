@@ -101,9 +101,9 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
         batch, parts = np.empty((256, servo.width)), []
         running = True
         while running:
-            servo.wait_record()
+            servo.records.wait()
             running = servo.running
-            while (count := servo.take(batch)) > 0:
+            while (count := servo.records.take(batch)) > 0:
                 parts.append(batch[:count, FIGURES].copy())
         ended = servo.join()
         servo.close()

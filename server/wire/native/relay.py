@@ -49,7 +49,7 @@ _TICK: Final = 1  # newest tick that was handed on
 
 
 class Source(Protocol):
-    """What records come from: a servo."""
+    """What records come from: the rings of a servo."""
 
     def feeds(self) -> Iterator[Feed]:
         """Where to take them from; the next one is asked for when the one before has come to its end."""
