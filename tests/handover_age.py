@@ -1,7 +1,8 @@
 """How old a pose is when the servo reads it, and a force when the device has it: `python tests/handover_age.py`,
 `make handover-age`.
 
-For drivers that hand poses and forces over to something else than a node of the system: a thread, a maker's library.
+For drivers that hand poses and forces over to something else than a node of the system (a thread, a maker's library),
+and for boards behind a serial port, which answer each frame or send by themselves.
 Devices on stand-ins are read and written by one compiled loop, called as the servo calls them, without the interpreter
 lock. A stand-in's pose says the time at which it was made, by the clock that all processes share, and its log has the
 time at which it took each force. So both ages are from end to end: messages, sockets, threads and what holds them up.
@@ -15,20 +16,25 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
+from emulators.clockboard import ClockBoard
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.haply_devices import Service, opened
 from helpers.hd_stub import SOURCE, HdStub
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceTimeout, HapticError
+from softfinger.config.load import build
 from softfinger.drivers.base import OK, SAMPLE_SIZE, Device
 from softfinger.drivers.openhaptics.device import Options as TouchOptions
 from softfinger.drivers.openhaptics.device import open_device as open_touch
+from softfinger.drivers.serial.device import Options as SerialOptions
+from softfinger.drivers.serial.device import open_device as open_serial
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.server.driver_contract import RATE_HZ
@@ -106,7 +112,22 @@ def openhaptics() -> Iterator[list[End]]:
             yield [End(device, taken)]
 
 
-CASES: Final[dict[str, Callable[[], AbstractContextManager[list[End]]]]] = {"haply": haply, "openhaptics": openhaptics}
+@contextmanager
+def serial(mode: str) -> Iterator[list[End]]:
+    """A board behind a pseudo terminal, which answers each frame or sends one a millisecond."""
+    with ExitStack() as undo:
+        folder = Path(undo.enter_context(tempfile.TemporaryDirectory()))
+        board = undo.enter_context(ClockBoard(mode, folder / "log"))
+        device = undo.enter_context(open_serial(build(SerialOptions, board.options, "the board's rig"), RATE_HZ))
+        yield [End(device, board.taken)]
+
+
+CASES: Final[dict[str, Callable[[], AbstractContextManager[list[End]]]]] = {
+    "haply": haply,
+    "openhaptics": openhaptics,
+    "serial, answer": partial(serial, "answer"),
+    "serial, stream": partial(serial, "stream"),
+}
 
 
 def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
@@ -176,11 +197,11 @@ def main() -> int:
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    lines = [f"{'age, us':20}" + "".join(f"{word:>9}" for word in ("p50", "p99", "most")) + f"{'share':>9}"]
+    lines = [f"{'age, us':24}" + "".join(f"{word:>9}" for word in ("p50", "p99", "most")) + f"{'share':>9}"]
     for name, one in found.items():
         for what, share in (("pose", "new"), ("force", "arrived")):
             row = "".join(f"{one[what][key] * 1e6:9.0f}" for key in ("p50", "p99", "most"))
-            lines.append(f"{name + ', ' + what:20}{row}{one[share]:9.1%}")
+            lines.append(f"{name + ', ' + what:24}{row}{one[share]:9.1%}")
     measure.show({"ticks": args.ticks, "rate_hz": args.rate, "seconds": found}, args.json, lines)
     return 0
 

@@ -1,0 +1,112 @@
+"""A serial board in a process of its own whose position is the time, for ages of poses and forces.
+
+x (m) is the fraction of the second (monotonic clock) at which a frame was made; each force is logged with the time at
+which its frame was complete. What it misses: the transfer time of a line, and a USB adapter's buffer.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import select
+import struct
+import time
+import tty
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulators.guideboard import crc8
+
+FRAME: Final = struct.Struct("<B3fB")
+BYTES: Final = FRAME.size
+"""Of a frame, either way: a mark, three of four, checksum."""
+PERIOD_S: Final = 0.001
+
+
+def device_table(path: str, mode: str) -> dict[str, Any]:
+    """The [device] table of its rig."""
+    return {
+        "path": path,
+        "force_max_n": 3.0,
+        "stiffness_max_n_per_m": 300.0,
+        "damping_max_ns_per_m": 1.0,
+        "workspace_radius_m": 1.0,
+        "quiet_s": 0.1,
+        "timeout_s": 0.5,
+        "frames": {
+            "mode": mode,
+            "input": {
+                "bytes": BYTES,
+                "start": [0xA5],
+                "check": {"kind": "crc8", "offset": BYTES - 1},
+                "field": [
+                    {"meaning": axis, "offset": 1 + 4 * k, "type": "int32", "scale": 1e-9}
+                    for k, axis in enumerate("xyz")
+                ],
+            },
+            "output": {
+                "bytes": BYTES,
+                "start": [0x5A],
+                "check": {"kind": "crc8", "offset": BYTES - 1},
+                "field": [
+                    {"meaning": f"force_{axis}", "offset": 1 + 4 * k, "type": "float32"} for k, axis in enumerate("xyz")
+                ],
+            },
+        },
+        "kinematics": {"kind": "cartesian"},
+    }
+
+
+class ClockBoard:
+    """The board at the far end of a pseudo terminal: it answers each frame, or sends one a millisecond (`stream`)."""
+
+    def __init__(self, mode: str, log: Path) -> None:
+        self._log = log
+        far, self._near = os.openpty()
+        tty.setraw(self._near)
+        self.options = device_table(os.ttyname(self._near), mode)
+        self._process = multiprocessing.get_context("fork").Process(target=_run, args=(far, mode, log), daemon=True)
+        self._process.start()
+        os.close(far)
+
+    def taken(self) -> NDArray[np.float64]:
+        """Time (s, monotonic clock) and force along z (N) of every frame so far, shape (n, 2)."""
+        data = self._log.read_bytes()
+        return np.frombuffer(data[: len(data) // 16 * 16]).reshape(-1, 2)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.join()
+        os.close(self._near)
+
+
+def _run(far: int, mode: str, log: Path) -> None:
+    rest, due = b"", time.monotonic()
+    with log.open("wb", buffering=0) as out:
+        while True:
+            left = max(0.0, due - time.monotonic()) if mode == "stream" else None
+            if select.select([far], [], [], left)[0]:
+                rest += os.read(far, 4096)
+                while len(rest) >= BYTES:
+                    mark, _, _, force, check = FRAME.unpack_from(rest)
+                    if mark != 0x5A or crc8(rest[: BYTES - 1]) != check:
+                        rest = rest[1:]
+                        continue
+                    out.write(struct.pack("<dd", time.monotonic(), force))
+                    rest = rest[BYTES:]
+                    if mode == "answer":
+                        _send(far)
+            if mode == "stream" and time.monotonic() >= due:
+                _send(far)
+                due = max(due + PERIOD_S, time.monotonic())
+
+
+def _send(far: int) -> None:
+    frame = struct.pack("<B3i", 0xA5, time.monotonic_ns() % 1_000_000_000, 0, 0)
+    os.write(far, frame + bytes([crc8(frame)]))
