@@ -19,6 +19,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
+from softfinger.config.materials import FINGERTIPS, MATERIALS
 from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
 from softfinger.config.toml import parse_toml
 from softfinger.config.validate import Fault, examine
@@ -37,6 +38,8 @@ FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {
 EXPERIMENTS: Final = _HERE / "experiments"
 _KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig", Faults: "file of faults"}
 _SIZE_MAX: Final = 1 << 20
+_BY_NAME: Final = {"material": MATERIALS.key, "fingertip": FINGERTIPS.key}
+"""Tables that a text may stand for, and the key that it is the value of."""
 _ENTRY: Final = re.compile(r"\[(\d+)\]")
 _NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
 
@@ -315,9 +318,23 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
         if depth == len(way):
             if way[-1] == "driver" and way[0] in ("device", "devices") and at.get("driver") != value:
                 at.clear()
+            _forget_entry(at, way, value)
             at[place], origins[key] = value, source
         else:
+            if name in _BY_NAME and isinstance(at[place], str):
+                at[place] = {_BY_NAME[name]: at[place]}
             at = at[place]
+
+
+def _forget_entry(at: Any, way: list[str], value: Any) -> None:
+    """Another entry of a library is to be named: nothing of the one before is left."""
+    if not isinstance(at, dict) or at.get(way[-1]) == value or at.get("resolved") is not True:
+        return
+    if way[-2:] == ["material", MATERIALS.key]:
+        at.clear()
+    elif way[-1] == FINGERTIPS.key:
+        for key in ("resolved", "radius_m", "radii_m", "orientation_wxyz", "patch"):
+            at.pop(key, None)
 
 
 def _names(entries: list[Any]) -> str:

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from msgspec import UNSET, Struct, inspect
 
+from softfinger.config.materials import Library
 from softfinger.config.typeinfo import described, options, unwrapped
 from softfinger.config.words import either, expected, missing, near, shown
 
@@ -206,7 +207,7 @@ def _struct(info: inspect.StructType, value: object, key: str, report: Report) -
         return _tagged([info], value, key, report)
     library = getattr(info.cls, "library", None)
     if library is not None:
-        value = _from_library(library(), value, key, report)
+        value = _from_library(library, value, key, report)
         if value is UNSET:
             return UNSET
     if not isinstance(value, Mapping):
@@ -214,29 +215,22 @@ def _struct(info: inspect.StructType, value: object, key: str, report: Report) -
     return _fields(info, value, key, report)
 
 
-def _from_library(library: Mapping[str, Mapping[str, Any]], value: object, key: str, report: Report) -> Any:
-    """A table that names another one, with that one's values where it has none of its own."""
-    given = {"name": value} if isinstance(value, str) else value
-    if not isinstance(given, Mapping) or not isinstance(given.get("name"), str):
+def _from_library(library: Library, value: object, key: str, report: Report) -> Any:
+    """A table that names an entry of a library, with that one's values where it has none of its own.
+
+    What says that it is resolved has them already, from the library of the program that wrote it.
+    """
+    given = {library.key: value} if isinstance(value, str) else value
+    if not isinstance(given, Mapping) or not isinstance(given.get(library.key), str) or given.get("resolved") is True:
         return given
-    name = given["name"]
-    if name in library:
-        return _over(library[name], given)
-    dotted = key if isinstance(value, str) else _join(key, "name")
-    choices = ", ".join(library)
+    name, entries = given[library.key], library.entries()
+    if name in entries:
+        return library.filled(given)
+    dotted = key if isinstance(value, str) else _join(key, library.key)
+    choices = ", ".join(entries)
     return report.add(
-        dotted, f"{dotted} = {shown(name)}: not in the library{near(name, library)}; it has {choices}; or give numbers"
+        dotted, f"{dotted} = {shown(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers"
     )
-
-
-def _over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` put in, table by table."""
-    result = dict(base)
-    for key, value in changes.items():
-        below = base.get(key)
-        both = isinstance(below, Mapping) and isinstance(value, Mapping)
-        result[key] = _over(below, value) if both else value  # type: ignore[arg-type]
-    return result
 
 
 def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: Report) -> Any:

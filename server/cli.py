@@ -62,6 +62,9 @@ VERBS: Final = {
     "recordings": Verb("softfinger.server.verbs.shipped", "the recordings that are shipped, a line each"),
     "faults": Verb("softfinger.server.verbs.shipped", "the faults that are shipped for `run --inject`, a line each"),
     "experiments": Verb("softfinger.server.verbs.shipped", "the experiments that are shipped, a line each"),
+    "materials": Verb(
+        "softfinger.server.verbs.materials", "the materials and fingertips that are shipped, with sources"
+    ),
     "experiment": Verb("softfinger.server.experiment.verb", "an experiment: trials, answers, a folder of results"),
     "figure": Verb("softfinger.server.experiment.figure_verb", "an experiment's folder as figures and numbers"),
     "check": Verb("softfinger.server.verbs.check", "validate rig and scene files"),

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
 from softfinger.config import limits
+from softfinger.config.materials import FINGERTIPS, Library
 from softfinger.config.schema.fields import (
     Complaint,
     Component,
     Length,
+    Resolved,
     Table,
     TopicPart,
     known,
     normalise_orientation,
     said,
+    sized,
     within,
 )
 from softfinger.config.schema.patch import Patch
@@ -29,9 +32,23 @@ PassivityMode = Literal["observe", "control"]
 class Form(Table, frozen=True, kw_only=True):
     """A rigid body centred on the probe: a sphere or an ellipsoid."""
 
+    library: ClassVar[Library] = FINGERTIPS
+    """Fingertips that a scene may name; the values of the named one stand wherever it says nothing itself."""
+
+    pad: (
+        Annotated[
+            str,
+            sized(
+                limits.NAME_LENGTH, "fingertip of the library; keys given beside it override its values", "human-index"
+            ),
+        ]
+        | None
+    ) = None
+    resolved: Resolved = None
     radius_m: (
         Annotated[
-            float, within(limits.LENGTH_M, "radius of a spherical fingertip; required unless radii_m is given", 0.01)
+            float,
+            within(limits.LENGTH_M, "radius of a spherical fingertip; required unless pad or radii_m is given", 0.01),
         ]
         | None
     ) = None

@@ -88,6 +88,13 @@ Length = Annotated[float, Meta(ge=limits.LENGTH_M.low, le=limits.LENGTH_M.high)]
 Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION.high)]
 
 
+Resolved = Annotated[
+    bool | None,
+    said("true: all values of the named entry stand here, the library is not asked; recordings and telemetry have it"),
+]
+"""Of a table that may name an entry of a library: without it a recording would change with the library."""
+
+
 def normalise_orientation(table: Table) -> None:
     """Make the quaternion `orientation_wxyz` of a table that is being made a unit one, where it has a direction."""
     given = table.orientation_wxyz  # type: ignore[attr-defined]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
-from softfinger.config import limits, materials
-from softfinger.config.schema.fields import Complaint, Component, Table, known, said, sized, within
+from softfinger.config import limits
+from softfinger.config.materials import MATERIALS, Library
+from softfinger.config.schema.fields import Complaint, Component, Resolved, Table, known, said, sized, within
 
 TorsionModel = Literal["independent", "limit_surface", "soft_finger_proxy"]
 Scale = Annotated[float, Meta(ge=limits.FRICTION_SCALE.low, le=limits.FRICTION_SCALE.high)]
@@ -201,7 +202,7 @@ class Torsion(Table, frozen=True, kw_only=True):
 class Material(Table, frozen=True, kw_only=True):
     """Contact properties of an object."""
 
-    library: ClassVar[Callable[[], Mapping[str, Mapping[str, Any]]]] = staticmethod(materials.library)
+    library: ClassVar[Library] = MATERIALS
     """Materials that a scene may name; the values of the named one stand wherever it says nothing itself."""
 
     name: (
@@ -211,6 +212,7 @@ class Material(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None
+    resolved: Resolved = None
     stiffness_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "normal stiffness (K_n)", 1000.0)]
     damping_ns_per_m: Annotated[
         float,

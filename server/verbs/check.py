@@ -30,6 +30,7 @@ from softfinger.config.schema import (
     World,
 )
 from softfinger.config.words import near, shown
+from softfinger.server.offline.feels import entry_rows
 
 if TYPE_CHECKING:  # with the kernels behind it, which no rig needs
     from softfinger.proxy.meshes.report import Report
@@ -159,7 +160,11 @@ def kind_of(mapping: dict[str, Any], where: str) -> str:
 
 def scene_summary(scene: Scene) -> list[tuple[str, str]]:
     """What the contact step models, and what is left out of it."""
-    rows = [row for finger in scene.fingers for row in _finger_rows(scene, finger)]
+    tables = [scene.fingertip] if scene.fingertip is not None else scene.finger
+    rows = []
+    for finger, table in zip(scene.fingers, tables, strict=True):
+        first, *others = _finger_rows(scene, finger)
+        rows += [first, *entry_rows(table), *others]
     for item in scene.object:
         rows += _object_rows(item, scene.soft)
     rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
@@ -223,9 +228,10 @@ def _object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
     place = ", ".join(f"{value:g}" for value in item.position_m)
     damping = f"{material.damping_ns_per_m:g} N s/m" if material.damping_ns_per_m else "undamped"
     what = f"{item.shape} at ({place}) m{_size(item)}, {material.stiffness_n_per_m:g} N/m, {damping}"
-    rows = [(f"object '{item.name}'", what), ("  friction", friction), ("  torsion", torsion)]
+    rows = [(f"object '{item.name}'", what), *entry_rows(material)]
+    rows += [("  friction", friction), ("  torsion", torsion)]
     if material.normal is not None:
-        rows.insert(1, ("  normal force", _values(material.normal)))
+        rows.insert(-2, ("  normal force", _values(material.normal)))
     rows += [(f"  effect {effect.kind}", _values(effect)) for effect in item.effect]
     if item.motion is not None:
         rows.append((f"  motion {item.motion.kind}", _values(item.motion)))

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 from msgspec import inspect
 
-from softfinger.config.materials import library
+from softfinger.config.materials import FINGERTIPS, MATERIALS
 from softfinger.config.schema import DeviceConfig, Rig, Scene, unit
 from softfinger.config.typeinfo import described, options, unwrapped
 from softfinger.config.words import expected, toml
@@ -23,6 +23,8 @@ KINDS: Final = ("scene", "rig", "telemetry", "commands")
 _STRUCTS: Final[dict[str, type[msgspec.Struct]]] = {"scene": Scene, "rig": Rig}
 _EITHER: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
 """Keys of which a file has exactly one."""
+_NAMED: Final = {"Material": MATERIALS, "Fingertip": FINGERTIPS}
+"""Tables that a name of a library may stand for."""
 _SELECTS: Final = "selects the other keys"
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
@@ -82,8 +84,9 @@ def json_schema(kind: str) -> dict[str, Any]:
     for table in schema["$defs"].values():
         for key, value in table["properties"].items():
             _as_toml(key, value)
-            if value == {"$ref": "#/$defs/Material"}:
-                table["properties"][key] = {"anyOf": [value, {"enum": sorted(library())}]}
+            for title, library in _NAMED.items():
+                if value.get("$ref") == f"#/$defs/{title}":
+                    table["properties"][key] = {"anyOf": [{"$ref": value["$ref"]}, {"enum": sorted(library.entries())}]}
     material = schema["$defs"].get("Material")
     if material is not None:
         # A named material brings what is not said.

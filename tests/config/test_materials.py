@@ -1,21 +1,23 @@
-"""The material library: what is in it, and how a scene names and changes it."""
+"""The library of materials and fingertips: what is in it, and how a scene names and changes it."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+import math
 from typing import Any
 
 import pytest
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, describe
-from softfinger.config.materials import FILE, library
-from softfinger.config.schema import Material, Scene
+from softfinger.config.load import build, describe, load_scene, overridden
+from softfinger.config.materials import Entry, fingertips, materials, papers
+from softfinger.config.schema import Fingertip, Material, Scene
 
 pytestmark = pytest.mark.plain
 
-NAMES = sorted(library())
+NAMES = sorted(materials())
+TIPS = sorted(fingertips())
+ENTRIES = {**materials(), **fingertips()}
 
 
 def scene_of(material: Any) -> Scene:
@@ -52,7 +54,7 @@ def test_every_material_is_one_a_scene_may_have(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_torsion_follows_its_formula(name: str) -> None:
     """16/3 G a^3 with the moduli of pad and material in series, and 2/3 mu a, for a = 6 mm and a pad of 45 kPa."""
-    soft = {"rubber": 600e3, "silicone": 200e3, "skin": 45e3, "sponge": 10e3}
+    soft = {"rubber": 600e3, "silicone": 200e3, "skin": 45e3, "foam": 30e3, "sponge": 10e3}
     modulus = 1.0 / (1.0 / 45e3 + (1.0 / soft[name] if name in soft else 0.0))
     material = material_of(name)
     assert material.shear_modulus_pa == soft.get(name)
@@ -65,21 +67,146 @@ def test_torsion_follows_its_formula(name: str) -> None:
 
 def test_the_hand_finds_the_order_it_knows() -> None:
     """Softer things are softer, and slipperier ones more slippery."""
-    stiffness = [material_of(n).stiffness_n_per_m for n in ["sponge", "skin", "silicone", "rubber", "wood", "glass"]]
+    stiffness = [
+        material_of(n).stiffness_n_per_m
+        for n in ["sponge", "foam", "skin", "silicone", "rubber", "abs", "wood", "glass"]
+    ]
     assert stiffness == sorted(set(stiffness))
-    slippery = [library()[n]["friction"]["kinetic"] for n in ["oiled-steel", "steel", "aluminium", "rubber"]]
+    slippery = [materials()[n].values["friction"]["kinetic"] for n in ["oiled-steel", "steel", "aluminium", "rubber"]]
     assert slippery == sorted(set(slippery))
 
 
-def test_every_friction_says_where_it_is_from() -> None:
-    """The line above each pair of coefficients names a source by its number, and every number is in the list."""
-    lines = FILE.read_text().splitlines()
-    sources = [above for above, line in pairwise(lines) if line.startswith("friction")]
-    assert len(sources) == len(NAMES) >= 12
-    for line in sources:
-        cited = [part.split("]")[0] for part in line.split("[")[1:]]
-        assert cited, line
-        assert all(f"#   [{number}] " in FILE.read_text() for number in cited), line
+def test_no_name_means_two_things() -> None:
+    """A material and a fingertip are told apart by their names alone, and each paper is one that an entry names."""
+    assert not set(NAMES) & set(TIPS) and len(NAMES) >= 18 and len(TIPS) >= 5
+    told = [[*entry.papers, *(each.paper for each in entry.measured)] for entry in ENTRIES.values()]
+    in_ranges = {name for name in papers() for entry in ENTRIES.values() if name in entry.holds}
+    assert {name for names in told for name in names} | in_ranges == set(papers())
+
+
+@pytest.mark.parametrize("entry", ENTRIES.values(), ids=ENTRIES)
+def test_every_entry_says_where_it_is_from_and_how_far_it_holds(entry: Entry) -> None:
+    """Its sources, its range, and of a material's friction between what it was measured."""
+    assert entry.papers and entry.holds and entry.about.endswith(".")
+    assert bool(entry.friction_of) == ("friction" in entry.values)
+    for each in entry.measured:
+        quantities = [each.friction, each.youngs_modulus_pa, each.patch_exponent]
+        assert sum(value is not None for value in quantities) == 1
+        assert each.of and (each.low is None or each.friction is None or each.low <= each.friction)
+        for span in (each.youngs_modulus_pa, each.patch_exponent, each.load_n):
+            assert span is None or span[0] <= span[1]
+
+
+def test_dois_are_of_the_form_that_they_have() -> None:
+    """A doi begins with 10. and the number of a registrant; every source says how far it was read."""
+    for paper in papers().values():
+        assert paper.read and paper.text
+        registrant, slash, rest = paper.doi.partition("/")
+        assert not paper.doi or (registrant[:3] == "10." and registrant[3:].isdecimal() and slash and rest)
+
+
+def test_a_hard_thing_under_a_finger_pad_is_as_deep_as_hertz_says() -> None:
+    """F = 4/3 E* sqrt(r) d^1.5, E* = 4 G of the fingertip human-index, whose modulus is among those measured."""
+    material, tip = material_of("finger-pad"), tip_of("human-index")
+    assert material.normal is not None and tip.patch is not None and tip.radius_m is not None
+    reduced = 4.0 * tip.patch.shear_modulus_pa
+    for force in (0.1, 1.0, 5.0):
+        deep = (3.0 * force / (4.0 * reduced * math.sqrt(tip.radius_m))) ** (2.0 / 3.0)
+        assert material.depth_under(force) == pytest.approx(deep, rel=1e-3)  # three digits of the stiffness
+    soft, stiff = materials()["finger-pad"].measured[0].youngs_modulus_pa or (0.0, 0.0)
+    assert soft < 3.0 * tip.patch.shear_modulus_pa < stiff
+
+
+def tip_of(fingertip: Any) -> Fingertip:
+    """What a scene's `fingertip` key means."""
+    thing = {"name": "table", "shape": "plane", "material": "wood"}
+    tip = build(Scene, {"fingertip": fingertip, "object": [thing]}, "f.toml").fingertip
+    assert tip is not None
+    return tip
+
+
+@pytest.mark.parametrize("name", TIPS)
+def test_every_fingertip_is_one_a_scene_may_have(name: str) -> None:
+    """By its name alone, as the table or as a key of it, it has a radius and a patch."""
+    tip = tip_of(name)
+    assert tip == tip_of({"pad": name})
+    assert tip.patch is not None and tip.radius_m is not None and 0.005 <= tip.radius_m <= 0.015
+
+
+def test_the_human_pads_have_one_patch_at_1_n() -> None:
+    """(3 r / 16 G)^(1/3) of Hertz at 1 N, given as a number where the law is another."""
+    hertz = (3.0 * 0.01 / (16.0 * 45e3)) ** (1.0 / 3.0)
+    for name in ("human-index-plateau", "human-index-paraboloid"):
+        patch = tip_of(name).patch
+        assert patch is not None and patch.radius_m == pytest.approx(hertz, rel=1e-4)  # four digits of it
+
+
+def test_the_paraboloid_has_a_paraboloid_s_mean_distance() -> None:
+    """Of (1 - s^k)^(1/k) the mean distance from the centre is B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k); 1 - s^2 has 8/15."""
+    patch = tip_of("human-index-paraboloid").patch
+    assert patch is not None and patch.pressure_exponent is not None
+    k = patch.pressure_exponent
+
+    def beta(a: float, b: float) -> float:
+        return math.gamma(a) * math.gamma(b) / math.gamma(a + b)
+
+    assert beta(3 / k, 1 + 1 / k) / beta(2 / k, 1 + 1 / k) == pytest.approx(8.0 / 15.0, rel=1e-4)  # four digits of k
+
+
+def test_a_fingertip_is_changed_as_a_material_is() -> None:
+    """Keys beside the name take the library's place; radii_m stands in place of its radius_m."""
+    patch = tip_of("human-index").patch
+    assert tip_of({"pad": "human-index", "radius_m": 0.008}).radius_m == 0.008
+    oval = tip_of({"pad": "human-index", "radii_m": [0.008, 0.007, 0.012]})
+    assert (oval.radius_m, oval.radii_m, oval.patch) == (None, (0.008, 0.007, 0.012), patch)
+    lossy = tip_of({"pad": "human-index", "patch": {"rolling_loss": 0.3}}).patch
+    assert lossy is not None and patch is not None
+    assert (lossy.rolling_loss, lossy.shear_modulus_pa) == (0.3, patch.shear_modulus_pa)
+
+
+def test_each_of_several_fingers_may_name_its_own() -> None:
+    """A finger's name is its own, and its pad the library's."""
+    fingers = [{"name": "thumb", "pad": "human-index-plateau"}, {"name": "index", "pad": "rubber-tip"}]
+    thing = {"name": "table", "shape": "plane", "material": "wood"}
+    scene = build(Scene, {"finger": fingers, "object": [thing]}, "f.toml")
+    assert [finger.patch for finger in scene.finger] == [tip_of(each["pad"]).patch for each in fingers]
+    assert [finger.name for finger in scene.finger] == ["thumb", "index"]
+    assert build(Scene, describe(scene), "again") == scene
+
+
+def test_an_unknown_fingertip_is_refused_with_the_nearest() -> None:
+    """As an unknown material is."""
+    with pytest.raises(ConfigError, match=r"fingertip = 'human-indx': not in the library \(did you mean 'human-index'"):
+        tip_of("human-indx")
+    with pytest.raises(ConfigError, match=r"fingertip\.pad = 'x': not in the library"):
+        tip_of({"pad": "x"})
+
+
+def test_a_described_scene_does_not_ask_the_library() -> None:
+    """What is left out stays out, and values stand for themselves where their name is no longer in the library."""
+    mapping = describe(scene_of({"name": "rubber", "torsion": None}))
+    assert build(Scene, mapping, "again").object[0].material.torsion is None
+    mapping["object"][0]["material"] |= {"name": "of another version", "stiffness_n_per_m": 123.0}
+    material = build(Scene, mapping, "again").object[0].material
+    assert (material.name, material.stiffness_n_per_m, material.shear_modulus_pa) == (
+        "of another version",
+        123.0,
+        600e3,
+    )
+
+
+def test_an_override_reaches_into_a_named_table() -> None:
+    """A value beside the name, of a file's text or of a scene that is built; another name brings its own values."""
+    thing = {"name": "table", "shape": "plane", "material": "rubber"}
+    file = {"fingertip": "human-index", "object": [thing]}
+    own = {"object.table.material.friction.kinetic": 0.2, "fingertip.radius_m": 0.008}
+    for scene in (load_scene(file, own), overridden(load_scene(file), own, "override")):
+        assert scene.object[0].material == material_of({"name": "rubber", "friction": {"kinetic": 0.2}})
+        assert scene.fingertip == tip_of({"pad": "human-index", "radius_m": 0.008})
+    for key, value in (("object.table.material", "wood"), ("object.table.material.name", "wood")):
+        other = overridden(load_scene(file, own), {key: value, "fingertip.pad": "rubber-tip"}, "override")
+        assert other.object[0].material == material_of("wood")
+        assert other.fingertip == tip_of("rubber-tip")
 
 
 def test_single_keys_can_be_changed() -> None:

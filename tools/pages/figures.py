@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.load import build, describe, load_scene
+from softfinger.config.materials import fingertips
 from softfinger.config.schema import Scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
+from softfinger.server.offline import feel_figure, feels
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.pages import moving, sketches, states
 
@@ -102,6 +104,13 @@ def patch(axes: Any) -> None:
     axes[1].set(xlabel="normal force [N]", ylabel="torsional limit [N mm]")
 
 
+def materials(axes: Any) -> None:
+    """Friction of the library beside published coefficients, and how the patch of a finger pad grows by two laws."""
+    feel_figure.overview(axes[0])
+    names = ("human-index", "human-index-plateau")
+    feel_figure.patch(axes[1], {name: (fingertips()[name], feels.whole("fingertip", name)) for name in names})
+
+
 def effects(axes: Any) -> None:
     """A plane with a magnet, approached and pressed: the force of the contact and of the effect."""
     axes = axes[0]
@@ -170,6 +179,7 @@ FIGURES: Final[dict[str, tuple[Callable[[Any], None], int]]] = {
     "patch": (patch, 2),
     "ellipsoid": (sketches.ellipsoid, 1),
     "effects": (effects, 1),
+    "materials": (materials, 2),
     "texture": (texture, 2),
     "heightmap": (sketches.heightmap, 1),
     "mesh": (sketches.mesh, 1),

@@ -12,9 +12,11 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from softfinger.config.materials import flat, papers
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
 from softfinger.server.faults import HAZARDS
 from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.offline import feels
 from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
 from softfinger.server.wire.protocol import Key
@@ -151,6 +153,37 @@ the cause of the event `state faulted`. [Safety](../safety.md) says what cannot 
     return _page(head, table)
 
 
+def materials_page() -> str:
+    """The library of materials and fingertips, with its sources."""
+    head = """\
+# Materials and fingertips: every entry
+
+What a scene may name: `material = "rubber"`, `fingertip = "human-index"`. [Materials](../model/materials.md) shows how,
+and the models beside what was published; `softfinger materials NAME` prints one, with `--plot` its figure. Sources are
+given by the names of the last table, which says how far each was read: mostly the abstract."""
+    listed = feels.entries()
+    parts = []
+    for kind, title in (("material", "## Materials"), ("fingertip", "## Fingertips")):
+        rows = [
+            [
+                f"`{name}`",
+                f"{entry.about} {'Friction: ' + entry.friction_of + '.' if entry.friction_of else ''}".strip(),
+                "<br>".join(f"`{key}` {value:g}" for key, value in flat(entry.values)),
+                entry.holds,
+                "<br>".join(map(feels.measured_text, entry.measured)),
+                ", ".join(entry.papers),
+            ]
+            for name, (each, entry) in listed.items()
+            if each == kind
+        ]
+        parts += [title, schema.grid(["name", "what", "values", "holds", "published", "sources"], rows)]
+    sources = [
+        [name, paper.text + (f", doi `{paper.doi}`" if paper.doi else ""), paper.read]
+        for name, paper in papers().items()
+    ]
+    return _page(head, *parts, "## Sources", schema.grid(["name", "source", "read"], sources))
+
+
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "scenes.md": scenes,
     "rigs.md": rigs,
@@ -159,6 +192,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "commands.md": commands_page,
     "states.md": states_page,
     "faults.md": faults_page,
+    "materials.md": materials_page,
 }
 
 

@@ -1,0 +1,180 @@
+"""Figures of the library: the model of a material or a fingertip beside what was published."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.materials import Entry, Measured
+from softfinger.config.schema import Fingertip, Material
+from softfinger.server.offline.feels import entries, found, whole
+from softfinger.server.offline.figures import figure, save
+
+Array = NDArray[np.float64]
+
+LOAD_N: Final = (0.1, 20.0)
+"""Loads that are drawn: from a touch to a firm grip."""
+SHEAR_PER_YOUNG: Final = 1.0 / 3.0
+"""Shear modulus over Young's modulus of what keeps its volume."""
+
+
+def draw(name: str, path: Path) -> None:
+    """Draw an entry and save it as .png or .svg; ConfigError for a name that none has."""
+    kind, entry = found(name)
+    drawing = figure(9.0, 3.6)
+    axes = drawing.subplots(1, 2)
+    if kind == "material":
+        material = whole(kind, name)
+        friction(axes[0], entry, material)
+        depth(axes[1], entry, material)
+    else:
+        tip = whole(kind, name)
+        patch(axes[0], {name: (entry, tip)})
+        torsion(axes[1], {name: tip})
+    drawing.suptitle(f"{name}: {entry.about}", fontsize="small")
+    for each in axes:
+        each.legend(frameon=False, fontsize="x-small")
+    save(drawing, path)
+
+
+# --- materials -----------------------------------------------------------------------------------------
+
+
+def friction(axes: Any, entry: Entry, material: Material) -> None:
+    """Static and kinetic friction over the load, and the published coefficients at theirs."""
+    law = material.friction
+    assert law is not None  # every material of the library has friction
+    axes.plot(LOAD_N, [law.static] * 2, color="C0", label="model, static")
+    axes.plot(LOAD_N, [law.kinetic] * 2, "--", color="C0", label="model, kinetic")
+    points = [each for each in entry.measured if each.friction is not None]
+    free = np.geomspace(0.3, 8.0, len(points) + 2)[1:-1]
+    for place, each in enumerate(points):
+        load = free[place] if each.load_n is None else float(np.sqrt(each.load_n[0] * each.load_n[1]))
+        across = "" if each.load_n else ", load not said"
+        point(axes, load, each, f"C{place + 1}", f"{each.of}{across} ({each.paper})")
+    axes.set(xscale="log", xlabel="load [N]", ylabel="coefficient of friction")
+    axes.set_ylim(0.0, 1.6 * axes.get_ylim()[1])  # room for the legend
+
+
+def point(axes: Any, x: float, each: Measured, color: str, label: str) -> None:
+    """A published coefficient with its deviation, and with the loads that it is a mean over."""
+    across = None if each.load_n is None else [[x - each.load_n[0]], [each.load_n[1] - x]]
+    axes.errorbar(x, each.friction, spread(each), across, fmt="o", ms=4, capsize=3, color=color, label=label)
+
+
+def spread(each: Measured) -> list[list[float]]:
+    """How far a published coefficient's error bar goes down and up: to its deviation, or down to the least value."""
+    deviation = each.sd or 0.0
+    return [[deviation if each.low is None or each.friction is None else each.friction - each.low], [deviation]]
+
+
+def overview(axes: Any) -> None:
+    """The coefficients of every material of which one of skin was published, and these."""
+    known = [(name, entry) for name, (_, entry) in entries().items() if any(each.friction for each in entry.measured)]
+    rows = dict(zip((name for name, _ in known), range(len(known), 0, -1), strict=True))
+    laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in known])
+    axes.hlines(list(rows.values()), *laws.T, color="C0", lw=2.5, label="model, kinetic to static")
+    axes.plot(laws.T, [list(rows.values())] * 2, "|", color="C0", ms=6)
+    points = [(rows[name], each) for name, entry in known for each in entry.measured if each.friction is not None]
+    axes.errorbar(
+        [each.friction for _, each in points],
+        [row - 0.25 for row, _ in points],
+        xerr=np.hstack([spread(each) for _, each in points]),
+        fmt="o", ms=2.5, capsize=1.5, lw=1, color="C1", label="published, of skin",
+    )  # fmt: skip
+    axes.set_yticks(list(rows.values()), list(rows), fontsize="x-small")
+    axes.set(xlabel="coefficient of friction", xlim=(0.0, 1.8))
+
+
+def depth(axes: Any, entry: Entry, material: Material) -> None:
+    """The normal force over the depth, and that of an elastic sphere over the range of the moduli measured."""
+    force = np.linspace(0.0, 3.0, 61)
+    axes.plot([1e3 * material.depth_under(each) if each else 0.0 for each in force], force, color="C0", label="model")
+    for each in entry.measured:
+        if each.youngs_modulus_pa is not None:
+            low, high = (1e3 * hertz_depth(force, young, RADIUS_M) for young in each.youngs_modulus_pa)
+            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=f"{each.of} ({each.paper})")
+    axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
+
+
+RADIUS_M: Final = 0.01
+"""Of the finger pad that the materials are computed for."""
+
+
+def hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Array:
+    """Depth, m, of an incompressible elastic sphere on something rigid under `force`, N: (3 F / (4 E* sqrt(r)))^(2/3),
+    E* = E / (1 - 1/4)."""
+    reduced = youngs_modulus_pa / 0.75
+    depth_m: Array = (3.0 * force / (4.0 * reduced * np.sqrt(radius_m))) ** (2.0 / 3.0)
+    return depth_m
+
+
+# --- fingertips ----------------------------------------------------------------------------------------
+
+
+def patch(axes: Any, drawn: dict[str, tuple[Entry, Fingertip]]) -> None:
+    """The radius of the patch over the load, and what the moduli and exponents measured come to."""
+    load = np.linspace(0.0, 10.0, 41)
+    told: set[str] = set()
+    for name, (entry, tip) in drawn.items():
+        axes.plot(load, 1e3 * patch_radius(tip, load), label=name)
+        for each in entry.measured:
+            band = patch_band(each, tip)
+            if band is not None and (text := f"{each.of} ({each.paper})") not in told:
+                told.add(text)
+                at, low, high = band
+                axes.fill_between(at, 1e3 * low, 1e3 * high, alpha=0.2, lw=1.0, label=text)
+    axes.set(xlabel="load [N]", ylabel="radius of the patch [mm]")
+    axes.set_ylim(0.0, 2.0 * axes.get_ylim()[1])  # room for the legend
+
+
+def patch_band(each: Measured, tip: Fingertip) -> tuple[Array, Array, Array] | None:
+    """Loads (n,) N, least and largest radius (n,) m that a published range allows; None for one of something else.
+
+    Of a modulus by Hertz's law on this fingertip, of an exponent about this one's radius at 1 N.
+    """
+    load = np.linspace(*(each.load_n or (0.0, 10.0)), 15)
+    if each.youngs_modulus_pa is not None:
+        moduli = (SHEAR_PER_YOUNG * young for young in each.youngs_modulus_pa)
+        soft, stiff = (hertz_radius(load, modulus, tip.radius_m or 0.0) for modulus in moduli)
+        return load, stiff, soft
+    if each.patch_exponent is not None:
+        ends = [patch_radius(tip, np.ones(1))[0] * load**exponent for exponent in each.patch_exponent]
+        return load, np.minimum(*ends), np.maximum(*ends)
+    return None
+
+
+def patch_radius(tip: Fingertip, load: Array) -> Array:
+    """Radius (n,) of the patch, m, under `load` (n,) N on something rigid, as the contact model has it."""
+    radius, pad = tip.radius_m or 0.0, tip.patch
+    assert pad is not None  # every fingertip of the library has a patch
+    if pad.radius_m is None:
+        return np.minimum(hertz_radius(load, pad.shear_modulus_pa, radius), radius)
+    exponent = 1.0 / 3.0 if pad.exponent is None else pad.exponent
+    return np.minimum(pad.radius_m * load**exponent, radius)
+
+
+def hertz_radius(load: Array, shear_modulus_pa: float, radius_m: float) -> Array:
+    """Radius of the patch, m, of an incompressible elastic sphere on something rigid: (3 F r / (16 G))^(1/3)."""
+    radius: Array = (3.0 * load * radius_m / (16.0 * shear_modulus_pa)) ** (1.0 / 3.0)
+    return radius
+
+
+def torsion(axes: Any, drawn: dict[str, Fingertip]) -> None:
+    """The torsional limit over the load, over the coefficient of friction."""
+    load = np.linspace(0.0, 4.0, 61)[1:]
+    for name, tip in drawn.items():
+        assert tip.patch is not None
+        arm = mean_distance(tip.patch.pressure_exponent or 2.0) * patch_radius(tip, load)
+        axes.plot(load, 1e3 * arm * load, label=name)
+    axes.set(xlabel="load [N]", ylabel="torsional limit over friction [N mm]")
+
+
+def mean_distance(exponent: float, steps: int = 4000) -> float:
+    """Mean distance of the pressure (1 - s^k)^(1/k) from the centre of a patch of radius 1, by the midpoint rule."""
+    s = (np.arange(steps) + 0.5) / steps
+    pressure = (1.0 - s**exponent) ** (1.0 / exponent)
+    return float((pressure * s * s).sum() / (pressure * s).sum())

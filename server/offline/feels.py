@@ -1,0 +1,96 @@
+"""What is told of materials and fingertips of the library: an entry, its sources, what a scene has changed of it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, Final
+
+import msgspec
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, describe
+from softfinger.config.materials import FINGERTIPS, MATERIALS, Entry, Measured, flat, papers
+from softfinger.config.schema import Fingertip, Material
+from softfinger.config.schema.contact import Form
+from softfinger.config.schema.fields import unit
+from softfinger.config.words import near, shown
+
+LIBRARIES: Final = {"material": MATERIALS, "fingertip": FINGERTIPS}
+_TABLES: Final[dict[str, type[msgspec.Struct]]] = {"material": Material, "fingertip": Fingertip}
+
+
+def entries() -> dict[str, tuple[str, Entry]]:
+    """Every entry by its name, and whether it is a `material` or a `fingertip`."""
+    return {name: (kind, entry) for kind, each in LIBRARIES.items() for name, entry in each.entries().items()}
+
+
+def found(name: str) -> tuple[str, Entry]:
+    """One of `entries`; ConfigError for a name that none has."""
+    known = entries()
+    if name not in known:
+        raise ConfigError(
+            f"no material or fingertip is called {shown(name)}{near(name, known)}; there are {', '.join(known)}"
+        )
+    return known[name]
+
+
+def whole(kind: str, name: str) -> Any:
+    """The table of a scene that names the entry and says nothing else."""
+    return build(_TABLES[kind], {LIBRARIES[kind].key: name}, name)
+
+
+def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
+    """For `check`: the entry that a table of a scene names, and which values are the scene's own. Empty for none."""
+    kind = "fingertip" if isinstance(table, Form) else "material"
+    library, mapping = LIBRARIES[kind], describe(table)
+    name = mapping.get(library.key)
+    if name is None:
+        return []
+    if name not in library.entries():
+        return [("  library", f"{name}, which is not in this version's; the values are those of the scene")]
+    theirs = dict(flat(describe(whole(kind, name))))
+    keys = _TABLES[kind].__struct_fields__
+    ours = {key: value for key, value in flat(mapping) if key.partition(".")[0] in keys}
+    own = [f"{key} {shown(value)}" for key, value in ours.items() if theirs.get(key, msgspec.UNSET) != value]
+    lacking = sorted({key.partition(".")[0] for key in theirs} - {key.partition(".")[0] for key in ours})
+    told = [*own, *(f"no {key}" for key in lacking)]
+    return [("  library", f"{name}; of the scene itself: {', '.join(told)}" if told else f"{name}, all of it")]
+
+
+def value_rows(entry: Entry) -> list[tuple[str, str]]:
+    """Each value that a scene gets, with its unit."""
+    return [(key, f"{value:g} {unit(key)}".rstrip()) for key, value in flat(entry.values)]
+
+
+def measured_text(each: Measured) -> str:
+    """A published value in words: `0.38 +- 0.13: palm on aluminium (buchholz-1988)`."""
+    if each.youngs_modulus_pa is not None:
+        low, high = (1e-3 * value for value in each.youngs_modulus_pa)
+        text = f"Young's modulus {low:g} to {high:g} kPa"
+    elif each.patch_exponent is not None:
+        low, high = each.patch_exponent
+        text = f"exponent of the patch {low:.3g}" + (f" to {high:.3g}" if high > low else "")
+    else:
+        text = f"friction {each.friction:g}" + (f" +- {each.sd:g}" if each.sd is not None else "")
+    if each.load_n is not None:
+        low, high = each.load_n
+        text += f" at {low:g}" + (f" to {high:g} N" if high > low else " N")
+    return f"{text}: {each.of} ({each.paper})"
+
+
+def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
+    """Source and how far it was read, for each name of `papers`."""
+    return [
+        (name, f"{paper.text}{f', doi {paper.doi}' if paper.doi else ''} (read: {paper.read})")
+        for name, paper in papers().items()
+        if name in names
+    ]
+
+
+def cited(entry: Entry) -> set[str]:
+    """Names of the papers that an entry's values, points and range are from."""
+    return {
+        *entry.papers,
+        *(each.paper for each in entry.measured),
+        *(each for each in papers() if each in entry.holds),
+    }

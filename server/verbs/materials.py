@@ -1,0 +1,76 @@
+"""`softfinger materials`: the library of feels, or one entry of it with its sources, as text or as a figure."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+import msgspec
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.materials import Entry
+from softfinger.server.offline.feel_figure import draw
+from softfinger.server.offline.feels import cited, entries, found, measured_text, paper_rows, value_rows
+from softfinger.server.offline.figures import plot_file
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.description = (
+        'The materials that a scene may name (material = "rubber") and the fingertips (fingertip = "human-index").'
+    )
+    parser.add_argument("name", nargs="?", metavar="NAME", help="one of them, with its values, its range and sources")
+    parser.add_argument("--plot", type=plot_file, metavar="FILE", help="draw it beside what was published (.png, .svg)")
+    parser.add_argument("--json", action="store_true", help="print as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print, and draw where asked for; returns 0. ConfigError for an unknown name, or a plot of none."""
+    if args.name is None:
+        if args.plot is not None:
+            raise ConfigError("--plot draws one of them: softfinger materials NAME --plot FILE")
+        _list(args.json)
+        return 0
+    kind, entry = found(args.name)
+    if args.plot is not None:
+        draw(args.name, args.plot)
+    if args.json:
+        print(json.dumps(as_json(args.name, kind, entry), indent=1))
+        return 0
+    print(f"{args.name}: {kind}. {entry.about}")
+    rows = [("holds", entry.holds)]
+    rows += [("friction of", entry.friction_of)] if entry.friction_of else []
+    rows += [*value_rows(entry), *(("measured", measured_text(each)) for each in entry.measured)]
+    rows += paper_rows(cited(entry))
+    width = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        print(f"  {name:{width}}  {text}")
+    return 0
+
+
+def as_json(name: str, kind: str, entry: Entry) -> dict[str, Any]:
+    """An entry as plain values; the papers as a mapping from name to text."""
+    plain = msgspec.to_builtins(entry)
+    measured = [{key: value for key, value in each.items() if value is not None} for each in plain.pop("measured")]
+    return {"name": name, "kind": kind, **plain, "measured": measured, "papers": dict(paper_rows(cited(entry)))}
+
+
+def _list(as_text: bool) -> None:
+    known = entries()
+    if as_text:
+        print(json.dumps([as_json(name, *each) for name, each in known.items()], indent=1))
+        return
+    width = max(map(len, known))
+    for name, (kind, entry) in known.items():
+        print(f"{name:{width}}  {kind:9}  {_short(entry):32}  {entry.about}")
+
+
+def _short(entry: Entry) -> str:
+    """The values that tell one from another."""
+    values = entry.values
+    if "friction" in values:
+        friction = values["friction"]
+        return f"{values['stiffness_n_per_m']:g} N/m, friction {friction['static']:g} {friction['kinetic']:g}"
+    patch = values["patch"]
+    return f"r {1e3 * values['radius_m']:g} mm, G {1e-3 * patch['shear_modulus_pa']:g} kPa"

@@ -1,0 +1,116 @@
+"""`softfinger materials`: the list, an entry with its sources, and its figure; what `check` tells of a named one."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softfinger.config.materials import fingertips, materials, papers
+from softfinger.proxy.engine import Engine
+from softfinger.server.cli import main
+from softfinger.server.offline import feel_figure
+from softfinger.server.offline.feels import whole
+
+pytestmark = pytest.mark.plain
+
+SCENE = """
+[fingertip]
+pad = "human-index"
+radius_m = 0.012
+[[object]]
+name = "a"
+shape = "plane"
+[object.material]
+name = "rubber"
+stiffness_n_per_m = 900
+friction = { kinetic = 0.5 }
+[[object]]
+name = "b"
+shape = "plane"
+material = "wood"
+"""
+
+
+def test_the_list_has_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its name first, then whether it is a material or a fingertip; as JSON, with what was published."""
+    assert main(["materials"]) == 0
+    lines = [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
+    assert lines == [[name, "material"] for name in materials()] + [[name, "fingertip"] for name in fingertips()]
+    assert main(["materials", "--json"]) == 0
+    listed = {each["name"]: each for each in json.loads(capsys.readouterr().out)}
+    assert list(listed) == [name for name, _ in lines]
+    assert listed["wood"]["values"] == materials()["wood"].values
+    assert {"friction": 0.61, "sd": 0.21}.items() <= listed["silicone"]["measured"][0].items()
+
+
+@pytest.mark.parametrize("name", ["rubber", "finger-pad", "human-index"])
+def test_one_is_shown_with_its_sources(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every value with its unit, its range, and each paper that it names."""
+    assert main(["materials", name]) == 0
+    out = capsys.readouterr().out
+    entry = {**materials(), **fingertips()}[name]
+    assert entry.holds in out and "N/m" in out if name in materials() else "0.01 m" in out
+    assert main(["materials", name, "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert set(entry.papers) <= set(shown["papers"])
+    for paper in shown["papers"]:
+        assert papers()[paper].text in out and papers()[paper].doi in out
+
+
+def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """One line, with all there are; a plot of nothing too."""
+    assert main(["materials", "ruber"]) == 2
+    assert (
+        "no material or fingertip is called 'ruber' (did you mean 'rubber'?); there are steel"
+        in capsys.readouterr().err
+    )
+    assert main(["materials", "--plot", str(tmp_path / "all.png")]) == 2
+    assert "softfinger materials NAME --plot FILE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["aluminium", "finger-pad", "human-index-plateau"])
+def test_one_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An SVG whose legend names every published point."""
+    pytest.importorskip("matplotlib", reason="an extra")
+    file = tmp_path / "figure.svg"
+    assert main(["materials", name, "--plot", str(file)]) == 0
+    capsys.readouterr()
+    text = " ".join(ET.fromstring(file.read_text("utf-8")).itertext())
+    for each in {**materials(), **fingertips()}[name].measured:
+        assert f"({each.paper})" in text
+
+
+def test_the_drawn_patch_is_the_one_rendered() -> None:
+    """The engine's patch radius at a load, for each fingertip pressed onto something hard."""
+    for name in fingertips():
+        scene = {"fingertip": name, "object": [{"name": "table", "shape": "plane", "material": "steel"}]}
+        record = Engine(scene).run(np.array([[0.0, 0.0, 0.009, 1.0, 0.0, 0.0, 0.0]]))[0]
+        load = np.array([record["contact.normal_force"]])
+        drawn = feel_figure.patch_radius(whole("fingertip", name), load)
+        assert load[0] == pytest.approx(2.5)  # 1 mm into 2500 N/m
+        assert record["contact.patch_radius"] == pytest.approx(drawn[0], rel=1e-12)  # a few roundings
+
+
+def test_the_drawn_band_of_moduli_is_hertz_s() -> None:
+    """a^2 = r d of an elastic sphere: depth and radius of the patch are drawn from two formulas that agree."""
+    load = np.array([0.5, 1.0, 4.0])
+    for young in (70e3, 200e3):
+        radius = feel_figure.hertz_radius(load, young / 3.0, 0.01)
+        assert radius**2 == pytest.approx(0.01 * feel_figure.hertz_depth(load, young, 0.01), rel=1e-12)
+
+
+def test_check_tells_the_library_s_values_from_the_scene_s(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each named table has a row: which entry, and which values are the file's own."""
+    file = tmp_path / "scene.toml"
+    file.write_text(SCENE)
+    assert main(["check", str(file)]) == 0
+    rows = [line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines() if "  library " in line]
+    assert rows == [
+        "human-index; of the scene itself: radius_m 0.012",
+        "rubber; of the scene itself: stiffness_n_per_m 900.0, friction.kinetic 0.5",
+        "wood, all of it",
+    ]
