@@ -256,6 +256,14 @@ def stack(side: float) -> list[Move]:
     return [hold(0.3), *there, hold(1.0), *back, hold(0.3)]
 
 
+def plates() -> list[Move]:
+    """On each of a row of plates: down, a stroke and back, up; then back to the first."""
+    down, stroke, on = (0.0, 0.0, PRESSED_M - 0.001 - ABOVE_M), (0.0, 0.015, 0.0), (PLATE_PITCH_M, 0.0, 0.0)
+    one = [Move(0.5, down), hold(0.2), Move(0.5, stroke), Move(0.5, _back(stroke)), hold(0.1), Move(0.3, _back(down))]
+    row = [*one, *((PLATES - 1) * [Move(0.4, on), *one])]
+    return [hold(0.3), *row, Move(1.2, (-(PLATES - 1) * PLATE_PITCH_M, 0.0, 0.0)), hold(0.3)]
+
+
 def _back(travel: Vector) -> Vector:
     x, y, z = travel
     return (-x, -y, -z)
@@ -275,6 +283,9 @@ SQUEEZE_M: Final = 0.006
 OFF_CENTRE_M: Final = 0.008
 """How far beside the centre of mass they take it: the box hangs by the torsion of the contacts."""
 PENCIL_WAY_M: Final = 0.01
+PLATES: Final = 7
+PLATE_PITCH_M: Final = 0.02
+"""Of the scene `plates`: how many, and from one to the next."""
 HALF_SMALL_BOX_M: Final = 0.015
 """Of a box of the scene `stack-boxes`."""
 INDEX_THINNER_M: Final = 0.002
@@ -293,6 +304,7 @@ RECORDINGS: Final[dict[str, Script]] = {
     "open-a-door": Script((0.04, -0.035, 0.0), open_a_door),
     "press-a-button": Script((0.0, 0.0, 0.030), press_a_button),
     "roll-a-pencil": Script((-0.25 * PENCIL_WAY_M, 0.0, 0.008 + ABOVE_M), roll_a_pencil),
+    "plates": Script((-0.5 * (PLATES - 1) * PLATE_PITCH_M, -0.0075, ABOVE_M), plates),
     "push-a-ball": Script((-0.04, 0.0, 0.050), push_a_ball),
     "stack-thumb": Script((-HALF_SMALL_BOX_M - ABOVE_M, 0.0, HALF_SMALL_BOX_M), lambda: stack(-1.0)),
     "stack-index": Script((HALF_SMALL_BOX_M + ABOVE_M, 0.0, HALF_SMALL_BOX_M), lambda: stack(1.0)),

@@ -77,7 +77,7 @@ def overview(axes: Any) -> None:
     rows = dict(zip((name for name, _ in known), range(len(known), 0, -1), strict=True))
     laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in known])
     axes.hlines(list(rows.values()), *laws.T, color="C0", lw=2.5, label="model, kinetic to static")
-    axes.plot(laws.T, [list(rows.values())] * 2, "|", color="C0", ms=6)
+    axes.plot(laws[:, 1], list(rows.values()), "|", color="C0", ms=6)  # where both are one
     points = [(rows[name], each) for name, entry in known for each in entry.measured if each.friction is not None]
     axes.errorbar(
         [each.friction for _, each in points],
@@ -117,7 +117,7 @@ def hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Arra
 
 def patch(axes: Any, drawn: dict[str, tuple[Entry, Fingertip]]) -> None:
     """The radius of the patch over the load, and what the moduli and exponents measured come to."""
-    load = np.linspace(0.0, 10.0, 41)
+    load = np.linspace(0.0, 10.0, 31)
     told: set[str] = set()
     for name, (entry, tip) in drawn.items():
         axes.plot(load, 1e3 * patch_radius(tip, load), label=name)
@@ -136,7 +136,7 @@ def patch_band(each: Measured, tip: Fingertip) -> tuple[Array, Array, Array] | N
 
     Of a modulus by Hertz's law on this fingertip, of an exponent about this one's radius at 1 N.
     """
-    load = np.linspace(*(each.load_n or (0.0, 10.0)), 15)
+    load = np.linspace(*(each.load_n or (0.0, 10.0)), 9)
     if each.youngs_modulus_pa is not None:
         moduli = (SHEAR_PER_YOUNG * young for young in each.youngs_modulus_pa)
         soft, stiff = (hertz_radius(load, modulus, tip.radius_m or 0.0) for modulus in moduli)

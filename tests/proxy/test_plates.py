@@ -1,0 +1,42 @@
+"""The scene `plates` and its recording: a fingertip strokes seven materials, and each is felt as the library has it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from softfinger.config.load import load_scene
+from softfinger.config.materials import materials
+from softfinger.drivers.poses import load_poses
+from softfinger.proxy.engine import Engine
+
+pytestmark = pytest.mark.plain
+
+DEPTH_M = 0.002
+"""How far the recording presses: 12 mm down from 20 mm, on plates whose tops are z = 0, with a radius of 10 mm."""
+
+SETTLED = 18
+"""Ticks at rest in the depth after which the velocity filter, 2 ms at ticks of 1 ms, has (2/3)^18 < 1e-3 left."""
+
+
+def test_each_plate_is_felt_in_turn_with_its_own_stiffness_and_friction() -> None:
+    """From left to right; at rest K d, sliding mu_d K d along the stroke, and mu_s K d where it begins to slide."""
+    scene, poses = load_scene("plates"), load_poses("plates")
+    records = Engine("plates").run(np.hstack([poses.position, poses.orientation]))
+    touched = records["contact.object"]
+    first = [int(each) for each in touched[touched >= 0][np.flatnonzero(np.diff(touched[touched >= 0], prepend=-1))]]
+    assert first == list(range(len(scene.object))) and len(first) == 7
+    for number, plate in enumerate(scene.object):
+        values = materials()[plate.name].values
+        pressed = np.flatnonzero((touched == number) & (np.abs(records["contact.penetration"] - DEPTH_M) < 1e-6))[
+            SETTLED:
+        ]
+        normal = records["contact.normal_force"][pressed]
+        # Positions are rounded to 0.1 um, 5e-5 of the depth; damping adds nothing once the velocity filter has settled.
+        assert normal == pytest.approx(values["stiffness_n_per_m"] * DEPTH_M, rel=1e-4)
+        along = np.abs(records["force"][pressed, 1]) / normal
+        slides = records["contact.mode"][pressed] == 2
+        friction = values["friction"]
+        assert slides.sum() > 30
+        assert along.max() == pytest.approx(friction["static"], rel=1e-6)  # the peak of a stick is exactly the limit
+        assert np.median(along[slides]) == pytest.approx(friction["kinetic"], rel=1e-6)
