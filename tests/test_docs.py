@@ -163,15 +163,6 @@ def test_lists_are_lists_on_the_site_too():
                 assert re.match(r"$|- |\d+\. | ", before), f"{page.name}: {line}"
 
 
-def test_files_named_in_the_map_exist():
-    """The table that says where to find things is true."""
-    for _, place in table(HOW, "Find your way"):
-        folder, *files = re.findall(r"`([^`]+)`", place)
-        for name in files or [""]:
-            path = ROOT / folder / name if files and folder.endswith("/") else ROOT / folder
-            assert path.exists() or (ROOT / name).exists(), path
-
-
 @pytest.mark.plain
 def test_the_worked_walk_is_true(tmp_path):
     """Each function of docs/how-it-works.md is in the file that it links to; forces are those of the first tick."""

@@ -161,7 +161,7 @@ def test_real_messages_have_the_documented_keys_and_types():
 
 
 def test_lists_and_numbers_in_the_text_are_the_codes():
-    """Schema, backlog, bounds of peers, causes and guard bits are those of the code."""
+    """Schema, backlog and bounds of peers are those of the code."""
     assert f"`schema` is {SCHEMA}." in DOC
     assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{HANDED_ON} ticks behind" in DOC
     assert f"some {BELL_MS} ms of their tick" in DOC
@@ -171,10 +171,6 @@ def test_lists_and_numbers_in_the_text_are_the_codes():
     assert f"There are some {FILES_MAX - 26} connections" in DOC  # the others are the publisher's own files
     assert MEMORY_MAX == 1 << 30 and "than 1 GiB" in DOC
     assert f"ends within {LINGER_S:g} s" in DOC and f"once in {LOG_PERIOD_S:g} s" in DOC
-    causes = ", ".join(f"{value} `{name}`" for value, name in enumerate(CAUSE_NAMES))
-    assert f"`contact.cause`: {causes}." in DOC
-    bits = ", ".join(f"{1 << bit} `{name}`" for bit, name in enumerate(GUARD_NAMES))
-    assert f"lowest first: {bits}." in DOC
 
 
 def test_bounds_of_requests_are_the_codes():
