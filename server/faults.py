@@ -53,7 +53,7 @@ _INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault
 
 HAZARDS: Final = (
     Hazard(
-        "a wall that is unstable", "energy given in contacts, `energy_max_j`", "as soon as it is given",
+        "a wall that is unstable", "energy given in contacts, `energy_max_j`", "at once",
         "the force fades to zero at twice the limit", "by itself, over 1 s", ("guard energy_spent",),
         ("tests/server/test_limits.py::test_an_unstable_wall_fades",),
     ),
@@ -84,11 +84,11 @@ HAZARDS: Final = (
     ),
     Hazard(
         "motors that heat", "thermal model, `continuous_force_n`", "before they are hot",
-        "the force falls to what they bear", "by itself as they cool", ("guard motor_hot",),
+        "the force falls to `continuous_force_n`", "by itself as they cool", ("guard motor_hot",),
         ("tests/server/test_limits.py::test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears",),
     ),
     Hazard(
-        "a device that warns", "the driver, twice a second", "0.5 s", "as before", "see to the device",
+        "a device that warns", "the driver, twice a second", "0.5 s", "as before", "as its message says",
         ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_told_once",),
     ),
     Hazard(
@@ -115,7 +115,7 @@ HAZARDS: Final = (
         (_INJECTED, "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
     ),
     Hazard(
-        "ticks that are missed", "the loop's clock", "the next tick", "the force changes by a tick's share", _NONE,
+        "ticks that are missed", "the loop's clock", "the next tick", "the force changes by one tick's change", _NONE,
         ("servo missed",), (_INJECTED, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
     ),
     Hazard(
@@ -135,7 +135,7 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a scene that cannot be rendered", "checked and compiled before the swap", "none", "as before",
-        "give another", (),
+        "send another scene", (),
         ("tests/server/test_replace.py::test_what_cannot_be_built_changes_nothing",
          "tests/server/test_commands.py::test_a_compiler_that_fails_is_told"),
     ),

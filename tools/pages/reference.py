@@ -26,9 +26,8 @@ WIDTH: Final = 120
 MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
 
 _KEYS: Final = """\
-Units are SI and stand at the end of each key. Ranges are fixed: neither a file nor a flag widens them.
-*optional* marks a key without a default value; its meaning says what applies without it. `[[name]]` is a table
-that may stand several times."""
+Units are SI and end each key. Neither a file nor a flag widens a range. *optional* marks a key without a default
+value. `[[name]]` is a table that may stand several times."""
 
 
 def scenes() -> str:
@@ -36,9 +35,8 @@ def scenes() -> str:
     head = f"""\
 # Scenes: every key
 
-A scene file (TOML) describes the fingertips, the objects and the effects. [Write a scene](../operate/scenes.md)
-shows how to make one; the command `softfinger schema scene` prints the same tables as JSON Schema for an
-editor. {_KEYS}"""
+A scene file (TOML) describes the fingertips, the objects and the effects: [write a scene](../operate/scenes.md).
+`softfinger schema scene` prints these tables as JSON Schema. {_KEYS}"""
     return _page(head, "## Shipped scenes", _listed("scenes"), "## Keys", schema.markdown("scene"))
 
 
@@ -47,9 +45,8 @@ def rigs() -> str:
     head = f"""\
 # Rigs: every key
 
-A rig file (TOML) names the device and sets the servo loop, the safety limits and the interfaces. [Write a
-rig](../operate/scenes.md#write-a-rig) shows how to make one; the command `softfinger schema rig` prints the
-same tables as JSON Schema. {_KEYS}"""
+A rig file (TOML) names the device and sets the servo loop, the safety limits and the interfaces: [write a
+rig](../operate/scenes.md#write-a-rig). `softfinger schema rig` prints these tables as JSON Schema. {_KEYS}"""
     return _page(head, "## Shipped rigs", _listed("rigs"), "## Keys", schema.markdown("rig"))
 
 
@@ -100,16 +97,14 @@ def commands_page() -> str:
     head = """\
 # Commands: every method
 
-Requests to a running daemon. [Commands to a running daemon](../operate/commands.md) shows their use from the
-shell and from Python, [the protocol](../protocol.md#commands) the messages. A parameter in brackets may be left
-out; units are SI."""
+Requests to a running daemon. [Commands to a running daemon](../operate/commands.md) shows their use,
+[the protocol](../protocol.md#commands) the messages. Units are SI. A parameter in brackets may be left out; a method
+without `params` has none."""
     parts = []
     for name, (params, result, meaning) in commands.table().items():
         method = commands.METHODS[name]
-        rows = [
-            ["params", params or "none", _said(method.params) if params else ""],
-            ["result", result, _said(method.result)],
-        ]
+        rows = [["params", params, _said(method.params)]] if params else []
+        rows.append(["result", result, _said(method.result)])
         parts += [f"### `{name}`", meaning, schema.grid(["", "keys", "meaning"], rows)]
     errors = schema.grid(["name", "meaning"], [[f"`{name}`", meaning] for name, meaning in commands.ERRORS.items()])
     return _page(head, "## Methods", *parts, "## Errors", "The text of an error begins with its name.", errors)
@@ -121,8 +116,8 @@ def states_page() -> str:
 # States: every transition
 
 A daemon is in one of these states. `health.state` and the command `describe` have it, each change is an event of
-kind `state`, and Prometheus has `softfinger_state`. A transition that is not in the table does not exist. Who
-arms is said by `arm` in [`[guard]`](rigs.md); what a fault is, in [Safety](../safety.md)."""
+kind `state`, and Prometheus has `softfinger_state`. There are no other transitions. `arm` in [`[guard]`](rigs.md)
+says who arms; [Safety](../safety.md) says what a fault is."""
     listed, ways = states.tables()
     figure = "![states of the daemon, and what leads from one to another](../figures/states.svg)"
     return _page(head, figure, "## States", listed, "## Transitions", ways)
@@ -133,10 +128,10 @@ def faults_page() -> str:
     head = """\
 # Faults: every hazard
 
-What can go wrong, what finds it, and what the hand feels then. A reaction counts from the first tick with the
-fault. Every end of a run commands zero force. Each row is injected by the tests in its last column; `softfinger
-run --inject` [injects faults](../operate/faults.md) of a device into a run of yours. An error that ends a run is
-the cause of the event `state faulted`. [Safety](../safety.md) says what cannot be caught."""
+What can go wrong, what detects it, and what the hand feels. A reaction counts from the first tick with the fault.
+Every end of a run commands zero force. The tests in the last column inject each fault; `softfinger run --inject`
+[injects faults](../operate/faults.md) of a device. An error that ends a run is the cause of the event `state
+faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught."""
     rows = [
         [
             each.name,
