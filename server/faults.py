@@ -115,7 +115,7 @@ HAZARDS: Final = (
         (_INJECTED, "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
     ),
     Hazard(
-        "ticks that are missed", "the loop's clock", "the next tick", "the force changes by one tick's change", _NONE,
+        "ticks that are missed", "the loop's clock", "the next tick", "the force changes as in one tick", _NONE,
         ("servo missed",), (_INJECTED, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
     ),
     Hazard(
