@@ -124,8 +124,8 @@ class Rolling(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.STIFFNESS_N_PER_M,
-                "stiffness against a roll that the hand has not followed (k_tau); at most the coupling stiffness, "
-                "which is the default and the only value that conserves energy",
+                "stiffness against a roll that the hand does not follow (k_tau); default and largest: the coupling "
+                "stiffness, which alone conserves energy",
                 1000.0,
             ),
         ]

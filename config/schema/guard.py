@@ -47,9 +47,8 @@ class Guard(Table, frozen=True, kw_only=True):
     arm: Annotated[
         Arming,
         said(
-            "what gives the force, at the start and after handle_speed_max_m_per_s has removed it; automatic: the "
-            "program, once the handle is slow; command: softfinger ctl arm; button: that, or a press of a button of "
-            "the device",
+            "who arms, at the start and after handle_speed_max_m_per_s: automatic: the program, once the handle is "
+            "slow; command: softfinger ctl arm; button: that, or a button of the device",
             "automatic",
         ),
     ] = "automatic"
@@ -77,7 +76,7 @@ class Guard(Table, frozen=True, kw_only=True):
         float,
         within(
             limits.FROZEN_S,
-            "the force is removed after the pose repeats bit for bit for this long under force; 0: no check",
+            "the force is removed from a pose that repeats bit for bit for this long; 0: never",
             5.0,
         ),
     ] = 5.0
@@ -89,8 +88,7 @@ class Guard(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.CONTINUOUS_FORCE_N,
-                "force that the motors bear for ever; above it they heat, and the force is lowered before they are "
-                "hot; default: no limit",
+                "force that the motors bear for ever; more heats them, and is lowered in time; default: no limit",
                 3.0,
             ),
         ]

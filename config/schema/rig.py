@@ -87,8 +87,8 @@ class Commands(Table, frozen=True, kw_only=True):
             str,
             sized(
                 limits.ENDPOINT_LENGTH,
-                "ZeroMQ address to bind, as in [telemetry]; off: no commands; default: a socket for this user alone, "
-                "or the port after the telemetry's if that is open to the network",
+                "ZeroMQ address to bind, or off; default: a socket for this user alone, or the port after that of "
+                "telemetry which is open to the network",
                 "tcp://127.0.0.1:5556",
             ),
         ]
