@@ -89,7 +89,7 @@ coverage: $(STAMP) ## Lines and branches that `make test` runs, by folder, those
 	$(BIN)/python tests/coverage_by_folder.py build/coverage.json
 	exit $${result:-0}
 
-mutants: $(STAMP) ## Plant the mistakes of tests/mutants.toml one by one, in a copy: each has to fail a test (minutes; ARGS=--only TEXT, --json FILE)
+mutants: $(STAMP) ## Plant the mistakes of tests/mutants.toml one by one, in a copy: each has to fail a test (minutes; ARGS=--only TEXT, --json FILE; ARGS=--sweep plants them by rule)
 	@exec $(BIN)/python tests/mutants.py $(ARGS)
 
 test-vm: $(STAMP) ## The drivers on a true kernel's USB and HID, the service under systemd, in virtual machines (minutes; ARGS= goes to pytest)

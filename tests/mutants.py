@@ -1,6 +1,7 @@
 """Planted mistakes, which tests have to catch: one at a time, in a copy of the program.
 
     python tests/mutants.py [--only TEXT] [--json FILE]
+    python tests/mutants.py --sweep ...                  plants them by rule: see sweep.py
 
 `mutants.toml` lists them. Tests are run as tests/run.py runs them: those marked `plain` with kernels as plain Python,
 all others compiled. A test that fails has caught the mistake; one that cannot be run has not. All are run once without
@@ -25,6 +26,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import sweep
 from run import ENVIRONMENT
 
 ROOT: Final = Path(__file__).resolve().parents[1]
@@ -155,6 +157,8 @@ def tell(results: Sequence[tuple[Mutant, Outcome]], seconds: float) -> None:
 
 
 def main(words: Sequence[str]) -> int:
+    if "--sweep" in words:
+        return sweep.main([word for word in words if word != "--sweep"])
     parser = argparse.ArgumentParser(description="Plant each mistake of tests/mutants.toml and see it caught.")
     parser.add_argument("--only", default="", metavar="TEXT", help="those whose file or description has this in it")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write what became of each")

@@ -8,6 +8,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from helpers.planting import mistakes_in
+from sweep import PARTS
 
 pytestmark = pytest.mark.plain
 ROOT = Path(__file__).resolve().parents[1]
@@ -79,6 +81,15 @@ def test_each_planted_mistake_can_be_made() -> None:
         for test in each["tests"]:
             file, _, function = test.partition("[")[0].partition("::")
             assert f"def {function.rpartition('::')[2]}" in (ROOT / file).read_text("utf-8"), test
+
+
+def test_each_mistake_that_is_excused_is_one_of_the_sweep() -> None:
+    """It is still there to be made, in a file that the sweep plants in, and has a reason that says something."""
+    for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8")).get("equivalent", []):
+        assert each.keys() == {"file", "line", "mistake", "reason"} and len(each["reason"].split()) >= 4, each
+        assert any(each["file"] in part.files for part in PARTS.values()), each["file"]
+        planted = {(one.line, one.wrong) for one in mistakes_in(ROOT, each["file"])}
+        assert (each["line"], each["mistake"]) in planted, each
 
 
 def test_the_index_lists_every_page() -> None:

@@ -1,0 +1,121 @@
+"""The C functions of the drivers as plain Python behind a C address: what `tests/sweep.py` runs them as.
+
+Compiled, the exchange of one driver takes half a minute of a processor for each mistake that is planted; so it takes
+none. `install` is called with NUMBA_DISABLE_JIT set, before a driver is imported: what only machine code can do, calls
+of the C library and of makers' libraries and atomic words, is done by ctypes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+import threading
+from collections.abc import Callable
+from typing import Any, Final
+
+from numba import types
+
+_C: Final = ctypes.CDLL(None, use_errno=True)
+_OF_TYPE: Final = {
+    types.int64: ctypes.c_int64,
+    types.int32: ctypes.c_int32,
+    types.uint32: ctypes.c_uint32,
+    types.uint64: ctypes.c_uint64,
+    types.float64: ctypes.c_double,
+    types.void: None,
+}
+_ATOMIC: Final = threading.Lock()
+
+
+def _in_c(kind: Any, result: bool = False) -> Any:
+    if isinstance(kind, types.CPointer):
+        return ctypes.c_void_p if result else ctypes.POINTER(_OF_TYPE[kind.dtype])
+    return _OF_TYPE[kind]
+
+
+def _external(name: str, signature: Any) -> Any:
+    """A function of the C library, as types.ExternalFunction names it."""
+    if name == "__errno_location":
+        return lambda: [ctypes.get_errno()]
+    function = _C[name]
+    function.restype = _in_c(signature.return_type, result=True)
+    function.argtypes = [ctypes.c_void_p if isinstance(one, types.CPointer) else _in_c(one) for one in signature.args]
+    return function
+
+
+def _called(result: Any) -> Callable[[int, tuple[Any, ...]], Any]:
+    """A call of the function at an address with what a tuple holds, as proxy.kernels.jit.foreign has them."""
+
+    def call(address: int, arguments: tuple[Any, ...]) -> Any:
+        given = [ctypes.c_double(one) if isinstance(one, float) else _whole(one) for one in arguments]
+        return ctypes.CFUNCTYPE(result, *(type(one) for one in given))(int(address))(*given)
+
+    return call
+
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, int):
+        return ctypes.c_int64(value)
+    if hasattr(value, "dtype"):
+        return ctypes.c_int32(int(value)) if value.itemsize == 4 else ctypes.c_int64(int(value))
+    return ctypes.cast(value, ctypes.c_void_p)
+
+
+class _Both(ctypes.Structure):
+    _fields_ = (("first", ctypes.c_int64), ("second", ctypes.c_int64))
+
+
+def _call_two_int64(address: int, arguments: tuple[Any, ...]) -> tuple[int, int]:
+    both = _called(_Both)(address, arguments)
+    return both.first, both.second
+
+
+def _exchange(address: int, value: int) -> int:
+    with _ATOMIC:
+        word = ctypes.c_int64.from_address(int(address))
+        before, word.value = word.value, value
+        return before
+
+
+def _store(array: Any, index: int, value: int) -> None:
+    array[index] = value
+
+
+def _put_big_endian(array: Any, index: int, value: float) -> None:
+    array[index : index + 8] = list(struct.pack(">d" if isinstance(value, float) else ">q", value))
+
+
+def _in_c_function(self: Any) -> Any:
+    """The function behind a C address; kept, for who has the address keeps nothing."""
+    if not hasattr(self, "plain"):
+        signature = self._sig
+        arguments = [_in_c(kind) for kind in signature.args]
+        self.plain = ctypes.CFUNCTYPE(_in_c(signature.return_type), *arguments)(
+            lambda *given: self._pyfunc(*given)  # looked up at each call: a mistake may have been planted meanwhile
+        )
+    return self.plain
+
+
+def install() -> None:
+    """From now on drivers that are imported exchange in plain Python."""
+    types.ExternalFunction = _external
+    from softfinger.proxy.kernels.jit import atomics, foreign, memory, pack
+    from softfinger.proxy.kernels.jit.compiler.numba_internals import CFunction
+
+    memory.exchange_int64, memory.put_big_endian = _exchange, _put_big_endian
+    memory.address_of = lambda array, index: array.ctypes.data + index * array.itemsize
+    foreign.call_int32, foreign.call_void = _called(ctypes.c_int32), _called(None)  # type: ignore[assignment]
+    foreign.call_two_int64 = _call_two_int64
+    atomics.load_acquire = atomics.load_relaxed = lambda array, index: int(array[index])
+    atomics.store_release = atomics.store_relaxed = _store
+    atomics.fence_acquire = atomics.fence_release = lambda: None
+    device = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+    atomics.call_device = lambda address, handle, values: device(address)(handle, values.ctypes.data)
+
+    def unpack_at(like: Any, address: int) -> Any:
+        leaves = len(pack.flatten(like))
+        return pack.unflatten(like, list((ctypes.c_double * leaves).from_address(int(address))))
+
+    pack.unpack_at = unpack_at
+    CFunction.address = property(lambda self: ctypes.cast(_in_c_function(self), ctypes.c_void_p).value)
+    CFunction.ctypes = property(_in_c_function)

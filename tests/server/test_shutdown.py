@@ -1,0 +1,248 @@
+"""Shutdown: each step has its turn whatever the one before did, every device its zero, and an error says what to do."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import threading
+from math import nan
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
+from softfinger.drivers import opened
+from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, DeviceIO
+from softfinger.server.closing import Closing
+from softfinger.server.loop import health, shutdown
+from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, Ended
+
+pytestmark = pytest.mark.plain
+
+FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))
+
+
+class Motor:
+    """What a device's C function was given; `stop` and `close` fail or hang as they are told to."""
+
+    def __init__(self, fails: BaseException | None = None, hangs: bool = False, said: str = "") -> None:
+        self.info = SimpleNamespace(name="Motor")
+        self.fails, self.hangs, self.said = fails, hangs, said
+        self.wrenches: list[list[float]] = []
+        self.handles: list[int] = []
+        self.closed = 0
+        self.free = threading.Event()
+        self._write = FUNCTION(self._taken)
+
+    def _taken(self, handle: int, wrench: Any) -> int:
+        self.handles.append(handle)
+        self.wrenches.append(wrench[:6])
+        return 0
+
+    def io(self) -> DeviceIO:
+        address = ctypes.cast(self._write, ctypes.c_void_p).value
+        assert address is not None
+        return DeviceIO(address, address, 77)
+
+    def reason(self) -> str:
+        return self.said
+
+    def stop(self) -> None:
+        if self.hangs:
+            self.free.wait()
+        if self.fails is not None:
+            raise self.fails
+        self._taken(0, [0.0] * 6)
+
+    def close(self) -> None:
+        self.closed += 1
+        self.stop()
+
+
+def device(motor: Motor) -> Device:
+    return cast(Device, motor)
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that hangs is given up in time for a test."""
+    monkeypatch.setattr(opened, "END_S", 0.2)
+
+
+def fails(error: BaseException) -> Any:
+    def act(*_: object) -> None:
+        raise error
+
+    return act
+
+
+def test_every_step_has_its_turn_and_the_first_error_comes_back(caplog: pytest.LogCaptureFixture) -> None:
+    """Of three that fail, an interrupt among them, the first is returned and the others are logged, by class where they
+    say nothing; all run in order."""
+    done: list[int] = []
+    first = ValueError("one")
+    with caplog.at_level(logging.ERROR):
+        steps = (fails(first), lambda: done.append(1), fails(KeyboardInterrupt()), lambda: done.append(2))
+        assert shutdown.every(*steps) is first
+    assert done == [1, 2]
+    assert [record.getMessage() for record in caplog.records] == ["during shutdown, besides: KeyboardInterrupt"]
+    assert shutdown.every(lambda: None) is None
+
+
+def test_an_error_from_before_stays_the_first(caplog: pytest.LogCaptureFixture) -> None:
+    """It is returned, and that of a step is logged in its own words."""
+    before = SafetyStop("stalled")
+    with caplog.at_level(logging.ERROR):
+        assert shutdown.every(fails(OSError("gone")), first=before) is before
+    assert "besides: gone" in caplog.text
+
+
+def test_a_stop_that_succeeds_is_followed_by_nothing() -> None:
+    """One zero, by the device's own stop."""
+    motor = Motor()
+    shutdown.stop(device(motor))
+    assert motor.handles == [0]
+
+
+@pytest.mark.parametrize("error", [OSError("the port has gone"), DeviceLost("it is gone"), KeyboardInterrupt()])
+def test_a_stop_that_fails_is_followed_by_a_plain_zero(error: BaseException) -> None:
+    """By the device's write, with its handle; the error says which device may hold a force, an error of ours stays."""
+    motor = Motor(error)
+    with pytest.raises(BaseException) as caught:  # noqa: PT011
+        shutdown.stop(device(motor))
+    assert motor.handles == [77] and motor.wrenches == [[0.0] * 6]
+    if isinstance(error, OSError):
+        assert type(caught.value) is DeviceError and caught.value.__cause__ is error
+        assert "Motor could not be stopped (OSError: the port has gone)" in str(caught.value)
+        assert "switch it off" in str(caught.value)
+    else:
+        assert caught.value is error
+
+
+def test_an_error_without_words_is_told_by_its_class() -> None:
+    """`Motor could not be closed (RuntimeError)`, of a close."""
+    with pytest.raises(DeviceError, match=r"could not be closed \(RuntimeError\)"):
+        shutdown.close(device(Motor(RuntimeError())))
+
+
+@pytest.mark.usefixtures("short")
+def test_all_are_stopped_whoever_fails_or_hangs(caplog: pytest.LogCaptureFixture) -> None:
+    """The first error in order is raised, the others logged; what hangs gets a plain zero, what is sound none."""
+    hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
+    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not come back for 0\.2 s"):
+        shutdown.stop_all([device(hangs), device(broken), device(sound)])
+    assert "could not be stopped (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
+    assert hangs.handles == [77] and broken.handles == [77] and sound.handles == [0]
+    hangs.free.set()
+
+
+@pytest.mark.usefixtures("short")
+def test_those_that_hang_are_waited_for_together() -> None:
+    """Ten that hang are all given up within END_S, which begins once for all: each is named, in order."""
+    motors = [Motor(hangs=True) for _ in range(10)]
+    failures = opened.at_once(lambda motor: motor.stop(), [*motors, Motor()])
+    assert [motor for motor, _ in failures] == motors
+    assert all(isinstance(error, TimeoutError) for _, error in failures)
+    for motor in motors:
+        motor.free.set()
+
+
+def test_at_once_is_at_the_same_time() -> None:
+    """Each of two waits for the other: one after the other neither would come back."""
+    both = threading.Barrier(2, timeout=1.9)
+    assert opened.at_once(lambda _: both.wait() and None, [Motor(), Motor()]) == []
+
+
+def test_all_are_closed_whoever_fails(caplog: pytest.LogCaptureFixture) -> None:
+    """As stopping, in the words of closing."""
+    broken, sound = Motor(OSError("no power")), Motor()
+    with pytest.raises(DeviceError, match=r"could not be closed \(OSError: no power\)"):
+        shutdown.close_all([device(broken), device(sound)])
+    assert sound.closed == 1 and not caplog.records
+    shutdown.close_all([])
+
+
+def test_what_a_signal_stops_and_closes() -> None:
+    """Every device that is open, whoever opened it; what could not be stopped is returned."""
+    error = OSError("no power")
+    motors = [Motor(error), Motor()]
+    opened.devices.update(motors)
+    assert opened.stop_all() == [error]
+    opened.close_all()
+    assert [motor.closed for motor in motors] == [1, 1]
+
+
+def test_a_zero_is_written_over_whatever_was_there() -> None:
+    """All six, by the address that the loop calls."""
+    motor = Motor()
+    io, scratch = motor.io(), np.full(6, nan)
+    write_zero: Any = getattr(shutdown.write_zero, "py_func", shutdown.write_zero)
+    given: list[Any] = []
+    globals_of = write_zero.__globals__
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(globals_of, "call_device", lambda address, handle, v: given.append([address, handle, v.tolist()]))
+        write_zero(io.write, io.handle, scratch)
+    assert given == [[io.write, 77, [0.0] * 6]]
+
+
+SAID = "its driver said why"
+
+
+@pytest.mark.parametrize(
+    ("ending", "status", "kind", "words"),
+    [
+        (health.NO_POSE, 0, DeviceError, ["no usable pose for", "see to its sensors"]),
+        (health.JUMPING, 0, DeviceError, ["jumps again and again", "guard.speed_max_m_per_s"]),
+        (READ_FAILED, FORCE_OFF, SafetyStop, ["turned its force off"]),
+        (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),
+        (WRITE_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a write in time"]),
+        (READ_FAILED, PROTOCOL, DeviceLost, ["not in its protocol", "on read"]),
+        (WRITE_FAILED, LOST, DeviceLost, ["is gone", "on write"]),
+    ],
+)
+def test_a_failed_device_is_told_with_what_to_do(
+    ending: int, status: int, kind: type[HapticError], words: list[str]
+) -> None:
+    """Each by its own class, with the device, the finger where there are several, and the driver's words."""
+    ended = Ended(ending, status)
+    error = shutdown.device_failure(device(Motor(said=SAID)), ended, "thumb")
+    assert type(error) is kind
+    assert all(word in str(error) for word in [*words, "Motor, finger 'thumb'", f"({SAID})", "start again"])
+    plain = str(shutdown.device_failure(device(Motor()), ended))
+    assert "finger" not in plain.replace("fingertip", "") and "()" not in plain
+
+
+@pytest.mark.parametrize("ending", [STOPPED, health.NO_FORCE, health.STARVED])
+def test_what_was_not_the_device_is_no_error_of_it(ending: int) -> None:
+    assert shutdown.device_failure(device(Motor()), Ended(ending, 0)) is None
+
+
+def test_a_loop_that_could_not_go_on_is_told_with_what_to_do() -> None:
+    """A scene without a force, and time lost before or in the exchange, with the deadlines counted; else None."""
+    assert shutdown.loop_failure(Ended(READ_FAILED, LOST), 10, 2, False) is None
+    scene = shutdown.loop_failure(Ended(health.NO_FORCE, 0), 10, 2, False)
+    assert isinstance(scene, SafetyStop) and "softfinger check" in str(scene)
+    device_slow = str(shutdown.loop_failure(Ended(health.STARVED, 0), 10, 2, False))
+    assert "2 of 12 deadlines" in device_slow and "in the device's exchange" in device_slow
+    machine = str(shutdown.loop_failure(Ended(health.STARVED, 0), 10, 2, True))
+    assert "before the servo thread was woken" in machine and "softfinger doctor" in machine
+
+
+def test_with_closes_whatever_happens() -> None:
+    """At the end of a block and when it raises, which goes through."""
+
+    class Door(Closing):
+        closed = 0
+
+        def close(self) -> None:
+            self.closed += 1
+
+    door = Door()
+    with door as same:
+        assert same is door and door.closed == 0
+    assert door.closed == 1
+    with pytest.raises(ZeroDivisionError), door:
+        raise ZeroDivisionError
+    assert door.closed == 2
