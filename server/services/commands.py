@@ -25,6 +25,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import shutdown
 from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
 from softfinger.server.services.description import described
+from softfinger.server.services.prompts import Prompts
 from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering, Replacing
@@ -83,12 +84,14 @@ class Commands:
         self._led: Final = set[int]()
         """Fingers whose hands a program leads."""
         self._scenes = SceneChanges(doing.replace)
+        prompts = Prompts(self._tell, lambda: rendering.servo.ticks)
+        self._get_prompt, self._set_prompt, self._answer = prompts.get, prompts.set, prompts.answer
         self.sink: Final = Sink("commands", self._keep)
 
     def start(self) -> None:
         self._scenes.start()
         self._heard_s = time.monotonic()
-        self._doing.serve(Answering(self._answer, self._each_period))
+        self._doing.serve(Answering(self._take, self._each_period))
 
     def stop(self) -> None:
         failed = shutdown.every(self._scenes.stop, lambda: self._doing.serve(None))
@@ -100,7 +103,7 @@ class Commands:
 
     # --- what comes in --------------------------------------------------------------------------------
 
-    def _answer(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
+    def _take(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
         command_id = ""
         try:
             request = parse(body)

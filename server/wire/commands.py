@@ -154,6 +154,40 @@ class Mark(Struct, frozen=True, forbid_unknown_fields=True):
     data: dict[str, Any] = {}
 
 
+Choice = Annotated[str, Meta(min_length=1, max_length=64)]
+
+
+class Prompt(Struct, frozen=True, forbid_unknown_fields=True):
+    """What pages show the participant: `title`, `text`, and how much is `done` of `of` (0: no bar). It asks for one of
+    `choices`, for a `number` from the first to the second, or, without either, for nothing."""
+
+    title: Annotated[str, Meta(max_length=256)] = ""
+    text: Annotated[str, Meta(max_length=4096)] = ""
+    done: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
+    of: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
+    choices: Annotated[tuple[Choice, ...], Meta(max_length=20)] = ()
+    number: tuple[float, float] | None = None
+
+
+class Prompted(Struct, frozen=True):
+    """The prompt of now. `number` counts prompts; `open`: it waits for an answer. `answer` is the one that came,
+    `after_s` after the prompt."""
+
+    number: int
+    prompt: Prompt
+    open: bool
+    answer: str | float | None = None
+    after_s: float = 0.0
+
+
+class Answer(Struct, frozen=True, forbid_unknown_fields=True):
+    """`value` is one of the prompt's `choices`, or a number. `prompt` is the number of the prompt that is answered;
+    without it, the one of now."""
+
+    value: Choice | float
+    prompt: Annotated[int, Meta(ge=0)] | None = None
+
+
 class RecordStart(Struct, frozen=True, forbid_unknown_fields=True):
     """A new file that ends in `.mcap`, in an existing folder below `[recording] directory` of the rig; no absolute
     path, no `..`, no link."""
@@ -225,6 +259,9 @@ METHODS: Final = {
     "disarm": Method(Empty, Armed, "Fade the force out and keep it off."),
     "zero": Method(Zero, Zeroed, "Define the present position of the probe; only while disarmed."),
     "mark": Method(Mark, Applied, "Publish an event with a label."),
+    "get_prompt": Method(Empty, Prompted, "Return the prompt and its answer."),
+    "set_prompt": Method(Prompt, Prompted, "Show a text or a question on every page."),
+    "answer": Method(Answer, Applied, "Answer the question of the prompt; the first answer counts."),
     "record_start": Method(RecordStart, RecordStarted, "Record every tick and event into a new MCAP file."),
     "record_stop": Method(Empty, RecordStopped, "End the recording."),
     "describe": Method(Empty, dict[str, Any], "Return protocol, rig, scene, fingers, versions and compiled features."),

@@ -13,7 +13,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -39,12 +39,15 @@ from softfinger.server.wire.asking import (
 from softfinger.server.wire.commands import (
     METHODS,
     Alive,
+    Answer,
     Applied,
     Armed,
     Changed,
     Empty,
     Mark,
     OfObject,
+    Prompt,
+    Prompted,
     Quaternion,
     RecordStart,
     RecordStarted,
@@ -164,6 +167,25 @@ class Control(Closing):
         """An event with a label, into the telemetry and every recording of it."""
         return self._ask("mark", Mark(label, dict(data or {})), Applied)
 
+    def get_prompt(self) -> Prompted:
+        """What pages show the participant, and the answer to it."""
+        return self._ask("get_prompt", Empty(), Prompted)
+
+    def set_prompt(
+        self,
+        title: str = "",
+        text: str = "",
+        progress: tuple[int, int] = (0, 0),
+        choices: Sequence[str] = (),
+        number: tuple[float, float] | None = None,
+    ) -> Prompted:
+        """Show pages a title, a text, how much is done of how much, and a question: choices, or a number's range."""
+        return self._ask("set_prompt", Prompt(title, text, *progress, tuple(choices), number), Prompted)
+
+    def answer(self, value: str | float, prompt: int | None = None) -> Applied:
+        """Answer the question of the prompt with this number, or of the one of now; refused where none is open."""
+        return self._ask("answer", Answer(value, prompt), Applied)
+
     def record_start(self, file: str) -> RecordStarted:
         """Record every tick and event into a new .mcap below the rig's [recording] directory."""
         return self._ask("record_start", RecordStart(file), RecordStarted)
@@ -267,6 +289,22 @@ class AsyncControl:
 
     async def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
         return await self._ask("mark", Mark(label, dict(data or {})), Applied)
+
+    async def get_prompt(self) -> Prompted:
+        return await self._ask("get_prompt", Empty(), Prompted)
+
+    async def set_prompt(
+        self,
+        title: str = "",
+        text: str = "",
+        progress: tuple[int, int] = (0, 0),
+        choices: Sequence[str] = (),
+        number: tuple[float, float] | None = None,
+    ) -> Prompted:
+        return await self._ask("set_prompt", Prompt(title, text, *progress, tuple(choices), number), Prompted)
+
+    async def answer(self, value: str | float, prompt: int | None = None) -> Applied:
+        return await self._ask("answer", Answer(value, prompt), Applied)
 
     async def record_start(self, file: str) -> RecordStarted:
         return await self._ask("record_start", RecordStart(file), RecordStarted)

@@ -238,6 +238,9 @@ def test_what_every_command_tells_is_recorded(rig, tmp_path):
         asked = {
             "set_params": lambda: control.set_params({STIFFNESS: 500.0, PUSH: [0.0, 0.0, 1.0]}),
             "mark": lambda: control.mark("trial 7", {"hand": "left", "n": 1}),
+            "set_prompt": lambda: control.set_prompt("trial 7", choices=("first", "second")),
+            "get_prompt": control.get_prompt,
+            "answer": lambda: control.answer("first"),
             "disarm": control.disarm,
             "zero": lambda: eventually(zeroed),
             "arm": control.arm,

@@ -1,0 +1,103 @@
+"""The prompt of an experiment on a real daemon: shown to who asks, answered once, refused with one clear error."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softfinger.config.errors import CommandRefused
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+from softfinger.server.remote import Client
+from softfinger.server.wire.commands import Prompt
+from softfinger.server.wire.protocol import EVENT
+
+pytestmark = pytest.mark.real_time
+
+WAIT_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    folder: Path = tmp_path_factory.mktemp("ends")
+    ends = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
+    rig = load_rig("simulated-hand", ends | {"servo.realtime": "off"})
+    with Daemon(rig, load_scene("paper-plane")) as daemon:
+        daemon.start()
+        with Client(ends["telemetry.endpoint"], ends["commands.endpoint"], timeout_s=WAIT_S) as made:
+            yield made
+
+
+def test_a_question_is_shown_and_answered_once(client: Client) -> None:
+    """Whoever comes later finds it by `get_prompt`; both steps are events, and a second answer is refused."""
+    events = client.subscribe((EVENT,), timeout_s=WAIT_S)
+    told: list[dict[str, Any]] = []
+    until = time.monotonic() + WAIT_S
+    while not told and time.monotonic() < until:  # a subscription takes a moment
+        client.mark("begin")
+        if (sample := events.receive(0.1)) is not None:
+            told.append(sample.data)
+    asked = client.set_prompt("trial 3", "Which?", (2, 40), choices=("first", "second"))
+    assert client.get_prompt() == asked and asked.open and asked.answer is None
+    assert asked.prompt == Prompt("trial 3", "Which?", 2, 40, ("first", "second"))
+    client.answer("second", asked.number)
+    found = client.get_prompt()
+    assert not found.open and found.answer == "second" and 0.0 < found.after_s < WAIT_S
+    with pytest.raises(CommandRefused, match="not open, or not any more"):
+        client.answer("first", asked.number)
+    while told[-1]["name"] != "answer":
+        told.append(next(events).data)
+    assert [event["name"] for event in told if event["kind"] == "command"] == ["set_prompt", "answer"]
+    assert told[-1]["what"] == {"prompt": asked.number, "value": "second"}
+
+
+def test_an_answer_to_an_earlier_question_is_none(client: Client) -> None:
+    """As of a page that is a moment late."""
+    before = client.set_prompt(choices=("a", "b")).number
+    client.set_prompt(choices=("a", "b"))
+    with pytest.raises(CommandRefused, match="answer the one that is shown"):
+        client.answer("a", before)
+
+
+@pytest.mark.parametrize(
+    "value", ["neither", "", 1.0, True, None, ["first"], {"first": 1}, "x" * 100_000, float("nan")]
+)
+def test_what_is_no_choice_is_refused(client: Client, value: Any) -> None:
+    """Whatever a program sends in a page's name: it is refused, and the question stays open."""
+    asked = client.set_prompt(choices=("first", "second"))
+    with pytest.raises(CommandRefused, match="bad_params"):
+        client.ask("answer", {"value": value, "prompt": asked.number})
+    assert client.get_prompt().open
+
+
+@pytest.mark.parametrize("value", [0.5, 7.01, float("nan"), float("inf"), -float("inf"), "3", True])
+def test_what_is_no_number_of_the_range_is_refused(client: Client, value: Any) -> None:
+    """The ends belong to it."""
+    client.set_prompt(number=(1.0, 7.0))
+    with pytest.raises(CommandRefused, match="bad_params"):
+        client.ask("answer", {"value": value})
+    client.answer(7.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"choices": ["a"], "number": [0.0, 1.0]}, "either choices or number"),
+        ({"number": [1.0, 1.0]}, "give the smallest, then the largest"),
+        ({"number": [0.0, float("nan")]}, "give the smallest, then the largest"),
+        ({"choices": [""]}, "choices"),
+        ({"choices": ["a"] * 21}, "choices"),
+        ({"text": "x" * 5000}, "text"),
+        ({"html": "<script>"}, "html"),
+    ],
+)
+def test_what_is_no_prompt_is_refused(client: Client, asked: dict[str, Any], said: str) -> None:
+    """The one of before stays."""
+    before = client.get_prompt()
+    with pytest.raises(CommandRefused, match=said):
+        client.ask("set_prompt", asked)
+    assert client.get_prompt() == before
