@@ -1,4 +1,4 @@
-"""Answers of a participant: by a key in the terminal, a button of the device, or a mark that a client sends."""
+"""Answers of a participant: by a key in the terminal, a button of the device, the page, or another program."""
 
 from __future__ import annotations
 
@@ -11,62 +11,103 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
+from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.server.experiment.design import Condition, Planned
-from softfinger.server.experiment.haptics import SLICE_S, Haptics
+from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.observer import Simulated
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.experiment.session import Felt
+from softfinger.server.experiment.session import Felt, Given, Place
+from softfinger.server.wire.asking import number_of
+from softfinger.server.wire.commands import Prompt
 
 CHOICES: Final = ("first", "second")
 KEYS: Final = {"1": "first", "2": "second"}
-NUMBER_MAX: Final = 1e6
+NUMBERS: Final = (1e-6, 1e6)
+"""Of an estimate: a number above 0."""
+GO_ON: Final = "go on"
+BEGIN: Final = "begin"
+END: Final = "That was the last trial. Thank you."
+LOOK_S: Final = 0.1
+"""How often the daemon is asked for the answer."""
 
 
 class Person:
-    """A participant at the device. Whatever answers first counts.
+    """A participant at the device. The first answer counts, wherever it comes from.
 
-    A comparison takes the keys 1 and 2, the device's first two buttons, and marks `answer` whose value is first or
-    second. A number is typed, or is the value of a mark.
+    Each question is the daemon's prompt. A page and other programs answer it by the command `answer`; so does this
+    for keys in the terminal and the device's first two buttons.
     """
 
     def __init__(self, experiment: ExperimentFile, haptics: Haptics) -> None:
         self._experiment, self._haptics = experiment, haptics
+        self._place: Place | None = None
 
-    def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> str | float:
+    def instruct(self) -> None:
+        """Show the instructions until the participant begins."""
+        if text := self._experiment.instructions:
+            self._asked(Prompt(self._experiment.title, text, choices=(BEGIN,)), f"{text} Enter or a button begins.")
+
+    def follow(self, place: Place) -> None:
+        self._place = place
+        task = self._experiment.task
+        self._show(self._prompt(task.question if task.kind == "trace" else place.text))
+
+    def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> Given:
         task = self._experiment.task
         if task.kind == "trace":
-            return float(felt.summary.get("duration_s", 0.0))
-        choice = task.kind == "compare"
-        self._haptics.answers.clear()
-        pressed, typed = self._buttons(), ""
-        with keyboard(single=choice) as keys:  # which forgets what was typed before the question
-            said(f"{task.question} {'1: the first, 2: the second' if choice else 'A number above 0, then Enter'}")
-            while True:
-                self._haptics.wait(SLICE_S)
-                typed += keys()
-                now = self._buttons()
-                answer = chosen(typed, now & ~pressed) if choice else number(typed)
-                pressed &= now  # one that was down has to be let go first
-                for value in self._haptics.answers:
-                    answer = answer or (
-                        value if choice and value in CHOICES else None if choice else number(f"{value}\n")
-                    )
-                self._haptics.answers.clear()
-                if answer is not None:
-                    return answer
-                if choice:
-                    typed = ""
-                elif "\n" in typed:
-                    said("that is no number above 0")
-                    typed = typed.rpartition("\n")[2]
+            return Given(float(felt.summary.get("duration_s", 0.0)))
+        if task.kind == "compare":
+            prompt = self._prompt(task.question, choices=CHOICES)
+            return self._asked(prompt, f"{task.question} 1: the first, 2: the second")
+        if task.scale is None:
+            prompt = self._prompt(task.question, number=NUMBERS)
+            return self._asked(prompt, f"{task.question} A number above 0, then Enter")
+        ends = ", ".join(f"{mark}: {word}" for mark, word in zip(task.scale, task.scale_ends, strict=False))
+        prompt = self._prompt(f"{task.question}\n{ends}", choices=task.marks)
+        given = self._asked(prompt, f"{task.question} {ends} ({task.scale[0]} to {task.scale[1]}, then Enter)")
+        return given._replace(value=float(given.value))
 
     def pause(self, done: int, of: int) -> None:
-        self._haptics.answers.clear()
-        pressed = self._buttons()
-        with keyboard(single=True) as keys:
-            said(f"{done} of {of} trials are done. A break: Enter, a button or a mark `answer` goes on.")
-            while not (keys() or self._buttons() & ~pressed or self._haptics.answers):
-                self._haptics.wait(SLICE_S)
+        said_so_far = f"{done} of {of} trials are done."
+        prompt = Prompt("A break", f"{said_so_far} Go on when you are ready.", done, of, (GO_ON,))
+        self._asked(prompt, f"{said_so_far} A break: Enter or a button goes on.")
+
+    def end(self) -> None:
+        """Say that all is done."""
+        self._show(Prompt(self._experiment.title, END))
+
+    def _prompt(self, text: str, **asked: Any) -> Prompt:
+        place = self._place
+        assert place is not None
+        return Prompt(place.title, text, place.trial - 1, place.trials, **asked)
+
+    def _show(self, prompt: Prompt) -> int:
+        number: int = self._haptics.client.ask("set_prompt", prompt).number
+        return number
+
+    def _asked(self, prompt: Prompt, line: str) -> Given:
+        """Ask on pages and with a line in the terminal, and wait for the answer."""
+        number, client = self._show(prompt), self._haptics.client
+        pressed, typed = self._buttons(), ""
+        with keyboard(single=is_single(prompt)) as keys:  # which forgets what was typed before the question
+            said(line)
+            while (found := client.get_prompt()).open and found.number == number:
+                self._haptics.wait(LOOK_S)
+                typed += keys()
+                now = self._buttons()
+                value, typed = meant(prompt, typed, now & ~pressed)
+                pressed &= now  # one that was down has to be let go first
+                if value is not None:
+                    self._give(value, number)
+        if found.number != number or found.answer is None:
+            raise ConfigError("another program has set a prompt in the place of the question: let it end first")
+        return Given(found.answer, found.after_s)
+
+    def _give(self, value: str | float, number: int) -> None:
+        try:
+            self._haptics.client.answer(value, number)
+        except CommandRefused as refused:
+            said(str(refused))
 
     def _buttons(self) -> int:
         buttons = 0
@@ -81,29 +122,36 @@ class DryRun:
     def __init__(self, experiment: ExperimentFile, participant: int) -> None:
         self._observer = Simulated(experiment, participant)
 
-    def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> str | float:
-        return self._observer.answer(trial, condition, level)
+    def follow(self, place: Place) -> None:
+        """It needs no prompt."""
+
+    def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> Given:
+        return Given(self._observer.answer(trial, condition, level))
 
     def pause(self, done: int, of: int) -> None:
         """Nobody needs one."""
 
 
-def chosen(typed: str, buttons: int) -> str | None:
-    """The choice that keys or newly pressed buttons say."""
-    for key in typed:
-        if key in KEYS:
-            return KEYS[key]
-    return CHOICES[0] if buttons & 1 else CHOICES[1] if buttons & 2 else None
+def is_single(prompt: Prompt) -> bool:
+    """Whether a key alone answers."""
+    return len(prompt.choices) == 1 or prompt.choices == CHOICES
 
 
-def number(typed: str) -> float | None:
-    """The number above 0 on the first whole line; None where there is none."""
-    line, newline, _ = typed.partition("\n")
-    try:
-        value = float(line.replace(",", "."))
-    except ValueError:
-        return None
-    return value if newline and 0.0 < value <= NUMBER_MAX else None
+def meant(prompt: Prompt, typed: str, buttons: int) -> tuple[str | float | None, str]:
+    """What was typed or newly pressed means as an answer, None for nothing yet; and what of the text is left.
+
+    One choice takes any key or button; two take the keys 1 and 2 and the first two buttons; all else takes a line.
+    """
+    choices = prompt.choices
+    if len(choices) == 1:
+        return (choices[0] if typed or buttons else None), ""
+    if choices == CHOICES:
+        keys = [KEYS[key] for key in typed if key in KEYS]
+        return (keys[0] if keys else CHOICES[0] if buttons & 1 else CHOICES[1] if buttons & 2 else None), ""
+    line, newline, rest = typed.partition("\n")
+    if not newline or not line.strip():
+        return None, rest if newline else line
+    return (line.strip()[:64] if choices else number_of(line)), rest
 
 
 def said(line: str) -> None:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -25,6 +25,8 @@ from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.journal import Entry, Journal, Memory
 from softfinger.server.experiment.masses import scene_with
 from softfinger.server.experiment.session import Nothing, Session, Stopped
+from softfinger.server.viewer.door.process import Shown
+from softfinger.server.viewer.roles import Role
 
 log: Final = logging.getLogger(__name__)
 
@@ -40,12 +42,14 @@ class Running(NamedTuple):
     dry_run     the simulated observer answers
     no_daemon   nothing is rendered: the simulated observer, the journal and the tables alone
     doctor      `softfinger doctor` looks at the machine first
+    view        a page in the browser shows the participant what is asked
     rig         values for the rig by dotted key, such as telemetry.endpoint
     """
 
     dry_run: bool = False
     no_daemon: bool = False
     doctor: bool = True
+    view: bool = False
     rig: Mapping[str, Any] = {}
 
 
@@ -109,11 +113,13 @@ class Experiment:
         with self._rendered(own, rig, running) as (haptics, about):
             own.keep(own.name(number, "about.json"), about)
             journal.write("started", run=number, dry_run=running.dry_run, time=time.time())
-            answering = DryRun(self.file, own.participant) if running.dry_run else Person(self.file, haptics)
-            if not running.dry_run and self.file.instructions:
-                print(self.file.instructions, flush=True)
+            person = None if running.dry_run else Person(self.file, haptics)
+            if person is not None:
+                person.instruct()
             with recorded(haptics, f"{own.label}/{own.name(number, 'ticks.mcap')}"):
-                session.run(journal, haptics, answering, own)
+                session.run(journal, haptics, person or DryRun(self.file, own.participant), own)
+            if person is not None:
+                person.end()
 
     @contextmanager
     def _rendered(self, own: Folder, rig: str | Path, running: Running) -> Iterator[tuple[Haptics, dict[str, Any]]]:
@@ -136,7 +142,13 @@ class Experiment:
             client = opened.enter_context(Client(daemon.publisher.endpoint, daemon.commands_endpoint))
             log.info("telemetry on %s, commands on %s", daemon.publisher.endpoint, daemon.commands_endpoint)
             models = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="softfinger-models-")))
-            haptics = Haptics(client, self.file, self._scene, models, lambda: _check(daemon.wait))
+            looks = list[Callable[[], None]]()
+            if running.view:
+                loudness = [] if log.isEnabledFor(logging.INFO) else ["-q"]
+                page = Shown(daemon.publisher.endpoint, daemon.commands_endpoint, loudness, Role.PARTICIPANT)
+                opened.callback(page.close)
+                looks.append(page.look)
+            haptics = Haptics(client, self.file, self._scene, models, lambda: _check(daemon.wait, looks))
             yield haptics, client.describe()
 
     def _scene(self, name: str) -> str | Path:
@@ -171,8 +183,10 @@ def recorded(haptics: Haptics, file: str) -> Iterator[None]:
             haptics.client.record_stop()
 
 
-def _check(ended: Callable[[float], bool]) -> None:
-    """Raise what ended the daemon, or Stopped."""
+def _check(ended: Callable[[float], bool], looks: Iterable[Callable[[], None]]) -> None:
+    """Look after what runs beside it; raise what ended the daemon, or Stopped."""
+    for look in looks:
+        look()
     if ended(ENDED_S):
         raise Stopped("stopped; the same command goes on at this trial")
 

@@ -18,7 +18,7 @@ from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import Felt, Stimulus
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample, Subscription
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, finger_of
+from softfinger.server.wire.protocol import CONTACT, FINGERS, finger_of
 
 SLICE_S: Final = 0.02
 """How long a wait for telemetry lasts before anything else is looked at."""
@@ -51,11 +51,9 @@ class Haptics:
         self._scene: str | None = None
         self.newest: dict[str, Sample] = {}
         """The last tick of each finger, by name."""
-        self.answers: list[Any] = []
-        """Values of marks with the label `answer`, as the page and other clients send them."""
         self._heard_s = 0.0
         self._kept: list[dict[str, Any]] | None = None
-        self.samples: Final[Subscription] = client.subscribe((CONTACT, FINGERS, EVENT))
+        self.samples: Final[Subscription] = client.subscribe((CONTACT, FINGERS))
         self._until(lambda: bool(self.newest), "there is no tick")
         self._led = self._hands()
 
@@ -172,9 +170,6 @@ class Haptics:
     def _take(self, sample: Sample) -> None:
         name = finger_of(sample.topic)
         if name is None:
-            event = sample.data
-            if event.get("kind") == "mark" and event.get("label") == "answer":
-                self.answers.append(event.get("data", {}).get("value"))
             return
         self.newest[name] = sample
         if self._kept is not None:

@@ -31,4 +31,6 @@ class Simulated:
         if self._experiment.task.kind == "compare":
             right = rng.random() < float(probability(level, who.threshold, who.slope, lapse=who.lapse))
             return "first" if right == trial.test_first else "second"
-        return who.scale * math.pow(level, who.exponent) * math.exp(who.noise * rng.standard_normal())
+        said = who.scale * math.pow(level, who.exponent) * math.exp(who.noise * rng.standard_normal())
+        scale = self._experiment.task.scale
+        return said if scale is None else float(min(max(round(said), scale[0]), scale[1]))

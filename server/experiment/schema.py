@@ -18,6 +18,7 @@ SECONDS: Final = Range(0.0, 600.0, "ten minutes are longer than any touch")
 SHARE: Final = Range(0.0, 0.5, "half of the answers at random is no observer")
 POSITIVE: Final = Range(1e-9, 1e9, "a level above 0")
 TEXT: Final = Range(0, 4000, "a screen")
+MARKS_MAX: Final = 20
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
 
 Seconds = Annotated[float, Meta(ge=SECONDS.low, le=SECONDS.high)]
@@ -48,6 +49,12 @@ class Task(Table, frozen=True, kw_only=True):
         Literal["up", "down"], said("compare: whether the value rises or falls with the level; 'less' answers fall")
     ] = "up"
     question: Annotated[str, sized(TEXT, "what the participant is asked", "Which was stiffer?")]
+    scale: Annotated[
+        tuple[int, int] | None, said("rate: first and last mark of a rating scale; default: any number above 0", [1, 7])
+    ] = None
+    scale_ends: Annotated[
+        tuple[Label, ...], said("rate: what its first and last mark mean", ["not at all", "very"])
+    ] = ()
     target_m: Annotated[Point | None, said("trace: where it ends", [0.0, 0.0, 0.0])] = None
     target_radius_m: Annotated[float, within(Range(1e-4, 1.0, "a target"), "trace: how near", 0.005)] = 0.005
 
@@ -57,7 +64,19 @@ class Task(Table, frozen=True, kw_only=True):
             return level
         return self.reference * (1.0 + level) if self.more == "up" else self.reference / (1.0 + level)
 
+    @property
+    def marks(self) -> tuple[str, ...]:
+        """The marks of the rating scale."""
+        return () if self.scale is None else tuple(map(str, range(self.scale[0], self.scale[1] + 1)))
+
     def faults(self) -> Iterator[Complaint]:
+        if known(self.kind, self.scale, self.scale_ends):
+            if self.scale is not None and self.kind != "rate":
+                yield "scale", self.scale, "only rate has a scale"
+            if self.scale is not None and not 1 <= self.scale[0] < self.scale[1] < self.scale[0] + MARKS_MAX:
+                yield "scale", self.scale, f"must be the first mark, from 1, and the last of at most {MARKS_MAX}"
+            if len(self.scale_ends) not in ((0,) if self.scale is None else (0, 2)):
+                yield "scale_ends", self.scale_ends, "goes with scale, and has two words"
         if known(self.kind, self.reference) and (self.kind == "compare") != (self.reference is not None):
             yield "reference", self.reference, "compare needs a reference, and nothing else has one"
         if known(self.kind, self.target_m) and (self.kind == "trace") != (self.target_m is not None):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
 from softfinger.config.errors import HapticError
@@ -33,6 +33,35 @@ class Stimulus(NamedTuple):
     changes: dict[str, Any]
 
 
+class Place(NamedTuple):
+    """Where a session is.
+
+    trial, trials    number of the trial, of how many
+    block, blocks    the same of the block
+    practice         the trial does not count
+    touch, touches   number of the touch in the trial
+    """
+
+    trial: int
+    trials: int
+    block: int
+    blocks: int
+    practice: bool
+    touch: int
+    touches: int
+
+    @property
+    def title(self) -> str:
+        """Trial and block, as the participant may know them: no condition is named."""
+        block = f"Block {self.block} of {self.blocks}, " if self.blocks > 1 else ""
+        return f"{block}{'trial' if block else 'Trial'} {self.trial} of {self.trials}{', practice' * self.practice}"
+
+    @property
+    def text(self) -> str:
+        """Which touch is next, where there are several."""
+        return f"Touch {self.touch} of {self.touches}" if self.touches > 1 else ""
+
+
 class Felt(NamedTuple):
     """What became of a touch: numbers for the table of trials, and every tick."""
 
@@ -54,11 +83,21 @@ class Nothing:
         return Felt({}, [])
 
 
+class Given(NamedTuple):
+    """An answer: `first` or `second` of a comparison, else a number; and how long it took (s), where that is known."""
+
+    value: str | float
+    after_s: float | None = None
+
+
 class Answering(Protocol):
     """Where answers come from."""
 
-    def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> str | float:
-        """`first` or `second` of a comparison, else a number."""
+    def follow(self, place: Place) -> None:
+        """A touch is next."""
+
+    def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> Given:
+        """The answer to a trial, the last that was followed."""
 
     def pause(self, done: int, of: int) -> None:
         """Wait until the participant goes on."""
@@ -77,6 +116,7 @@ class Session:
         self.conditions: Final = conditions(experiment)
         self.trials: Final = planned(experiment, participant)
         self._tell = tell
+        self._blocks = blocks_of(self.trials, experiment.design.order == "random")
         self._procedures = [adaptive(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
     def begin(self, folder: Folder) -> None:
@@ -116,16 +156,18 @@ class Session:
         procedure = self._procedures[trial.condition]
         level = trial.level if trial.level is not None or procedure is None else procedure.level()
         assert level is not None
-        self._tell(f"trial {trial.number} of {len(self.trials)}{', practice' if trial.practice else ''}")
         values = [task.value(level)]
         if task.reference is not None:
             values.insert(1 if trial.test_first else 0, task.reference)
         felt = []
         for touch, value in enumerate(values, 1):
+            place = self._place(trial, touch, len(values))
+            self._tell(f"{place.title} {place.text}")
+            answering.follow(place)
             changes = condition.changes | parameters(self.experiment, value)
             felt.append(apparatus.touch(Stimulus(trial.number, touch, condition.scene, changes)))
         test = felt[0 if trial.test_first or len(felt) == 1 else 1]
-        answer = answering.answer(trial, condition, level, test)
+        answer, after_s = answering.answer(trial, condition, level, test)
         entry = {
             "trial": trial.number,
             "practice": trial.practice,
@@ -137,14 +179,32 @@ class Session:
             "answer": answer,
             "right": right(trial, answer) if task.kind == "compare" else None,
             "attempt": attempt,
-        }
+        } | ({} if after_s is None else {"answer_s": after_s})
         ticks = [{"touch": touch} | row for touch, each in enumerate(felt, 1) for row in each.ticks]
         return entry | test.summary, ticks
+
+    def _place(self, trial: Planned, touch: int, touches: int) -> Place:
+        block = self._blocks[trial.number - 1]
+        return Place(trial.number, len(self.trials), block, self._blocks[-1], trial.practice, touch, touches)
 
     def _learn(self, trial: Planned, entry: Entry) -> None:
         procedure = self._procedures[trial.condition]
         if procedure is not None and not trial.practice:
             procedure.answered(entry["level"], entry["right"])
+
+
+def blocks_of(trials: Sequence[Planned], mixed: bool) -> list[int]:
+    """The number of each trial's block, from 1: trials of one condition in a row, all trials where they are `mixed`.
+
+    Practice belongs to the block behind it.
+    """
+    block, numbers, last = 1, list[int](), None
+    for trial in trials:
+        if not (mixed or trial.practice):
+            block += last not in (None, trial.condition)
+            last = trial.condition
+        numbers.append(block)
+    return numbers
 
 
 def parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from softfinger.server import signals
 from softfinger.server.experiment.experiment import Experiment, Running
 from softfinger.server.experiment.session import Stopped
 from softfinger.server.verbs.ctl import parameter
+from softfinger.server.viewer.door.process import check_viewer
 
 log: Final = logging.getLogger(__name__)
 
@@ -28,6 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="the simulated observer answers; a led hand moves")
     parser.add_argument("--no-daemon", action="store_true", help="with --dry-run: render nothing, in no time")
     parser.add_argument("--no-doctor", action="store_true", help="do not look at the machine first")
+    parser.add_argument("--view", action="store_true", help="a page in the browser for the participant")
     parser.add_argument("--rig", metavar="RIG", help="in place of the experiment's")
     parser.add_argument("--endpoint", metavar="URL", help="where telemetry is published")
     parser.add_argument("--commands", metavar="URL", help="where commands are taken")
@@ -40,12 +42,14 @@ def run(args: argparse.Namespace) -> int:
     """Run the session; returns 0, also where it was asked to end."""
     if args.no_daemon and not args.dry_run:
         raise ConfigError("--no-daemon: only the simulated observer needs none: give --dry-run too")
+    if args.view:
+        check_viewer()
     changes: dict[str, Any] = dict(map(parameter, args.set)) | ({"rig": args.rig} if args.rig else {})
     experiment = Experiment(args.file, changes)
     folder = Path(args.out or Path(args.file).stem)
     rig = {"telemetry.endpoint": args.endpoint, "commands.endpoint": args.commands}
     rig = {key: value for key, value in rig.items() if value is not None}
-    running = Running(args.dry_run, args.no_daemon, not args.no_doctor, rig)
+    running = Running(args.dry_run, args.no_daemon, not args.no_doctor, args.view, rig)
     try:
         rows = experiment.run(folder, args.participant, running)
     except Stopped as stopped:

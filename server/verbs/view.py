@@ -14,6 +14,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.server import keys, signals
 from softfinger.server.arguments import duration
 from softfinger.server.gateway.addresses import addresses_of
+from softfinger.server.viewer.roles import Role
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
@@ -38,6 +39,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--commands", help="commands endpoint (default: beside that)")
     keys.add_options(parser)
+    parser.add_argument(
+        "--role",
+        choices=[each.value for each in Role],
+        default=Role.OPERATOR.value,
+        help="who sits before it: a watcher changes nothing, a participant sees prompts alone (%(default)s)",
+    )
     parser.add_argument("--host", default=HOST, help="address that the page is served on (%(default)s)")
     parser.add_argument(
         "--allow-host",
@@ -68,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
     from softfinger.server.viewer.door.opening import in_browser
     from softfinger.server.viewer.live import LivePage
+    from softfinger.server.viewer.participant import ParticipantPage
     from softfinger.server.viewer.playback import RecordedPage, load
 
     recording = None if args.recording is None else load(args.recording, args.scene)
@@ -81,7 +89,12 @@ def run(args: argparse.Namespace) -> int:
     page = Page(args.host, args.port, tuple(args.allow_host), token)
     try:
         if recording is None:
-            fed: LivePage | RecordedPage = LivePage(page, addresses_of(args.endpoint, lock, args.commands), lock)
+            daemon = addresses_of(args.endpoint, lock, args.commands)
+            fed: LivePage | ParticipantPage | RecordedPage = (
+                ParticipantPage(page, daemon, lock)
+                if args.role == Role.PARTICIPANT
+                else LivePage(page, daemon, lock, Role(args.role))
+            )
         else:
             fed = RecordedPage(page, recording, args.tick)
         try:

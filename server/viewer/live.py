@@ -22,6 +22,8 @@ from softfinger.server.viewer.inputs import Gamepad, add_keys
 from softfinger.server.viewer.nodes import meshes
 from softfinger.server.viewer.nodes.bodies import Place
 from softfinger.server.viewer.page import Page, began_of, scene_of
+from softfinger.server.viewer.prompt import PromptPanel
+from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
 from softfinger.server.wire.commands import Triangles
@@ -29,18 +31,21 @@ from softfinger.server.wire.commands import Triangles
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
 COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one goes on meanwhile"
 ASK_AGAIN_S: Final = 1.0
+SETS: Final = ("set_params", "set_scene")
 POSE: Final = ("position_m", "orientation_wxyz")
 
 
 class LivePage:
     """Feeds a page from the daemon at two addresses, whether or not it runs yet; call `step` for each frame."""
 
-    def __init__(self, page: Page, daemon: Addresses, keys: ClientKeys | None = None) -> None:
-        commands = daemon.commanded()
+    def __init__(
+        self, page: Page, daemon: Addresses, keys: ClientKeys | None = None, role: Role = Role.OPERATOR
+    ) -> None:
+        commands, may = daemon.commanded(), ALLOWED[role]
         self._page = page
         self._live = Live(daemon.telemetry, keys)
-        self._asker = Asker(commands, keys)
-        self._slow = Asker(commands, keys)  # a scene is compiled while the hand goes on
+        self._asker = Asker(commands, keys, may=may)
+        self._slow = Asker(commands, keys, may=may)  # a scene is compiled while the hand goes on
         self._described: dict[str, Any] | None = None
         self._fresh = threading.Event()
         self._sent = deque[tuple[int, int, Triangles]]()
@@ -49,12 +54,14 @@ class LivePage:
         self._first = -1
         self._since = 0.0
         gui = page.server.gui
-        with page.tabs.add_tab("Hand"):
+        self._prompt = PromptPanel(gui, self._asker, self._refused, answers=may is None)
+        changing = page.tabs if may is None else gui.add_tab_group(visible=False)
+        with changing.add_tab("Hand"):
             self._hand = Hand(gui, page.server.scene, self._send)
             add_keys(gui, self._hand.nudge)
             self._handles = Handles(gui, page.server.scene, self._drive)
             gui.add_button_group("force", ("on", "off")).on_click(self._switch)
-        with page.tabs.add_tab("Feel"):
+        with changing.add_tab("Feel"):
             self._tuning = Tuning(gui, self._set_params, self._set_scene)
         page.add_views()
         self._gamepad = Gamepad(gui)
@@ -72,7 +79,9 @@ class LivePage:
         while self._sent:
             self._draw(*self._sent.popleft())
         for event in news.events:
+            self._prompt.hear(event)
             self._hear(event)
+        self._prompt.step()
         if self._live.problem:
             self._page.say(self._live.problem)
         if (nudge := self._gamepad.moved(dt)) is not None:
@@ -86,6 +95,7 @@ class LivePage:
     def _look(self) -> None:
         """Ask what the daemon is, and renders."""
         self._since = 0.0
+        self._prompt.look()
         self._asker.ask("describe", Request("describe", {}, self._is_described, lambda text: None))
 
     def _is_described(self, described: dict[str, Any]) -> None:
@@ -138,7 +148,7 @@ class LivePage:
         if self._scene is not None and (drive := drive_of(event, self._scene)) is not None:
             self._page.drive(drive.number, drive.position, drive.orientation)
             self._handles.see(drive.number, drive.position, drive.orientation)
-        elif event["kind"] == "lifecycle" or (event["kind"] == "command" and event["name"].startswith("set_")):
+        elif event["kind"] == "lifecycle" or (event["kind"] == "command" and event["name"] in SETS):
             self._look()
 
     def _send(self, finger: str, target: Target | None) -> None:

@@ -37,6 +37,8 @@ READ: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
 PANEL: Final = 380
 """Width of the controls, pixels."""
+WIDE: Final = 640
+"""Of a page of prompts alone."""
 
 
 class Page:
@@ -70,6 +72,12 @@ class Page:
         self._state = gui.add_html(READ.format("waiting for the first tick"))
         self._paused = gui.add_checkbox("pause the picture", False)
         self.tabs: Final = gui.add_tab_group()
+
+    def only_prompts(self) -> None:
+        """Leave out what tells of the rendering."""
+        for part in (self._state, self._paused, self.tabs):
+            part.visible = False
+        self.server.gui.main_panel.set_width(WIDE)
 
     def add_views(self) -> None:
         """The tabs for what is shown and for plots; behind those of who feeds the page."""

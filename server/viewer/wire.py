@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, fing
 
 KEPT: Final = 8192
 """Ticks of a finger that are kept until they are taken."""
+TOPICS: Final = (CONTACT, FINGERS, EVENT, WORLD)
 WAIT_S: Final = 0.2
 """How long a thread waits before it looks whether it is to end."""
 
@@ -33,8 +34,8 @@ class News(NamedTuple):
 class Live:
     """What a running daemon publishes. `problem` says why nothing comes that can be shown, or is empty."""
 
-    def __init__(self, endpoint: str, keys: ClientKeys | None) -> None:
-        self._samples = subscribe(endpoint, (CONTACT, FINGERS, EVENT, WORLD), keys=keys)
+    def __init__(self, endpoint: str, keys: ClientKeys | None, topics: Sequence[str] = TOPICS) -> None:
+        self._samples = subscribe(endpoint, topics, keys=keys)
         self._rows: dict[str, deque[list[float]]] = {}
         self._events = deque[dict[str, Any]](maxlen=KEPT)
         self._bodies: dict[str, Any] = {}
@@ -86,9 +87,19 @@ class Request(NamedTuple):
 
 
 class Asker:
-    """Commands to the daemon, one at a time, by a thread; of those that wait under one name the newest is sent."""
+    """Commands to the daemon, one at a time, by a thread; of those that wait under one name the newest is sent.
 
-    def __init__(self, endpoint: str, keys: ClientKeys | None, timeout_s: float | None = None) -> None:
+    may  the methods that are sent, None: all
+    """
+
+    def __init__(
+        self,
+        endpoint: str,
+        keys: ClientKeys | None,
+        timeout_s: float | None = None,
+        may: Collection[str] | None = None,
+    ) -> None:
+        self._may = may
         self._control = Control(endpoint, timeout_s, keys)
         self._waiting: dict[str, Request] = {}
         self._changed = threading.Condition()
@@ -98,6 +109,9 @@ class Asker:
 
     def ask(self, name: str, request: Request) -> None:
         """Send it in its turn; what waits under the same name is not sent any more."""
+        if self._may is not None and request.method not in self._may:
+            request.failed(f"{request.method}: this page has a --role that may not")
+            return
         with self._changed:
             self._waiting[name] = request
             self._changed.notify()

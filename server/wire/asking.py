@@ -133,3 +133,11 @@ def hand_of(
 
 def zero_of(position_m: Vector, finger: str | int | None, reset: bool) -> Zero:
     return Zero(position_m, msgspec.UNSET if finger is None else finger, reset)
+
+
+def number_of(text: str) -> str | float:
+    """What a person wrote as an answer: a number where it is one."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return text.strip()[:64]

@@ -16,6 +16,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from softfinger.config.errors import ConfigError
+from softfinger.server.viewer.roles import Role
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
@@ -54,10 +55,11 @@ class Shown:
     that shows it goes on.
     """
 
-    def __init__(self, telemetry: str, commands: str | None, loudness: list[str]) -> None:
+    def __init__(self, telemetry: str, commands: str | None, loudness: list[str], role: Role = Role.OPERATOR) -> None:
         if commands is None:
             raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
         self._words = ["view", "--endpoint", telemetry, "--commands", commands]
+        self._words += [] if role == Role.OPERATOR else ["--role", role.value]
         self._loudness, self._restarts, self._over = loudness, 0, False
         self._process = self._started("")
         try:

@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 from test_experiment_design import small
 
+from softfinger.config.errors import CommandRefused
 from softfinger.server.experiment.experiment import Experiment, Running, results
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.haptics import along
@@ -130,8 +131,11 @@ gap_s = 0.0
 """
 
 
-def test_a_participant_answers_by_key_and_by_mark_and_may_stop(tmp_path: Path) -> None:
-    """A key at a terminal answers, Ctrl-C ends in order, and the next start takes a client's mark for the second."""
+def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
+    """A key at a terminal answers, Ctrl-C ends in order, and the next start takes a program's command for the second.
+
+    What is no answer is refused, and the question stays.
+    """
     file = tmp_path / "terminal.toml"
     file.write_text(EXPERIMENT)
     ours, theirs = pty.openpty()
@@ -147,13 +151,15 @@ def test_a_participant_answers_by_key_and_by_mark_and_may_stop(tmp_path: Path) -
             assert process.stdout is not None
             assert "Which?" in process.stdout.readline()
             with Client(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", timeout_s=WAIT_S) as client:
-                client.mark("answer", {"value": "neither"})
-                client.mark("answer", {"value": "first"})
+                with pytest.raises(CommandRefused, match="give one of first, second"):
+                    client.answer("neither")
+                client.answer("first")
             assert process.wait(WAIT_S) == 0
     finally:
         os.close(ours)
         os.close(theirs)
     rows = results(tmp_path / "out")
+    assert all(0.0 < row["answer_s"] < WAIT_S for row in rows)
     assert [(row["trial"], row["answer"], row["attempt"]) for row in rows] == [(1, "second", 1), (2, "first", 2)]
     journal = read(tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl")
     assert [entry["kind"] for entry in journal] == [

@@ -1,0 +1,107 @@
+"""The prompt of an experiment on the page: text, progress, and buttons, keys or a field for the answer."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+
+from softfinger.server.viewer.wire import Asker, Request
+from softfinger.server.wire.asking import number_of
+from softfinger.server.wire.commands import Prompt, Prompted
+
+TEXT: Final = (
+    '<div style="padding: 0.5em 0.75em; font-size: {size}em; line-height: 1.5; overflow-wrap: anywhere">'
+    '<b>{title}</b><div style="white-space: pre-wrap">{text}</div></div>'
+)
+DIGITS: Final = "123456789"
+FIRST: Final = -1.0
+"""Above all else of the panel."""
+
+
+class PromptPanel:
+    """Shows the prompt of the daemon that `asker` commands, and sends the answer.
+
+    refused  is told why an answer was not taken
+    answers  False: the prompt is only shown
+    size     of the text, of that of the page
+    """
+
+    def __init__(
+        self, gui: Any, asker: Asker, refused: Callable[[str], None], answers: bool = True, size: float = 1.0
+    ) -> None:
+        self._gui, self._asker, self._refused, self._answers, self._size = gui, asker, refused, answers, size
+        self._folder = gui.add_folder(None, order=FIRST, visible=False)
+        with self._folder:
+            self._text = gui.add_html("")
+            self._bar = gui.add_progress_bar(0.0, visible=False)
+        self._asking: list[Any] = []
+        self._now: Prompted | None = None
+        self._came: Prompted | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether the daemon has told its prompt."""
+        return self._now is not None
+
+    def look(self) -> None:
+        """Ask for the prompt; `step` shows it."""
+        self._asker.ask("prompt", Request("get_prompt", {}, self._keep, lambda text: None))
+
+    def hear(self, event: dict[str, Any]) -> None:
+        """Look again where an event tells of another prompt, of an answer, or of another daemon."""
+        if event["kind"] == "lifecycle" or event["name"] in ("set_prompt", "answer"):
+            self.look()
+
+    def _keep(self, prompted: Prompted) -> None:
+        self._came = prompted
+
+    def step(self) -> None:
+        """Show what has come; from the thread that draws."""
+        came, self._came = self._came, None
+        if came is None or came == self._now:
+            return
+        self._now, prompt = came, came.prompt
+        self._folder.visible = bool(prompt.title or prompt.text or came.open)
+        self._text.content = TEXT.format(
+            size=self._size, title=html.escape(prompt.title), text=html.escape(prompt.text)
+        )
+        self._bar.visible, self._bar.value = prompt.of > 0, 100.0 * min(prompt.done / max(prompt.of, 1), 1.0)
+        for each in self._asking:
+            each.remove()
+        self._asking = self._asked(prompt, came.number) if came.open and self._answers else []
+
+    def _asked(self, prompt: Prompt, number: int) -> list[Any]:
+        """What the answer is given by."""
+        gui = self._gui
+        with self._folder:
+            if prompt.number is not None:
+                field, button = gui.add_text("your number", ""), gui.add_button("answer")
+                button.on_click(lambda event: self._send(number_of(field.value), number))
+                return [field, button]
+            buttons = gui.add_button_group("", prompt.choices)
+        buttons.on_click(lambda event: self._send(event.target.value, number))
+        made = [buttons]
+        for key, choice in keys_of(prompt.choices).items():
+            command = gui.add_command(f"answer: {choice}", hotkey=key)
+            command.on_trigger(partial(self._pressed, choice, number))
+            made.append(command)
+        return made
+
+    def _pressed(self, choice: str, number: int, event: Any) -> None:
+        self._send(choice, number)
+
+    def _send(self, value: str | float, number: int) -> None:
+        """What a browser says is checked by the daemon, which knows what is asked."""
+        params = {"value": value, "prompt": number}
+        self._asker.ask("answer", Request("answer", params, lambda result: None, self._refused))
+
+
+def keys_of(choices: tuple[str, ...]) -> dict[str, str]:
+    """Which key means which choice: the digit that it is, or of its place; Enter where there is one."""
+    if len(choices) == 1:
+        return {"enter": choices[0]}
+    if any(digit in choices for digit in DIGITS):
+        return {digit: digit for digit in DIGITS if digit in choices}
+    return dict(zip(DIGITS, choices, strict=False))
