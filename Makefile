@@ -142,8 +142,9 @@ reference: $(STAMP) ## Write docs/reference/: keys of scenes and rigs, record, t
 figures: $(STAMP) ## Draw the figures of the model pages anew (docs/figures/model-*.svg)
 	@NUMBA_DISABLE_JIT=1 exec $(BIN)/python -m softfinger.tools.pages.figures docs/figures
 
-page-picture: $(STAMP) ## Draw docs/figures/page.jpg anew, the page in the browser (needs `make browser`)
-	@exec $(BIN)/python tests/page_picture.py
+page-picture: $(STAMP) ## Draw the pictures of the page in docs/figures/ anew (needs `make browser`)
+	@$(BIN)/python tests/page_picture.py
+	@exec $(BIN)/python tests/experiment_picture.py
 
 DOCS_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r constraints-docs.txt
 

@@ -16,6 +16,8 @@ TEXT: Final = (
     '<b>{title}</b><div style="white-space: pre-wrap">{text}</div></div>'
 )
 DIGITS: Final = "123456789"
+LARGE_MAX: Final = 3
+"""So many choices have a large button each, more stand in a row."""
 FIRST: Final = -1.0
 """Above all else of the panel."""
 
@@ -80,9 +82,14 @@ class PromptPanel:
                 field, button = gui.add_text("your number", ""), gui.add_button("answer")
                 button.on_click(lambda event: self._send(number_of(field.value), number))
                 return [field, button]
-            buttons = gui.add_button_group("", prompt.choices)
-        buttons.on_click(lambda event: self._send(event.target.value, number))
-        made = [buttons]
+            if len(prompt.choices) > LARGE_MAX:
+                buttons = gui.add_button_group("", prompt.choices)
+                buttons.on_click(lambda event: self._send(event.target.value, number))
+                made = [buttons]
+            else:
+                made = [gui.add_button(choice) for choice in prompt.choices]
+                for choice, button in zip(prompt.choices, made, strict=True):
+                    button.on_click(partial(self._pressed, choice, number))
         for key, choice in keys_of(prompt.choices).items():
             command = gui.add_command(f"answer: {choice}", hotkey=key)
             command.on_trigger(partial(self._pressed, choice, number))

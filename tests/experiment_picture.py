@@ -1,0 +1,41 @@
+"""`make page-picture`: docs/figures/experiment-page.png, the page of a participant, drawn anew."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from pathlib import Path
+
+from helpers.experiment_page import EXPERIMENT, Session, session
+from PIL import Image
+
+PICTURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "experiment-page.png"
+SIZE = {"width": 620, "height": 300}
+GAP = 8
+COLOURS = 32
+"""Text and lines need no more, and the file is small."""
+
+
+def seen(run: Session) -> Image.Image:
+    return Image.open(io.BytesIO(run.page.screenshot())).convert("RGB")
+
+
+def main() -> None:
+    """Run an experiment until its first question, and take the instructions and the question side by side."""
+    with tempfile.TemporaryDirectory() as folder, session(Path(folder), EXPERIMENT) as run:
+        run.page.set_viewport_size(SIZE)
+        assert run.waits("guess if you are not sure")
+        pictures = [seen(run)]
+        run.click("begin")
+        assert run.waits("Which was stiffer?")
+        pictures.append(seen(run))
+    width = sum(each.width for each in pictures) + GAP
+    both = Image.new("RGB", (width, pictures[0].height), "grey")
+    both.paste(pictures[0], (0, 0))
+    both.paste(pictures[1], (pictures[0].width + GAP, 0))
+    both.quantize(COLOURS).save(PICTURE, optimize=True)
+    print(f"{PICTURE}: {PICTURE.stat().st_size // 1024} kB")
+
+
+if __name__ == "__main__":
+    main()

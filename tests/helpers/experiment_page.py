@@ -1,0 +1,87 @@
+"""A whole experiment through the participant's page: a session with a daemon and a page, in a real browser."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from helpers.browser import browser, eventually, shown
+
+EXPERIMENT = """
+title = "Which plate is stiffer?"
+scene = "paper-plane"
+instructions = "Press on the plate twice.\\nSay which of the two was stiffer; guess if you are not sure."
+[task]
+kind = "compare"
+parameter = "object.table.material.stiffness_n_per_m"
+reference = 500.0
+question = "Which was stiffer?"
+[procedure]
+kind = "constant"
+levels = [0.5, 1.0]
+[[factor]]
+name = "damping"
+parameter = "object.table.material.damping_ns_per_m"
+levels = [0.0, 2.0]
+[design]
+seed = 1
+order = "given"
+break_every = 2
+[trial]
+touch_s = 0.3
+gap_s = 0.0
+[motion]
+fingertip = [[0.0, 0.0, 0.0, 0.015], [0.1, 0.0, 0.0, 0.008]]
+"""
+
+RATING = (
+    EXPERIMENT.replace('kind = "compare"', 'kind = "rate"\nscale = [1, 7]\nscale_ends = ["soft", "hard"]')
+    .replace("reference = 500.0\n", "")
+    .replace("[0.5, 1.0]", "[500.0, 1000.0]")
+)
+
+
+class Session:
+    """A session that runs, and the participant's page of it in the browser."""
+
+    def __init__(self, page: Any, folder: Path, process: subprocess.Popen[str]) -> None:
+        self.page, self.folder, self.process = page, folder, process
+
+    def click(self, label: str) -> None:
+        """Press a button once it is there."""
+        self.page.get_by_role("button", name=label, exact=True).click()
+
+    def waits(self, *texts: str) -> bool:
+        """Whether all these texts come to be read."""
+        return bool(eventually(lambda: all(self.page.get_by_text(text).count() for text in texts)))
+
+    def buttons(self, label: str) -> int:
+        return int(self.page.get_by_role("button", name=label, exact=True).count())
+
+
+@contextmanager
+def session(folder: Path, experiment: str) -> Iterator[Session]:
+    """Run an experiment with `--view`, and open its page."""
+    folder.mkdir(exist_ok=True)
+    file = folder / "plates.toml"
+    file.write_text(experiment)
+    words = [sys.executable, "-m", "softfinger.server.cli", "experiment", str(file), "--no-doctor", "--view"]
+    words += ["--out", str(folder / "out"), "--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
+    process = subprocess.Popen(
+        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    try:
+        said = (re.search(r"http://\S+/", line) for line in process.stderr)
+        address = next(found for found in said if found)[0]
+        with browser() as page:
+            shown(page, address)
+            yield Session(page, folder, process)
+    finally:
+        process.kill()
+        process.communicate()

@@ -1,0 +1,101 @@
+"""An experiment through its page: a real session, daemon and page, driven in Chromium from instructions to the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from helpers.browser import eventually, shown, why_none
+from helpers.experiment_page import EXPERIMENT, RATING, session
+
+from softfinger.server.experiment.experiment import results
+from softfinger.server.recording.run import load_run
+from softfinger.server.viewer.prompt import keys_of
+from softfinger.tools.bench.view import viewer
+
+WAIT_S = 120.0
+
+
+@pytest.fixture
+def through_chromium() -> None:
+    if why := why_none():
+        pytest.skip(why)
+
+
+@pytest.mark.real_time
+@pytest.mark.exhaustive
+def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: None) -> None:
+    """Instructions, two blocks of two trials with a break between them, the end; by button and by key.
+
+    A second page, of a watcher, shows the same and has nothing to answer with. The folder has everything.
+    """
+    with session(tmp_path, EXPERIMENT) as run:
+        assert run.waits("Which plate is stiffer?", "guess if you are not sure")
+        with viewer("--endpoint", f"ipc://{tmp_path}/t", "--role", "watcher") as (_, address):
+            watcher = shown(run.page.context.new_page(), address)
+            assert eventually(lambda: watcher.shows("guess if you are not sure"))
+            assert not watcher.page.get_by_role("button", name="begin").count()
+            assert not watcher.page.get_by_role("tab", name="Feel").count()
+            assert watcher.page.get_by_role("tab", name="Plots").count()
+            watcher.page.close()
+        assert not run.page.get_by_role("tab").count() and not run.page.get_by_text("tick").count()
+        run.click("begin")
+        assert run.waits("Block 1 of 2, trial 1 of 4", "Touch 1 of 2")
+        assert run.waits("Which was stiffer?")
+        run.click("first")
+        assert run.waits("Block 1 of 2, trial 2 of 4", "Which was stiffer?")
+        run.page.keyboard.press("2")
+        assert run.waits("A break", "2 of 4 trials are done.")
+        run.page.keyboard.press("Enter")
+        for number, answer in ((3, "second"), (4, "first")):
+            assert run.waits(f"Block 2 of 2, trial {number} of 4", "Which was stiffer?")
+            run.click(answer)
+        assert run.process.wait(WAIT_S) == 0
+    rows = results(tmp_path / "out")
+    assert [row["answer"] for row in rows] == ["first", "second", "second", "first"]
+    assert [row["damping"] for row in rows] == [0.0, 0.0, 2.0, 2.0]
+    own = tmp_path / "out" / "sub-01"
+    files = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert files == {
+        "experiment.json", "dataset_description.json", "participants.tsv", "trials.csv", "sub-01/sub-01_journal.jsonl",
+        "sub-01/sub-01_design.json", "sub-01/sub-01_order.csv", "sub-01/sub-01_trials.csv",
+        "sub-01/sub-01_run-01_about.json", "sub-01/sub-01_run-01_ticks.mcap",
+        *(f"sub-01/trials/sub-01_trial-{number:04d}.csv" for number in range(1, 5)),
+    }  # fmt: skip
+    events = load_run(own / "sub-01_run-01_ticks.mcap", ("force",)).events
+    told = [event["what"]["value"] for event in events if event.get("name") == "answer"]
+    assert told == ["first", "second", "go on", "second", "first"]
+
+
+@pytest.mark.real_time
+@pytest.mark.exhaustive
+def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chromium: None) -> None:
+    """A mark of a scale by button and by key; a number in a field, where what is none is told and asked again."""
+    with session(tmp_path / "scale", RATING) as run:
+        run.click("begin")
+        assert run.waits("1: soft, 7: hard")
+        run.click("6")
+        assert run.waits("trial 2 of 4", "1: soft, 7: hard")
+        run.page.keyboard.press("3")
+        assert run.waits("A break")
+    assert [row["answer"] for row in results(tmp_path / "scale" / "out")] == [6.0, 3.0]
+    with session(tmp_path / "number", RATING.replace('scale = [1, 7]\nscale_ends = ["soft", "hard"]', "")) as run:
+        run.click("begin")
+        field = run.page.get_by_label("your number")
+        for text in ("many", "-3"):
+            field.fill(text)
+            run.click("answer")
+            assert run.waits("give a number from 1e-06 to 1e+06")
+        field.fill("12,5")
+        run.click("answer")
+        assert run.waits("trial 2 of 4")
+    assert [row["answer"] for row in results(tmp_path / "number" / "out")] == [12.5]
+
+
+@pytest.mark.plain
+def test_each_choice_has_its_key() -> None:
+    """Two by their place, marks of a scale by their digit, the only one by Enter; beyond nine there is the button."""
+    assert keys_of(("first", "second")) == {"1": "first", "2": "second"}
+    assert keys_of(("3", "4", "5")) == {"3": "3", "4": "4", "5": "5"}
+    assert keys_of(("go on",)) == {"enter": "go on"}
+    assert len(keys_of(tuple(f"choice {k}" for k in range(12)))) == 9
