@@ -32,7 +32,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
     with session(tmp_path, EXPERIMENT) as run:
         assert run.waits("Which plate is stiffer?", "guess if you are not sure")
         with viewer("--endpoint", f"ipc://{tmp_path}/t", "--role", "watcher") as (_, address):
-            watcher = shown(run.page.context.new_page(), address)
+            watcher = shown(run.page.context.browser.new_page(), address)
             assert eventually(lambda: watcher.shows("guess if you are not sure"))
             assert not watcher.page.get_by_role("button", name="begin").count()
             assert not watcher.page.get_by_role("tab", name="Feel").count()
