@@ -35,6 +35,7 @@ from softfinger.server.services.world import WorldState
 from softfinger.server.states import State, States, Trigger
 from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.endpoint import listen
+from softfinger.server.wire.events import event_map
 from softfinger.server.wire.publisher import Publisher
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
@@ -222,9 +223,13 @@ class Daemon:
         if kind == "fault":
             self._told.add(str(fields.get("message", "")))
             fields["blackbox"] = self.blackbox.due(name)
-        self.publisher.event(kind, name, **fields)
-        self.recordings.tell(kind, name, fields)
-        self.blackbox.tell(kind, name, fields)
+        self._send(kind, name, fields)
+
+    def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
+        """An event of now: the same tick and time for everybody."""
+        event = event_map(self.servo.moment(), kind, name, fields)
+        for taking in (self.publisher.send_event, self.recordings.tell, self.blackbox.tell):
+            taking(event)
 
     def _tell_failure(self, error: Exception) -> None:
         """Publish what ended the run, named by the error's kind, unless whoever found it has."""
@@ -233,10 +238,7 @@ class Daemon:
 
     def _tell_state(self, before: State, now: State, cause: str) -> None:
         """Publish a state, and record it."""
-        self.publisher.state(before.value, now.value, cause)
-        fields = {"before": before.value, "cause": cause}
-        self.recordings.tell("state", now.value, fields)
-        self.blackbox.tell("state", now.value, fields)
+        self._send("state", now.value, {"before": before.value, "cause": cause})
 
     def _world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
         """Publish where bodies are, and record it."""

@@ -1,4 +1,5 @@
-"""Telemetry as streams of Lab Streaming Layer: a channel for every number of a record, stamped with the tick's time.
+"""Telemetry as streams of Lab Streaming Layer: a channel for every number of a record, and events as markers, all
+stamped with the tick's time.
 
 LSL finds and opens streams without any key, from every machine of the network.
 """
@@ -8,18 +9,25 @@ from __future__ import annotations
 import time
 from typing import Any, Final
 
+import msgspec
+
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, columns
 from softfinger.server.wire.client import Sample, record_of
-from softfinger.server.wire.protocol import ProtocolError, decode, finger_of
+from softfinger.server.wire.protocol import EVENT, STATE, ProtocolError, decode, finger_of
 
 NAME: Final = "softfinger"
 """Of a single finger's stream; of several fingers each has this, a hyphen and its name."""
 TYPE: Final = "Haptics"
+MARKERS: Final = "softfinger-events"
+MARKERS_TYPE: Final = "Markers"
+SAME_CLOCK_S: Final = 5.0
+"""A `state` whose CLOCK_MONOTONIC is that near to ours comes from this machine: two have been up for as long by a rare
+chance alone."""
 
 
 class Outlets:
-    """Takes messages, and opens a finger's stream with its first tick. Raises ConfigError where pylsl is missing."""
+    """Takes messages; opens a finger's stream with its first tick. Raises ConfigError where pylsl is missing."""
 
     def __init__(self, source: str) -> None:
         try:
@@ -30,41 +38,70 @@ class Outlets:
         self._source = source
         self._outlets: dict[str, Any] = {}
         self._to_local_s = pylsl.local_clock() - time.time()
-        """From the epoch to LSL's clock. The clock of this machine may be slewed meanwhile, not set."""
-        self.samples = 0
+        """From the epoch of telemetry to LSL's clock."""
+        self._lsl_s = pylsl.local_clock() - time.monotonic()
+        """From CLOCK_MONOTONIC to LSL's clock: 0 on Linux, but for the time between the two calls."""
+        self._newest = (-1, 0.0)
+        self._markers = pylsl.StreamOutlet(self._info(MARKERS, MARKERS_TYPE, 1, "string"))
+        self.samples = self.markers = 0
 
     @property
     def names(self) -> list[str]:
-        """Of the streams."""
+        """Of the streams of ticks."""
         return [stream_name(finger) for finger in self._outlets]
 
     def send(self, topic: bytes, body: bytes) -> None:
-        """A message; those that are no tick are none of a stream's."""
-        finger = finger_of(topic.decode("ascii", "replace"))
-        if finger is None:
+        """A message; those that are neither tick nor event are none of a stream's."""
+        name = topic.decode("ascii", "replace")
+        finger = finger_of(name)
+        if finger is None and name not in (EVENT, STATE):
             return
         try:
             message = decode(topic, body)
         except ProtocolError:
             return
+        if name == STATE:
+            self._set_clock(message.sequence, message.timestamp)
+        elif finger is None:
+            self._markers.push_sample([marker(message)], message["timestamp"] + self._to_local_s)
+            self.markers += 1
+        else:
+            self._newest = (message.tick, message.timestamp)
+            self._send_tick(name, finger, message)
+
+    def _send_tick(self, topic: str, finger: str, message: Any) -> None:
         if finger not in self._outlets:
-            self._outlets[finger] = self._lsl.StreamOutlet(self._info(finger))
-        self._outlets[finger].push_sample(
-            record_of(Sample(topic.decode(), message)), message.timestamp + self._to_local_s
-        )
+            self._outlets[finger] = self._lsl.StreamOutlet(self._of_finger(finger))
+        self._outlets[finger].push_sample(record_of(Sample(topic, message)), message.timestamp + self._to_local_s)
         self.samples += 1
 
-    def _info(self, finger: str) -> Any:
-        name = stream_name(finger)
-        # Irregular: every sample says when it was, and none is where ticks were missed.
-        info = self._lsl.StreamInfo(
-            name, TYPE, RECORD_SIZE, self._lsl.IRREGULAR_RATE, "double64", f"{name} {self._source}"
-        )
+    def _set_clock(self, tick: int, monotonic_s: float) -> None:
+        """Take the offset from a tick whose time is known on both clocks.
+
+        The daemon's epoch is fixed to CLOCK_MONOTONIC when it starts. The machine's own may have been set since, and so
+        is used for a daemon on another machine alone.
+        """
+        if tick == self._newest[0] and abs(monotonic_s - time.monotonic()) < SAME_CLOCK_S:
+            self._to_local_s = monotonic_s - self._newest[1] + self._lsl_s
+
+    def _of_finger(self, finger: str) -> Any:
+        info = self._info(stream_name(finger), TYPE, RECORD_SIZE, "double64")
         channels = info.desc().append_child("channels")
         units = [field.unit for field in FIELDS for _ in range(field.size)]
         for label, unit in zip(columns(), units, strict=True):
             channels.append_child("channel").append_child_value("label", label).append_child_value("unit", unit)
         return info
+
+    def _info(self, name: str, kind: str, channels: int, form: str) -> Any:
+        # Irregular: every sample says when it was, and none is where ticks were missed.
+        rate = self._lsl.IRREGULAR_RATE
+        return self._lsl.StreamInfo(name, kind, channels, rate, form, f"{name} {self._source}")
+
+
+def marker(event: dict[str, Any]) -> str:
+    """An event as the text of a marker, JSON: `tick`, `kind`, `name` and what else it has."""
+    shown = {key: value for key, value in event.items() if key not in ("schema", "timestamp")}
+    return msgspec.json.encode(shown).decode()
 
 
 def stream_name(finger: str) -> str:

@@ -293,6 +293,13 @@ class Servo:
         """Ticks done so far."""
         return int(self.shared.progress[0])
 
+    def moment(self) -> tuple[int, float]:
+        """The last tick that is done, -1 before the first, and the time now on the ticks' clock, s since the epoch."""
+        while True:
+            ticks, now = self.ticks, time.monotonic_ns()
+            if self.ticks == ticks:
+                return ticks - 1, (now + self._epoch_ns) / NS_PER_S
+
     @property
     def missed(self) -> int:
         """Deadlines missed so far."""

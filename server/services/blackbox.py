@@ -19,7 +19,6 @@ from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.recording.blackbox import BlackBox, folder, make_room, name_of
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
-from softfinger.server.wire.events import event_map
 
 log: Final = logging.getLogger(__name__)
 
@@ -40,7 +39,7 @@ class BlackBoxes(Worker):
 
     def __init__(self, servo: Servo, fingers: Sequence[str], describe: Callable[[], Mapping[str, Any]]) -> None:
         super().__init__("blackbox")
-        self._servo, self._describe = servo, describe
+        self._describe = describe
         self.box: Final = BlackBox(fingers, GUARD_NAMES, NS_PER_S / servo.period_ns)
         self.sink: Final = Sink("blackbox", self._take)
         self._due: tuple[float, Path] | None = None
@@ -65,9 +64,9 @@ class BlackBoxes(Worker):
                 self._due = time.monotonic() + AFTER_S, place / name_of(fault, self._number)
             return str(self._due[1])
 
-    def tell(self, kind: str, name: str, fields: Mapping[str, Any]) -> None:
+    def tell(self, event: Mapping[str, Any]) -> None:
         """Keep an event that is published; from any thread."""
-        self.box.event(event_map(self._servo.ticks - 1, kind, name, fields))
+        self.box.event(event)
 
     def work(self) -> None:
         while not self.closing.wait(POLL_S):

@@ -21,7 +21,6 @@ from softfinger.server.recording.recorder import Recorded, Recorder
 from softfinger.server.services.description import described
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
-from softfinger.server.wire.events import event_map
 from softfinger.server.wire.protocol import SCHEMA
 
 log: Final = logging.getLogger(__name__)
@@ -118,11 +117,11 @@ class Recordings:
                 total = total.with_(recorder.recorded)
         return total
 
-    def tell(self, kind: str, name: str, fields: dict[str, Any]) -> None:
+    def tell(self, event: dict[str, Any]) -> None:
         """Record an event that is published; from any thread."""
         recorder = self._recorder
         if recorder is not None:
-            recorder.event(event_map(self._rendering.servo.ticks - 1, kind, name, fields))
+            recorder.event(event)
 
     def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
         """Record where the bodies of a [world] are; from any thread."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -121,9 +120,10 @@ class RecordEvents:
         return events
 
 
-def event_map(tick: int, kind: str, name: str, fields: Mapping[str, Any]) -> Map:
-    """The map of an event that happens now, with further keys."""
-    return {**fields, "schema": SCHEMA, "timestamp": time.time(), "tick": tick, "kind": kind, "name": name}
+def event_map(moment: tuple[int, float], kind: str, name: str, fields: Mapping[str, Any]) -> Map:
+    """The map of an event at a moment, the last tick that was done and s since the epoch; with further keys."""
+    tick, timestamp = moment
+    return {**fields, "schema": SCHEMA, "timestamp": timestamp, "tick": tick, "kind": kind, "name": name}
 
 
 def _head(record: NDArray[np.float64], kind: str, name: str) -> Map:

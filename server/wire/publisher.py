@@ -213,16 +213,16 @@ class Publisher(Closing):
                 raise RuntimeError("the process that sends, or the thread that hands on, has ended")
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
-        """Send an event at once; `fields` are further keys, of types msgpack knows."""
-        with self._lock:
-            if self._closed:
-                return
-            self._send(EVENT, event_map(self._relay.tick, kind, name, fields))
+        """Send an event of now at once; `fields` are further keys, of types msgpack knows."""
+        self.send_event(event_map((self._relay.tick, time.time()), kind, name, fields))
 
-    def state(self, before: str, now: str, cause: str) -> None:
-        """Send that the state of the daemon is another one; `health` has it from there on."""
-        self._state = now
-        self.event("state", now, before=before, cause=cause)
+    def send_event(self, event: dict[str, Any]) -> None:
+        """Send an event at once; of a new state of the daemon `health` tells from there on, too."""
+        if event["kind"] == "state":
+            self._state = event["name"]
+        with self._lock:
+            if not self._closed:
+                self._send(EVENT, event)
 
     def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
         """Send where the bodies of a scene were in a tick: maps with the keys of WORLD_KEYS; from any thread."""

@@ -1,0 +1,161 @@
+"""When a marker was: one tick and time for subscribers, recordings and Lab Streaming Layer, on the ticks' clock."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+from softfinger.server.loop import servo_thread
+from softfinger.server.recording.run import Run, load_run
+from softfinger.server.remote import Client
+from softfinger.server.wire.protocol import EVENT
+
+pytestmark = pytest.mark.real_time
+
+WAIT_S = 120.0
+MARKS = 20
+APART_S = 10.0
+"""How far the epoch of the daemon under test is from the machine's clock, as if that had been set meanwhile."""
+DIGIT_S = 1e-6
+"""A time since the epoch in a double has 0.24 us; a difference of two and their sum with an offset round 4 times."""
+LSL_S = 1e-3
+"""What is promised. Between LSL's clock and CLOCK_MONOTONIC there is nothing but the time between two calls."""
+INLETS = """
+import json, sys, time
+import pylsl
+def inlet(name):
+    (found,) = pylsl.resolve_byprop("source_id", f"{name} {sys.argv[1]}", timeout=60.0)
+    opened = pylsl.StreamInlet(found, max_buflen=60)
+    opened.open_stream(60.0)
+    return opened
+ticks, markers = inlet("softfinger"), inlet("softfinger-events")
+print("ready", flush=True)
+seen, told = [], []
+while not any('"the last"' in text for text, _ in told):
+    samples, stamps = ticks.pull_chunk(0.05)
+    seen += [(int(sample[1]), stamp) for sample, stamp in zip(samples, stamps)]
+    samples, stamps = markers.pull_chunk(0.0)
+    told += [(sample[0], stamp) for sample, stamp in zip(samples, stamps)]
+print(json.dumps({"ticks": seen, "markers": told, "offset": pylsl.local_clock() - time.monotonic()}))
+"""
+
+
+class Told(NamedTuple):
+    """Marks as subscribers had them, and the recording of the run."""
+
+    published: list[dict[str, Any]]
+    run: Run
+    epoch_s: float
+    lsl: dict[str, Any] | None
+
+
+def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None:
+    """`forward --lsl` of a daemon and inlets of both its streams, each a process; None without pylsl."""
+    try:
+        import pylsl  # noqa: F401
+    except (ImportError, RuntimeError):
+        return None
+    settings = folder / "lsl.cfg"
+    settings.write_text("[multicast]\nResolveScope = machine\n")
+    env = os.environ | {"LSLAPICFG": str(settings)}
+    forward = [sys.executable, "-m", "softfinger.server.cli", "-q", "forward", "--lsl", "--from", endpoint]
+    sending = subprocess.Popen(forward, env=env, stdout=subprocess.DEVNULL)
+    stack.append(sending)
+    inlets = subprocess.Popen([sys.executable, "-c", INLETS, endpoint], env=env, stdout=subprocess.PIPE, text=True)
+    stack.append(inlets)
+    assert inlets.stdout is not None and inlets.stdout.readline() == "ready\n"
+    return sending, inlets
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
+    """Marks sent to a daemon whose epoch is not that of the machine's clock."""
+    folder = tmp_path_factory.mktemp("marks")
+    ends = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
+    rig = load_rig("simulated-hand", ends | {"servo.realtime": "off", "recording.directory": str(folder)})
+    started: list[subprocess.Popen[str]] = []
+    with pytest.MonkeyPatch.context() as patch:
+        real = servo_thread._epoch_offset_ns()
+        patch.setattr(servo_thread, "_epoch_offset_ns", lambda: real + int(APART_S * 1e9))
+        with Daemon(rig, load_scene("paper-plane")) as daemon, Client(*ends.values(), timeout_s=WAIT_S) as client:
+            daemon.start()
+            try:
+                lsl = listening(started, folder, ends["telemetry.endpoint"])
+                client.record_start("run.mcap")
+                events = client.subscribe((EVENT,), timeout_s=WAIT_S)
+                published: list[dict[str, Any]] = []
+                while not published:  # a subscription takes a moment
+                    client.mark("first")
+                    published += [] if (sample := events.receive(0.1)) is None else [sample.data]
+                for number in range(MARKS):
+                    client.mark(f"mark {number}", {"number": number})
+                client.mark("the last")
+                while published[-1].get("label") != "the last":
+                    published.append(next(events).data)
+                while client.get_state().sequence < published[-1]["tick"] + 10:  # ticks behind the last mark, too
+                    pass
+                client.record_stop()
+                found = None if lsl is None else json.loads(lsl[1].communicate(timeout=WAIT_S)[0])
+            finally:
+                for process in started:
+                    process.send_signal(signal.SIGINT)
+                    process.communicate(timeout=WAIT_S)
+            epoch_s = daemon.servo.epoch_s
+    run = load_run(folder / "run.mcap", ("timestamp",))
+    return Told(published, run, epoch_s, found)
+
+
+def marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [event for event in events if event["kind"] == "mark" and event["label"].startswith("mark ")]
+
+
+def test_a_marker_is_between_its_tick_and_the_next(told: Told) -> None:
+    """Behind the beginning of the tick that it names, and before the end of the next one, on the same clock.
+
+    A tick is counted when it is done, so the next may have begun.
+    """
+    ticks, times = told.run.first["tick"], told.run.first["timestamp"]
+    assert len(marks(told.published)) == MARKS
+    for event in marks(told.published):
+        at = int(np.searchsorted(ticks, event["tick"]))
+        assert ticks[at] == event["tick"]
+        after = times[at + 2]  # the next but one begins behind the end of the next
+        assert times[at] <= event["timestamp"] <= after
+
+
+def test_a_recording_and_subscribers_have_the_same_marker(told: Told) -> None:
+    """To the bit."""
+    recorded = marks(told.run.events)
+    assert [(e["label"], e["tick"], e["timestamp"]) for e in recorded] == [
+        (e["label"], e["tick"], e["timestamp"]) for e in marks(told.published)
+    ]
+
+
+def test_lab_streaming_layer_has_the_time_of_the_tick(told: Told) -> None:
+    """Marker and ticks keep their distance exactly, and both are on LSL's clock where CLOCK_MONOTONIC has them.
+
+    Although the machine's clock tells another time than the daemon's epoch.
+    """
+    if told.lsl is None:
+        pytest.skip("pylsl is not installed: pip install 'softfinger[lsl]'")
+    stamps = dict(told.lsl["ticks"])
+    times = dict(zip(told.run.first["tick"].tolist(), told.run.first["timestamp"].tolist(), strict=True))
+    heard = [(json.loads(text), stamp) for text, stamp in told.lsl["markers"]]
+    found = [(event, stamp) for event, stamp in heard if event.get("label", "").startswith("mark ")]
+    assert len(found) == MARKS
+    for event, stamp in found:
+        told_here = next(each for each in marks(told.published) if each["label"] == event["label"])
+        assert event["tick"] == told_here["tick"] and event["data"] == told_here["data"]
+        distance = stamp - stamps[event["tick"]]
+        assert distance == pytest.approx(told_here["timestamp"] - times[event["tick"]], abs=DIGIT_S)
+        assert stamp - told.lsl["offset"] == pytest.approx(told_here["timestamp"] - told.epoch_s, abs=LSL_S)
