@@ -13,6 +13,7 @@ import numpy as np
 from softfinger.config.errors import SafetyStop
 from softfinger.config.load import describe
 from softfinger.config.schema import Scene
+from softfinger.proxy.kernels.numerics.rotations import exp
 from softfinger.server.experiment.masses import scene_with, split
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import Felt, Stimulus
@@ -115,23 +116,26 @@ class Haptics:
     def _lead_back(self) -> None:
         """Hands that can be led go where their path begins, or to the trial's start."""
         for name in self._led:
-            path = self._experiment.motion.get(name or ONE)
-            start = path[0][1:] if path else self._experiment.trial.start_m
-            if start is not None:
-                self._lead(name, start)
+            if self._experiment.motion.get(name or ONE):
+                self._lead(name, 0.0)
+            elif self._experiment.trial.start_m is not None and self._led[name]:
+                self.client.hand(self._experiment.trial.start_m, finger=name or None)
 
-    def _lead(self, name: str, at: tuple[float, float, float]) -> None:
-        if self._led[name]:
-            self.client.hand(at, finger=name or None)
+    def _lead(self, name: str, passed: float) -> None:
+        """Have a hand want to be where its path is at a time of the touch, s, and turned as it says."""
+        if not self._led[name]:
+            return
+        path, turns = self._experiment.motion[name or ONE], self._experiment.turn.get(name or ONE)
+        turned = exp(along(turns, passed)) if turns else None
+        self.client.hand(along(path, passed), turned, finger=name or None)
 
     def _move(self, begun: float) -> float | None:
         """Let it be touched; hands that can be led follow their path. Returns when a target was reached, s."""
         experiment = self._experiment
-        paths = {name: experiment.motion.get(name or ONE, ()) for name, led in self._led.items() if led}
+        moved = [name for name in self._led if experiment.motion.get(name or ONE)]
         while (passed := time.monotonic() - begun) < experiment.trial.touch_s:
-            for name, path in paths.items():
-                if path:
-                    self._lead(name, along(path, passed))
+            for name in moved:
+                self._lead(name, passed)
             self.wait(SLICE_S)
             target = experiment.task.target_m
             if target is not None and self._near(target, experiment.task.target_radius_m):
@@ -185,7 +189,7 @@ def as_file(scene: Scene) -> dict[str, Any]:
 
 
 def along(path: tuple[tuple[float, float, float, float], ...], t: float) -> tuple[float, float, float]:
-    """Where a path of waypoints t, x, y, z is at a time; before the first and after the last it rests."""
+    """Where a path of waypoints t, x, y, z is at a time, s; before the first and after the last it rests."""
     times = [point[0] for point in path]
     x, y, z = (float(np.interp(t, times, [point[axis] for point in path])) for axis in (1, 2, 3))
     return x, y, z

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
+from softfinger.config import limits
 from softfinger.config.limits import NAME_LENGTH, Range
 from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
 
@@ -22,7 +23,9 @@ MARKS_MAX: Final = 20
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
 
 Seconds = Annotated[float, Meta(ge=SECONDS.low, le=SECONDS.high)]
+Angle = Annotated[float, Meta(ge=limits.ANGLE_RAD.low, le=limits.ANGLE_RAD.high)]
 Waypoint = tuple[Seconds, Coordinate, Coordinate, Coordinate]
+Turn = tuple[Seconds, Angle, Angle, Angle]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 Positive = Annotated[float, Meta(gt=0.0, le=POSITIVE.high)]
 Label = Annotated[str, Meta(min_length=1, max_length=int(NAME_LENGTH.high), pattern=r"^[\w .+-]+$")]
@@ -208,11 +211,22 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         dict[str, tuple[Waypoint, ...]],
         said("where a led hand goes in a touch, t x y z, by finger; `fingertip` where there is one"),
     ] = msgspec.field(default_factory=dict)
+    turn: Annotated[
+        dict[str, tuple[Turn, ...]],
+        said("how it is turned in a touch, t and a rotation vector (rad, world), by finger; default: as it is"),
+    ] = msgspec.field(default_factory=dict)
     observer: Observer = Observer()
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
             yield "procedure.kind", self.procedure.kind, f"must be constant: a {self.task.kind} is not right or wrong"
+        if known(self.motion, self.turn):
+            for finger in self.turn.keys() - self.motion.keys():
+                yield (
+                    f"turn.{finger}",
+                    msgspec.UNSET,
+                    "turns a hand that [motion] does not move: give the finger a path",
+                )
         if known(self.factor):
             names = [factor.name for factor in self.factor if known(factor)]
             if len(set(names)) < len(names):

@@ -26,6 +26,8 @@ from softfinger.server.remote import Client
 pytestmark = pytest.mark.real_time
 
 MOTION = [[0.0, 0.0, 0.0, 0.015], [0.2, 0.0, 0.0, 0.008], [0.9, 0.0, 0.0, 0.008]]
+TURN = [[0.2, 0.0, 0.0, 0.0], [0.7, 0.0, 0.0, 0.3]]
+"""A spin, which a plane answers with a moment about its normal and no force."""
 WAIT_S = 120.0
 SLEW_N = 2.0
 """What the guard of the rig lets the force change in a tick."""
@@ -36,7 +38,9 @@ def experiment(**changes: Any) -> dict[str, Any]:
     """Two trials of a comparison, without factors, of a hand that presses."""
     procedure = {"kind": "constant", "levels": [0.5, 1.0], "repetitions": 1}
     trial = {"touch_s": 0.9, "gap_s": 0.1}
-    return small(factor=[], procedure=procedure, trial=trial, motion={"fingertip": MOTION}, **changes)
+    return small(
+        factor=[], procedure=procedure, trial=trial, motion={"fingertip": MOTION}, turn={"fingertip": TURN}, **changes
+    )
 
 
 def settings(folder: Path) -> Running:
@@ -50,7 +54,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
     folder = tmp_path_factory.mktemp("session")
     Experiment(experiment()).run(folder / "out", 1, settings(folder))
     recording = folder / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
-    return folder / "out", load_run(recording, ("force", "contact.normal_force", "contact.mode"))
+    return folder / "out", load_run(recording, ("force", "contact.normal_force", "contact.mode", "probe.orientation"))
 
 
 def marks(run: Run, label: str) -> list[dict[str, Any]]:
@@ -93,6 +97,20 @@ def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> N
         force, wanted = run.first["force"][rows, 2], run.first["contact.normal_force"][rows]
         assert len(force) > 100 and wanted.max() > 0.3
         assert force == pytest.approx(wanted, abs=1e-12)
+
+
+def test_a_led_hand_turns_as_it_is_told_and_is_turned_back(session: tuple[Path, Run]) -> None:
+    """0.3 rad about z at the end of each touch, and unturned where one begins: the hand lags by some 30 ms at most."""
+    _, run = session
+    w, _, _, z = run.first["probe.orientation"].T
+    angle = 2.0 * np.arctan2(z, w)
+    ends = [
+        (at(run, begun["tick"]), at(run, end["tick"]))
+        for begun, end in zip(marks(run, "touch"), marks(run, "release"), strict=True)
+    ]
+    for begun, end in ends:
+        # A tenth of it is what a first-order lag of 30 ms leaves after 70 ms; there are 0.1 s and more.
+        assert angle[begun] == pytest.approx(0.0, abs=0.03) and angle[end] == pytest.approx(0.3, abs=0.03)
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:

@@ -1,0 +1,72 @@
+"""The hand of the shipped experiment on curvature rolls: what it intends, played on both of its scenes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import EXPERIMENTS
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.numerics.rotations import exp
+from softfinger.server.experiment.experiment import Experiment
+from softfinger.server.experiment.files import load
+from softfinger.server.experiment.haptics import ONE, along
+from softfinger.server.experiment.masses import scene_with
+
+pytestmark = pytest.mark.plain
+
+ROLLING, SLIDING = 1, 2
+RADIUS_M = 0.01
+FRICTION = 0.5
+"""Kinetic, of both scenes."""
+
+
+def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
+    """Records, and the poses (n, 7), of what the hand intends from the press to the lift on a sphere of a radius."""
+    experiment, folder = load("curvature-by-rolling", {})
+    path, turns = experiment.motion[ONE], experiment.turn[ONE]
+    times = np.arange(0.0, 1.5, 0.005)
+    poses = np.array([[*along(path, t), *exp(along(turns, t))] for t in times])
+    name = experiment.factor[0].scenes[condition]
+    values = {"object.sphere.radius_m": radius_m, "object.sphere.position_m.2": -radius_m}
+    scene = scene_with(folder / name if name.endswith(".toml") else name, values, "a test")
+    return Engine(scene).run(poses), poses
+
+
+@pytest.mark.parametrize("radius_m", [0.04, 0.02])  # the reference, and the most curved of all levels
+def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
+    """It never slides, and what it drags is what a hand on a straight line misses of the sphere's arc."""
+    records, poses = rolled("rolls", radius_m)
+    mode = records["contact.mode"]
+    first = int(np.argmax(mode == ROLLING))
+    assert (mode[first:] == ROLLING).all() and first < 100
+    # The proxy touches at the angle -asin(5 mm / (r + R)) from the top and rolls on by theta r / (r + R), where r theta
+    # is the way of the probe; what the probe, that goes straight, is beside it winds the coupling of 1000 N/m.
+    reach = radius_m + RADIUS_M
+    proxy = (poses[-1, 0] + 0.005) / reach - np.arcsin(0.005 / reach)
+    x, z = poses[-1, 0], poses[-1, 2] + radius_m
+    beside = np.hypot(x, z) * np.sin(np.arctan2(x, z) - proxy)
+    normal, force = records["contact.normal_force"][-1], records["force"][-1]
+    tangential = float(np.sqrt(force @ force - normal**2))
+    assert tangential == pytest.approx(1000.0 * beside, rel=0.05)  # the damper of 1 N s/m has some hundredths
+    assert tangential < 0.6 * FRICTION * normal
+
+
+def test_without_rolling_the_same_movement_drags() -> None:
+    """The finger slides over the top with kinetic friction."""
+    records, _ = rolled("slides", 0.04)
+    slides = records["contact.mode"] == SLIDING
+    assert slides[-100:].all()
+    force, normal = records["force"][-100:], records["contact.normal_force"][-100:]
+    tangential = np.sqrt((force * force).sum(axis=1) - normal**2)
+    assert np.median(tangential / normal) == pytest.approx(FRICTION, rel=1e-6)
+
+
+def test_a_turn_needs_a_motion() -> None:
+    """A finger that is turned and not moved is refused, and its path is where it is told so."""
+    with pytest.raises(ConfigError, match=r"turn\.thumb: turns a hand that \[motion\] does not move"):
+        Experiment(EXPERIMENTS / "curvature-by-rolling.toml", {"turn.thumb": [[0.0, 0.0, 0.0, 0.0]]})
