@@ -545,7 +545,7 @@ def test_what_is_no_request_is_no_sign_of_life():
         rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
         advance=lambda: None,
         disarm=reasons.add,
-        disarmed_for=lambda why: why in reasons,
+        force=SimpleNamespace(kept_off=lambda why: why in reasons),
     )
     doing = SimpleNamespace(replace=None, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})

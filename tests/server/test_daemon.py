@@ -29,7 +29,7 @@ from softfinger.drivers.resample import resample
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.realtime import lift
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.shared.rings import Rings
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.services import base
@@ -467,7 +467,7 @@ def test_failing_publisher_stops_the_servo(faulty):
 
 def test_failing_relay_stops_the_servo(faulty, monkeypatch):
     """If the thread that hands ticks on fails, so that nobody has records any more, the servo stops with zero force."""
-    monkeypatch.setattr(Servo, "feeds", lambda self: iter([None]))  # nothing that it could take records from
+    monkeypatch.setattr(Rings, "feeds", lambda self: iter([None]))  # nothing that it could take records from
     with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(SafetyStop, match="records cannot be taken"):
