@@ -2,6 +2,8 @@
 
 A recording is foreign input. Whatever its bytes are, reading it gives poses or a RecordingError
 that says where the fault is; nothing in it is ever unpickled.
+
+The three formats stay in one file, since they share the checks and the way in which a fault is located.
 """
 
 from __future__ import annotations

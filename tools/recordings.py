@@ -8,6 +8,7 @@ has a radius of 10 mm: its centre touches the plane at z = 0.010 m and presses 1
 All start and end at rest in free space, in one pose, and so loop without a return. Those of a pinch are one for each
 of two fingers and of equal length: they press the sides of a box of 40 mm, x = -0.02 m and x = 0.02 m.
 So are those of a lift, whose box stands on z = 0. Each scene with bodies that move has a motion, or two, of its own.
+This list of motions is why the file is long.
 """
 
 from __future__ import annotations

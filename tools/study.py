@@ -26,7 +26,7 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.tools.accuracy import report
 from softfinger.tools.patches_figure import drags_table, draw_patches
-from softfinger.tools.stability import extremes
+from softfinger.tools.stability import extremes, hostile
 from softfinger.tools.stability.maps import MAPS, POINTS
 
 BLOCK: Final = re.compile(r"(<!-- study: (?P<name>[a-z-]+) -->\n).*?(<!-- end -->)", re.S)
@@ -87,10 +87,10 @@ def draw_shipped_run(path: Path) -> None:
 
 def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     """Draw every figure and return every table by its name; `quick` for a short run that shows it works."""
-    drift, points, hostile = DRIFT_STEPS, str(POINTS), HOSTILE_TICKS
+    drift, points, fed = DRIFT_STEPS, str(POINTS), HOSTILE_TICKS
     short = []
     if quick:
-        drift, points, hostile, short = 20_000, "3", 4_000, ["--quick", "--surface", "plane", "torus"]
+        drift, points, fed, short = 20_000, "3", 4_000, ["--quick", "--surface", "plane", "torus"]
     found = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
     tables = {name: markdown(table(found)) for name, table in ACCURACY.items()}
     draw_shipped_run(figures / "run.svg")
@@ -100,9 +100,9 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     for name in MAPS:
         plot = figures / f"stability-{name}.svg"
         command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
-    found = command("stability", "--extremes", "--garbage", str(hostile))
+    found = command("stability", "--extremes", "--garbage", str(fed))
     tables["extremes"] = extremes.summary([extremes.Finding(**row) for row in found["extremes"]])
-    tables["hostile"] = extremes.hostile_table(found["hostile"])
+    tables["hostile"] = hostile.hostile_table(found["hostile"])
     return tables
 
 

@@ -12,6 +12,8 @@ wrong way, and a zero is sent every `kick_s`; after `timeout_s` it is given up.
 
 Whatever put a zero in the place of a force is told by WITHHELD, so that the guard fades in anew; a packet that was not
 sent by HELD, for the motors keep the force of the one before.
+
+The file is long because these rules stand in one place, from the reply to the packet.
 """
 
 from __future__ import annotations

@@ -19,17 +19,13 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from softfinger.config.errors import (
-    DeviceBusy,
     DeviceError,
-    DeviceNotFound,
-    DevicePermission,
     DeviceTimeout,
 )
 from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block
-from softfinger.drivers.forcedimension import exchange, library, usb
+from softfinger.drivers.forcedimension import exchange, finding, library
 from softfinger.drivers.forcedimension.block import AT
-from softfinger.drivers.forcedimension.models import Model, model_of
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.makers_library import address
@@ -68,12 +64,12 @@ class ForceDimension(Device):
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
-        self._library = _load(options.library_file)
+        self._library = finding.load(options.library_file)
         self._options = options
         self._block = Block(AT)
         self._word = self._block.word
         self._word[AT.cause] = -1
-        self._id, self._model = _find(self._library, options)
+        self._id, self._model = finding.find(self._library, options)
         try:
             self._set_up(rate_hz)
             self.info = self._info()
@@ -262,7 +258,7 @@ class ForceDimension(Device):
         wrist, turns = call.dhdHasWrist(self._id), bool(self._word[AT.turns])
         reach = limits.workspace_radius_m
         return DeviceInfo(
-            name=f"{self._model.full_name}, serial {_serial(call, self._id)}",
+            name=f"{self._model.full_name}, serial {finding.serial_of(call, self._id)}",
             sensed_dof=6 if wrist else 3,
             actuated_dof=6 if turns else 3,
             force_max_n=limits.force_max_n,
@@ -281,12 +277,12 @@ def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
 
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
     """
-    call = _load(options.library_file)
-    number, model = _find(call, options)
+    call = finding.load(options.library_file)
+    number, model = finding.find(call, options)
     try:
         return {
             "model": model.full_name,
-            "serial": _serial(call, number),
+            "serial": finding.serial_of(call, number),
             "system_type": call.dhdGetSystemType(number),
             "calibrated": bool(call.drdIsInitialized(number)),
         }
@@ -300,87 +296,6 @@ def open_device(options: Options, rate_hz: float) -> ForceDimension:
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with what to do.
     """
     return ForceDimension(options, rate_hz)
-
-
-def _find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
-    """Open the device that the options name, or the first that opens; its ID and what it is."""
-    count = call.dhdGetDeviceCount()
-    if count <= 0:
-        _nothing_found(call, count)
-    numbers = range(count) if options.number is None else [options.number]
-    passed: list[str] = []
-    failed: DeviceError | None = None
-    for number in numbers:
-        device = call.drdOpenID(number)
-        if device < 0:
-            failed = failed or _not_opened(call, number)
-            continue
-        try:
-            model, serial = model_of(call.dhdGetSystemType(device)), _serial(call, device)
-            if options.serial in (None, serial) and options.model in (None, model.name):
-                return device, model
-        except BaseException:
-            call.drdClose(device)
-            raise
-        passed.append(f"{model.full_name}, serial {serial}")
-        call.drdClose(device)
-    if failed is not None:
-        raise failed
-    wishes = {"model": options.model, "serial": options.serial, "number": options.number}
-    asked = ", ".join(f"{key} = {value}" for key, value in wishes.items() if value is not None)
-    raise DeviceNotFound(
-        f"no device fits {asked or 'this driver'}: attached are {'; '.join(passed)}: "
-        "change [device] in the rig, or attach the device"
-    )
-
-
-def _load(named: str | None) -> ctypes.CDLL:
-    """The library; without it, the error also names what is attached, since USB shows that much."""
-    try:
-        loaded = library.load(named)
-    except DeviceNotFound as error:
-        seen = [str(device) if device.permitted else usb.how_to_permit(device) for device in usb.attached()]
-        attached = f". Attached over USB: {'; '.join(seen)}" if seen else ""
-        raise DeviceNotFound(f"{error}{attached}") from None
-    parts = [ctypes.c_int() for _ in range(4)]
-    loaded.dhdGetSDKVersion(*map(ctypes.byref, parts))
-    log.info("Force Dimension's library, version %s", ".".join(str(part.value) for part in parts))
-    return loaded
-
-
-def _serial(call: ctypes.CDLL, device: int) -> int:
-    serial = ctypes.c_ushort()
-    if call.dhdGetSerialNumber(ctypes.byref(serial), device) < 0:
-        raise DeviceError(f"serial number: {library.error_text(call)}: switch the device off and on, then start again")
-    return serial.value
-
-
-def _nothing_found(call: ctypes.CDLL, count: int) -> NoReturn:
-    seen = usb.attached()
-    for device in seen:
-        if not device.permitted:
-            raise DevicePermission(usb.how_to_permit(device))
-    if count < 0:
-        raise DeviceError(f"the devices cannot be counted: {library.error_text(call)}: check cable and power")
-    if seen:
-        raise DeviceError(f"the library does not see {seen[0]}: switch the device on, or off and on again")
-    raise DeviceNotFound("no device of Force Dimension is attached: check cable and power (USB vendor 1451)")
-
-
-def _not_opened(call: ctypes.CDLL, number: int) -> DeviceError:
-    code, text = call.dhdErrorGetLast(), library.error_text(call)
-    if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
-        by = ", ".join(name for device in usb.attached() for name in usb.holders(device)) or "another process"
-        return DeviceBusy(f"device {number} is held by {by} ({text}): end that, then start again")
-    if code == library.ERROR_NO_DEVICE:
-        return DeviceNotFound(f"device {number} is not there any more ({text}): check cable and power")
-    if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):
-        for device in usb.attached():
-            if not device.permitted:
-                return DevicePermission(usb.how_to_permit(device))
-    if code == library.ERROR_TIMEOUT:
-        return DeviceTimeout(f"device {number} did not answer when opened ({text}): switch it off and on")
-    return DeviceError(f"device {number} cannot be opened: {text}: check cable and power, then start again")
 
 
 def _check_watchdog(watchdog_s: float, rate_hz: float) -> None:

@@ -3,6 +3,8 @@
 What a contact remembers is not in a recording. So a run is compared from where nothing is remembered: from the
 daemon's first tick, or, behind anything that breaks the chain (ticks that are missing, a command, a force that the
 driver withheld), from the first tick in free space on with no trace of the time before.
+
+Running the code again and comparing stay in one file, since both go by the same parts of a run.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 never waits long.
 
 `set_scene` is answered from another thread, when it is done; everything else is answered at once, meanwhile too.
+The file is as long as the list of methods.
 """
 
 from __future__ import annotations

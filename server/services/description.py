@@ -39,7 +39,7 @@ def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
         "device": msgspec.to_builtins(servo.devices[0].info),
         "rate_hz": NS_PER_S / servo.period_ns,
         "armed": rendering.force.wanted,
-        "state": rendering.state,
+        "state": rendering.force.state,
         "ticks": servo.ticks,
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
         "machine": {"system": platform.platform(), "cpu": llvm.get_host_cpu_name()},

@@ -39,6 +39,11 @@ class Force:
         """Whether there is force, or is to be."""
         return not self._disarmed
 
+    @property
+    def state(self) -> str:
+        """The daemon's."""
+        return self._states.now.value
+
     def kept_off(self, why: str) -> bool:
         """Whether it is kept off for this reason."""
         return why in self._disarmed

@@ -79,8 +79,7 @@ class Rendering:
         self._replacing = threading.Lock()
         self._handing_over = threading.Lock()
         """Held by whoever changes the tuning of the loop, or the loop."""
-        self._states = states or States()
-        self.force: Final = Force(rig.guard.arm != "automatic", self._states)
+        self.force: Final = Force(rig.guard.arm != "automatic", states or States())
         self._moved = 0
         """How many ticks had begun when an offset was set last."""
         devices = self._open(scene, rig)
@@ -159,11 +158,6 @@ class Rendering:
     def rig(self) -> schema.Rig:
         """What it is rendered with."""
         return self._rig
-
-    @property
-    def state(self) -> str:
-        """The daemon's."""
-        return self._states.now.value
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
         """Put values in place of the scene's, keys as of `load_scene`: from one tick on all of them, or none. What acts

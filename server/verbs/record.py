@@ -6,36 +6,31 @@ A client of the wire and nothing more. Rows go to the file as they come, so what
 from __future__ import annotations
 
 import argparse
-import io
 import logging
 import math
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
-
-import numpy as np
+from typing import Final, Self
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.files import is_same_file, open_recording
-from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, POSE_COLUMNS, rate_of
+from softfinger.config.files import is_same_file
+from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, rate_of
 from softfinger.server import keys, signals
 from softfinger.server.arguments import by_finger
 from softfinger.server.gateway.addresses import addresses_of
-from softfinger.server.offline.results import McapResults
 from softfinger.server.progress import counter
+from softfinger.server.recording.poses_file import PosesFile, poses_file
 from softfinger.server.recording.verbs.live import Live, record_live
 from softfinger.server.wire.client import (
     DEFAULT_ENDPOINT,
     NoTelemetry,
     Sample,
     Subscription,
-    record_of,
     silence,
     subscribe,
 )
@@ -43,12 +38,10 @@ from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolErr
 
 log: Final = logging.getLogger(__name__)
 
-ENDINGS: Final = (".csv", ".mcap")
 HELD: Final = 200
 """Poses held back at the start, to find the period of the loop in; a tick that was late has more than one in its dt."""
 POLL_S: Final = 0.1
 SHOW_EVERY_S: Final = 0.5
-_LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits bring every float64 back
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -155,89 +148,6 @@ class Kept:
             f"{self.worst[0]}: a replay goes smoothly over each; record on a machine with less to do, or with "
             "[telemetry] every above 1"
         )
-
-
-def _new(path: Path) -> Any:
-    """A file that was not there; OSError where it cannot be made."""
-    try:
-        return open_recording(path)
-    except FileExistsError as error:
-        raise RecordingError(f"{path}: is there already: a recording takes the place of no file") from error
-
-
-class PosesFile(ABC):
-    """A file that rows of t (s), position (m), orientation go to, with the message they are from."""
-
-    @abstractmethod
-    def add(self, t: float, sample: Sample) -> None:
-        """Add one pose."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Finish the file."""
-
-
-class CsvPoses(PosesFile):
-    """`t,x,y,z,qw,qx,qy,qz`; every number comes back to the bit."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        try:
-            self._file = io.BufferedWriter(_new(path))
-            self._file.write((",".join(POSE_COLUMNS) + "\n").encode())
-        except OSError as error:
-            raise self._failed(error) from error
-
-    def add(self, t: float, sample: Sample) -> None:
-        try:
-            self._file.write((_LINE % (t, *sample.probe.position, *sample.probe.orientation)).encode())
-        except OSError as error:
-            raise self._failed(error) from error
-
-    def close(self) -> None:
-        try:
-            self._file.close()
-        except OSError as error:
-            raise self._failed(error) from error
-
-    def _failed(self, error: OSError) -> RecordingError:
-        return RecordingError(f"{self._path}: cannot be written: {error.strerror or error}")
-
-
-class McapPoses(PosesFile):
-    """Whole records on topic `contact`, in blocks; their time is the wall clock's."""
-
-    BLOCK: Final = 256
-
-    def __init__(self, path: Path) -> None:
-        try:
-            self._results = McapResults(path, _new(path))
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
-        self._rows: list[list[float]] = []
-
-    def add(self, t: float, sample: Sample) -> None:
-        self._rows.append(record_of(sample))
-        if len(self._rows) == self.BLOCK:
-            self._flush()
-
-    def close(self) -> None:
-        self._flush()
-        self._results.close()
-
-    def _flush(self) -> None:
-        if self._rows:
-            self._results.append(np.array(self._rows))
-            self._rows.clear()
-
-
-def poses_file(path: Path) -> PosesFile:
-    """Open the file for the kind its ending names; ConfigError for another ending."""
-    kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
-    if path.suffix.lower() not in kinds:
-        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(ENDINGS)}, by the file's ending")
-    made: PosesFile = kinds[path.suffix.lower()](path)
-    return made
 
 
 def record(

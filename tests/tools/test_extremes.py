@@ -8,7 +8,7 @@ import pytest
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.cli import main
 from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED, guard_wrench
-from softfinger.tools.stability import extremes, wrenches
+from softfinger.tools.stability import extremes, hostile, wrenches
 
 pytestmark = pytest.mark.plain
 CASES = list(extremes.cases())
@@ -32,7 +32,7 @@ def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
 @pytest.mark.scaled
 def test_garbage_never_leaves_the_rules(cases):
     """Random NaN, infinities, subnormal, huge and zero numbers and time jumps: no tick breaks a rule."""
-    for row in extremes.try_hostile(cases(1500, 60_000)):
+    for row in hostile.try_hostile(cases(1500, 60_000)):
         assert row["broken"] == 0
         # A quarter of the samples holds at least one spoilt number with 1 - (7/8)^7 = 61 %, half of them bad ones.
         assert 0.05 < row["refused"] / row["ticks"] < 0.25
@@ -127,5 +127,5 @@ def test_a_guard_that_lost_a_part_does_not_pass(broken, monkeypatch):
     assert any(wrong for *_, wrong in wrenches.try_wrenches())
     failing = [extremes.Finding("wrench", "", 1, 0.0, "-", "", wrong) for *_, wrong in wrenches.try_wrenches()]
     monkeypatch.setattr(extremes, "try_extremes", lambda: failing)
-    monkeypatch.setattr(extremes, "try_hostile", lambda *_: [])
+    monkeypatch.setattr(hostile, "try_hostile", lambda *_: [])
     assert main(["stability", "--extremes"]) == 1

@@ -1,8 +1,7 @@
 """The servo's tick at the ends of everything it may be given: what is fed, what must hold, what happened.
 
 A tick must leave a finite force within the guard's limits and a contact in one of its three modes, whatever
-comes from the device, and name what it refused. `try_extremes` runs every case; `try_hostile` feeds random
-garbage until told to stop.
+comes from the device, and name what it refused. `try_extremes` runs every case.
 """
 
 from __future__ import annotations
@@ -281,45 +280,6 @@ def judge(case: Case, records: Array) -> Finding:
     )
 
 
-def try_extremes() -> list[Finding]:
-    """Every case, in order, and after them the guard alone."""
-    found, todo = [], list(cases())
-    with progress("extremes", len(todo)) as done:
-        for number, case in enumerate(todo):
-            found.append(judge(case, run_case(case)))
-            done(number + 1)
-    found += [Finding("wrench", given, n, force, "-", named, wrong) for given, n, force, named, wrong in try_wrenches()]
-    return found
-
-
-# --- garbage ---------------------------------------------------------------------------------------
-
-HOSTILE_SCENES: Final = {
-    "plane": scene(),
-    "sphere": scene(BALL),
-    "box": scene(BLOCK),
-    "three walls": scene(*WALLS),
-}
-HOSTILE_BLOCK: Final = 20_000
-WILD: Final = np.array([nan, inf, -inf, 0.0, -0.0, 5e-324, -5e-324, 1.7e308, -1.7e308])
-"""What no device should send, beside numbers of any size."""
-
-
-def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Samples (count, 7) and time steps (count,) s; a quarter of the samples holds what none should send."""
-    samples = rng.uniform(-1.0, 1.0, (count, 7))
-    samples[:, :3] *= 2.0 * R
-    spoilt = (rng.random((count, 1)) < 0.25) & (rng.random((count, 7)) < 0.125)
-    wild = rng.choice(WILD, (count, 7))
-    sized = rng.choice([-1.0, 1.0], (count, 7)) * 10.0 ** rng.uniform(-300.0, 300.0, (count, 7))
-    samples[spoilt] = np.where(rng.random((count, 7)) < 0.5, wild, sized)[spoilt]
-    dts = np.full(count, 0.001)
-    odd = rng.integers(0, 16, count)
-    dts[odd == 0] = 0.0
-    dts[odd == 1] = 10.0 ** rng.uniform(-9.0, 3.0, np.count_nonzero(odd == 1))
-    return samples, dts
-
-
 def broken_rules(records: Array, period: float) -> int:
     """How many of the records (n, RECORD_SIZE) of ticks of `period` (s) break a rule that holds for every tick."""
     with np.errstate(invalid="ignore", over="ignore"):
@@ -340,25 +300,15 @@ def broken_rules(records: Array, period: float) -> int:
         return int(np.count_nonzero(~kept))
 
 
-def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
-    """`ticks` random ticks on each of HOSTILE_SCENES: how many broke a rule and were refused, and the largest force."""
-    rows = []
-    with progress("hostile input", ticks * len(HOSTILE_SCENES)) as done:
-        for number, (name, mapping) in enumerate(HOSTILE_SCENES.items()):
-            tuning, rng = tuning_of(mapping), np.random.default_rng((seed, number))
-            scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
-            records = np.zeros((HOSTILE_BLOCK, RECORD_SIZE))
-            broken, refused, strongest = 0, 0, 0.0
-            for first in range(0, ticks, HOSTILE_BLOCK):
-                samples, dts = garbage(rng, min(HOSTILE_BLOCK, ticks - first))
-                part = records[: len(samples)]
-                tick_many(scene_and_guard, memory, samples[:, None], dts, 0.001, first, part[:, None])
-                broken += broken_rules(part, 0.001)
-                refused += int(np.count_nonzero(part[:, AT.servo_guard] == POSE_REFUSED))
-                strongest = max(strongest, float(np.linalg.norm(part[:, AT.force : AT.force + 3], axis=1).max()))
-                done(number * ticks + first + len(samples))
-            rows.append({"scene": name, "ticks": ticks, "broken": broken, "refused": refused, "force_max_n": strongest})
-    return rows
+def try_extremes() -> list[Finding]:
+    """Every case, in order, and after them the guard alone."""
+    found, todo = [], list(cases())
+    with progress("extremes", len(todo)) as done:
+        for number, case in enumerate(todo):
+            found.append(judge(case, run_case(case)))
+            done(number + 1)
+    found += [Finding("wrench", given, n, force, "-", named, wrong) for given, n, force, named, wrong in try_wrenches()]
+    return found
 
 
 def table(found: Sequence[Finding]) -> str:
@@ -378,14 +328,4 @@ def summary(found: Sequence[Finding]) -> str:
         rows = [row for row in found if row.name == name]
         wrong = "; ".join(row.wrong for row in rows if row.wrong)
         lines.append(f"| {name} | {len(rows)} | {max(row.force_n for row in rows):.3g} N | {wrong or 'yes'} |")
-    return "\n".join(lines) + "\n"
-
-
-def hostile_table(rows: Sequence[dict[str, Any]]) -> str:
-    """The runs over garbage, as a table of Markdown."""
-    lines = ["| scene | ticks | rules broken | poses refused | largest force |", "|---|---|---|---|---|"]
-    lines += [
-        f"| {row['scene']} | {row['ticks']} | {row['broken']} | {row['refused']} | {row['force_max_n']:.6g} N |"
-        for row in rows
-    ]
     return "\n".join(lines) + "\n"

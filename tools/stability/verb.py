@@ -21,7 +21,7 @@ from softfinger.config.schema import unit
 from softfinger.config.validate import examine
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.measure import add_output_options, show
-from softfinger.tools.stability import extremes, runs
+from softfinger.tools.stability import extremes, hostile, runs
 from softfinger.tools.stability.limit import Case, compile_search, find_limits
 from softfinger.tools.stability.maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
 from softfinger.tools.stability.predicted import spectral_radius
@@ -100,10 +100,10 @@ def run(args: argparse.Namespace) -> int:
 
 def run_extremes(args: argparse.Namespace) -> int:
     """Every extreme and some garbage; exit code 1 if anything did not hold."""
-    found, hostile = extremes.try_extremes(), extremes.try_hostile(args.garbage, args.seed)
-    result = {"extremes": [row._asdict() for row in found], "hostile": hostile}
-    show(result, args.json, [extremes.table(found), extremes.hostile_table(hostile)])
-    return int(any(row.wrong for row in found) or any(row["broken"] for row in hostile))
+    found, fed = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
+    result = {"extremes": [row._asdict() for row in found], "hostile": fed}
+    show(result, args.json, [extremes.table(found), hostile.hostile_table(fed)])
+    return int(any(row.wrong for row in found) or any(row["broken"] for row in fed))
 
 
 def case_of(args: argparse.Namespace) -> Case:

@@ -1,0 +1,82 @@
+"""Random garbage in place of a device's samples: every tick must leave a finite force within the guard's limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, nan
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.proxy.kernels.jit.pack import packed
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.loop.guard import POSE_REFUSED
+from softfinger.server.loop.tick import begin
+from softfinger.server.offline.simulate import tick_many
+from softfinger.server.progress import progress
+from softfinger.tools.stability.extremes import (
+    BALL,
+    BLOCK,
+    WALLS,
+    Array,
+    R,
+    broken_rules,
+    scene,
+    tuning_of,
+)
+
+HOSTILE_SCENES: Final = {
+    "plane": scene(),
+    "sphere": scene(BALL),
+    "box": scene(BLOCK),
+    "three walls": scene(*WALLS),
+}
+HOSTILE_BLOCK: Final = 20_000
+WILD: Final = np.array([nan, inf, -inf, 0.0, -0.0, 5e-324, -5e-324, 1.7e308, -1.7e308])
+"""What no device should send, beside numbers of any size."""
+
+
+def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    """Samples (count, 7) and time steps (count,) s; a quarter of the samples holds what none should send."""
+    samples = rng.uniform(-1.0, 1.0, (count, 7))
+    samples[:, :3] *= 2.0 * R
+    spoilt = (rng.random((count, 1)) < 0.25) & (rng.random((count, 7)) < 0.125)
+    wild = rng.choice(WILD, (count, 7))
+    sized = rng.choice([-1.0, 1.0], (count, 7)) * 10.0 ** rng.uniform(-300.0, 300.0, (count, 7))
+    samples[spoilt] = np.where(rng.random((count, 7)) < 0.5, wild, sized)[spoilt]
+    dts = np.full(count, 0.001)
+    odd = rng.integers(0, 16, count)
+    dts[odd == 0] = 0.0
+    dts[odd == 1] = 10.0 ** rng.uniform(-9.0, 3.0, np.count_nonzero(odd == 1))
+    return samples, dts
+
+
+def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
+    """`ticks` random ticks on each of HOSTILE_SCENES: how many broke a rule and were refused, and the largest force."""
+    rows = []
+    with progress("hostile input", ticks * len(HOSTILE_SCENES)) as done:
+        for number, (name, mapping) in enumerate(HOSTILE_SCENES.items()):
+            tuning, rng = tuning_of(mapping), np.random.default_rng((seed, number))
+            scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
+            records = np.zeros((HOSTILE_BLOCK, RECORD_SIZE))
+            broken, refused, strongest = 0, 0, 0.0
+            for first in range(0, ticks, HOSTILE_BLOCK):
+                samples, dts = garbage(rng, min(HOSTILE_BLOCK, ticks - first))
+                part = records[: len(samples)]
+                tick_many(scene_and_guard, memory, samples[:, None], dts, 0.001, first, part[:, None])
+                broken += broken_rules(part, 0.001)
+                refused += int(np.count_nonzero(part[:, AT.servo_guard] == POSE_REFUSED))
+                strongest = max(strongest, float(np.linalg.norm(part[:, AT.force : AT.force + 3], axis=1).max()))
+                done(number * ticks + first + len(samples))
+            rows.append({"scene": name, "ticks": ticks, "broken": broken, "refused": refused, "force_max_n": strongest})
+    return rows
+
+
+def hostile_table(rows: Sequence[dict[str, Any]]) -> str:
+    """The runs over garbage, as a table of Markdown."""
+    lines = ["| scene | ticks | rules broken | poses refused | largest force |", "|---|---|---|---|---|"]
+    lines += [
+        f"| {row['scene']} | {row['ticks']} | {row['broken']} | {row['refused']} | {row['force_max_n']:.6g} N |"
+        for row in rows
+    ]
+    return "\n".join(lines) + "\n"
