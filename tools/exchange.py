@@ -3,7 +3,7 @@
 A thread exchanges with the device from the first moment to the last, because a device that is left alone may turn its
 force off or lose its place. In between, parts are recorded: at the rig's rate, or as fast as it goes.
 
-The compiled loop, its memory and the thread that runs it stay in one file, since each depends on the layout of the others.
+The compiled loop, its memory and the thread that runs it stay in one file: each depends on the layout of the others.
 """
 
 from __future__ import annotations
