@@ -1,4 +1,4 @@
-"""The study: figures of docs/, and tables of accuracy, rolling, stability and extremes, made anew by one command.
+"""The study: figures of docs/, and tables of accuracy, stability, bodies and extremes, made anew by one command.
 
     python -m softfinger.tools.study docs             # or: make study
 
@@ -26,7 +26,7 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.tools.accuracy import report
 from softfinger.tools.patches_figure import drags_table, draw_patches
-from softfinger.tools.stability import extremes, hostile
+from softfinger.tools.stability import bodies, bodies_table, extremes, hostile
 from softfinger.tools.stability.maps import MAPS, POINTS
 
 BLOCK: Final = re.compile(r"(<!-- study: (?P<name>[a-z-]+) -->\n).*?(<!-- end -->)", re.S)
@@ -40,7 +40,7 @@ ACCURACY: Final = {
     "sweeps": report.sweep_table,
 }
 """Tables of `softfinger accuracy` that the pages show; the others are in figures/accuracy.txt."""
-TABLES: Final = (*ACCURACY, "drags", "extremes", "hostile")
+TABLES: Final = (*ACCURACY, "drags", "extremes", "hostile", "knocked", "bodies")
 
 
 def markdown(table: Any) -> str:
@@ -103,6 +103,9 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     found = command("stability", "--extremes", "--garbage", str(fed))
     tables["extremes"] = extremes.summary([extremes.Finding(**row) for row in found["extremes"]])
     tables["hostile"] = hostile.hostile_table(found["hostile"])
+    found = command("stability", "--bodies")
+    knocked = [bodies.Found(**row) for row in found["bodies"]]
+    tables["knocked"], tables["bodies"] = bodies_table.left_table(knocked), bodies_table.case_table(knocked)
     return tables
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -30,3 +32,15 @@ def test_a_time_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> N
     """With the range."""
     assert cli.main(["bench", "grasp", "--seconds", "0.1"]) == 2
     assert "1 to 1000" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("peer", "package", "wheel"), [("bullet", "pybullet", "pybullet"), ("drake", "pydrake", "drake")]
+)
+def test_a_peer_that_is_not_installed_says_what_to_install(
+    peer: str, package: str, wheel: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is held."""
+    monkeypatch.setitem(sys.modules, package, None)
+    assert cli.main(["bench", "grasp", "--peer", peer]) == 2
+    assert re.search(rf"--peer {peer}: .*pip install {wheel}$", capsys.readouterr().err.strip())

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import mujoco
 import numpy as np
 import pytest
 
-from softfinger.tools.bench.loop import evaluate
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_scene
+from softfinger.tools.bench.geoms import KINDS, scene_of_geoms
+from softfinger.tools.bench.loop import evaluate, missed_by_c
 from softfinger.tools.measure import quantiles
 
 pytestmark = pytest.mark.plain
@@ -32,3 +38,26 @@ def test_deadlines_missed_before_a_measurement_do_not_count() -> None:
     rows[:, 3] = [7.0, 7.0, 9.0, 3.0, 4.0, 4.0]
     result = evaluate({"servo": rows}, 1000.0)["servo"]
     assert (result["ticks"], result["missed"]) == (6, 3)
+
+
+def test_deadlines_that_the_c_loop_missed_are_counted_as_those_of_the_servo() -> None:
+    """Ticks of 1 ms that end 0.5 ms, 1.2 ms and 3.5 ms after they were due: one deadline passed, and three."""
+    rows = np.array([[1e-4, 1e-5, 4e-4], [1e-4, 1e-5, 1.1e-3], [3.4e-3, 1e-5, 1e-4]])
+    assert missed_by_c(rows, 1e-3) == 4
+
+
+def test_bodies_of_a_bench_lie_on_their_floor(tmp_path: Path) -> None:
+    """So many geoms and no more, each touched by the finger, and they stay where they are."""
+    described = scene_of_geoms(8, 1000.0, tmp_path)
+    objects = [(thing.name, thing.shape) for thing in load_scene(described).object]
+    assert [name for name, _ in objects] == [f"{kind}-{n}" for n, kind in enumerate(2 * list(KINDS))]
+    model = mujoco.MjModel.from_xml_path(described["world"]["model"])
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    began = data.xpos.copy()
+    for _ in range(300):
+        mujoco.mj_step(model, data)
+    assert model.ngeom == 9 and data.ncon >= 8
+    assert np.abs(data.xpos - began).max() < 1e-3  # MuJoCo's floor is soft: a body sinks into it by that order
+    with pytest.raises(ConfigError, match="--geoms: 25: must be a whole number from 1 to 24"):
+        scene_of_geoms(25, 1000.0, tmp_path)

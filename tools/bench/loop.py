@@ -2,6 +2,8 @@
 
 Three loops take turns, so that whatever the machine does meanwhile falls on all of them: the C loop, the
 servo, and the servo with another thread of the process spinning in pure Python.
+
+A scene with a rig of its own, simulated-SCENE, is felt by the hands of that rig; any other by a recording.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import subprocess
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,14 +22,17 @@ import numpy as np
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import pair
+from softfinger.drivers.base import Device
 from softfinger.drivers.registry import open_device
 from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.arguments import default_rig
 from softfinger.server.loop import realtime
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
+from softfinger.tools.bench.geoms import GEOMS_MAX, scene_of_geoms
 from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
 
 TURN_S: Final = 5.0
@@ -38,15 +43,27 @@ FIGURES: Final = [AT.servo_late, AT.servo_exec, AT.servo_busy, AT.servo_missed]
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=15.0, help="for each of the loops (default: %(default)s)")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
-    parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
+    what.add_argument(
+        "--geoms",
+        type=int,
+        metavar="N",
+        help=f"instead so many bodies on a floor, one geom each, up to {GEOMS_MAX}; compiling 20 takes minutes",
+    )
     parser.add_argument("--realtime", default="auto", help="auto, require or off (default: %(default)s)")
     add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    rig = load_rig("replay", {"servo.rate_hz": args.rate, "servo.realtime": args.realtime})
-    runs, settings = measure(rig, load_scene(args.scene), args.seconds, busy=True)
-    result = evaluate({name: np.concatenate(parts) for name, parts in runs.items()}, args.rate)
+    name = "replay" if args.geoms is not None else default_rig(args.scene, "replay")
+    rig = load_rig(name, {"servo.rate_hz": args.rate, "servo.realtime": args.realtime})
+    with tempfile.TemporaryDirectory() as folder:
+        given = args.scene if args.geoms is None else scene_of_geoms(args.geoms, args.rate, Path(folder))
+        runs, settings = measure(rig, load_scene(given), args.seconds, busy=True)
+    result = {"scene": args.scene if args.geoms is None else f"{args.geoms} geoms"} | evaluate(
+        {name: np.concatenate(parts) for name, parts in runs.items()}, args.rate
+    )
     result["realtime"] = {setting.name: setting.ok for setting in settings}
     show(result, args.json, table(result))
     if args.plot:
@@ -59,7 +76,7 @@ def measure(
 ) -> tuple[dict[str, list[Array]], list[realtime.Setting]]:
     """Turns of the C loop, where there is a compiler, the servo, and `busy` the servo beside spinning Python.
 
-    rig      whose device is opened by each turn of the servo: one that feels nothing
+    rig      whose devices are opened by each turn of the servo; one device is shared by all fingers
     seconds  of each of the loops
     returns  what `run_reference` and `run_servo` give, a list of turns each, and the real-time settings
     """
@@ -84,18 +101,15 @@ def measure(
 
 
 def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Setting]) -> Array:
-    """One turn of the real servo on a replay, its records taken by a thread; (n, 4) late, exec, busy s, missed.
-
-    Several fingers share the replay: each reads the pose after the other's.
-    """
+    """One turn of the real servo, its records taken by a thread; (n, 4) late, exec, busy s, missed."""
 
     def prepare() -> Callable[[], None]:
         applied = realtime.apply(rig.servo.realtime, rig.servo.priority, rig.servo.cpu)
         settings[:] = applied.settings
         return applied.undo
 
-    with open_device(single_device(rig), rig.servo.rate_hz) as device:
-        servo = Servo([device] * len(scene.fingers), make_tuning(scene, rig.guard), rig.servo.rate_hz, ticks, prepare)
+    with devices_of(rig, scene) as devices:
+        servo = Servo(devices, make_tuning(scene, rig.guard), rig.servo.rate_hz, ticks, prepare)
         servo.compile()
         servo.start()
         batch, parts = np.empty((256, servo.width)), []
@@ -112,6 +126,19 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
     found = np.concatenate(parts)
     found[:, 2] = np.roll(found[:, 2], -1)  # a record holds the busy time of the tick before
     return found[:-1]
+
+
+@contextmanager
+def devices_of(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
+    """An open device for each finger. Several fingers share a rig's only one: each reads the pose after the other's."""
+    with ExitStack() as opened:
+        if rig.device is not None:
+            yield [opened.enter_context(open_device(rig.device, rig.servo.rate_hz))] * len(scene.fingers)
+        else:
+            yield [
+                opened.enter_context(open_device(each.device, rig.servo.rate_hz, each.table))
+                for each in pair(scene, rig)
+            ]
 
 
 @contextmanager
@@ -166,8 +193,7 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
         late, execution = quantiles(values[:, 0], block), quantiles(values[:, 1], block)
         busy = quantiles(values[:, 2], block)
         result[name] = {"ticks": len(values), "late": late, "exec": execution, "busy": busy}
-        if name != "c":
-            result[name]["missed"] = int(np.maximum(np.diff(values[:, 3], prepend=values[0, 3]), 0).sum())
+        result[name]["missed"] = missed_by_c(values, 1.0 / rate_hz) if name == "c" else missed_by_servo(values)
 
     def ratio(above: str, below: str) -> dict[str, float]:
         top, bottom = result[above]["late"]["blocks"], result[below]["late"]["blocks"]
@@ -180,9 +206,20 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
     return result
 
 
+def missed_by_servo(values: Array) -> int:
+    """Deadlines missed during turns of the servo, which counts them: values (n, 4) of `run_servo`."""
+    return int(np.maximum(np.diff(values[:, 3], prepend=values[0, 3]), 0).sum())
+
+
+def missed_by_c(values: Array, period_s: float) -> int:
+    """Deadlines that passed before the C loop slept again, which it leaves out as the servo does: values (n, 3)."""
+    over = values[:, 0] + values[:, 2] - period_s
+    return int(np.where(over > 0.0, np.floor(over / period_s) + 1.0, 0.0).sum())
+
+
 def table(result: dict[str, Any]) -> list[str]:
     lines = [
-        f"servo loop at {result['rate_hz']:g} Hz, us; in brackets the median over blocks of 1 s",
+        f"servo loop at {result['rate_hz']:g} Hz, {result['scene']}, us; in brackets the median over blocks of 1 s",
         "  late: wake-up after the deadline; exec: until the device write returned; busy: until it slept again",
     ]
     lines.append(f"  {'':<11}{'':<6}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")))
@@ -194,7 +231,8 @@ def table(result: dict[str, Any]) -> list[str]:
                 lines.append(f"  {loop:<11}{what:<6}" + "".join(f"{cell:>22}" for cell in cells))
     lines += [
         f"  {loop}: {result[loop]['missed']} deadlines missed in {result[loop]['ticks']} ticks"
-        for loop in ("servo", "servo_busy")
+        for loop in ("c", "servo", "servo_busy")
+        if loop in result
     ]
     for key, text in (("late_servo_over_c", "servo over C"), ("late_busy_over_quiet", "busy Python over quiet")):
         if key in result:

@@ -3,6 +3,7 @@
 softfinger stability --mass 0.2 --damping 2 --rate 1000
 softfinger stability --map all --plot map.svg
 softfinger stability --cases 10000 --ticks 1000 --scheduler local
+softfinger stability --bodies
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from softfinger.config.schema import unit
 from softfinger.config.validate import examine
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.measure import add_output_options, show
-from softfinger.tools.stability import extremes, hostile, runs
+from softfinger.tools.stability import bodies, bodies_table, extremes, hostile, runs
 from softfinger.tools.stability.limit import Case, compile_search, find_limits
 from softfinger.tools.stability.maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
 from softfinger.tools.stability.predicted import spectral_radius
@@ -57,6 +58,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     kinds = group.add_mutually_exclusive_group()
     kinds.add_argument("--map", choices=[*MAPS, "all"], help="limit against wall damping, rate or delay")
     kinds.add_argument("--extremes", action="store_true", help="the tick at the ends of all its inputs, and garbage")
+    kinds.add_argument(
+        "--bodies", action="store_true", help="bodies of a [world] that fingers drag, balance and hold: 1 g to 1 kg"
+    )
     kinds.add_argument("--cases", type=int, metavar="N", help="random closed-loop runs instead, and how fast they go")
     group.add_argument("--compare", action="store_true", help="maps: also with hand, friction, encoder, filter")
     group.add_argument("--points", type=int, default=POINTS, metavar="N", help="points of a map (default: %(default)s)")
@@ -85,6 +89,8 @@ def run(args: argparse.Namespace) -> int:
         result = runs.measure(args.cases, args.ticks, args.seed, args.scheduler, args.results)
         show({"runs": result}, args.json, runs.table(result))
         return 0
+    if args.bodies:
+        return run_bodies(args)
     if args.extremes:
         if args.plot:
             raise ConfigError("command line --plot: the extremes have no plot: leave out --plot or --extremes")
@@ -104,6 +110,15 @@ def run_extremes(args: argparse.Namespace) -> int:
     result = {"extremes": [row._asdict() for row in found], "hostile": fed}
     show(result, args.json, [extremes.table(found), hostile.hostile_table(fed)])
     return int(any(row.wrong for row in found) or any(row["broken"] for row in fed))
+
+
+def run_bodies(args: argparse.Namespace) -> int:
+    """Every case of a body; exit code 1 if one is unstable, gives energy to the hands, or has forces unlike."""
+    found = bodies.measure_all()
+    show({"bodies": [row._asdict() for row in found]}, args.json, bodies_table.lines(found))
+    if args.plot:
+        bodies_table.draw(args.plot, found)
+    return int(bool(bodies_table.wrong(found)))
 
 
 def case_of(args: argparse.Namespace) -> Case:

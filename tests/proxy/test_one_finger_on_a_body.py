@@ -1,0 +1,116 @@
+"""One finger on a body that lies on a floor: it drags the body, which follows until it slips; and it pushes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import SLIDING
+
+pytestmark = pytest.mark.plain
+
+Array = NDArray[np.float64]
+G = 9.81
+R = 0.008
+MASS = 0.1
+STIFFNESS = 1000.0
+STATIC, KINETIC = 0.8, 0.7
+"""Friction of the finger on the body."""
+HALF, THIN = 0.02, 0.005
+"""Of a plate: too flat to tip over."""
+DT = 1e-3
+PLATE = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast" cone="elliptic" impratio="10"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" friction="{floor} 0 0" solref="0.002 1"/>
+    <body name="plate" pos="0 0 0.005">
+      <joint type="slide" axis="1 0 0"/><joint type="slide"/>
+      <geom name="plate" type="box" size="0.02 0.02 0.005" mass="0.1" friction="{floor} 0 0" solref="0.002 1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def finger_on_a_plate(folder: Path, floor: float) -> Engine:
+    """One finger, and a plate on a floor of this friction."""
+    (folder / "plate.xml").write_text(PLATE.format(floor=floor), encoding="utf-8")
+    material = {
+        "stiffness_n_per_m": STIFFNESS,
+        "damping_ns_per_m": 2.0,
+        "friction": {"static": STATIC, "kinetic": KINETIC},
+        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+    }
+    return Engine(
+        {
+            "fingertip": {"radius_m": R},
+            "rolling": {"method": "midpoint"},
+            "coupling": {
+                "stiffness_n_per_m": STIFFNESS,
+                "damping_ns_per_m": 4.0,
+                "torsional_damping_nms_per_rad": 1e-4,
+            },
+            "world": {"model": str(folder / "plate.xml"), "geom": [{"name": "plate", "material": material}]},
+        }
+    )
+
+
+def go(engine: Engine, way: Array) -> tuple[Array, Array, Array]:
+    """Along centres (n, 3): force on the finger (n, 3), mode (n,), velocity of the plate along x (n,). In each tick the
+    plate is given minus that force, to 1e-12 N."""
+    force, mode, speed = np.zeros((len(way), 3)), np.zeros(len(way)), np.zeros(len(way))
+    for tick, center in enumerate(way):
+        records = engine.run(np.array([[*center, 1.0, 0.0, 0.0, 0.0]]))
+        force[tick], mode[tick], speed[tick] = records["force"][0], records["contact.mode"][0], engine.data.qvel[0]
+        np.testing.assert_allclose(engine.data.xfrc_applied[1, :3], -force[tick], rtol=0.0, atol=1e-12)
+    return force, mode, speed
+
+
+def down(depth: float, ticks: int = 120) -> Array:
+    """Centres (n, 3) onto the middle of the plate, and at rest."""
+    u = np.clip(np.arange(ticks) / (0.5 * ticks), 0.0, 1.0)
+    way = np.zeros((ticks, 3))
+    way[:, 2] = 2.0 * THIN + R - depth * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    return way
+
+
+def test_a_plate_follows_until_its_inertia_is_more_than_friction_holds(tmp_path: Path) -> None:
+    """On a floor without friction the finger presses with N and drags with an acceleration j t. The plate slips under
+    it at a = mu_s N / m, and then goes on with a = mu_k N / m."""
+    engine, jerk, press = finger_on_a_plate(tmp_path, 0.0), 40.0, down(1e-3)
+    force, _, _ = go(engine, press)
+    normal = force[-1, 2]
+    t = DT * np.arange(1, 280)
+    way = np.repeat(press[-1:], len(t), axis=0)
+    way[:, 0] = jerk * t**3 / 6.0
+    force, mode, speed = go(engine, way)
+    first = int(np.flatnonzero(mode == SLIDING)[0])
+    assert np.max(-force[:first, 0] / force[:first, 2]) == pytest.approx(STATIC, rel=0.01)  # a tick adds 0.5 %
+    assert jerk * t[first] == pytest.approx(STATIC * normal / MASS, abs=5.0 * jerk * DT)  # it swings by some ticks
+    after = slice(first + 5, first + 45)
+    assert np.all(mode[after] == SLIDING)
+    acceleration = np.polyfit(t[after], speed[after], 1)[0]
+    assert acceleration == pytest.approx(KINETIC * normal / MASS, rel=0.01)
+
+
+def test_a_plate_that_is_pushed_resists_by_its_friction_on_the_floor_and_its_inertia(tmp_path: Path) -> None:
+    """From the side: at rest up to mu m g, sliding slowly with that force, and faster and faster with m a more. To 2 %:
+    MuJoCo makes friction convex, and a body that slides hops by micrometres."""
+    floor, more, slow, faster = 0.2, 2.0, 400, 150
+    engine, limit = finger_on_a_plate(tmp_path, floor), floor * MASS * G
+    t = DT * np.arange(slow + faster)
+    way = np.zeros((len(t), 3))
+    way[:, 0] = -HALF - R + 0.01 * t + 0.5 * more * np.maximum(t - DT * slow, 0.0) ** 2
+    way[:, 2] = THIN
+    force, _, speed = go(engine, way)
+    push = -force[:, 0]
+    first = int(np.flatnonzero(push > 0.9 * limit)[0])
+    assert np.abs(speed[:first]).max() < 0.2 * 0.01  # it creeps
+    assert push[slow - 200 : slow].mean() == pytest.approx(limit, rel=0.02)
+    assert speed[slow - 200 : slow].mean() == pytest.approx(0.01, rel=0.02)
+    assert push[-50:].mean() == pytest.approx(limit + MASS * more, rel=0.02)

@@ -1,0 +1,96 @@
+"""`stability --bodies`: what a cell measures, how it is judged, and the tables of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softfinger.tools.stability import bodies, bodies_table
+from softfinger.tools.stability.bodies import Cell, Found
+
+pytestmark = pytest.mark.plain
+
+CELL = Found("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4, 0.0)
+
+
+def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
+    """Two fingers lift 100 g, put it down and leave. What they feel is the opposite of what the body is given, in each
+    tick; nothing slips; and the hands did work against the dampers."""
+    cell = Cell("hold", 0.1, 1000.0)
+    there = bodies.way_there(cell)
+    way = np.concatenate([there, there[::-1]])
+    played = bodies.play(bodies.begin(cell, tmp_path), way)
+    carried = played.force[len(there) - 1].sum(axis=0)
+    assert carried[2] == pytest.approx(-cell.mass * bodies.G, rel=0.05)  # it swings a little after the lift
+    assert played.unbalanced <= 1e-12
+    assert bodies.slips(played.mode[bodies.LEG : -bodies.LEG]) == 0
+    assert np.sum(played.force[:-1] * np.diff(way, axis=0)) < 0.0
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("case", ["drag", "hold"])
+def test_a_body_comes_to_rest(case: str) -> None:
+    """A second after a knock."""
+    found = bodies.measure(Cell(case, 0.1, 1000.0))
+    assert (found.verdict, found.slips) == ("rests", 0)
+    assert found.left is not None and found.left < bodies.AT_REST
+    assert bodies_table.wrong([found]) == []
+
+
+@pytest.mark.exhaustive
+def test_a_plate_on_a_finger_rocks_as_a_rigid_one() -> None:
+    """A knock by w of a plate whose centre of mass is h over a ball of radius r: it rocks with
+    omega^2 = m g (r - depth - h) / I, and rolling resists that by nothing."""
+    found = bodies.measure(Cell("balance", 0.01, 3000.0))
+    assert found.verdict == "swings" and found.left is not None and 0.3 < found.left < 1.0
+    assert bodies_table.wrong([found]) == []
+
+
+@pytest.mark.exhaustive
+def test_a_body_too_light_for_the_tick_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1 g between fingers of 3000 N/m, without substeps: omega T is 2.4, and past 2 nothing is stable."""
+    monkeypatch.setattr(bodies, "LIGHT_SUBSTEPS", 1)
+    assert bodies_table.wrong([bodies.measure(Cell("hold", 0.001, 3000.0))])
+
+
+@pytest.mark.parametrize(
+    ("changes", "touching", "verdict"),
+    [
+        ({}, True, "rests"),
+        ({"left": 0.5, "grown": 1.0}, True, "swings"),
+        ({"left": 0.5, "grown": 1.2}, True, "unstable"),
+        ({}, False, "lost"),
+    ],
+)
+def test_what_is_left_of_a_knock_is_judged(changes: dict[str, float], touching: bool, verdict: str) -> None:
+    """At rest whatever it did before; growing; or gone."""
+    found = bodies.judged(CELL._replace(**changes), touching)  # type: ignore[arg-type]
+    assert found.verdict == verdict
+    assert bool(found.reason) == (verdict != "rests")
+
+
+def test_tables_have_a_row_for_each_mass_and_name_what_does_not_rest() -> None:
+    """Rows by case and mass, columns by stiffness; of each case the worst."""
+    rests, stiff = CELL._replace(verdict="rests"), {"stiffness_n_per_m": 3000.0}
+    gone = CELL._replace(mass_kg=1.0, verdict="lost", reason="too deep", ripple_n=2e-3, given_j=-2.0, left=None)
+    found = [rests, rests._replace(**stiff), gone, rests._replace(mass_kg=1.0, unbalanced_n=3e-12, **stiff)]
+    assert bodies_table.left_table(found).splitlines() == [
+        "| case | mass | 1000 N/m | 3000 N/m |",
+        "|---|---|---|---|",
+        "| hold | 100 g | 0.1 % | 0.1 % |",
+        "| hold | 1 kg | lost | 0.1 % |",
+    ]
+    assert bodies_table.case_table(found).splitlines()[2] == (
+        "| hold | 2 mN | 0 | -0.1 mJ | 3e-12 N | 1 lost: too deep |"
+    )
+    assert bodies_table.wrong(found) == [found[3]]
+    assert bodies_table.wrong([rests._replace(given_j=1e-9)]) != []
+    assert [line.split()[:3] for line in bodies_table.lines(found)[2:]][2] == ["hold", "1", "kg"]
+
+
+def test_a_panel_is_drawn_for_each_case(tmp_path: Path) -> None:
+    """Also where nothing is left to be drawn of a cell."""
+    bodies_table.draw(tmp_path / "bodies.svg", [CELL, CELL._replace(case="drag", left=None)])
+    assert "hold" in (tmp_path / "bodies.svg").read_text() and "drag" in (tmp_path / "bodies.svg").read_text()

@@ -1,0 +1,68 @@
+"""A scene of many bodies, made anew for a bench: one that a finger presses and drags, the others lying about it."""
+
+from __future__ import annotations
+
+from itertools import islice, product
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.config.errors import ConfigError
+
+GEOMS_MAX: Final = 24
+"""A scene has no more geoms that fingers touch."""
+HALF_M: Final = 0.02
+APART_M: Final = 0.06
+"""From middle to middle: they do not touch."""
+KINDS: Final = {
+    "box": f"{HALF_M} {HALF_M} {HALF_M}",
+    "sphere": f"{HALF_M}",
+    "capsule": f"{HALF_M} {HALF_M}",
+    "cylinder": f"{HALF_M} {HALF_M}",
+}
+"""Size of each kind of geom; capsules and cylinders lie, so that all are as high."""
+GEOM: Final = """
+    <body name="{name}" pos="{x} {y} -{half}"><freejoint/>
+      <geom name="{name}" type="{kind}" size="{size}" zaxis="1 0 0" mass="0.1"/>
+    </body>"""
+MODEL: Final = """
+<mujoco model="geoms">
+  <option timestep="{timestep!r}" integrator="implicitfast"/>
+  <worldbody>
+    <geom name="floor" type="plane" group="1" size="1 1 0.1" pos="0 0 -{height}"/>{bodies}
+  </worldbody>
+</mujoco>
+"""
+
+
+def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
+    """A scene of `count` bodies of 100 g, of four kinds, on a floor, all touched by a finger; its model in `folder`.
+
+    The tops are at z = 0, where the shipped recording presses and drags. Raises ConfigError for a count out of range.
+    """
+    if not 1 <= count <= GEOMS_MAX:
+        raise ConfigError(f"command line --geoms: {count}: must be a whole number from 1 to {GEOMS_MAX}")
+    places = sorted(product(range(-2, 3), repeat=2), key=lambda at: at[0] ** 2 + at[1] ** 2)
+    bodies = []
+    for number, (x, y) in enumerate(islice(places, count)):
+        kind = list(KINDS)[number % len(KINDS)]
+        where = {"x": round(x * APART_M, 6), "y": round(y * APART_M, 6), "half": HALF_M}
+        bodies.append(GEOM.format(name=f"{kind}-{number}", kind=kind, size=KINDS[kind], **where))
+    model = folder / "geoms.xml"
+    text = MODEL.format(timestep=1.0 / rate_hz, height=2.0 * HALF_M, bodies="".join(bodies))
+    model.write_text(text, encoding="utf-8")
+    material = {
+        "stiffness_n_per_m": 1000.0,
+        "damping_ns_per_m": 2.0,
+        "friction": {"static": 0.8, "kinetic": 0.7},
+        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+    }
+    return {
+        "fingertip": {"radius_m": 0.01},
+        "rolling": {"method": "midpoint"},
+        "coupling": {
+            "stiffness_n_per_m": 1000.0,
+            "damping_ns_per_m": 1.0,
+            "torsional_damping_nms_per_rad": 0.0015,
+        },
+        "world": {"model": str(model), "geom": [{"group": 0, "material": material}]},
+    }

@@ -1,0 +1,164 @@
+"""Drake's own contact holds the box: spheres on two prismatic joints each, which position servos move.
+
+Its hydroelastic contact has the pressure over a patch, of whose friction torsion comes; its point contact has none.
+Both are as stiff as the fingertips here, with the settings that Drake has by itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError
+from softfinger.tools.bench.grasp_case import (
+    BESIDE_M,
+    DT,
+    FRICTION,
+    GRAVITY,
+    GRIP_N,
+    HALF_M,
+    MASS_KG,
+    RADIUS_M,
+    STIFFNESS,
+    Held,
+    Peer,
+    hold,
+)
+from softfinger.tools.measure import Array
+
+SIDES: Final = {"thumb": -1.0, "index": 1.0}
+FINGER_KG: Final = 0.05
+RAIL_KG: Final = 0.001
+SERVO_N_PER_M: Final = 1e5
+"""A hundred times the contact's: it gives way by 0.03 mm under the grip."""
+SERVO_NS_PER_M: Final = 100.0
+MODULUS_PA: Final = 1.36e5
+"""Hydroelastic, of the spheres: at a depth of 3 mm it gives 3 N, as 1000 N/m do."""
+RESOLUTION_M: Final = 0.002
+"""Of the mesh that Drake makes of a sphere."""
+CONTACTS: Final = {"Drake, point contact": "point", "Drake, hydroelastic": "hydroelastic"}
+
+
+def drake(module: str) -> Any:
+    """A module of pydrake; ConfigError where it is not installed."""
+    try:
+        return importlib.import_module(f"pydrake.{module}")
+    except ImportError as error:
+        raise ConfigError(f"--peer drake: pydrake cannot be imported ({error}): pip install drake") from None
+
+
+def imported() -> Any:
+    """Drake's plants; ConfigError where it is not installed."""
+    return drake("multibody.plant")
+
+
+class Drake(Peer):
+    """One of CONTACTS."""
+
+    def __init__(self, contact: str) -> None:
+        self._tree, self._math, self._geometry = (drake(name) for name in ("multibody.tree", "math", "geometry"))
+        plants, builder = imported(), drake("systems.framework").DiagramBuilder()
+        config = plants.MultibodyPlantConfig(time_step=DT, contact_model=contact)
+        self._plant, self._scene = plants.AddMultibodyPlant(config, builder)
+        self._friction: Final = plants.CoulombFriction(FRICTION, FRICTION)
+        self._hydroelastic: Final = contact == "hydroelastic"
+        self._add_box()
+        self._fingers = {name: self._add_finger(name) for name in SIDES}
+        self._plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+        self._plant.Finalize()
+        diagram = builder.Build()
+        root = diagram.CreateDefaultContext()
+        self._context: Final = self._plant.GetMyMutableContextFromRoot(root)
+        for name, side in SIDES.items():
+            self._plant.SetPositions(self._context, self._fingers[name], [side * (HALF_M + RADIUS_M + 0.001), 0.0])
+        self._pushed([])
+        self.lead(-0.001, 0.0)
+        self._simulator, self._ticks = drake("systems.analysis").Simulator(diagram, root), 0
+
+    def _add_box(self) -> None:
+        size = (2.0 * HALF_M,) * 3
+        self._box = self._plant.AddRigidBody("box", self._tree.SpatialInertia.SolidBoxWithMass(MASS_KG, *size))
+        self._register(self._box, self._geometry.Box(*size))
+
+    def _add_finger(self, name: str) -> Any:
+        """A sphere without weight that a servo moves along x and one along z."""
+        instance, tree = self._plant.AddModelInstance(name), self._tree
+        inertia = tree.SpatialInertia.SolidSphereWithMass
+        rail = self._plant.AddRigidBody(f"{name}-rail", instance, inertia(RAIL_KG, RADIUS_M))
+        finger = self._plant.AddRigidBody(name, instance, inertia(FINGER_KG, RADIUS_M))
+        place = self._math.RigidTransform([0.0, BESIDE_M, 0.0])
+        base = self._plant.AddFrame(tree.FixedOffsetFrame(f"{name}-base", self._plant.world_frame(), place))
+        for axis, parent, child in (
+            ((1.0, 0.0, 0.0), base, rail.body_frame()),
+            ((0.0, 0.0, 1.0), rail.body_frame(), finger.body_frame()),
+        ):
+            joint = self._plant.AddJoint(tree.PrismaticJoint(f"{name}-{child.name()}", parent, child, axis))
+            servo = self._plant.AddJointActuator(joint.name(), joint)
+            servo.set_controller_gains(tree.PdControllerGains(p=SERVO_N_PER_M, d=SERVO_NS_PER_M))
+        self._register(finger, self._geometry.Sphere(RADIUS_M))
+        return instance
+
+    def _register(self, body: Any, shape: Any) -> None:
+        """A body's shape, with what its contact is like. Of two bodies in series each has twice the stiffness."""
+        properties, geometry = self._geometry.ProximityProperties(), self._geometry
+        stiffness = {} if self._hydroelastic else {"point_stiffness": 2.0 * STIFFNESS}
+        geometry.AddContactMaterial(friction=self._friction, properties=properties, **stiffness)
+        if self._hydroelastic and body is self._box:
+            geometry.AddRigidHydroelasticProperties(HALF_M, properties)
+        elif self._hydroelastic:
+            geometry.AddCompliantHydroelasticProperties(RESOLUTION_M, MODULUS_PA, properties)
+        self._plant.RegisterCollisionGeometry(
+            body, self._math.RigidTransform(), shape, f"{body.name()}-shape", properties
+        )
+
+    def _pushed(self, forces: list[Any]) -> None:
+        self._plant.get_applied_spatial_force_input_port().FixValue(self._context, forces)
+
+    def lead(self, depth: float, height: float) -> None:
+        for name, side in SIDES.items():
+            port = self._plant.get_desired_state_input_port(self._fingers[name])
+            port.FixValue(self._context, [side * (HALF_M + RADIUS_M - depth), height, 0.0, 0.0])
+
+    def weigh(self) -> None:
+        weight = imported().ExternallyAppliedSpatialForce()
+        weight.body_index = self._box.index()
+        weight.p_BoBq_B = np.zeros(3)
+        weight.F_Bq_W = drake("multibody.math").SpatialForce(np.zeros(3), np.array([0.0, 0.0, -MASS_KG * GRAVITY]))
+        self._pushed([weight])
+
+    def step(self) -> None:
+        self._ticks += 1
+        self._simulator.AdvanceTo(self._ticks * DT)
+
+    def box(self) -> Array:
+        pose = self._plant.EvalBodyPoseInWorld(self._context, self._box)
+        return np.array([*pose.translation(), *pose.rotation().ToQuaternion().wxyz()])
+
+    def force(self) -> Array:
+        found, total = self._plant.get_contact_results_output_port().Eval(self._context), np.zeros(3)
+        for number in range(found.num_point_pair_contacts()):
+            each = found.point_pair_contact_info(number)
+            names = [self._plant.get_body(index).name() for index in (each.bodyA_index(), each.bodyB_index())]
+            if "thumb" in names:  # its force is that on B
+                total += each.contact_force() if names[1] == "thumb" else -each.contact_force()
+        inspector = self._scene.model_inspector()
+        for number in range(found.num_hydroelastic_contacts()):
+            patch = found.hydroelastic_contact_info(number)
+            frames = [
+                inspector.GetFrameId(shape)
+                for shape in (patch.contact_surface().id_M(), patch.contact_surface().id_N())
+            ]
+            names = [self._plant.GetBodyFromFrameId(frame).name() for frame in frames]
+            if "thumb" in names:  # its force is that on A, which has M
+                force = patch.F_Ac_W().translational()
+                total += force if names[0] == "thumb" else -force
+        return total
+
+
+def contacts(seconds: float) -> Iterator[tuple[str, Held]]:
+    """Each of CONTACTS, and how it held the box."""
+    for name, contact in CONTACTS.items():
+        yield name, hold(Drake(contact), GRIP_N / STIFFNESS, seconds)

@@ -1,0 +1,302 @@
+"""Bodies that fingers drag, balance and hold: whether they come to rest, from light to heavy and from soft to hard.
+
+    drag     one finger presses a box onto a floor, and drags it
+    balance  one finger carries a plate, and lifts it
+    hold     two fingers lift a box
+
+The hands are led, as stiff as hands can be. Each case is played twice. Once the hands go to the body, move it, and come
+back to where they began: a closed cycle. Once they stay with it, it is knocked, and what is left of the knock a second
+later tells whether it rings. The finger that has nothing to do is far away: all cases are one type of scene, whose
+kernels are compiled once.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from itertools import pairwise, product
+from math import sqrt
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from softfinger.config.errors import SafetyStop
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import FREE, SLIDING
+from softfinger.server.progress import progress
+from softfinger.tools.measure import Array
+
+DT: Final = 1e-3
+G: Final = 9.81
+FINGERS: Final = ("thumb", "index")
+RADIUS_M: Final = 0.01
+HALF_M: Final = 0.02
+"""Of the box of 40 mm; the plate is as wide, and thinner."""
+PLATE_HALF_M: Final = 0.003
+"""Its centre of mass is lower than the fingertip's radius: it stays on it."""
+FRICTION: Final = 0.8
+FLOOR_FRICTION: Final = 0.1
+TORSION: Final = 0.05
+CASES: Final = ("drag", "balance", "hold")
+MASSES: Final = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0)
+STIFFNESSES: Final = (200.0, 500.0, 1000.0, 2000.0, 3000.0)
+LIGHT_KG: Final = 0.01
+LIGHT_SUBSTEPS: Final = 4
+"""Of bodies lighter than that."""
+KNOCK: Final = (0.01, 0.01, 0.01, 0.3, 0.3, 0.3)
+"""Velocity that a knock gives, m/s and rad/s."""
+STAY_S: Final = 0.2
+"""The hands stay so long in the middle of a cycle, and before the knock."""
+WATCH_S: Final = 1.0
+QUARTER: Final = round(0.25 * WATCH_S / DT)
+MOVES_M: Final = {"drag": 0.01, "balance": 0.02, "hold": 0.02}
+"""How far the hands move a body."""
+LEG: Final = round(0.3 / DT)
+"""Ticks from one place of the hands to the next."""
+SPEEDING_UP: Final = 10.0 / sqrt(3.0) / (LEG * DT) ** 2
+"""1/s^2: largest acceleration of a leg, over its length."""
+AT_REST: Final = 0.02
+"""Share of the knock's speed below which a body is at rest."""
+GROWS: Final = 1.1
+"""A body is unstable whose speed grows by this factor from the third quarter of the watch to the last."""
+BALANCED: Final = 1e-12
+"""N: the force on a body and those on the hands are opposite to rounding."""
+AWAY: Final = (1.0, 0.0, 0.0)
+MODEL: Final = """
+<mujoco>
+  <option timestep="{timestep!r}" integrator="implicitfast"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" pos="0 0 {floor!r}" friction="{friction!r} 0 0" solref="{soft!r} 1"/>
+    <body name="body"><freejoint/>
+      <geom name="body" type="box" size="{half!r} {half!r} {height!r}" mass="{mass!r}" friction="{friction!r} 0 0"
+            solref="{soft!r} 1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+class Cell(NamedTuple):
+    """A case, kg, N/m."""
+
+    case: str
+    mass: float
+    stiffness: float
+
+
+class Found(NamedTuple):
+    """What a cell came to.
+
+    depth_m       how deep a finger presses
+    damping       N s/m   of material and coupling
+    left          speed a second after the knock, as a share of the knock's
+    grown         speed in the last quarter of that second over that in the third
+    ripple_n      largest change of a force from tick to tick in the last quarter
+    slips         how often a finger began to slip, after it took the body and before it let go, and after the knock
+    given_j       work of the forces on the hands in the cycle
+    unbalanced_n  largest difference between the force on the body and minus those on the hands
+    verdict       rests, swings, unstable, lost, failed, or deep: not played
+    reason        of all but rests
+    """
+
+    case: str
+    mass_kg: float
+    stiffness_n_per_m: float
+    substeps: int
+    depth_m: float
+    damping_ns_per_m: float
+    left: float | None = None
+    grown: float | None = None
+    ripple_n: float | None = None
+    slips: int | None = None
+    given_j: float | None = None
+    unbalanced_n: float | None = None
+    verdict: str = "failed"
+    reason: str = ""
+
+
+class Played(NamedTuple):
+    """Ticks of a run: force on each finger (n, 2, 3) N, mode of each contact (n, 2), speed of the body (n,) m/s, and
+    the largest `unbalanced_n`."""
+
+    force: Array
+    mode: Array
+    speed: Array
+    unbalanced: float
+
+
+def substeps(mass: float) -> int:
+    return LIGHT_SUBSTEPS if mass < LIGHT_KG else 1
+
+
+def damping(cell: Cell) -> float:
+    """N s/m: a tenth of critical for the body between two springs, and what a spring gives that is sampled, K T / 2."""
+    return max(0.2 * sqrt(cell.stiffness * cell.mass), 0.6 * cell.stiffness * DT)
+
+
+def force(cell: Cell) -> float:
+    """N that a finger presses with: half more than friction needs, and not too little to be felt."""
+    weight = cell.mass * G
+    carried = weight + cell.mass * SPEEDING_UP * MOVES_M["hold"]
+    if cell.case == "balance":
+        return weight
+    if cell.case == "hold":
+        return max(1.0, 1.5 * carried / (2.0 * FRICTION))
+    dragged = FLOOR_FRICTION * weight + cell.mass * SPEEDING_UP * MOVES_M["drag"]
+    return max(min(1.0, 10.0 * weight), 1.5 * dragged / (FRICTION - FLOOR_FRICTION))
+
+
+def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
+    """The scene of a cell, whose model is written into the folder."""
+    steps = substeps(cell.mass)
+    (folder / "body.xml").write_text(
+        MODEL.format(
+            timestep=DT / steps,
+            soft=2.0 * DT / steps,
+            floor=-1.0 if cell.case == "balance" else -HALF_M,
+            friction=FLOOR_FRICTION,
+            half=HALF_M,
+            height=PLATE_HALF_M if cell.case == "balance" else HALF_M,
+            mass=cell.mass,
+        ),
+        encoding="utf-8",
+    )
+    material = {
+        "stiffness_n_per_m": cell.stiffness,
+        "damping_ns_per_m": damping(cell),
+        "friction": {"static": FRICTION, "kinetic": 0.9 * FRICTION},
+        "torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": 0.004},
+    }
+    inertia = cell.mass * (2.0 * HALF_M) ** 2 / 6.0
+    return {
+        "finger": [{"name": name, "radius_m": RADIUS_M} for name in FINGERS],
+        "rolling": {"method": "midpoint"},
+        "coupling": {
+            "stiffness_n_per_m": cell.stiffness,
+            "damping_ns_per_m": damping(cell),
+            "torsional_damping_nms_per_rad": sqrt(TORSION * inertia),
+        },
+        "world": {
+            "model": str(folder / "body.xml"),
+            "substeps": steps,
+            "geom": [{"name": "body", "material": material}],
+        },
+    }
+
+
+def way_there(cell: Cell) -> Array:
+    """Centres of both fingertips (n, 2, 3) m, from where they begin to where they stay."""
+    moved, near, pressed = MOVES_M[cell.case], RADIUS_M + 0.001, RADIUS_M - force(cell) / cell.stiffness
+    if cell.case == "drag":
+        places = [((0.0, 0.0, HALF_M + near), AWAY), ((0.0, 0.0, HALF_M + pressed), AWAY)]
+        places += [((moved, 0.0, HALF_M + pressed), AWAY)]
+    elif cell.case == "balance":
+        below = -PLATE_HALF_M - RADIUS_M
+        places = [((0.0, 0.0, below), AWAY), ((0.0, 0.0, below + moved), AWAY)]
+    else:
+        places = [
+            ((-HALF_M - away, 0.0, z), (HALF_M + away, 0.0, z))
+            for away, z in ((near, 0.0), (pressed, 0.0), (pressed, moved))
+        ]
+    u = (np.arange(LEG) + 1.0)[:, None, None] / LEG
+    smooth = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    stops = [np.array(place) for place in places]
+    return np.concatenate([stops[0][None], *(a + smooth * (b - a) for a, b in pairwise(stops))])
+
+
+def begin(cell: Cell, folder: Path) -> Engine:
+    """The body before the fingers come; a plate that is balanced has sunk onto its finger."""
+    engine = Engine(scene_of(cell, folder), 1.0 / DT)
+    if cell.case == "balance":
+        engine.data.qpos[2] = -force(cell) / cell.stiffness
+    return engine
+
+
+def speed_of(engine: Engine) -> float:
+    """Of the body, m/s: of its centre, or of the middle of a side about it."""
+    velocity = engine.data.qvel
+    return float(max(np.linalg.norm(velocity[:3]), HALF_M * np.linalg.norm(velocity[3:])))
+
+
+def poses_of(way: Array) -> dict[str, Array]:
+    """Poses (n, 7) of each finger, not turned, by centres (n, 2, 3)."""
+    poses = np.zeros((*way.shape[:2], 7))
+    poses[:, :, :3], poses[:, :, 3] = way, 1.0
+    return {name: poses[:, at] for at, name in enumerate(FINGERS)}
+
+
+def play(engine: Engine, way: Array) -> Played:
+    """Lead the fingertips along centres (n, 2, 3)."""
+    poses = poses_of(way)
+    found = Played(np.zeros(way.shape), np.zeros(way.shape[:2]), np.zeros(len(way)), 0.0)
+    unbalanced = 0.0
+    for tick in range(len(way)):
+        records = engine.run({name: each[tick : tick + 1] for name, each in poses.items()})
+        for at, name in enumerate(FINGERS):
+            found.force[tick, at] = records[name]["force"][0]
+            found.mode[tick, at] = records[name]["contact.mode"][0]
+        found.speed[tick] = speed_of(engine)
+        given = engine.data.xfrc_applied[1, :3]
+        unbalanced = max(unbalanced, float(np.abs(found.force[tick].sum(axis=0) + given).max()))
+    return found._replace(unbalanced=unbalanced)
+
+
+def slips(mode: Array) -> int:
+    """How often a contact begins to slip: modes (n, 2)."""
+    return int(np.count_nonzero(np.diff((mode == SLIDING).astype(np.int8), axis=0) > 0))
+
+
+def measure(cell: Cell) -> Found:
+    """A cell played twice."""
+    found = Found(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
+    if found.depth_m > 2.0 * RADIUS_M:
+        return found._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
+    there = way_there(cell)
+    stay = np.repeat(there[-1:], round(STAY_S / DT), axis=0)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            way = np.concatenate([there, stay, there[::-1]])
+            cycle = play(begin(cell, Path(folder)), way)
+            engine = begin(cell, Path(folder))
+            engine.run(poses_of(np.concatenate([there, stay])))
+            engine.data.qvel[:] = KNOCK
+            knock = speed_of(engine)
+            after = play(engine, np.repeat(there[-1:], round(WATCH_S / DT), axis=0))
+        except SafetyStop as error:
+            return found._replace(reason=str(error))
+    third, last = (float(after.speed[-to:][:QUARTER].max()) for to in (2 * QUARTER, QUARTER))
+    found = found._replace(
+        left=last / knock,
+        grown=last / third if third > 0.0 else 1.0,
+        ripple_n=float(np.linalg.norm(np.diff(after.force[-QUARTER:], axis=0), axis=2).max()),
+        slips=slips(cycle.mode[LEG:-LEG]) + slips(after.mode),
+        given_j=float(np.sum(cycle.force[:-1] * np.diff(way, axis=0))),
+        unbalanced_n=max(cycle.unbalanced, after.unbalanced),
+    )
+    touching = after.mode[-1, : 2 if cell.case == "hold" else 1] != FREE
+    return judged(found, bool(touching.all()))
+
+
+def judged(found: Found, touching: bool) -> Found:
+    """With verdict and reason."""
+    assert found.left is not None and found.grown is not None
+    if not touching:
+        return found._replace(verdict="lost", reason="a finger touches it no more")
+    if found.left <= AT_REST:
+        return found._replace(verdict="rests")
+    if found.grown > GROWS:
+        return found._replace(verdict="unstable", reason=f"grows by {found.grown:.2f} in a quarter of a second")
+    return found._replace(verdict="swings", reason="rolls on the fingertip, which no damper resists")
+
+
+def measure_all(
+    cases: Sequence[str] = CASES, masses: Sequence[float] = MASSES, stiffnesses: Sequence[float] = STIFFNESSES
+) -> list[Found]:
+    """Every cell."""
+    found, cells = [], [Cell(*each) for each in product(cases, masses, stiffnesses)]
+    with progress("bodies", len(cells)) as done:
+        for number, cell in enumerate(cells):
+            found.append(measure(cell))
+            done(number + 1)
+    return found

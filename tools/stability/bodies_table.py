@@ -1,0 +1,109 @@
+"""What `bodies` found, as text, as tables of Markdown, and as a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from softfinger.server.offline.figures import figure, save
+from softfinger.tools.stability.bodies import AT_REST, BALANCED, Found
+
+UNSTABLE: Final = ("unstable", "failed")
+
+
+def wrong(found: Sequence[Found]) -> list[Found]:
+    """Cells that grow or fail, that give energy to the hands, or whose forces are not opposite."""
+    return [
+        row
+        for row in found
+        if row.verdict in UNSTABLE or (row.given_j or 0.0) > 0.0 or (row.unbalanced_n or 0.0) > BALANCED
+    ]
+
+
+def mass_text(row: Found) -> str:
+    mass = f"{row.mass_kg:g} kg" if row.mass_kg >= 1.0 else f"{1e3 * row.mass_kg:g} g"
+    return mass if row.substeps == 1 else f"{mass}, {row.substeps} substeps"
+
+
+def cell_text(row: Found) -> str:
+    """Share of a knock's speed that is left, and the verdict where it is another than that of the page."""
+    left = "" if row.left is None else f"{100.0 * row.left:.2g} %"
+    return left if row.verdict == "rests" else f"{row.verdict} {left}".strip()
+
+
+def lines(found: Sequence[Found]) -> list[str]:
+    """A cell a line, for a terminal."""
+    heads = ("left", "ripple, mN", "slips", "given, mJ", "unbalanced, N")
+    text = ["knocked, and what is left of the knock after a second; energy given to the hands in a closed cycle"]
+    text.append(f"  {'case':<9}{'mass':<17}{'K, N/m':>7}" + "".join(f"{head:>15}" for head in heads) + "  verdict")
+    for row in found:
+        numbers = (
+            ("-",) * len(heads)
+            if row.left is None or row.ripple_n is None or row.given_j is None
+            else (
+                f"{100.0 * row.left:.3g} %", f"{1e3 * row.ripple_n:.3g}", f"{row.slips}", f"{1e3 * row.given_j:.3g}",
+                f"{row.unbalanced_n:.2g}",
+            )
+        )  # fmt: skip
+        why = f": {row.reason}" if row.reason else ""
+        text.append(
+            f"  {row.case:<9}{mass_text(row):<17}{row.stiffness_n_per_m:>7g}"
+            + "".join(f"{number:>15}" for number in numbers)
+            + f"  {row.verdict}{why}"
+        )
+    return text
+
+
+def left_table(found: Sequence[Found]) -> str:
+    """What is left of a knock: a row for each case and mass, a column for each stiffness."""
+    stiffnesses = list(dict.fromkeys(row.stiffness_n_per_m for row in found))
+    text = [f"| case | mass | {' | '.join(f'{each:g} N/m' for each in stiffnesses)} |"]
+    text.append("|---|---|" + "---|" * len(stiffnesses))
+    for case, mass in dict.fromkeys((row.case, row.mass_kg) for row in found):
+        rows = [row for row in found if (row.case, row.mass_kg) == (case, mass)]
+        text.append(f"| {case} | {mass_text(rows[0])} | {' | '.join(map(cell_text, rows))} |")
+    return "\n".join(text) + "\n"
+
+
+def case_table(found: Sequence[Found]) -> str:
+    """Of each case the worst of what was measured, and what does not come to rest and why."""
+    text = ["| case | largest ripple | slips | most energy given | forces opposite to | not at rest after a second |"]
+    text.append("|---|---|---|---|---|---|")
+    for case in dict.fromkeys(row.case for row in found):
+        rows = [row for row in found if row.case == case]
+        ripple, given, unbalanced = (
+            max((value for row in rows if (value := getattr(row, key)) is not None), default=float("nan"))
+            for key in ("ripple_n", "given_j", "unbalanced_n")
+        )
+        slips = sum(row.slips or 0 for row in rows)
+        open_ends = [(row.verdict, row.reason) for row in rows if row.verdict != "rests"]
+        said = "; ".join(
+            f"{open_ends.count(each)} {verdict}: {reason}"
+            for each in dict.fromkeys(open_ends)
+            for verdict, reason in [each]
+        )
+        text.append(
+            f"| {case} | {1e3 * ripple:.2g} mN | {slips} | {1e3 * given:.2g} mJ | {unbalanced:.1g} N | {said or '-'} |"
+        )
+    return "\n".join(text) + "\n"
+
+
+def draw(path: Path, found: Sequence[Found]) -> None:
+    """A panel for each case: what is left of a knock against the stiffness, a line for each mass."""
+    cases = list(dict.fromkeys(row.case for row in found))
+    drawing = figure(4.0 * len(cases), 4.0)
+    panels = drawing.subplots(1, len(cases), squeeze=False, sharey=True)[0]
+    for axes, case in zip(panels, cases, strict=True):
+        for mass in dict.fromkeys(row.mass_kg for row in found):
+            rows = [row for row in found if (row.case, row.mass_kg) == (case, mass)]
+            left = [np.nan if row.left is None else max(row.left, 1e-6) for row in rows]
+            axes.loglog([row.stiffness_n_per_m for row in rows], left, "o-", label=mass_text(rows[0]))
+        axes.axhline(AT_REST, color="0.4", linewidth=0.8)
+        axes.set(title=case, xlabel="stiffness, N/m")
+        axes.grid(True, alpha=0.3)
+    panels[0].set_ylabel("share of a knock's speed after 1 s")
+    panels[0].legend(fontsize="small")
+    save(drawing, path)
