@@ -30,7 +30,7 @@ def mass_text(row: Found) -> str:
 
 def cell_text(row: Found) -> str:
     """Share of a knock's speed that is left, and the verdict where it is another than that of the page."""
-    left = "" if row.left is None else f"{100.0 * row.left:.2g} %"
+    left = "" if row.left is None else f"{100.0 * row.left:.2g} %" if row.left > 1e-5 else "< 0.001 %"
     return left if row.verdict == "rests" else f"{row.verdict} {left}".strip()
 
 
@@ -70,7 +70,9 @@ def left_table(found: Sequence[Found]) -> str:
 
 def case_table(found: Sequence[Found]) -> str:
     """Of each case the worst of what was measured, and what does not come to rest and why."""
-    text = ["| case | largest ripple | slips | most energy given | forces opposite to | not at rest after a second |"]
+    text = [
+        "| case | largest ripple | slips | energy given, at most | forces opposite to | not at rest after a second |"
+    ]
     text.append("|---|---|---|---|---|---|")
     for case in dict.fromkeys(row.case for row in found):
         rows = [row for row in found if row.case == case]
@@ -81,9 +83,8 @@ def case_table(found: Sequence[Found]) -> str:
         slips = sum(row.slips or 0 for row in rows)
         open_ends = [(row.verdict, row.reason) for row in rows if row.verdict != "rests"]
         said = "; ".join(
-            f"{open_ends.count(each)} {verdict}: {reason}"
-            for each in dict.fromkeys(open_ends)
-            for verdict, reason in [each]
+            f"{verdict} in {open_ends.count((verdict, reason))} of {len(rows)}: {reason}"
+            for verdict, reason in dict.fromkeys(open_ends)
         )
         text.append(
             f"| {case} | {1e3 * ripple:.2g} mN | {slips} | {1e3 * given:.2g} mJ | {unbalanced:.1g} N | {said or '-'} |"
