@@ -20,7 +20,7 @@ from softfinger.server.arguments import default_rig, duration
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.realtime import Setting
 from softfinger.server.progress import counter, making
-from softfinger.server.viewer.door.process import Shown, check_viewer, shown_by
+from softfinger.server.viewer.door.process import Shown, check_viewer, program, shown_by
 from softfinger.server.watcher import Watcher
 
 log: Final = logging.getLogger(__name__)
@@ -124,6 +124,11 @@ def run(args: argparse.Namespace) -> int:
 def announce(daemon: Daemon, scene_name: str, shown: bool) -> None:
     """Log what runs, and where it is to be reached; `shown`: a page is open."""
     rendering, telemetry = daemon.rendering, daemon.publisher.endpoint
+    if not shown:
+        log.info(
+            "--view shows it in the browser, with the mouse for a hand: `%s run --view`, `make run ARGS=--view`",
+            program(),
+        )
     log.info("scene %s: %s", scene_name, explain(rendering.scene))
     log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rendering.rig.servo.rate_hz, telemetry)
     log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
@@ -133,8 +138,6 @@ def announce(daemon: Daemon, scene_name: str, shown: bool) -> None:
         log.info("%s for other machines on %s, by key", name, endpoint)
     if daemon.metrics_endpoint is not None:
         log.info("metrics on %s/metrics", daemon.metrics_endpoint)
-    if not shown:
-        log.info("to see it in the browser, with the mouse for a hand: run it with --view")
     log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(telemetry))
 
 

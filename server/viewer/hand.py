@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from math import asin, atan2, degrees, radians
+from math import degrees, radians
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -13,39 +13,35 @@ from numpy.typing import NDArray
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.controls import on_list, on_slider
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.nodes.glyphs import UNTURNED, Quaternion, about, product
+from softfinger.server.viewer.nodes.glyphs import inverse, product
 from softfinger.server.viewer.nodes.looks import CM
+from softfinger.server.viewer.target import Target, closed, from_angles, mirrored, moved, nudged, to_angles
 
 Array = NDArray[np.float64]
 
 FOLLOWS_S: Final = 0.2
 """How often the sliders follow a finger that something else leads."""
-GRAZING: Final = 0.05
-"""Of the sine of the angle between a look and a plane: below it, a pixel would be a long way."""
 HELP: Final = (
     "Take the white ball with the mouse: **drag** moves it, with **shift** up and down, which presses, with **ctrl** "
     "it rolls like a ball. Drag anywhere else to look around. Keys: **I J K L** level, **O** presses, **U** lifts, "
-    "**N M** spin, **shift** rolls; **H G** move several fingers together and apart. Choose *both fingers*, and a drag "
-    "of one leads both: towards the other one it pinches. A gamepad: left stick, triggers; right stick rolls, bumpers "
-    "spin."
+    "**N M** spin, **shift** rolls. A gamepad: left stick, triggers; right stick rolls, bumpers spin."
+)
+TWO_HANDS: Final = (
+    "**Pinch**: drag one of the white balls, which moves both fingers, with **shift** up and down; turn the **wheel** "
+    "meanwhile, or with **alt** at any time, to close and to open them. **Two hands on keys**: left hand **A D W S** "
+    "level, **E** up, **Q** down; right hand **J L I K**, **U** up, **O** down; **H G** together and apart. Choose a "
+    "finger to drag it alone; **ctrl** rolls. Drag anywhere else to look around."
 )
 NO_HAND: Final = (
     "Nothing here is to be led: a person, a puck or a recording moves the fingertip. `softfinger run --view` has a "
     "hand."
 )
-
-
-class Target(NamedTuple):
-    """Where the hand is to be: position (3,) m and orientation."""
-
-    position: Array
-    orientation: Quaternion
-
-
 BOTH: Final = "both fingers"
 """In place of a finger, whose name has no space: several are led at once."""
-HOW: Final = {"moves": "move", "presses or lifts": "press", "rolls": "roll"}
-"""What a plain drag may do, by its name on the page: a touch screen has no shift and no ctrl."""
+HOW: Final = {"moves": "move", "presses or lifts": "press", "rolls": "roll", "pinches or opens": "pinch"}
+"""What a plain drag may do, by its name on the page: a touch screen has no shift, no ctrl and no wheel."""
+MARK: Final = "<span data-two-hands hidden></span>"
+"""Tells the page's scripts that two fingers are to be led."""
 
 
 class Led(NamedTuple):
@@ -55,79 +51,6 @@ class Led(NamedTuple):
     radius: float
     low: Array
     high: Array
-
-
-def hit(eye: Array, through: Array, point: Array, normal: Array) -> Array | None:
-    """Where the look from `eye` through a point meets the plane of `point` and `normal`; None where it hardly does."""
-    look = through - eye
-    slope = float(look @ normal) / float(np.linalg.norm(look) * np.linalg.norm(normal))
-    if abs(slope) < GRAZING:
-        return None
-    way = float((point - eye) @ normal) / float(look @ normal)
-    return eye + way * look if way > 0.0 else None
-
-
-def moved(start: Target, eye: Array, grabbed: Array, pointer: Array, how: str, radius: float) -> Target | None:
-    """What a drag makes of the target that it began with, all (3,) m; None where the look does not tell.
-
-    how  "move" in a level plane, "press" up and down, or "roll", as a ball of `radius` on a level plane
-    """
-    up = np.array([0.0, 0.0, 1.0])
-    if how == "press":
-        facing = (grabbed - eye) * (1.0, 1.0, 0.0)
-        if np.linalg.norm(facing) < GRAZING * np.linalg.norm(grabbed - eye):
-            return None
-        found = hit(eye, pointer, grabbed, facing)
-        return None if found is None else Target(start.position + up * (found - grabbed)[2], start.orientation)
-    found = hit(eye, pointer, grabbed, up)
-    if found is None:
-        return None
-    way = (found - grabbed) * (1.0, 1.0, 0.0)
-    if how == "move":
-        return Target(start.position + way, start.orientation)
-    return Target(start.position + way, product(rolled(way, radius), start.orientation))
-
-
-def rolled(way: Array, radius: float) -> Quaternion:
-    """How a ball turns that rolls a level way (3,) m; none of it where there is no way."""
-    length = float(np.linalg.norm(way))
-    return UNTURNED if length == 0.0 else about(np.cross((0.0, 0.0, 1.0), way), length / radius)
-
-
-def nudged(start: Target, nudge: Nudge, radius: float) -> Target:
-    """The target a piece of a way further, as a ball of `radius` m where it rolls."""
-    roll = np.array([nudge.roll_x, nudge.roll_y, 0.0])
-    turn = product(about(np.array([0.0, 0.0, 1.0]), nudge.spin), rolled(roll, radius))
-    return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(turn, start.orientation))
-
-
-def mirrored(way: Array, line: Array) -> Array:
-    """How one finger goes (3,) m when another goes `way`: along with it across their `line`, against it along that."""
-    length = float(line @ line)
-    return way if length == 0.0 else way - 2.0 * float(way @ line) / length * line
-
-
-def closed(place: Array, middle: Array, way: float) -> Array:
-    """A place (3,) m, `way` m nearer to the middle of all fingers, and not past it."""
-    apart = middle - place
-    distance = float(np.linalg.norm(apart))
-    return place if distance == 0.0 else place + min(way, distance) / distance * apart
-
-
-def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
-    """First about x, then y, then z, all of the world; rad."""
-    x, y, z = (np.array(axis, dtype=np.float64) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
-    return product(about(z, spin), product(about(y, roll_y), about(x, roll_x)))
-
-
-def to_angles(q: Quaternion) -> tuple[float, float, float]:
-    """The angles of `from_angles`, rad."""
-    w, x, y, z = q
-    return (
-        atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-        asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
-        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-    )
 
 
 class Hand:
@@ -140,6 +63,9 @@ class Hand:
         self._seen: dict[str, Target] = {}
         self._begun: dict[str, tuple[dict[str, Target], Array]] = {}
         self._placed = 0.0
+        self._sides: tuple[str, ...] = ()
+        self.interrupted: Callable[[], None] = lambda: None
+        """Called when a person begins to lead."""
         self._help = gui.add_markdown(HELP)
         self._how = gui.add_dropdown("a drag", tuple(HOW))
         self._finger = gui.add_dropdown("finger", ("",), visible=False)
@@ -152,6 +78,7 @@ class Hand:
         self._handles.on_update(lambda event: self._show())
         self._let_go = gui.add_button("let go")
         self._let_go.on_click(lambda event: self._release())
+        self._mark = gui.add_html(MARK, visible=False)
         self._gizmo = api.add_transform_controls("/hand", scale=2.2, line_width=3.0, depth_test=False, visible=False)
         self._gizmo.on_update(self._turned)
         self.change([])
@@ -161,10 +88,12 @@ class Hand:
         self._fingers = {finger.name: finger for finger in fingers}
         self._targets.clear()
         self._seen.clear()
-        self._help.content = HELP if fingers else NO_HAND
+        self._sides = ()
+        several = len(fingers) > 1
+        self._help.content = TWO_HANDS if several else HELP if fingers else NO_HAND
         if fingers:
-            self._finger.options = (*self._fingers, BOTH) if len(fingers) > 1 else tuple(self._fingers)
-        self._finger.visible = len(fingers) > 1
+            self._finger.options = (BOTH, *self._fingers) if several else tuple(self._fingers)
+        self._finger.visible = self._mark.visible = several
         for control in (self._how, *self._sliders, self._handles, self._let_go):
             control.disabled = not fingers
         self._show()
@@ -191,14 +120,32 @@ class Hand:
 
     def nudge(self, nudge: Nudge) -> None:
         """Go a piece of a way further with the finger that is chosen, or with all."""
+        self.interrupted()
+        self._nudge(dict.fromkeys(self._led(), nudge._replace(close=0.0)), nudge.close)
+
+    def nudge_each(self, left: Nudge, right: Nudge, close: float) -> None:
+        """Go a piece of a way further with the finger on the left and with that on the right, and both so far (m)
+        towards each other."""
+        self.interrupted()
+        self._nudge(dict(zip(self.sides(), (left, right), strict=False)), close)
+
+    def sides(self) -> tuple[str, ...]:
+        """The finger that was on the left at first, and that on the right; none until both have been seen."""
         targets = self._targets_of(self._fingers)
-        if not targets:
-            return
-        middle = np.mean([target.position for target in targets.values()], axis=0)
-        led = self._led() if nudge.close == 0.0 else list(targets)
-        for finger in filter(targets.__contains__, led):
-            target = nudged(targets[finger], nudge, self._fingers[finger].radius)
-            self._go(finger, Target(closed(target.position, middle, nudge.close), target.orientation))
+        if not self._sides and len(targets) == len(self._fingers) > 1:
+            by_x = sorted(targets, key=lambda finger: float(targets[finger].position[0]))
+            self._sides = (by_x[0], by_x[-1])
+        return self._sides
+
+    def _nudge(self, nudges: dict[str, Nudge], close: float) -> None:
+        targets = self._targets_of(self._fingers)
+        if close != 0.0 and targets:
+            targets = _closed(targets, close)
+            for begun in self._begun.values():  # a drag goes on from there
+                begun[0].update(_closed(begun[0], close))
+        for finger, start in targets.items():
+            if finger in nudges or close != 0.0:
+                self.go(finger, nudged(start, nudges.get(finger, Nudge()), self._fingers[finger].radius))
         self._show()
 
     def _plain(self) -> str:
@@ -219,7 +166,27 @@ class Hand:
     def _target(self, finger: str) -> Target | None:
         return self._targets.get(finger, self._seen.get(finger))
 
-    def _go(self, finger: str, target: Target) -> None:
+    def target(self, finger: str) -> Target:
+        """Where a finger is to be or, until it is led, where it is; KeyError for one that has not been seen."""
+        return self._targets.get(finger) or self._seen[finger]
+
+    def radius(self, finger: str) -> float:
+        """Of a finger that may be led, m."""
+        return self._fingers[finger].radius
+
+    def chosen(self) -> str:
+        """The finger that is led where one alone is, empty where none may be."""
+        return self._chosen()
+
+    def go(self, finger: str, target: Target) -> None:
+        """Lead a finger as far as it reaches; the others, which may follow a recording, stay where they are."""
+        if finger not in self._targets:
+            for other, seen in self._seen.items():
+                if other not in self._targets and other in self._fingers and other != finger:
+                    self._lead(other, seen)
+        self._lead(finger, target)
+
+    def _lead(self, finger: str, target: Target) -> None:
         if not np.isfinite((*target.position, *target.orientation)).all():
             return
         led = self._fingers[finger]
@@ -228,6 +195,7 @@ class Hand:
 
     def _dragged(self, finger: str, event: Any, how: str) -> None:
         if event.phase == "start":
+            self.interrupted()
             targets = self._targets_of({finger, *self._led()} if finger in self._led() else {finger})
             if finger in targets:
                 self._begun[finger] = (targets, np.array(event.start_position) / CM)
@@ -238,12 +206,14 @@ class Hand:
         starts, grabbed = self._begun[finger]
         start = starts[finger]
         eye, pointer = np.array(event.client.camera.position) / CM, np.array(event.end_position) / CM
-        target = moved(start, eye, grabbed, pointer, how, self._fingers[finger].radius)
+        target = moved(start, eye, grabbed, pointer, "move" if how == "pinch" else how, self._fingers[finger].radius)
         if target is not None:
-            self._go(finger, target)
+            self.go(finger, target)
+            way, turn = target.position - start.position, product(target.orientation, inverse(start.orientation))
             for other in starts.keys() & self._fingers.keys() - {finger}:
-                way = mirrored(target.position - start.position, starts[other].position - start.position)
-                self._go(other, Target(starts[other].position + way, starts[other].orientation))
+                there = starts[other]
+                along = mirrored(way, there.position - start.position) if how == "pinch" else way
+                self.go(other, Target(there.position + along, product(turn, there.orientation)))
             if finger == self._chosen():
                 self._place_sliders()
         if event.phase == "end":
@@ -253,21 +223,24 @@ class Hand:
     def _slid(self, event: Any) -> None:
         if event.client is None or not self._fingers:  # set by this program, not by a person
             return
+        self.interrupted()
         if not all(map(on_slider, self._sliders)):
             self._place_sliders()
             return
         x, y, z, *angles = (slider.value for slider in self._sliders)
         turn = from_angles(*(radians(angle) for angle in angles))
-        self._go(self._chosen(), Target(np.array([x, y, z]) / 1000.0, turn))
+        self.go(self._chosen(), Target(np.array([x, y, z]) / 1000.0, turn))
         self._place_handles()
 
     def _turned(self, event: Any) -> None:
         if event.client is not None and self._fingers:
+            self.interrupted()
             w, x, y, z = (float(part) for part in self._gizmo.wxyz)
-            self._go(self._chosen(), Target(np.array(self._gizmo.position) / CM, (w, x, y, z)))
+            self.go(self._chosen(), Target(np.array(self._gizmo.position) / CM, (w, x, y, z)))
             self._place_sliders()
 
     def _release(self) -> None:
+        self.interrupted()
         for finger in self._fingers:
             self._targets.pop(finger, None)
             self._send(finger, None)
@@ -290,3 +263,9 @@ class Hand:
         target = self._target(self._chosen())
         if target is not None:
             self._gizmo.position, self._gizmo.wxyz = CM * target.position, target.orientation
+
+
+def _closed(targets: dict[str, Target], way: float) -> dict[str, Target]:
+    """All of them `way` m nearer to the middle of them."""
+    middle = np.mean([target.position for target in targets.values()], axis=0)
+    return {name: Target(closed(target.position, middle, way), target.orientation) for name, target in targets.items()}

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import html
 import time
+from collections import deque
 from collections.abc import Callable
 from math import isfinite, radians
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-SCRIPT: Final = Path(__file__).with_name("gamepad.js")
-GAMEPAD: Final = "gamepad"
-"""Name of the text field that the script writes to."""
+from softfinger.server.viewer.scripts import add_script
+
 NUMBERS: Final = 9
 """Of a gamepad: a counter, two sticks, and four buttons."""
 REST: Final = 0.15
 """A stick that is let go is seldom at 0."""
 SILENT_S: Final = 0.3
 """A gamepad that has told nothing for so long is let go: its page may be gone."""
+TOTALS: Final = 7
+"""Of two hands: three of each finger, and one of the wheel."""
+SESSIONS: Final = 16
+"""Pages whose totals are known; one more begins anew."""
+JUMP_M: Final = 0.02
+"""The farthest that a finger is led at once by keys or a wheel."""
 SPEED: Final = 0.05
 """m/s of a stick or trigger that is all the way down."""
 SPIN_RAD_S: Final = 1.5
@@ -71,12 +75,10 @@ def add_keys(gui: Any, nudge: Callable[[Nudge], None]) -> None:
 
 
 class Gamepad:
-    """A gamepad at the computer of whoever looks: a frame of the page that tells of it, and what it tells."""
+    """A gamepad at the computer of whoever looks."""
 
     def __init__(self, gui: Any) -> None:
-        script = html.escape(f"<script>{SCRIPT.read_text('utf-8')}</script>", quote=True)
-        gui.add_html(f'<iframe hidden srcdoc="{script}"></iframe>')
-        self._field = gui.add_text(GAMEPAD, "")
+        self._field = add_script(gui, "gamepad")
         self._field.on_update(self._told)
         self._speed, self._at = Nudge(), 0.0
 
@@ -89,6 +91,46 @@ class Gamepad:
         if self._speed == Nudge() or time.monotonic() - self._at > SILENT_S:
             return None
         return self._speed.times(dt)
+
+
+class TwoHands:
+    """Keys of two hands and a wheel, each a finger: `hands.js` tells how far they have led since it began."""
+
+    def __init__(self, gui: Any) -> None:
+        self._field = add_script(gui, "hands")
+        self._field.on_update(self._told)
+        self._totals: dict[str, tuple[float, ...]] = {}
+        self._moves: deque[tuple[float, ...]] = deque()
+
+    def _told(self, event: Any) -> None:
+        found = totals_of(self._field.value)
+        if event.client is None or found is None:
+            return
+        session, totals = found
+        before = self._totals.pop(session, (0.0,) * len(totals))
+        self._totals[session] = totals
+        while len(self._totals) > SESSIONS:  # the oldest
+            del self._totals[next(iter(self._totals))]
+        self._moves.append(tuple(now - then for now, then in zip(totals, before, strict=True)))
+
+    def moved(self) -> tuple[Nudge, Nudge, float] | None:
+        """How far the left finger, the right one, and both towards each other (m) since the last time; None: not."""
+        moves = [self._moves.popleft() for _ in range(len(self._moves))]
+        if not moves:
+            return None
+        far = [min(max(sum(part), -JUMP_M), JUMP_M) for part in zip(*moves, strict=True)]
+        return Nudge(*far[:3]), Nudge(*far[3:6]), far[6]
+
+
+def totals_of(told: str) -> tuple[str, tuple[float, ...]] | None:
+    """What the script of two hands tells: the page's session; x, y, z of the left finger, of the right one, and how far
+    both are closed, m. None where it is not that."""
+    words = told.split()
+    try:
+        totals = tuple(float(word) / 1000.0 for word in words[2:])
+    except ValueError:
+        return None
+    return (words[1], totals) if len(totals) == TOTALS and all(map(isfinite, totals)) else None
 
 
 def speed_of(told: str) -> Nudge:

@@ -17,13 +17,15 @@ from softfinger.proxy.record import AT
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.driven import Handles, drive_of, resting
-from softfinger.server.viewer.hand import Hand, Led, Target
-from softfinger.server.viewer.inputs import Gamepad, add_keys
+from softfinger.server.viewer.hand import Hand, Led
+from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
 from softfinger.server.viewer.nodes import meshes
 from softfinger.server.viewer.nodes.bodies import Place
 from softfinger.server.viewer.page import Page, began_of, scene_of
+from softfinger.server.viewer.play import Ask, Play
 from softfinger.server.viewer.prompt import PromptPanel
 from softfinger.server.viewer.roles import ALLOWED, Role
+from softfinger.server.viewer.target import Target
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
 from softfinger.server.wire.commands import Triangles
@@ -58,13 +60,15 @@ class LivePage:
         changing = page.tabs if may is None else gui.add_tab_group(visible=False)
         with changing.add_tab("Hand"):
             self._hand = Hand(gui, page.server.scene, self._send)
+            ask = Ask(page.say, self._put_back, lambda name: self._set_scene("scene", {"scene": name}))
+            self._play = Play(gui, self._hand, ask)
             add_keys(gui, self._hand.nudge)
             self._handles = Handles(gui, page.server.scene, self._drive)
             gui.add_button_group("force", ("on", "off")).on_click(self._switch)
         with changing.add_tab("Feel"):
             self._tuning = Tuning(gui, self._set_params, self._set_scene)
         page.add_views()
-        self._gamepad = Gamepad(gui)
+        self._gamepad, self._two_hands = Gamepad(gui), TwoHands(gui)
         page.say(WAITING)
 
     def step(self, dt: float) -> None:
@@ -86,9 +90,13 @@ class LivePage:
             self._page.say(self._live.problem)
         if (nudge := self._gamepad.moved(dt)) is not None:
             self._hand.nudge(nudge)
+        if (moved := self._two_hands.moved()) is not None:
+            self._hand.nudge_each(*moved)
         self._handles.step()
         for finger, rows in news.ticks.items():
             self._hand.see(finger, rows[-1])
+            self._play.see(finger, rows[-1])
+        self._play.step(dt)
         self._page.ride(news.bodies)
         self._page.show({finger: rows[rows[:, AT.tick] >= self._first] for finger, rows in news.ticks.items()})
 
@@ -129,6 +137,7 @@ class LivePage:
                 self._asker.ask(f"mesh {number}", Request("mesh", {"object": number}, came, self._page.say))
         parts = {finger.name: finger for finger in scene.fingers}
         self._hand.change([_led(each, parts[each["name"]]) for each in described["fingers"] if each["led"]])
+        self._play.change(scene, self._page.bodies, described)
         for name, nodes in self._page.fingers.items():
             self._hand.take(name, nodes.ball)
 
@@ -163,6 +172,9 @@ class LivePage:
     def _drive(self, number: int, place: Place) -> None:
         params = {"object": number, "position_m": list(place[0]), "orientation_wxyz": list(place[1])}
         self._asker.ask(f"drive {number}", Request("drive", params, lambda result: None, self._refused))
+
+    def _put_back(self) -> None:
+        self._asker.ask("world", Request("reset_world", {}, lambda result: None, self._refused))
 
     def _switch(self, event: Any) -> None:
         method = "arm" if event.target.value == "on" else "disarm"

@@ -26,6 +26,7 @@ from softfinger.server.viewer.nodes.looks import Looks
 from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.nodes.states import COLOURS, State
 from softfinger.server.viewer.plots import Plots
+from softfinger.server.viewer.theme import Theme
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,9 @@ PLOT_S: Final = 0.33
 TITLE: Final = "softfinger"
 READ: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
+ARROW: Final = "arrow, N per 10 mm"
+FADES: Final = 0.995
+"""Of the largest force from picture to picture: the scale of arrows stays for some seconds after a push."""
 PANEL: Final = 380
 """Width of the controls, pixels."""
 WIDE: Final = 640
@@ -61,17 +65,18 @@ class Page:
         self._drawn: Final[dict[int, Array]] = {}
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
-        self._bodies: Bodies | None = None
+        self.bodies: Bodies | None = None
         self._newest: dict[str, Array] = {}
+        self._largest_n, self._newtons_per_cm = 0.0, self.looks.newtons_per_cm
         self._told, self._plotted, self._closed = 0.0, 0.0, False
         gui = self.server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL)
         self._said = gui.add_markdown("")
         self._state = gui.add_html(READ.format("waiting for the first tick"))
         self._paused = gui.add_checkbox("pause the picture", False)
         self.tabs: Final = gui.add_tab_group()
+        Theme(gui)
 
     def only_prompts(self) -> None:
         """Leave out what tells of the rendering."""
@@ -90,7 +95,7 @@ class Page:
                 ("patches", "contact points and normals"),
             ):
                 _bound(gui.add_checkbox(text, getattr(looks, name)), looks, name)
-            _bound(gui.add_slider("force, cm/N", 0.2, 5.0, 0.1, looks.cm_per_newton), looks, "cm_per_newton")
+            _bound(gui.add_slider(ARROW, 0.1, 10.0, 0.1, looks.newtons_per_cm), looks, "newtons_per_cm")
             _bound(
                 gui.add_slider("torsion, deg/mN m", 5.0, 200.0, 5.0, looks.degrees_per_mnm), looks, "degrees_per_mnm"
             )
@@ -103,13 +108,13 @@ class Page:
         with self.server.atomic():
             for nodes in self.fingers.values():
                 nodes.remove()
-            if self._bodies is not None:
-                self._bodies.remove()
-            self._bodies = Bodies(self.server.scene, scene, began)
+            if self.bodies is not None:
+                self.bodies.remove()
+            self.bodies = Bodies(self.server.scene, scene, began)
             self.fingers.clear()
             self._newest.clear()
             for finger in scene.fingers:
-                self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self._bodies)
+                self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self.bodies)
         self._scene = scene
         self._drawn.clear()
         self._look()
@@ -127,18 +132,18 @@ class Page:
 
     def drive(self, number: int, position: Any, orientation: Any) -> None:
         """A driven object of the scene has been moved."""
-        if self._bodies is not None:
-            self._bodies.drive(number, position, orientation)
+        if self.bodies is not None:
+            self.bodies.drive(number, position, orientation)
 
     def ride(self, bodies: Mapping[str, Place]) -> None:
         """Bodies of the scene's [world] are there, by name."""
-        if self._bodies is not None and not self._paused.value:
-            self._bodies.ride(bodies)
+        if self.bodies is not None and not self._paused.value:
+            self.bodies.ride(bodies)
 
     def draw(self, number: int, mesh: Mesh) -> None:
         """The triangles of an object of the scene that is made of a file."""
-        if self._bodies is not None:
-            self._bodies.draw(number, mesh)
+        if self.bodies is not None:
+            self.bodies.draw(number, mesh)
             self._drawn[number] = mesh.vertices
             self._look()
 
@@ -151,11 +156,14 @@ class Page:
         if first in known:
             self._plots.add(known[first])
         if not self._paused.value and known:
+            largest = max(float(np.linalg.norm(rows[-1, AT.force : AT.force + 3])) for rows in known.values())
+            self._largest_n = max(largest, FADES * self._largest_n)
+            self._newtons_per_cm = self.looks.arrow(self._largest_n)
             with self.server.atomic():
-                if self._bodies is not None:
-                    self._bodies.show(next(iter(known.values()))[-1])
+                if self.bodies is not None:
+                    self.bodies.show(next(iter(known.values()))[-1])
                 for name, rows in known.items():
-                    self.fingers[name].show(rows, self.looks)
+                    self.fingers[name].show(rows, self.looks, self._newtons_per_cm)
         self._keep_up()
 
     def forget(self) -> None:
@@ -177,9 +185,9 @@ class Page:
         if now - self._told > TEXT_S and self._newest and not self._paused.value:
             self._told = now
             self._state.content = "".join(
-                told(name, row, self.fingers[name].state, self.fingers[name].cm_per_newton)
+                told(name, row, self.fingers[name].state, self.fingers[name].height_m)
                 for name, row in self._newest.items()
-            )
+            ) + READ.format(f"arrow: {self._newtons_per_cm:g} N per 10 mm")
         if now - self._plotted > PLOT_S and not self._paused.value:
             self._plotted = now
             self._plots.show()
@@ -200,8 +208,8 @@ def _bound(control: Any, looks: Looks, name: str) -> None:
     control.on_update(seen)
 
 
-def told(name: str, row: Array, state: State, cm_per_newton: float) -> str:
-    """A tick in words and figures, with the scale of the force's arrow, as HTML."""
+def told(name: str, row: Array, state: State, height_m: float | None) -> str:
+    """A tick in words and figures, with the height above what lies below, as HTML."""
     row = np.round(row, 9) + 0.0  # no minus before a zero
     figures = (
         ("normal", f"{row[AT.contact_normal_force]:.2f} N"),
@@ -212,8 +220,8 @@ def told(name: str, row: Array, state: State, cm_per_newton: float) -> str:
         ("rolled", f"{np.degrees(row[AT.contact_rolled]):.1f}°"),
     )
     cells = "".join(f'<span style="opacity: 0.6">{word}</span><span>{figure}</span>' for word, figure in figures)
-    colour = f"rgb{COLOURS[state]}"
-    head = f'<b style="color: {colour}">{state}</b> · tick {row[AT.tick]:.0f} · arrow {cm_per_newton:g} cm/N'
+    high = "" if height_m is None else f" · height {1e3 * max(height_m, 0.0):.1f} mm"
+    head = f'<span style="color: rgb{COLOURS[state]}">&#9632;</span> <b>{state}</b> · tick {row[AT.tick]:.0f}{high}'
     return READ.format(f'{html.escape(name + ": ") if name else ""}{head}<div style="{GRID}">{cells}</div>')
 
 

@@ -17,17 +17,15 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.query.motion import carried, pose_at
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
+from softfinger.server.viewer.nodes.below import Foot, Level, Triangles
 from softfinger.server.viewer.nodes.board import add_board
-from softfinger.server.viewer.nodes.glyphs import Quaternion, rotated
+from softfinger.server.viewer.nodes.glyphs import Quaternion
 from softfinger.server.viewer.nodes.looks import CM, MAP, OBJECTS, Colour
 from softfinger.server.viewer.nodes.meshes import PLANE_M, Mesh, mesh_of
 from softfinger.server.viewer.nodes.relief import add_relief
 
 SQUARES: Final = 13
 """Of a side of a plane's board, a centimetre each."""
-
-LEVEL: Final = 0.5
-"""Cosine of the slope up to which a plane is a ground."""
 
 Place = tuple[tuple[float, float, float], Quaternion]
 
@@ -65,6 +63,8 @@ class Bodies:
         self._moving: Final[dict[int, tuple[Any, Pose]]] = {}
         self._riding: Final[dict[int, tuple[str, Place]]] = {}
         """Those that ride on a body: its name, and the place in its frame."""
+        self._surfaces: Final[dict[int, Level | Triangles]] = {}
+        """What may lie below a point, of those whose surface is known."""
         for number, thing in enumerate((*scene.object, *untouched(scene))):
             place = (thing.position_m, thing.orientation_wxyz)
             self.places.append(place)
@@ -75,11 +75,16 @@ class Bodies:
             elif thing.motion is not None:
                 self._moving[number] = (kernel_motion(thing.motion), Pose(*place))
             _draw(api, f"/objects/{number}", thing, _colour(number, thing))
+            if thing.shape == "plane":
+                self._surfaces[number] = Level()
+            elif not isinstance(thing, Filed) and (mesh := mesh_of(thing)) is not None:
+                self._surfaces[number] = Triangles(mesh)
 
     def draw(self, number: int, mesh: Mesh) -> None:
         """The triangles of an object that is made of a file have come."""
         thing = self._scene.object[number]
         if len(mesh.faces):  # of crumbs alone nothing may be left
+            self._surfaces[number] = Triangles(mesh)
             _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=True), _colour(number, thing))
 
     def show(self, row: NDArray[np.float64]) -> None:
@@ -111,16 +116,14 @@ class Bodies:
         self._frames[number].position = (CM * x, CM * y, CM * z)
         self._frames[number].wxyz = turn
 
-    def ground(self, point: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """The place (3,) m on a plane straight below a point, the highest one; None where there is none."""
-        heights = []  # of what is touched, which comes first among the places
-        for thing, (position, turn) in zip(self._scene.object, self.places, strict=False):
-            if thing.shape == "plane":
-                up = rotated(turn, np.array([[0.0, 0.0, 1.0]]))[0]
-                if up[2] > LEVEL:
-                    heights.append(point[2] - float(up @ (point - np.array(position))) / up[2])
-        below = [height for height in heights if height <= point[2]]
-        return np.array([point[0], point[1], max(below)]) if below else None
+    def below(self, point: NDArray[np.float64]) -> Foot | None:
+        """The highest place straight below a point (3,) m; None where there is none."""
+        feet = [
+            foot._replace(number=number)
+            for number, surface in self._surfaces.items()
+            if (foot := surface.below(point, self.places[number])) is not None
+        ]
+        return max(feet, key=lambda foot: float(foot.point[2]), default=None)
 
     def remove(self) -> None:
         """With all that hangs on them."""

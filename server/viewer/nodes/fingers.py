@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi, radians
+from math import radians
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -12,8 +12,20 @@ from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.viewer.nodes.bodies import Bodies
 from softfinger.server.viewer.nodes.glyphs import Way, arc, circles, inverse, rotated, towards
-from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, MARKS, NORMAL, SKIN, TORSION, Colour, Looks
-from softfinger.server.viewer.nodes.meshes import cone, ellipsoid
+from softfinger.server.viewer.nodes.looks import (
+    CM,
+    CONE,
+    GHOST,
+    MARKS,
+    NORMAL,
+    PLUMB,
+    SHADOW,
+    SKIN,
+    TORSION,
+    Colour,
+    Looks,
+)
+from softfinger.server.viewer.nodes.meshes import cone, ellipsoid, lathe
 from softfinger.server.viewer.nodes.states import COLOURS, State, state_of
 
 Array = NDArray[np.float64]
@@ -30,10 +42,8 @@ NOTHING_N: Final = 1e-4
 """Force that has no arrow."""
 RECENT: Final = 100
 """Ticks over which a contact is seen to roll or to spin."""
-FADES: Final = 0.995
-"""Of the largest force from picture to picture: the scale of its arrow stays for some seconds after a push."""
-DROP_N: Final = 24
-"""Pieces of the circle on the ground below a fingertip."""
+SHADE_M: Final = 3e-4
+"""A shadow lies so far above its surface, over traces and lest it be hidden."""
 LEAST_ARC: Final = radians(8.0)
 """A shorter arc, rad, would be a head without a line, and is not drawn."""
 
@@ -92,21 +102,25 @@ class FingerNodes:
         self._tip_trace = self._lines("tip/trace", self._on_tip.segments, SKIN, 3.5)
         self._on_objects: dict[int, tuple[Way, Any]] = {}
         self._touched = -1
-        self._largest_n = 0.0
         self._last: Array | None = None
         self.state = State.FREE
         """What the contact does."""
-        self.cm_per_newton = 0.0
-        """Of the force's arrow, as it is drawn."""
-        self._drop = self._lines("drop", np.zeros((DROP_N + 1, 2, 3)), MARKS, 1.5)
+        self.height_m: float | None = None
+        """Of its lowest point above what lies straight below it, with a fingertip that is a ball."""
+        self._plumb = self._lines("plumb", np.zeros((1, 2, 3)), PLUMB, 2.0)
+        disc = lathe(np.array([(CM * 0.75 * min(self._radii), 0.0), (0.0, 0.0)]))
+        self._shadow = api.add_mesh_simple(
+            f"{self._node}/shadow", disc.vertices, disc.faces, color=SHADOW, side="double", cast_shadow=False
+        )
 
     def _lines(self, node: str, segments: Array, colour: Any, thickness: float) -> Any:
         return self._api.add_line_segments(
             f"{self._node}/{node}", segments, colour, thickness=thickness, thickness_units="screen"
         )
 
-    def show(self, rows: Array, looks: Looks) -> None:
-        """The ticks (n, RECORD_SIZE) since the last time: the newest as a picture, all of them as a trace."""
+    def show(self, rows: Array, looks: Looks, newtons_per_cm: float) -> None:
+        """The ticks (n, RECORD_SIZE) since the last time: the newest as a picture, with arrows of that scale, all of
+        them as a trace."""
         row = rows[-1]
         probe, proxy = row[_three(AT.probe_position)], row[_three(AT.proxy_position)]
         mode = int(row[AT.contact_mode])
@@ -118,20 +132,18 @@ class FingerNodes:
         self._apart.points = CM * np.array([[probe, proxy]])
         last = rows[max(len(rows) - RECENT, 0)] if len(rows) > 1 else self._last if self._last is not None else row
         self.state, self._last = state_of(last, row, max(self._radii)), row
-        self._largest_n = max(float(np.linalg.norm(row[_three(AT.force)])), FADES * self._largest_n)
-        self.cm_per_newton = looks.arrow(self._largest_n)
-        self._show_wrench(row, mode, looks)
-        self._show_drop(probe)
+        self._show_wrench(row, mode, looks, newtons_per_cm)
+        self._show_height(proxy if apart else probe)
         self._show_patches(row, mode != FREE and looks.patches)
-        self._show_cone(row, mode != FREE and looks.cone, looks)
+        self._show_cone(row, mode != FREE and looks.cone, newtons_per_cm)
         self._trace(rows[::-1][::TRACED_EVERY][::-1], looks.traces)
 
-    def _show_wrench(self, row: Array, mode: int, looks: Looks) -> None:
+    def _show_wrench(self, row: Array, mode: int, looks: Looks, newtons_per_cm: float) -> None:
         point, normal = row[_three(AT.contact_point)], row[_three(AT.contact_normal)]
         force = row[_three(AT.force)]
         begins = CM * (point if mode != FREE else row[_three(AT.probe_position)])
         self._force.visible = bool(np.linalg.norm(force) > NOTHING_N)
-        self._force.points = np.array([[begins, begins + self.cm_per_newton * force]])
+        self._force.points = np.array([[begins, begins + force / newtons_per_cm]])
         self._force.colors = np.array(COLOURS[self.state], np.uint8)
         angle = radians(1e3 * float(row[AT.contact_torsion]) * looks.degrees_per_mnm)
         self._arc.visible = mode != FREE and abs(angle) > LEAST_ARC
@@ -151,7 +163,7 @@ class FingerNodes:
                 lines[k] = CM * point, CM * point + 2.5 * CM * max(self._radii) * normal
         self._normals.visible, self._normals.points = shown, lines
 
-    def _show_cone(self, row: Array, shown: bool, looks: Looks) -> None:
+    def _show_cone(self, row: Array, shown: bool, newtons_per_cm: float) -> None:
         number, load = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
         friction = self._scene.object[number].material.friction if 0 <= number < len(self._scene.object) else None
         self._cone.visible = shown and friction is not None and load > NOTHING_N
@@ -162,7 +174,7 @@ class FingerNodes:
             self._cone.vertices = cone(1.0, self._slope).vertices
         self._cone.position = CM * row[_three(AT.contact_point)]
         self._cone.wxyz = towards(row[_three(AT.contact_normal)])
-        self._cone.scale = self.cm_per_newton * load
+        self._cone.scale = load / newtons_per_cm
 
     def _colour_of_patch(self, mode: int) -> Colour:
         """A patch that does not slide does what the contact does, unless that slides elsewhere."""
@@ -170,16 +182,15 @@ class FingerNodes:
             return COLOURS[State.SLIDING]
         return COLOURS[State.STICKING if self.state == State.SLIDING else self.state]
 
-    def _show_drop(self, probe: Array) -> None:
-        """A line from the fingertip down to the plane below it, and a circle there: how high it is."""
-        ground = self._bodies.ground(probe)
-        self._drop.visible = ground is not None
-        if ground is None:
-            return
-        turn = np.linspace(0.0, 2.0 * pi, DROP_N + 1)
-        round_it = ground + 0.5 * min(self._radii) * np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
-        around = np.stack([round_it[:-1], round_it[1:]], axis=1)
-        self._drop.points = CM * np.concatenate([np.array([[probe, ground]]), around])
+    def _show_height(self, centre: Array) -> None:
+        """A plumb line from the fingertip down to what lies below it, and its shadow there."""
+        foot = self._bodies.below(centre)
+        self._plumb.visible = self._shadow.visible = foot is not None
+        self.height_m = None if foot is None else float(centre[2] - foot.point[2]) - min(self._radii)
+        if foot is not None:
+            self._plumb.points = CM * np.array([[centre, foot.point]])
+            self._shadow.position = CM * (foot.point + SHADE_M * foot.normal)
+            self._shadow.wxyz = towards(foot.normal)
 
     def _trace(self, rows: Array, shown: bool) -> None:
         drawn = False

@@ -14,6 +14,9 @@ Colour = tuple[int, int, int]
 TORSION: Final[Colour] = (235, 130, 0)
 SKIN: Final[Colour] = (250, 250, 250)
 MARKS: Final[Colour] = (60, 65, 75)
+PLUMB: Final[Colour] = (128, 134, 146)
+SHADOW: Final[Colour] = (88, 94, 106)
+"""Both are seen on white and on black."""
 GHOST: Final[Colour] = (70, 165, 105)
 NORMAL: Final[Colour] = (30, 120, 60)
 CONE: Final[Colour] = (250, 205, 60)
@@ -28,12 +31,12 @@ OBJECTS: Final[tuple[Colour, ...]] = ((196, 204, 218), (214, 203, 188), (190, 21
 class Looks:
     """What a viewer may choose.
 
-    cm_per_newton    length of the arrow of a force
+    newtons_per_cm   of the arrow of a force
     degrees_per_mnm  arc of a torsional moment, degrees a mN m
     cone, traces, ghost, patches  whether each is shown
     """
 
-    cm_per_newton: float = 3.0
+    newtons_per_cm: float = 0.5
     degrees_per_mnm: float = 60.0
     cone: bool = False
     traces: bool = True
@@ -41,10 +44,10 @@ class Looks:
     patches: bool = True
 
     def arrow(self, largest_n: float) -> float:
-        """Length of an arrow, cm a newton: as it is set or, where the largest force (N) would leave the screen, the
+        """Scale of the arrows, newtons a cm: as it is set or, where the largest force (N) would leave the screen, the
         next round figure that keeps it there."""
-        most = ARROW_MAX_CM / max(largest_n, 1e-9)
-        if self.cm_per_newton <= most:
-            return self.cm_per_newton
-        decade = 10.0 ** floor(log10(most))
-        return next(digit * decade for digit in (5.0, 2.0, 1.0) if digit * decade <= most)
+        least = largest_n / ARROW_MAX_CM
+        if self.newtons_per_cm >= least:
+            return self.newtons_per_cm
+        decade = 10.0 ** floor(log10(least))
+        return next(digit * decade for digit in (1.0, 2.0, 5.0, 10.0) if digit * decade >= least)

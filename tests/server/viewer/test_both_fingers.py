@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.viewer.hand import BOTH, Hand, Led, Target, closed, mirrored
-from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.hand import Hand, Led
+from softfinger.server.viewer.inputs import JUMP_M, Nudge, TwoHands
 from softfinger.server.viewer.nodes.looks import CM
+from softfinger.server.viewer.target import Target, closed, mirrored
 
 viser = pytest.importorskip("viser")
 pytestmark = pytest.mark.plain
@@ -51,25 +52,88 @@ def test_a_way_is_mirrored_along_the_line_between_fingers() -> None:
 
 
 def test_keys_close_two_fingers_and_lead_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """Whichever is chosen, both come nearer; a way up leads the chosen one, and with both fingers each."""
+    """Both come nearer; a way up leads both, or the one that is chosen."""
     hand, sent = led
     hand.nudge(Nudge(close=0.001))
     assert places(sent) == {"thumb": [-0.039, 0.0, 0.02], "index": [0.039, 0.0, 0.02]}
     hand.nudge(Nudge(z=0.001))
-    assert places(sent) == {"thumb": [-0.039, 0.0, 0.021], "index": [0.039, 0.0, 0.02]}
-    hand._finger.value = BOTH
+    assert places(sent) == {"thumb": [-0.039, 0.0, 0.021], "index": [0.039, 0.0, 0.021]}
+    hand._finger.value = "thumb"
     hand.nudge(Nudge(z=0.001))
     assert places(sent) == {"thumb": [-0.039, 0.0, 0.022], "index": [0.039, 0.0, 0.021]}
 
 
-def test_a_drag_of_one_finger_pinches_with_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """Seen from above, the thumb is dragged 10 mm inwards and 5 mm aside: the index finger comes to meet it."""
+def test_each_hand_has_a_finger_of_its_own(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """The left hand the finger on the left, and both whatever the wheel closes, whichever finger is chosen."""
     hand, sent = led
-    hand._finger.value = BOTH
+    hand._finger.value = "index"
+    hand.nudge_each(Nudge(x=0.001), Nudge(y=0.002), 0.0)
+    assert places(sent) == {"thumb": [-0.039, 0.0, 0.02], "index": [0.04, 0.002, 0.02]}
+    hand.nudge_each(Nudge(), Nudge(y=-0.002), 0.001)
+    assert places(sent)["thumb"][0] == pytest.approx(-0.038, abs=2e-6)  # towards a middle 1 mm beside: cos of 1/40
+    assert places(sent)["index"][0] == pytest.approx(0.039, abs=2e-6)
+
+
+def test_who_leads_one_finger_holds_the_other(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """A rig whose hands follow recordings would go on with that of the other finger."""
+    hand, sent = led
+    hand._finger.value = "index"
+    hand.nudge(Nudge(z=0.001))
+    assert places(sent) == {"thumb": [-0.04, 0.0, 0.02], "index": [0.04, 0.0, 0.021]}
+
+
+def drag(hand: Hand, phase: str, end: np.ndarray, how: str) -> None:
+    """The thumb is dragged, seen from above."""
     eye = SimpleNamespace(camera=SimpleNamespace(position=CM * np.array([0.0, 0.0, 10.0])))
     ball = CM * np.array(PLACES["thumb"])
+    hand._dragged("thumb", SimpleNamespace(phase=phase, client=eye, start_position=ball, end_position=end), how)
+
+
+def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """10 mm to the right and 5 mm aside with both; what the wheel closes meanwhile stays when the drag goes on."""
+    hand, sent = led
+    ball = CM * np.array(PLACES["thumb"])
+    drag(hand, "start", ball, "move")
+    drag(hand, "update", ball + CM * np.array([0.01, 0.005, 0.0]), "move")
+    assert places(sent)["thumb"] == pytest.approx([-0.03, 0.005, 0.02])
+    assert places(sent)["index"] == pytest.approx([0.05, 0.005, 0.02])
+    hand.nudge_each(Nudge(), Nudge(), 0.004)
+    drag(hand, "end", ball + CM * np.array([0.0, 0.005, 0.0]), "move")
+    assert places(sent)["thumb"] == pytest.approx([-0.036, 0.005, 0.02])
+    assert places(sent)["index"] == pytest.approx([0.036, 0.005, 0.02])
+
+
+def test_a_drag_of_one_finger_pinches_with_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """For touch screens, which have no wheel: dragged 10 mm inwards and 5 mm aside, the other comes to meet it."""
+    hand, sent = led
+    ball = CM * np.array(PLACES["thumb"])
     for phase, end in (("start", ball), ("end", ball + CM * np.array([0.01, 0.005, 0.0]))):
-        hand._dragged("thumb", SimpleNamespace(phase=phase, client=eye, start_position=ball, end_position=end), "move")
-    thumb, index = places(sent)["thumb"], places(sent)["index"]
-    assert thumb == pytest.approx([-0.03, 0.005, 0.02])
-    assert index == pytest.approx([0.03, 0.005, 0.02])
+        drag(hand, phase, end, "pinch")
+    assert places(sent)["thumb"] == pytest.approx([-0.03, 0.005, 0.02])
+    assert places(sent)["index"] == pytest.approx([0.03, 0.005, 0.02])
+
+
+def test_what_hands_tell_is_led_once_and_no_farther_than_a_hand() -> None:
+    """Totals of each page by itself, of which some may be left out; nothing else leads anything."""
+    told = SimpleNamespace(value="")
+
+    class Gui:
+        def add_html(self, content: str) -> None: ...
+
+        def add_text(self, name: str, value: str) -> Any:
+            return SimpleNamespace(on_update=lambda call: told.__dict__.update(call=call))
+
+    hands = TwoHands(Gui())
+
+    def tell(text: str) -> tuple[Nudge, Nudge, float] | None:
+        hands._field.value = text
+        told.call(SimpleNamespace(client=1))
+        return hands.moved()
+
+    assert tell("1 a 1 0 0 0 2 0 0.5") == (Nudge(x=0.001), Nudge(y=0.002), 0.0005)
+    assert tell("2 b 1 0 0 0 0 0 0") == (Nudge(x=0.001), Nudge(), 0.0)
+    left, right, close = tell("9 a 4 0 0 0 2 0 0.5") or pytest.fail("nothing")
+    assert left.x == pytest.approx(0.003) and (right, close) == (Nudge(), 0.0)
+    assert (tell("9 c 1e9 0 0 0 -1e9 0 0") or pytest.fail("nothing"))[0].x == JUMP_M
+    for bad in ("", "1 a", "1 a 1 2 3", "1 a 1 2 3 4 5 6 nan", "1 a x 2 3 4 5 6 7", "1 a 1 2 3 4 5 6 7 8"):
+        assert tell(bad) is None

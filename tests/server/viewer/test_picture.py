@@ -16,7 +16,6 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.viewer.hand import Target, from_angles, hit, moved, nudged, to_angles
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.board import squares
 from softfinger.server.viewer.nodes.bodies import Began, Bodies
@@ -36,6 +35,7 @@ from softfinger.server.viewer.nodes.glyphs import (
 from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, Looks
 from softfinger.server.viewer.nodes.meshes import Mesh, cone, mesh_of
 from softfinger.server.viewer.nodes.states import COLOURS, State, state_of
+from softfinger.server.viewer.target import Target, from_angles, hit, moved, nudged, to_angles
 
 pytestmark = pytest.mark.plain
 
@@ -48,6 +48,7 @@ SOLIDS = [
     ({"shape": "torus", "major_radius_m": 0.04, "minor_radius_m": 0.01}, 2 * pi**2 * 0.04 * 0.01**2),
 ]
 UP = np.array([0.0, 0.0, 1.0])
+BALL_TIP = {"fingertip": {"radius_m": 0.01}}
 units = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
 
 
@@ -238,10 +239,51 @@ def test_the_ground_is_straight_below_on_the_highest_plane(normal: np.ndarray, h
     up = rotated(turn, UP)
     slope = point[2] - up @ (point - (0.0, 0.0, height)) / up[2] if up[2] > 0.5 else -1.0
     expected = slope if -0.1 < slope <= point[2] else -0.1
-    found = bodies.ground(point)
+    found = bodies.below(point)
     assert found is not None
-    np.testing.assert_allclose(found, [0.01, -0.02, expected], atol=1e-15)
-    assert bodies.ground(np.array([0.0, 0.0, -0.3 - abs(slope)])) is None
+    np.testing.assert_allclose(found.point, [0.01, -0.02, expected], atol=1e-15)
+    assert bodies.below(np.array([0.0, 0.0, -0.3 - abs(slope)])) is None
+
+
+@given(units, st.floats(-0.9, 0.9), st.floats(0.0, 2.0 * pi))
+def test_a_plumb_line_ends_on_top_of_a_ball_and_its_shadow_lies_there(
+    axis: np.ndarray, share: float, turn: float
+) -> None:
+    """A ball of 20 mm, however it is turned: at height sqrt(r^2 - d^2), upright on its radius; beside it, on nothing.
+
+    Its triangles have 9 degrees each way, so they lie within 2 r (1 - cos 4.5 degrees) = 0.12 mm of it, which is
+    0.28 mm of height where it is as steep as at 0.9 r; their normals within 2 * 4.5 degrees.
+    """
+    ball, centre, radius = {"shape": "sphere", "radius_m": 0.02, "name": "ball"}, np.array([0.01, -0.03, 0.05]), 0.02
+    turned = about(axis, turn)
+    place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
+    material = {"stiffness_n_per_m": 1000.0}
+    scene = build(schema.Scene, BALL_TIP | {"object": [ball | place | {"material": material}]}, "test scene")
+    bodies = Bodies(Frames(), scene, Began(0, 0, 1e-3, True))
+    way = share * radius * np.array([cos(turn), sin(turn), 0.0])
+    exact = np.array([*way[:2], sqrt(radius**2 - way @ way)])
+    foot = bodies.below(centre + way + 0.1 * UP)
+    assert foot is not None
+    np.testing.assert_allclose(foot.point, centre + exact, atol=2.9e-4)
+    assert foot.normal @ exact / radius > cos(radians(9.0))
+    assert bodies.below(centre + way - 0.1 * UP) is None
+    assert bodies.below(centre + 1.01 * radius * np.array([cos(turn), sin(turn), 5.0])) is None
+
+
+def test_a_plumb_line_ends_on_what_is_highest_and_goes_along_with_it() -> None:
+    """On a box in place of the floor; once that has been moved away, on the floor."""
+    material = {"stiffness_n_per_m": 1000.0}
+    box = {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.0, 0.0, 0.01], "name": "box"}
+    floor = {"shape": "plane", "name": "floor"}
+    things = [each | {"material": material} for each in (floor, box | {"motion": {"kind": "driven"}})]
+    bodies = Bodies(Frames(), build(schema.Scene, BALL_TIP | {"object": things}, "x"), Began(0, 0, 1e-3, True))
+    point = np.array([0.005, -0.005, 0.1])
+    for place, height in (((0.0, 0.0, 0.01), 0.02), ((0.0, 0.0, 0.05), 0.06), ((0.03, 0.0, 0.01), 0.0)):
+        bodies.drive(1, place)
+        foot = bodies.below(point)
+        assert foot is not None
+        np.testing.assert_allclose(foot.point, [0.005, -0.005, height], atol=1e-15)
+        np.testing.assert_allclose(foot.normal, UP, atol=1e-15)
 
 
 def tick(**values: float) -> np.ndarray:
@@ -273,13 +315,13 @@ def test_a_contact_is_called_by_what_it_does(after: dict[str, float], state: Sta
     assert set(COLOURS) == set(State) and len(set(COLOURS.values())) == len(COLOURS)
 
 
-@given(st.floats(0.0, 1e3), st.floats(0.2, 5.0))
+@given(st.floats(0.0, 1e3), st.floats(0.1, 10.0))
 def test_an_arrow_stays_on_the_screen(force: float, asked: float) -> None:
-    """As long as it is asked for where that fits, else by a round figure, and no shorter than that needs."""
-    scale = Looks(cm_per_newton=asked).arrow(force)
-    assert scale * force <= ARROW_MAX_CM * (1.0 + 1e-12) and scale <= asked
-    if asked * force > ARROW_MAX_CM:
-        assert scale * force > ARROW_MAX_CM / 2.5 * (1.0 - 1e-12)
+    """Of the scale that is asked for where that fits, else of the next round figure that does, at most 2.5 times it."""
+    scale = Looks(newtons_per_cm=asked).arrow(force)
+    assert force / scale <= ARROW_MAX_CM * (1.0 + 1e-12) and scale >= asked
+    if force / asked > ARROW_MAX_CM:
+        assert force / scale > ARROW_MAX_CM / 2.5 * (1.0 - 1e-12)
         assert float(f"{scale:.0e}") == pytest.approx(scale, rel=1e-12)
     else:
         assert scale == asked

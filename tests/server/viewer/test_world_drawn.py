@@ -24,7 +24,9 @@ def test_boxes_that_no_finger_touches_are_drawn_where_their_bodies_are() -> None
         upright = (1.0, 0.0, 0.0, 0.0)
         bodies.ride(dict.fromkeys(("bottom", "middle"), ((0.0, 0.1, 0.2), upright)))
         assert [place[0] for place in bodies.places[2:]] == [(0.0, 0.1, 0.2)] * 2
-        assert bodies.ground(np.array([0.0, 0.0, 0.1])).tolist() == [0.0, 0.0, 0.0]
+        for point, height in (((0.1, 0.0, 0.1), 0.0), ((0.0, 0.1, 0.3), 0.215)):  # beside them, on one of 30 mm
+            foot = bodies.below(np.array(point))
+            assert foot is not None and foot.point.tolist() == pytest.approx([*point[:2], height])
     finally:
         server.stop()
 

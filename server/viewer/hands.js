@@ -1,0 +1,70 @@
+// Two hands on keys and a pinch on the wheel: how far each has led its finger since this page was opened.
+//
+// Only while the page says that two fingers may be led. Totals, so that nothing is lost if some of them are not sent.
+const EVERY_MS = 33;
+const STEP_MM = 1.0; // of a stroke, and of a notch of the wheel
+const MM_PER_S = 30.0; // of a key that is held
+const HELD_MS = 200; // from when on a key is held
+const NOTCH = 100; // pixels of scrolling, or three lines
+const KEYS = {
+  // key: place among the totals and way; left hand x, y, z, right hand x, y, z
+  KeyA: [0, -1], KeyD: [0, 1], KeyW: [1, 1], KeyS: [1, -1], KeyE: [2, 1], KeyQ: [2, -1],
+  KeyJ: [3, -1], KeyL: [3, 1], KeyI: [4, 1], KeyK: [4, -1], KeyU: [5, 1], KeyO: [5, -1],
+};
+const CLOSED = 6; // place of what the wheel has closed
+const totals = [0, 0, 0, 0, 0, 0, 0];
+const held = new Map(); // key: since when
+const session = page.Math.random().toString(36).slice(2);
+let changed = false;
+let last = page.performance.now();
+
+const two = () => page.document.querySelector("[data-two-hands]") !== null;
+const writes = (target) => target.closest?.("input, textarea, select, [contenteditable=true]");
+
+function lead(place, way) {
+  totals[place] += way;
+  changed = true;
+}
+
+function mine(event) {
+  event.preventDefault();
+  event.stopImmediatePropagation();
+}
+
+page.addEventListener("keydown", (event) => {
+  const key = KEYS[event.code];
+  if (!key || !two() || writes(event.target) || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey) return;
+  mine(event);
+  if (held.has(event.code)) return;
+  held.set(event.code, page.performance.now());
+  lead(key[0], STEP_MM * key[1]);
+  look();
+}, true);
+page.addEventListener("keyup", (event) => held.delete(event.code), true);
+page.addEventListener("blur", () => held.clear());
+page.addEventListener("wheel", (event) => {
+  const dragged = event.buttons & 1 || event.altKey;
+  if (!dragged || !two() || event.target.tagName !== "CANVAS") return;
+  mine(event);
+  lead(CLOSED, (STEP_MM * event.deltaY * (event.deltaMode ? NOTCH / 3 : 1)) / NOTCH);
+}, { capture: true, passive: false });
+
+function look() {
+  const found = field("hands");
+  if (!found) return;
+  found.row.style.display = "none";
+  if (!changed) return;
+  changed = false;
+  tell(found, [session, ...totals.map((total) => total.toFixed(2))]);
+}
+
+setInterval(() => {
+  const now = page.performance.now();
+  for (const [code, since] of held) {
+    const [place, way] = KEYS[code];
+    const begun = page.Math.max(last, since + HELD_MS);
+    if (now > begun) lead(place, (way * MM_PER_S * (now - begun)) / 1000);
+  }
+  last = now;
+  look();
+}, EVERY_MS);

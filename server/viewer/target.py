@@ -1,0 +1,97 @@
+"""Where a hand is to be, and what a drag or a nudge makes of that."""
+
+from __future__ import annotations
+
+from math import asin, atan2
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.nodes.glyphs import UNTURNED, Quaternion, about, product
+
+Array = NDArray[np.float64]
+
+GRAZING: Final = 0.05
+"""Of the sine of the angle between a look and a plane: below it, a pixel would be a long way."""
+
+
+class Target(NamedTuple):
+    """Where the hand is to be: position (3,) m and orientation."""
+
+    position: Array
+    orientation: Quaternion
+
+
+def hit(eye: Array, through: Array, point: Array, normal: Array) -> Array | None:
+    """Where the look from `eye` through a point meets the plane of `point` and `normal`; None where it hardly does."""
+    look = through - eye
+    slope = float(look @ normal) / float(np.linalg.norm(look) * np.linalg.norm(normal))
+    if abs(slope) < GRAZING:
+        return None
+    way = float((point - eye) @ normal) / float(look @ normal)
+    return eye + way * look if way > 0.0 else None
+
+
+def moved(start: Target, eye: Array, grabbed: Array, pointer: Array, how: str, radius: float) -> Target | None:
+    """What a drag makes of the target that it began with, all (3,) m; None where the look does not tell.
+
+    how  "move" in a level plane, "press" up and down, or "roll", as a ball of `radius` on a level plane
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    if how == "press":
+        facing = (grabbed - eye) * (1.0, 1.0, 0.0)
+        if np.linalg.norm(facing) < GRAZING * np.linalg.norm(grabbed - eye):
+            return None
+        found = hit(eye, pointer, grabbed, facing)
+        return None if found is None else Target(start.position + up * (found - grabbed)[2], start.orientation)
+    found = hit(eye, pointer, grabbed, up)
+    if found is None:
+        return None
+    way = (found - grabbed) * (1.0, 1.0, 0.0)
+    if how == "move":
+        return Target(start.position + way, start.orientation)
+    return Target(start.position + way, product(rolled(way, radius), start.orientation))
+
+
+def rolled(way: Array, radius: float) -> Quaternion:
+    """How a ball turns that rolls a level way (3,) m; none of it where there is no way."""
+    length = float(np.linalg.norm(way))
+    return UNTURNED if length == 0.0 else about(np.cross((0.0, 0.0, 1.0), way), length / radius)
+
+
+def nudged(start: Target, nudge: Nudge, radius: float) -> Target:
+    """The target a piece of a way further, as a ball of `radius` m where it rolls."""
+    roll = np.array([nudge.roll_x, nudge.roll_y, 0.0])
+    turn = product(about(np.array([0.0, 0.0, 1.0]), nudge.spin), rolled(roll, radius))
+    return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(turn, start.orientation))
+
+
+def mirrored(way: Array, line: Array) -> Array:
+    """How one finger goes (3,) m when another goes `way`: along with it across their `line`, against it along that."""
+    length = float(line @ line)
+    return way if length == 0.0 else way - 2.0 * float(way @ line) / length * line
+
+
+def closed(place: Array, middle: Array, way: float) -> Array:
+    """A place (3,) m, `way` m nearer to the middle of all fingers, and not past it."""
+    apart = middle - place
+    distance = float(np.linalg.norm(apart))
+    return place if distance == 0.0 else place + min(way, distance) / distance * apart
+
+
+def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
+    """First about x, then y, then z, all of the world; rad."""
+    x, y, z = (np.array(axis, dtype=np.float64) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+    return product(about(z, spin), product(about(y, roll_y), about(x, roll_x)))
+
+
+def to_angles(q: Quaternion) -> tuple[float, float, float]:
+    """The angles of `from_angles`, rad."""
+    w, x, y, z = q
+    return (
+        atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
+        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )

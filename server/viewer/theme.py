@@ -1,0 +1,28 @@
+"""Light or dark, for each browser by itself: as it prefers, or as its switch says."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from softfinger.server.viewer.scripts import add_script
+
+SWITCH: Final = (
+    '<div style="padding: 0 0.75em 0.5em; text-align: right"><button type="button" role="switch" data-theme-switch '
+    'aria-checked="false" style="font: inherit; font-size: 0.85em; color: inherit; background: none; cursor: pointer; '
+    'border: 1px solid currentColor; border-radius: 4px; padding: 0 0.6em">dark look</button></div>'
+)
+
+
+class Theme:
+    """A switch, and the script that tells what it says."""
+
+    def __init__(self, gui: Any) -> None:
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.add_html(SWITCH)
+        self._field = add_script(gui, "theme")
+        self._field.on_update(self._told)
+
+    def _told(self, event: Any) -> None:
+        chosen = self._field.value.split()[1:]
+        if event.client is not None and chosen in (["dark"], ["light"]):
+            event.client.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=chosen == ["dark"])

@@ -1,0 +1,177 @@
+"""Buttons of the page, pressed in a browser, play what they say, which is felt in the telemetry; height, the scale of
+arrows, and light or dark are shown."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from helpers.browser import Screen, eventually, why_none
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.record import AT, SLIDING
+from softfinger.server.app import Daemon
+from softfinger.server.remote import Client
+from softfinger.server.viewer.gestures import PRESS_N, ROLL_M
+from softfinger.server.viewer.nodes.looks import CM
+from softfinger.server.wire.client import record_of, subscribe
+
+pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+
+RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    """A hand that waits to be led, above the paper's plane."""
+    with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
+        running.start()
+        yield running
+
+
+class Felt:
+    """The most of what the ticks since the last `forget` told."""
+
+    def __init__(self) -> None:
+        self.closing = False
+        self.forget()
+
+    def forget(self) -> None:
+        self.normal = self.rolled = self.torsion = self.slid = 0.0
+        self.freed = False
+        self._before: np.ndarray | None = None
+
+    def listen(self, endpoint: str) -> None:
+        with subscribe(endpoint) as samples:
+            while not self.closing:
+                if (sample := samples.receive(0.2)) is not None:
+                    self.see(np.array(record_of(sample)))
+
+    def see(self, row: np.ndarray) -> None:
+        self.normal = max(self.normal, float(row[AT.contact_normal_force]))
+        self.rolled = max(self.rolled, abs(float(row[AT.contact_rolled])))
+        self.torsion = max(self.torsion, abs(float(row[AT.contact_torsion])))
+        before, self._before = self._before, row
+        if before is not None and before[AT.contact_mode] == row[AT.contact_mode] == SLIDING:
+            way = row[AT.contact_point : AT.contact_point + 3] - before[AT.contact_point : AT.contact_point + 3]
+            self.slid += float(np.linalg.norm(way))
+        self.freed = self.normal > 0.0 and row[AT.contact_normal_force] == 0.0
+
+
+@contextmanager
+def felt(daemon: Daemon) -> Iterator[Felt]:
+    """What is felt meanwhile."""
+    found = Felt()
+    thread = threading.Thread(target=found.listen, args=(daemon.publisher.endpoint,))
+    thread.start()
+    try:
+        yield found
+    finally:
+        found.closing = True
+        thread.join()
+
+
+def play(screen: Screen, name: str, found: Felt) -> None:
+    """Press the button, by the keyboard, and wait until the finger has left the plane again."""
+    screen.tab("Hand")
+    found.forget()
+    button = screen.page.get_by_role("button", name=name, exact=True)
+    button.focus()
+    screen.page.keyboard.press("Enter")
+    assert eventually(lambda: found.freed), name
+
+
+def test_each_button_plays_what_it_says(screen: Screen, daemon: Daemon) -> None:
+    """A press has neither roll, spin nor slide; of these each has its own. Between pictures, a thirtieth of a second
+    apart, the hand goes some 0.7 mm on after the force was reached: up to half a newton more, so up to 2 N in all."""
+    with felt(daemon) as found:
+        play(screen, "press", found)
+        assert PRESS_N <= found.normal < 2.0 * PRESS_N
+        assert (found.rolled, found.slid) == (0.0, 0.0) and found.torsion < 1e-4
+        play(screen, "roll", found)
+        # A ball of 10 mm that rolls so far turns by way / radius; the contact gives a little.
+        assert found.rolled == pytest.approx(ROLL_M / 0.01, rel=0.2)
+        assert found.normal > 0.5 * PRESS_N and found.torsion < 1e-3
+        play(screen, "slide", found)
+        # The drag of the finger, and the hand, which the friction holds back, take some millimetres of 50.
+        assert found.slid > 0.02
+        play(screen, "spin", found)
+        # 70 degrees are far more than the 0.08 rad at which 1 N spins: torsion reaches friction_length times the load.
+        assert found.torsion > 0.5 * 0.004 * PRESS_N
+
+
+def test_a_person_who_leads_ends_the_gesture(screen: Screen, client: Client) -> None:
+    """A stroke of a key up, and the press that has just begun never comes."""
+    screen.tab("Hand")
+    start = client.get_state().position[2]
+    screen.page.get_by_role("button", name="press", exact=True).click()
+    screen.page.keyboard.press("u")
+    place = np.array(client.get_state().position)
+    assert eventually(lambda: _rests(client)), place
+    assert client.get_state().force[2] == 0.0 and client.get_state().position[2] > 0.5 * start
+
+
+def _rests(client: Client) -> bool:
+    """Whether the hand has not moved by more than a tenth of a millimetre over 1000 ticks."""
+    before = client.get_state()
+    eventually(lambda: client.get_state().sequence > before.sequence + 1000)
+    return float(np.linalg.norm(np.subtract(client.get_state().position, before.position))) < 1e-4
+
+
+def test_a_box_is_not_lifted_by_one_finger(screen: Screen) -> None:
+    """The button says what has one."""
+    screen.tab("Hand")
+    screen.page.get_by_role("button", name="lift a box", exact=True).click()
+    assert eventually(lambda: screen.shows("it takes two fingers and a box"))
+    assert screen.shows("run --scene lift-a-box --view")
+
+
+def test_height_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
+    """The figure is the telemetry's; straight below the ball it is dark; the scale grows with the force."""
+    client.hand((0.01, 0.0, 0.03), (1.0, 0.0, 0.0, 0.0))
+    assert eventually(lambda: abs(client.get_state().position[2] - 0.03) < 1e-4)
+    assert eventually(lambda: screen.shows("height 20.0 mm"))
+    assert screen.shows("arrow: 0.5 N per 10 mm")
+    x, y = screen.at((CM * 0.01, 0.0, 0.0))
+    box = screen.page.locator("canvas").first.bounding_box()
+
+    def shaded() -> bool:
+        picture = screen.picture()
+        spot = picture[round(y - box["y"]), round(x - box["x"]) + 6]
+        return bool((spot < 140).all() and np.ptp(spot) < 40)
+
+    assert eventually(shaded)
+    client.hand((0.0, 0.0, 0.006), (1.0, 0.0, 0.0, 0.0))
+    assert eventually(lambda: screen.shows("height 0.0 mm"))
+    client.hand((0.0, 0.0, -0.05), (1.0, 0.0, 0.0, 0.0))  # as hard as the guard lets it: 12 N, 60 mm with 2 N per 10 mm
+    assert eventually(lambda: client.get_state().force[2] > 10.1)
+    assert eventually(lambda: screen.shows("arrow: 5 N per 10 mm"))
+    client.hand((0.0, 0.0, 0.02), (1.0, 0.0, 0.0, 0.0))
+
+
+def brightness(screen: Screen) -> float:
+    """Of the corner of the picture, where nothing is drawn."""
+    return float(screen.picture()[:20, :20].mean())
+
+
+def test_light_and_dark_as_the_browser_prefers_until_the_switch_is_used(screen: Screen) -> None:
+    """By the keyboard; what it says is remembered when the page is opened again, whatever the browser prefers."""
+    page = screen.page
+    switch = page.get_by_role("switch", name="dark look")
+    page.emulate_media(color_scheme="light")
+    assert eventually(lambda: brightness(screen) > 240) and switch.get_attribute("aria-checked") == "false"
+    page.emulate_media(color_scheme="dark")
+    assert eventually(lambda: brightness(screen) < 40)
+    assert eventually(lambda: switch.get_attribute("aria-checked") == "true")
+    switch.focus()
+    page.keyboard.press("Space")
+    assert eventually(lambda: brightness(screen) > 240)
+    page.reload()
+    page.locator("canvas").first.wait_for()
+    assert eventually(lambda: screen.shows("free") or screen.shows("sticking"))
+    assert eventually(lambda: switch.get_attribute("aria-checked") == "false") and brightness(screen) > 240
+    switch.click()
+    assert eventually(lambda: brightness(screen) < 40)
