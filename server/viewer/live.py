@@ -16,6 +16,7 @@ from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
+from softfinger.server.viewer.displayed import handles
 from softfinger.server.viewer.driven import Handles, drive_of, resting
 from softfinger.server.viewer.hand import Hand, Led
 from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
@@ -128,7 +129,7 @@ class LivePage:
             self._tuning.change(scene, described["scene_name"])
             return
         self._scene, self._first = scene, int(described["since"])
-        self._page.change(scene, began_of(described))
+        self._page.change(scene, began_of(described), handles(described))
         self._handles.change(resting(scene))
         self._tuning.change(scene, described["scene_name"])
         for number, thing in enumerate(scene.object):

@@ -8,6 +8,7 @@ import io
 import logging
 import time
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.controls import on_slider
+from softfinger.server.viewer.displayed import Handle
 from softfinger.server.viewer.door.access import Access
 from softfinger.server.viewer.nodes.bodies import Began, Bodies, Place
 from softfinger.server.viewer.nodes.camera import Camera, camera_of
@@ -36,6 +38,7 @@ PLOT_S: Final = 0.33
 TITLE: Final = "softfinger"
 READ: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
+NONE: Final[Mapping[str, Handle]] = MappingProxyType({})
 ARROW: Final = "arrow, N per 10 mm"
 FADES: Final = 0.995
 """Of the largest force from picture to picture: the scale of arrows stays for some seconds after a push."""
@@ -63,6 +66,7 @@ class Page:
         self._camera: Camera | None = None
         self._scene: schema.Scene | None = None
         self._drawn: Final[dict[int, Array]] = {}
+        self._handles = NONE
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
         self.bodies: Bodies | None = None
@@ -103,8 +107,9 @@ class Page:
         with self.tabs.add_tab("Plots"):
             self._plots = Plots(gui)
 
-    def change(self, scene: schema.Scene, began: Began) -> None:
-        """Another scene; its nodes take the place of those before."""
+    def change(self, scene: schema.Scene, began: Began, handles: Mapping[str, Handle] = NONE) -> None:
+        """Another scene; its nodes take the place of those before. Of fingers whose devices display a part of a force
+        alone, `handles` by name say which."""
         with self.server.atomic():
             for nodes in self.fingers.values():
                 nodes.remove()
@@ -114,8 +119,10 @@ class Page:
             self.fingers.clear()
             self._newest.clear()
             for finger in scene.fingers:
-                self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self.bodies)
-        self._scene = scene
+                nodes = self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self.bodies)
+                if finger.name in handles:
+                    nodes.displays = handles[finger.name].displayed
+        self._scene, self._handles = scene, handles
         self._drawn.clear()
         self._look()
 
@@ -186,6 +193,7 @@ class Page:
             self._told = now
             self._state.content = "".join(
                 told(name, row, self.fingers[name].state, self.fingers[name].height_m)
+                + (READ.format(self._handles[name].told(row)) if name in self._handles else "")
                 for name, row in self._newest.items()
             ) + READ.format(f"arrow: {self._newtons_per_cm:g} N per 10 mm")
         if now - self._plotted > PLOT_S and not self._paused.value:

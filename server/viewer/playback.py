@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -17,6 +19,7 @@ from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.reader import Event, Note, Ticks, contents
 from softfinger.server.viewer.controls import on_list, on_slider
+from softfinger.server.viewer.displayed import handles
 from softfinger.server.viewer.driven import Drives
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.nodes.meshes import Mesh
@@ -34,7 +37,7 @@ DEFAULT_SCENE: Final = "paper-plane"
 
 class Recording(NamedTuple):
     """Records (n, RECORD_SIZE) of each finger by name, as many of each; the scene, what it is called, when it began;
-    events in the order of time."""
+    events in the order of time; what the daemon said of itself, where it did."""
 
     fingers: dict[str, Array]
     scene: schema.Scene
@@ -42,6 +45,7 @@ class Recording(NamedTuple):
     rate_hz: float
     began: Began
     events: tuple[dict[str, Any], ...] = ()
+    notes: Mapping[str, Any] = MappingProxyType({})
 
 
 def load(recording: str, scene: str | None) -> Recording:
@@ -72,7 +76,7 @@ def load(recording: str, scene: str | None) -> Recording:
         raise RecordingError(f"{path}: has fingers {sorted(fingers)}, and the scene {sorted(named)}: give its --scene")
     rate = notes.get("rate_hz", 1000.0)
     name = str(notes.get("scene_name", scene or DEFAULT_SCENE))
-    return Recording(fingers, shown, name, float(rate), _began(notes, fingers, float(rate)), events)
+    return Recording(fingers, shown, name, float(rate), _began(notes, fingers, float(rate)), events, notes)
 
 
 def _began(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> Began:
@@ -168,7 +172,7 @@ class RecordedPage:
         with page.tabs.add_tab("Recording"):
             self._player = Player(page.server.gui, recording, tick)
         page.add_views()
-        page.change(recording.scene, recording.began)
+        page.change(recording.scene, recording.began, handles(recording.notes))
         self._drives = Drives(recording.scene, recording.events)
         for number, thing in enumerate(recording.scene.object):
             if isinstance(thing, Filed):

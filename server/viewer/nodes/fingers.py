@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import radians
 from typing import Any, Final, NamedTuple
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.viewer.nodes.bodies import Bodies
-from softfinger.server.viewer.nodes.glyphs import Way, arc, circles, inverse, rotated, towards
+from softfinger.server.viewer.nodes.glyphs import DASHES, Way, arc, circles, dashes, inverse, rotated, towards
 from softfinger.server.viewer.nodes.looks import (
     CM,
     CONE,
@@ -88,6 +89,7 @@ class FingerNodes:
         self._force = api.add_arrows(
             f"{self._node}/force", np.zeros((1, 2, 3)), SKIN, shaft_radius=0.07, head_radius=0.18, head_length=0.35
         )
+        self._lost = self._lines("not-displayed", np.zeros((DASHES, 2, 3)), PLUMB, 4.0)
         self._normals = self._lines("normals", np.zeros((PATCHES, 2, 3)), NORMAL, 2.5)
         self._dots = [
             api.add_icosphere(f"{self._node}/contact{k}", radius=0.12, color=SKIN, cast_shadow=False)
@@ -105,6 +107,8 @@ class FingerNodes:
         self._last: Array | None = None
         self.state = State.FREE
         """What the contact does."""
+        self.displays: Callable[[Array], Array] | None = None
+        """The part (3,) N of a tick's force (RECORD_SIZE,) that the device displays, where it is not all of it."""
         self.height_m: float | None = None
         """Of its lowest point above what lies straight below it, with a fingertip that is a ball."""
         self._plumb = self._lines("plumb", np.zeros((1, 2, 3)), PLUMB, 2.0)
@@ -142,8 +146,11 @@ class FingerNodes:
         point, normal = row[_three(AT.contact_point)], row[_three(AT.contact_normal)]
         force = row[_three(AT.force)]
         begins = CM * (point if mode != FREE else row[_three(AT.probe_position)])
-        self._force.visible = bool(np.linalg.norm(force) > NOTHING_N)
-        self._force.points = np.array([[begins, begins + force / newtons_per_cm]])
+        shown = force if self.displays is None else self.displays(row)
+        self._force.visible = bool(np.linalg.norm(shown) > NOTHING_N)
+        self._force.points = np.array([[begins, begins + shown / newtons_per_cm]])
+        self._lost.visible = bool(np.linalg.norm(force - shown) > NOTHING_N)
+        self._lost.points = dashes(begins, (force - shown) / newtons_per_cm)
         self._force.colors = np.array(COLOURS[self.state], np.uint8)
         angle = radians(1e3 * float(row[AT.contact_torsion]) * looks.degrees_per_mnm)
         self._arc.visible = mode != FREE and abs(angle) > LEAST_ARC

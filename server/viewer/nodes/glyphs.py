@@ -17,6 +17,7 @@ ARC_MAX: Final = 1.85 * pi
 HEAD_RAD: Final = 0.32
 """Length of an arc's arrow head."""
 
+DASHES: Final = 8
 GROWTH: Final = 20
 """Segments by which the node of a way grows."""
 LONGEST: Final = 25.0
@@ -39,6 +40,12 @@ def arc(angle: float, radius: float) -> Array:
     barbs = [(r * radius * cos(back), r * radius * sin(back), 0.0) for r in (0.82, 1.18)]
     head = [(line[-1], barb) for barb in barbs]
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1), np.array(head)])
+
+
+def dashes(start: Array, way: Array) -> Array:
+    """Segments (DASHES, 2, 3) of a dashed line that begins and ends with a dash, from `start` (3,) by `way` (3,)."""
+    share = np.linspace(0.0, 1.0, 2 * DASHES)
+    return (start + share[:, None] * way).reshape(DASHES, 2, 3)
 
 
 def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:

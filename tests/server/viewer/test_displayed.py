@@ -1,0 +1,137 @@
+"""What a device of one or two degrees of freedom displays of a force, and how the page shows that.
+
+The browser's test compiles the paper's plane, and has a 2DIY that is emulated from its firmware's source.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from emulators.haply2diy import Firmware, Port
+from helpers.browser import eventually, served, why_none
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfinger.config import schema
+from softfinger.config.load import build, describe, load_rig, load_scene
+from softfinger.drivers.kinematics.options import Paddle
+from softfinger.drivers.mounting import Mounting
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.app import Daemon
+from softfinger.server.viewer.displayed import freedom_of, handles
+from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server.viewer.nodes.fingers import FingerNodes
+from softfinger.server.viewer.nodes.glyphs import dashes, rotated
+from softfinger.server.viewer.nodes.looks import Looks
+
+numbers = st.floats(-1.0, 1.0)
+vectors = st.tuples(numbers, numbers, numbers).map(np.array)
+turns = st.tuples(numbers, numbers, numbers, numbers).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+@pytest.mark.plain
+@given(turns, vectors, st.floats(-1.2, 1.2), vectors)
+def test_a_paddle_displays_what_lies_along_its_arc(
+    turn: Any, origin: np.ndarray, angle: float, force: np.ndarray
+) -> None:
+    """The way that the handle goes is a difference of its own closed form, r (sin a, 0, cos a - 1), in the world; the
+    work on that is the whole force's, and there is no other part."""
+    radius, step = 0.09, 1e-6
+    mounting = Mounting(position_m=tuple(origin.tolist()), orientation_wxyz=turn)
+    _, unit = mounting.frame()
+
+    def place(a: float) -> np.ndarray:
+        return origin + rotated(unit, radius * np.array([np.sin(a), 0.0, np.cos(a) - 1.0]))
+
+    way = (place(angle + step) - place(angle - step)) / (2.0 * step * radius)
+    freedom = freedom_of(Paddle(length_m=radius, torque_max_nm=0.2), mounting)
+    assert freedom is not None
+    # rounding of positions of 1 m over steps of 90 nm
+    np.testing.assert_allclose(freedom.displayed(place(angle), force), (force @ way) * way, atol=1e-7)
+
+
+@pytest.mark.plain
+@given(vectors)
+def test_a_pantograph_displays_what_lies_in_its_plane(force: np.ndarray) -> None:
+    """The shipped 2DIY moves in x and z of the world, as `softfinger check` says; wherever its handle is. Devices of
+    three degrees of freedom display everything."""
+    (handle,) = handles({"rig": describe(load_rig("haply-2diy"))}).values()
+    row = np.zeros(RECORD_SIZE)
+    row[AT.force : AT.force + 3], row[AT.probe_position] = force, 0.03
+    np.testing.assert_allclose(handle.displayed(row), force * (1.0, 0.0, 1.0), atol=1e-12)
+    assert handles({"rig": describe(load_rig("woodenhaptics-v3"))}) == {}
+    assert handles({"rig": {"device": {"driver": "of somebody else", "kinematics": 3}}}) == {}
+    assert handles({}) == {}
+
+
+@pytest.mark.plain
+def test_the_arrow_is_what_is_displayed_and_dashes_are_the_rest() -> None:
+    """Of 3, 4 and 1 N in the directions of the world, the 2DIY has 3 and 1; the dashes are 4 N long, 2 N a cm."""
+    viser = pytest.importorskip("viser")
+    server = viser.ViserServer(port=0, verbose=False)
+    try:
+        scene = load_scene("paper-plane")
+        nodes = FingerNodes(server.scene, scene, scene.fingers[0], Bodies(server.scene, scene, Began(0, 0, 1e-3, True)))
+        (handle,) = handles({"rig": describe(load_rig("haply-2diy"))}).values()
+        nodes.displays = handle.displayed
+        row = np.zeros(RECORD_SIZE)
+        row[AT.probe_orientation] = 1.0
+        row[AT.force : AT.force + 3] = (3.0, 4.0, 1.0)
+        nodes.show(row[None], Looks(), 2.0)
+        begin, end = nodes._force.points[0]
+        np.testing.assert_allclose(end - begin, [1.5, 0.0, 0.5], atol=1e-6)
+        lost = nodes._lost.points
+        np.testing.assert_allclose(lost[-1, 1] - lost[0, 0], [0.0, 2.0, 0.0], atol=1e-6)
+        assert nodes._lost.visible
+        assert "displayed: 3.16 N in its plane" in handle.told(row) and "4.00 N" in handle.told(row)
+        row[AT.force : AT.force + 3] = (0.0, 0.0, 1.0)
+        nodes.show(row[None], Looks(), 2.0)
+        assert not nodes._lost.visible and nodes._force.visible
+    finally:
+        server.stop()
+
+
+@pytest.mark.plain
+def test_a_dashed_line_has_gaps_as_long_as_its_dashes() -> None:
+    """From end to end, dashes and gaps alike."""
+    line = dashes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 15.0, 0.0]))
+    np.testing.assert_allclose(line[:, :, 1], [[2.0 * k, 2.0 * k + 1.0] for k in range(8)])
+
+
+@pytest.mark.real_time
+@pytest.mark.exhaustive
+@pytest.mark.skipif(bool(why_none()), reason=why_none())
+def test_the_page_says_what_a_2diy_does_not_display() -> None:
+    """A floor that is tilted by 45 degrees out of the handle's plane: as much is displayed as not; a link says why."""
+    half = np.sqrt(0.5).item()
+    plain = describe(load_scene("paper-plane"))
+    plain["object"][0] |= {"orientation_wxyz": [np.cos(np.pi / 8).item(), -np.sin(np.pi / 8).item(), 0.0, 0.0]}
+    scene, board = build(schema.Scene, plain, "a slope"), Firmware()
+    with Port(board) as port:
+        changes: dict[str, Any] = {
+            "device.path": port.path, "device.quiet_s": 0.1, "device.timeout_s": 0.5, "servo.realtime": "off",
+            "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*",
+        }  # fmt: skip
+        with Daemon(load_rig("haply-2diy", changes), scene, scene_name="slope") as daemon:
+            daemon.start()
+            for share in np.linspace(0.0, 1.0, 200):  # from 64 mm above it into it, slower than 10 m/s
+                board.angles = [168.0 - 26.0 * share, 12.0 + 26.0 * share]
+                time.sleep(0.002)
+            with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
+                text = screen.page.get_by_text(re.compile(r"displayed: [\d.]+ N in its plane"))
+                assert eventually(text.count)
+
+                def parts() -> list[float]:
+                    return [float(each) for each in re.findall(r"([\d.]+) N", text.first.inner_text())]
+
+                shown, lost = eventually(lambda: min(found := parts()) > 0.05 and found)
+                # the normal alone, but for a friction that the way down has left: within a fifth of it
+                assert shown / (shown + lost) == pytest.approx(half / (2.0 * half), abs=0.25)
+                link = screen.page.get_by_role("link", name="A device of two degrees of freedom")
+                assert link.get_attribute("href").endswith(
+                    "devices/serial.md#one-or-two-degrees-of-freedom-in-a-three-dimensional-scene"
+                )
