@@ -25,6 +25,8 @@ HOVER_M: Final = 0.008
 """Between a fingertip and what it is about to touch."""
 SPEED: Final = 0.02
 """m/s towards a touch."""
+LOOK_S: Final = 0.05
+"""It goes on no longer than this without another look at the force."""
 CARRIES: Final = 0.08
 """m/s through the air."""
 DEEPEST_M: Final = 0.012
@@ -88,7 +90,7 @@ def close_in(stage: Stage, ways: Mapping[str, Array], force_n: float) -> Gesture
             if stage.force(name) >= force_n or gone[name] >= HOVER_M + DEEPEST_M:
                 going.discard(name)
             else:
-                gone[name] += SPEED * dt
+                gone[name] += SPEED * min(dt, LOOK_S)
 
 
 def wait(goals: Goals, seconds: float) -> Gesture:

@@ -174,9 +174,9 @@ class Hand:
         """Of a finger that may be led, m."""
         return self._fingers[finger].radius
 
-    def chosen(self) -> str:
-        """The finger that is led where one alone is, empty where none may be."""
-        return self._chosen()
+    def chosen(self) -> str | None:
+        """The finger that is led where one alone is; its name may be empty. None where none may be led."""
+        return self._chosen() if self._fingers else None
 
     def go(self, finger: str, target: Target) -> None:
         """Lead a finger as far as it reaches; the others, which may follow a recording, stay where they are."""

@@ -20,6 +20,8 @@ LIFT: Final = "lift a box"
 LIFTED: Final = "lift-a-box"
 """The shipped scene of a box, and its fingers."""
 FINGERS: Final = ("thumb", "index")
+LONGEST_S: Final = 0.2
+"""A page that stood still for longer goes on as if it had not."""
 FIRST: Final = -1.0
 """Place of the buttons among the controls of their tab."""
 SENSES: Final = 6
@@ -70,7 +72,7 @@ class Play:
         if self._gesture is None:
             return
         try:
-            goals = next(self._gesture) if self._fresh else self._gesture.send(dt)
+            goals = next(self._gesture) if self._fresh else self._gesture.send(min(dt, LONGEST_S))
         except StopIteration:
             self._gesture = None
             return
@@ -91,12 +93,12 @@ class Play:
 
     def _begin(self, name: str) -> str:
         """Begin a gesture; why not, where it cannot be."""
-        if not self._hand.chosen():
+        finger = self._hand.chosen()
+        if finger is None:
             return "nothing here is to be led; `softfinger run --view` has a hand"
         stage = Stage(self._hand.target, lambda finger: self._forces[finger], self._hand.radius, self._height)
         if name == LIFT:
             return self._begin_lift(stage)
-        finger = self._hand.chosen()
         why = self._why_not(name, finger)
         if not why:
             self._start(ONE_FINGER[name](stage, finger))

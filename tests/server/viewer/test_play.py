@@ -85,15 +85,15 @@ def play(screen: Screen, name: str, found: Felt) -> None:
 
 
 def test_each_button_plays_what_it_says(screen: Screen, daemon: Daemon) -> None:
-    """A press has neither roll, spin nor slide; of these each has its own. Between pictures, a thirtieth of a second
-    apart, the hand goes some 0.7 mm on after the force was reached: up to half a newton more, so up to 2 N in all."""
+    """A press has neither roll, spin nor slide; of these each has its own. Between two pictures the hand goes on by at
+    most 1 mm, half a newton; the page of a busy machine may see the force some pictures late."""
     with felt(daemon) as found:
         play(screen, "press", found)
-        assert PRESS_N <= found.normal < 2.0 * PRESS_N
+        assert PRESS_N <= found.normal < 4.0 * PRESS_N
         assert (found.rolled, found.slid) == (0.0, 0.0) and found.torsion < 1e-4
         play(screen, "roll", found)
-        # A ball of 10 mm that rolls so far turns by way / radius; the contact gives a little.
-        assert found.rolled == pytest.approx(ROLL_M / 0.01, rel=0.2)
+        # A ball of 10 mm that rolls so far turns by way / radius, and as much on its way back.
+        assert found.rolled == pytest.approx(2.0 * ROLL_M / 0.01, rel=0.05)
         assert found.normal > 0.5 * PRESS_N and found.torsion < 1e-3
         play(screen, "slide", found)
         # The drag of the finger, and the hand, which the friction holds back, take some millimetres of 50.
