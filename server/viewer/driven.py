@@ -1,4 +1,4 @@
-"""Objects that are driven: what an event tells of one, where a recording has them, and handles to pull at."""
+"""Objects that are driven or move by themselves: where a recording has them, and handles to pull at."""
 
 from __future__ import annotations
 
@@ -68,6 +68,20 @@ class Drives:
     def at(self, tick: int) -> dict[int, Place]:
         """Each by its number."""
         return {number: places[bisect_right(self._ticks[number], tick)] for number, places in self._places.items()}
+
+
+class Worlds:
+    """Where the bodies of a recording are at each of its ticks; `messages` of `world` in the order of time."""
+
+    def __init__(self, messages: Iterable[Mapping[str, Any]]) -> None:
+        self._messages = list(messages)
+        self._ticks = [message["tick"] for message in self._messages]
+
+    def at(self, tick: int) -> dict[str, Place]:
+        """Each by its name; none before the first message."""
+        newest = bisect_right(self._ticks, tick) - 1
+        bodies = self._messages[newest]["bodies"] if newest >= 0 else ()
+        return {body["name"]: (tuple(body["position"]), tuple(body["orientation"])) for body in bodies}
 
 
 class Handles:

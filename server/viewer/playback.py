@@ -17,10 +17,10 @@ from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT
 from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import run_recording
-from softfinger.server.recording.reader import Event, Note, Ticks, contents
+from softfinger.server.recording.reader import Event, Note, Ticks, World, contents
 from softfinger.server.viewer.controls import on_list, on_slider
 from softfinger.server.viewer.displayed import handles
-from softfinger.server.viewer.driven import Drives
+from softfinger.server.viewer.driven import Drives, Worlds
 from softfinger.server.viewer.nodes.bodies import Began
 from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.page import Page, began_of
@@ -37,7 +37,7 @@ DEFAULT_SCENE: Final = "paper-plane"
 
 class Recording(NamedTuple):
     """Records (n, RECORD_SIZE) of each finger by name, as many of each; the scene, what it is called, when it began;
-    events in the order of time; what the daemon said of itself, where it did."""
+    events, and messages of `world`, in the order of time; what the daemon said of itself, where it did."""
 
     fingers: dict[str, Array]
     scene: schema.Scene
@@ -45,6 +45,7 @@ class Recording(NamedTuple):
     rate_hz: float
     began: Began
     events: tuple[dict[str, Any], ...] = ()
+    worlds: tuple[dict[str, Any], ...] = ()
     notes: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -58,8 +59,9 @@ def load(recording: str, scene: str | None) -> Recording:
     path = Path(recording)
     notes: dict[str, Any] = {}
     events: tuple[dict[str, Any], ...] = ()
+    worlds: tuple[dict[str, Any], ...] = ()
     if path.suffix.lower() == ".mcap":
-        fingers, notes, events = _mcap(path)
+        fingers, notes, events, worlds = _mcap(path)
     elif path.suffix.lower() in (".csv", ".npz"):
         try:
             fingers = {"": read_results(path)}
@@ -76,7 +78,7 @@ def load(recording: str, scene: str | None) -> Recording:
         raise RecordingError(f"{path}: has fingers {sorted(fingers)}, and the scene {sorted(named)}: give its --scene")
     rate = notes.get("rate_hz", 1000.0)
     name = str(notes.get("scene_name", scene or DEFAULT_SCENE))
-    return Recording(fingers, shown, name, float(rate), _began(notes, fingers, float(rate)), events, notes)
+    return Recording(fingers, shown, name, float(rate), _began(notes, fingers, float(rate)), events, worlds, notes)
 
 
 def _began(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> Began:
@@ -87,10 +89,13 @@ def _began(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> 
     return Began(int(first[AT.tick]), int(first[AT.servo_missed]), 1.0 / rate_hz, own_clock=False)
 
 
-def _mcap(path: Path) -> tuple[dict[str, Array], dict[str, Any], tuple[dict[str, Any], ...]]:
+def _mcap(
+    path: Path,
+) -> tuple[dict[str, Array], dict[str, Any], tuple[dict[str, Any], ...], tuple[dict[str, Any], ...]]:
     blocks: dict[str, list[Array]] = {}
     notes: dict[str, Any] = {}
     events: list[dict[str, Any]] = []
+    worlds: list[dict[str, Any]] = []
     for part in contents(path):
         if isinstance(part, Ticks):
             blocks.setdefault(part.finger, []).append(part.records())
@@ -98,11 +103,13 @@ def _mcap(path: Path) -> tuple[dict[str, Array], dict[str, Any], tuple[dict[str,
             notes[part.name] = part.value
         elif isinstance(part, Event):
             events.append(part.event)
+        elif isinstance(part, World):
+            worlds.append(part.world)
     if not blocks:
         raise RecordingError(f"{path}: holds no tick")
     fingers = {name: np.concatenate(each) for name, each in blocks.items()}
     count = min(len(rows) for rows in fingers.values())
-    return {name: rows[:count] for name, rows in fingers.items()}, notes, tuple(events)
+    return {name: rows[:count] for name, rows in fingers.items()}, notes, tuple(events), tuple(worlds)
 
 
 class Player:
@@ -173,7 +180,7 @@ class RecordedPage:
             self._player = Player(page.server.gui, recording, tick)
         page.add_views()
         page.change(recording.scene, recording.began, handles(recording.notes))
-        self._drives = Drives(recording.scene, recording.events)
+        self._drives, self._worlds = Drives(recording.scene, recording.events), Worlds(recording.worlds)
         for number, thing in enumerate(recording.scene.object):
             if isinstance(thing, Filed):
                 self._draw(number, thing)
@@ -187,8 +194,10 @@ class RecordedPage:
         if jumped:
             self._page.forget()
         for rows in list(ticks.values())[:1]:
-            for number, place in self._drives.at(int(rows[-1, AT.tick])).items():
+            tick = int(rows[-1, AT.tick])
+            for number, place in self._drives.at(tick).items():
                 self._page.drive(number, *place)
+            self._page.ride(self._worlds.at(tick))
         self._page.show({self._names[name]: rows for name, rows in ticks.items()})
 
     def _draw(self, number: int, thing: Filed) -> None:

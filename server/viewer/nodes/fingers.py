@@ -43,8 +43,8 @@ NOTHING_N: Final = 1e-4
 """Force that has no arrow."""
 RECENT: Final = 100
 """Ticks over which a contact is seen to roll or to spin."""
-SHADE_M: Final = 3e-4
-"""A shadow lies so far above its surface, over traces and lest it be hidden."""
+SHADE_M: Final = 1e-4
+"""A shadow lies so far above its surface, lest that hide it, and below traces."""
 LEAST_ARC: Final = radians(8.0)
 """A shorter arc, rad, would be a head without a line, and is not drawn."""
 

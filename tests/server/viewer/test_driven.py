@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from conftest import paper_mapping
 from helpers.browser import eventually, served, why_none
-from helpers.recorded import event, recorded, run
+from helpers.recorded import EPOCH_S, about, event, recorded, run
 
 from softfinger.config.load import build, describe, load_scene
 from softfinger.config.schema import Scene
-from softfinger.server.viewer.driven import Drives
+from softfinger.server.recording.writer import RecordingFile
+from softfinger.server.viewer.driven import Drives, Worlds
 from softfinger.server.viewer.nodes.looks import CM
+from softfinger.server.viewer.page import Page
+from softfinger.server.viewer.playback import RecordedPage, load
 
 LID = {"name": "lid", "shape": "plane", "motion": {"kind": "driven"}, "position_m": [0.0, 0.0, 0.01]}
 HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
@@ -42,6 +45,30 @@ def test_events_tell_where_driven_objects_are() -> None:
     assert [drives.at(tick)[0] for tick in (0, 4, 5, 9)] == [rest, rest, turned, turned]
     assert drives.at(10) == {0: ((0.0, 1.0, 0.02), HALF)}
     assert Drives(load_scene("paper-plane"), events).at(10) == {}
+
+
+def test_a_recording_has_its_bodies_where_they_were(tmp_path: Path) -> None:
+    """A knob's geoms, of which fingers touch one, go along with it: a quarter of a turn at tick 500, at rest before."""
+    scene = load_scene("turn-a-knob")
+    file = tmp_path / "turned.mcap"
+    with file.open("wb", buffering=0) as out:
+        recording = RecordingFile(out, ("",), about(scene=describe(scene), scene_name="turn-a-knob"))
+        recording.ticks(run())
+        for tick, turn in ((100, (1.0, 0.0, 0.0, 0.0)), (500, HALF)):
+            body = {"name": "knob", "position": (0.0, 0.0, 0.0075), "orientation": turn}
+            body |= {"velocity": (0.0, 0.0, 0.0), "rate": (0.0, 0.0, 0.0)}
+            recording.world({"schema": 1, "timestamp": EPOCH_S + tick / 1000.0, "tick": tick, "bodies": [body]})
+        recording.close()
+    loaded = load(str(file), None)
+    assert Worlds(loaded.worlds).at(99) == {}
+    page = Page("127.0.0.1", 0)
+    try:
+        for tick, pointer in ((499, (0.026, 0.0)), (500, (0.0, 0.026)), (1500, (0.0, 0.026))):
+            RecordedPage(page, loaded, tick).step(0.0)
+            assert page.bodies is not None
+            np.testing.assert_allclose(page.bodies.places[-1][0], [*pointer, 0.0085], atol=1e-9)
+    finally:
+        page.close()
 
 
 @pytest.mark.real_time
