@@ -74,18 +74,20 @@ class Library(NamedTuple):
     key      which names one
     entries  the tables by name; the values of the named one stand wherever the scene says nothing itself
     instead  keys of a scene (first) beside which one of the library's does not stand
+    marked   whether a filled table says that it is whole, by the key `resolved`
     """
 
     key: str
     entries: Callable[[], Mapping[str, Entry]]
     instead: Mapping[str, str] = MappingProxyType({})
+    marked: bool = True
 
     def filled(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """What a scene gives of a table that names an entry, with that entry's values; marked as whole."""
+        """What a scene gives of a table that names an entry, with that entry's values."""
         dropped = {theirs for ours, theirs in self.instead.items() if given.get(ours) is not None}
         values = self.entries()[given[self.key]].values
         base = {key: value for key, value in values.items() if key not in dropped}
-        return _over(base, given) | {"resolved": True}
+        return _over(base, given) | ({"resolved": True} if self.marked else {})
 
 
 @lru_cache(maxsize=1)

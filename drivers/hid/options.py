@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
+from softfinger.config.materials import Entry, Library
 from softfinger.config.schema import Complaint, Table, known, said, sized, within
 from softfinger.drivers.fields.options import (
     BYTES,
@@ -79,10 +80,14 @@ def library_lengths() -> dict[str, Announced]:
     }
 
 
+def _formats() -> Mapping[str, Entry]:
+    return {name: Entry(about=name, holds="", papers=(), values=dict(one)) for name, one in _library().items()}
+
+
 class Reports(Table, frozen=True, kw_only=True):
     """The wire format: one of the library by name, or every report described."""
 
-    library: ClassVar[Any] = staticmethod(_library)
+    library: ClassVar[Library] = Library("name", _formats, marked=False)
     """Formats that a rig may name; reports of the named one stand wherever the rig gives none itself."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "a format of the library", "woodenhaptics-v2")] | None = None
