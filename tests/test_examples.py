@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib
 import math
 import os
@@ -17,9 +18,10 @@ from nbclient import NotebookClient
 
 from softfinger.drivers.base import PROTOCOL
 from softfinger.server.driver_contract import Servo
-from softfinger.server.experiment.analysis import analysed
+from softfinger.server.experiment.analysis import PowerLaw, analysed
 from softfinger.server.experiment.experiment import Experiment, Running
-from softfinger.server.experiment.folder import load
+from softfinger.server.experiment.folder import load, write_csv
+from softfinger.server.experiment.psychometric import Fit
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PNG = b"\x89PNG"
@@ -63,17 +65,6 @@ def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
         )  # MuJoCo's contact gives way by some hundredths of a millimetre
 
 
-def test_an_experiment_with_pandas_and_scipy(tmp_path: Path) -> None:
-    """Its thresholds are those of `softfinger figure`, to the step of its grid."""
-    experiment = Experiment("curvature-by-rolling")
-    experiment.run(tmp_path / "out", 1, Running(dry_run=True, no_daemon=True))
-    text = said("analyse_experiment.py", "out", "out.png", cwd=tmp_path)
-    for group in analysed(*load(tmp_path / "out")):
-        # 300 steps from a quarter of the least level to four times the largest are 2.3 % each.
-        assert number(rf"{group.condition}: threshold ([\d.]+)", text) == pytest.approx(group.fit.threshold, rel=0.04)
-    assert (tmp_path / "out.png").read_bytes().startswith(PNG)
-
-
 def test_each_is_listed_short_and_tested() -> None:
     """Every program is on the folder's page and run here, and fits a screen or two."""
     page, tests = (EXAMPLES / "README.md").read_text(), Path(__file__).read_text()
@@ -82,12 +73,13 @@ def test_each_is_listed_short_and_tested() -> None:
         assert program.suffix == ".ipynb" or len(program.read_text().splitlines()) < LINES_MAX
 
 
-def run_notebook(name: str) -> str:
-    """Run a notebook in a kernel of its own; returns what it prints and how many pictures it has drawn."""
+def run_notebook(name: str, folder: Path = EXAMPLES) -> str:
+    """Run a notebook in a kernel of its own, in a folder; returns what it prints and how many pictures it has drawn."""
     notebook = nbformat.read(EXAMPLES / name, as_version=4)
     assert not [cell for cell in notebook.cells if cell.get("outputs")], "kept without outputs"
     with warnings.catch_warnings(action="ignore"):  # of the Jupyter libraries' own
-        NotebookClient(notebook, timeout=500, kernel_name="python3").execute()
+        place = {"metadata": {"path": str(folder)}}
+        NotebookClient(notebook, timeout=500, kernel_name="python3", resources=place).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     pictures = sum("image/png" in output.get("data", {}) for output in outputs)
     return "".join(output.get("text", "") for output in outputs) + f"{pictures} pictures\n"
@@ -115,6 +107,52 @@ def test_stiffness_staircase() -> None:
     # 99 of 100 staircases of 36 reversals end between half and 1.65 of it (2000 drawn without the engine).
     assert 0.5 < found / expected < 1.65
     assert number(r"(\d+) pictures", out) == 1
+
+
+def printed(out: str, row: str) -> dict[str, float]:
+    """The numbers of a row of the table that the notebook prints, by the name of their column."""
+    head, *lines = out.splitlines()
+    line = next(line for line in lines if line.split()[:1] == [row])  # a table of what was felt may follow
+    return dict(zip(head.split(), map(float, line.split()[1:]), strict=True))
+
+
+@pytest.mark.exhaustive
+def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
+    """Thresholds, slopes and intervals are those of `softfinger figure`, to the steps of the two grids."""
+    Experiment("curvature-by-rolling").run(tmp_path, 1, Running(dry_run=True, no_daemon=True))
+    out = run_notebook("analyse_experiment.ipynb", tmp_path)
+    for group in analysed(*load(tmp_path)):
+        row, fit = printed(out, group.condition), group.fit
+        assert isinstance(fit, Fit) and row["trials"] == group.trials
+        # Steps are 2.3 % of a threshold there (300 from a quarter of the least level to four times the largest) and
+        # 9 % here (80 of them), and 8 % of a slope there (40 from 0.5 to 12); a best value is off by half a step.
+        assert row["threshold"] == pytest.approx(fit.threshold, rel=0.04)
+        assert row["slope"] == pytest.approx(fit.slope, rel=0.06)
+        low, high = fit.threshold_95
+        assert (row["threshold_low"], row["threshold_high"]) == pytest.approx((low, high), rel=0.12)
+    assert number(r"(\d+) pictures", out) == 1
+
+
+@pytest.mark.exhaustive
+def test_the_notebook_shows_numbers_and_what_was_felt(tmp_path: Path) -> None:
+    """A power law's exponent to the digits printed; means and paths of a folder in which somebody felt something."""
+    Experiment("friction-magnitude").run(tmp_path, 1, Running(dry_run=True, no_daemon=True))
+    rows = list(csv.DictReader((tmp_path / "trials.csv").read_text().splitlines()))
+    forces = [2.0 + 0.01 * place for place in range(len(rows))]
+    write_csv(tmp_path / "trials.csv", [row | {"peak_force_n": force} for row, force in zip(rows, forces, strict=True)])
+    tick = {"timestamp": 0.0, "x_m": 0.0, "z_m": 0.0, "fx_n": 0.0, "fy_n": 0.0, "fz_n": 1.0}
+    counted = [number for number, row in enumerate(rows) if row["practice"] == "False"]
+    felt = tmp_path / "sub-01" / "trials" / f"sub-01_trial-{counted[0] + 1:04d}.csv"
+    write_csv(felt, [tick, tick | {"timestamp": 0.1}])
+    out = run_notebook("analyse_experiment.ipynb", tmp_path)
+    (group,) = analysed(*load(tmp_path))
+    assert isinstance(group.fit, PowerLaw)
+    row = printed(out, "all")
+    assert row["exponent"] == pytest.approx(group.fit.exponent, abs=6e-5)  # four digits are printed
+    assert (row["exponent_low"], row["exponent_high"]) == pytest.approx(group.fit.exponent_95, abs=6e-5)
+    mean = sum(forces[place] for place in counted) / len(counted)
+    assert float(out.splitlines()[-2].split()[1]) == pytest.approx(mean, abs=6e-5)
+    assert number(r"(\d+) pictures", out) == 3
 
 
 @pytest.mark.real_time

@@ -13,7 +13,6 @@ import numpy as np
 from softfinger.config.errors import SafetyStop
 from softfinger.config.load import describe
 from softfinger.config.schema import Scene
-from softfinger.proxy.kernels.numerics.rotations import exp
 from softfinger.server.experiment.masses import scene_with, split
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import Felt, Stimulus
@@ -126,7 +125,7 @@ class Haptics:
         if not self._led[name]:
             return
         path, turns = self._experiment.motion[name or ONE], self._experiment.turn.get(name or ONE)
-        turned = exp(along(turns, passed)) if turns else None
+        turned = quaternion(along(turns, passed)) if turns else None
         self.client.hand(along(path, passed), turned, finger=name or None)
 
     def _move(self, begun: float) -> float | None:
@@ -193,6 +192,14 @@ def along(path: tuple[tuple[float, float, float, float], ...], t: float) -> tupl
     times = [point[0] for point in path]
     x, y, z = (float(np.interp(t, times, [point[axis] for point in path])) for axis in (1, 2, 3))
     return x, y, z
+
+
+def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """Unit quaternion w, x, y, z of a rotation vector, rad. Without the kernels': those would compile in a touch."""
+    angle = math.hypot(*rotation)
+    share = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
+    x, y, z = (share * part for part in rotation)
+    return math.cos(0.5 * angle), x, y, z
 
 
 def row(finger: str, sample: Sample) -> dict[str, Any]:

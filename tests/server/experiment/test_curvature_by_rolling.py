@@ -14,7 +14,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.numerics.rotations import exp
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import load
-from softfinger.server.experiment.haptics import ONE, along
+from softfinger.server.experiment.haptics import ONE, along, quaternion
 from softfinger.server.experiment.masses import scene_with
 
 pytestmark = pytest.mark.plain
@@ -30,7 +30,7 @@ def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
     experiment, folder = load("curvature-by-rolling", {})
     path, turns = experiment.motion[ONE], experiment.turn[ONE]
     times = np.arange(0.0, 1.5, 0.005)
-    poses = np.array([[*along(path, t), *exp(along(turns, t))] for t in times])
+    poses = np.array([[*along(path, t), *quaternion(along(turns, t))] for t in times])
     name = experiment.factor[0].scenes[condition]
     values = {"object.sphere.radius_m": radius_m, "object.sphere.position_m.2": -radius_m}
     scene = scene_with(folder / name if name.endswith(".toml") else name, values, "a test")
@@ -64,6 +64,12 @@ def test_without_rolling_the_same_movement_drags() -> None:
     force, normal = records["force"][-100:], records["contact.normal_force"][-100:]
     tangential = np.sqrt((force * force).sum(axis=1) - normal**2)
     assert np.median(tangential / normal) == pytest.approx(FRICTION, rel=1e-6)
+
+
+@pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (0.0, 0.5, 0.0), (-1.0, 2.0, 0.3), (1e-9, 0.0, 0.0)])
+def test_a_rotation_vector_turns_as_the_kernels_have_it(rotation: tuple[float, float, float]) -> None:
+    """The same quaternion, to some roundings of its parts."""
+    assert quaternion(rotation) == pytest.approx(exp(rotation), abs=4e-16)
 
 
 def test_a_turn_needs_a_motion() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import signal
@@ -16,6 +17,7 @@ import pytest
 from test_experiment_design import small
 
 from softfinger.config.errors import CommandRefused
+from softfinger.server import cli
 from softfinger.server.experiment.experiment import Experiment, Running, results
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.haptics import along
@@ -122,6 +124,17 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
         assert np.array_equal(run.first["force"][places], ticks[["fx_n", "fy_n", "fz_n"]])
         test = ticks[ticks["touch"] == (1 if row["test_first"] else 2)]
         assert row["lost_ticks"] == 0 and row["peak_force_n"] == pytest.approx(test["fz_n"].max())
+
+
+def test_what_was_felt_is_drawn_by_condition(session: tuple[Path, Run]) -> None:
+    """`softfinger figure` has it as PNG and SVG, and its numbers are means of the table of trials."""
+    folder, _ = session
+    assert cli.main(["figure", str(folder)]) == 0
+    figures = folder / "figures"
+    assert {path.name for path in figures.glob("felt.*")} == {"felt.png", "felt.svg"}
+    (numbers,) = json.loads((figures / "numbers.json").read_text())
+    peaks = [row["peak_force_n"] for row in results(folder)]
+    assert numbers["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
 
 
 def program(file: Path, folder: Path, *words: str) -> list[str]:

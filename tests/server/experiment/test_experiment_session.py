@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 import time
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from test_experiment_design import small
 
 from softfinger.config.errors import ConfigError
@@ -26,7 +28,14 @@ from softfinger.server.experiment.journal import Journal, read
 pytestmark = pytest.mark.plain
 
 OFFLINE = Running(dry_run=True, no_daemon=True)
-PNG, SVG = b"\x89PNG", b"<?xml"
+
+
+def drawn(figure: Path) -> None:
+    """It is there as a picture that is not of one colour, and as an SVG with lines."""
+    with Image.open(figure.with_suffix(".png")) as picture:
+        assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50
+    paths = [each for each in ET.parse(figure.with_suffix(".svg")).iter() if each.tag.endswith("}path")]
+    assert len(paths) > 20
 
 
 @pytest.mark.parametrize("name", shipped())
@@ -35,8 +44,16 @@ def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path:
     assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
     assert cli.main(["figure", str(tmp_path / "out")]) == 0
     figures = tmp_path / "out" / "figures"
-    assert (figures / "fit.png").read_bytes().startswith(PNG) and (figures / "fit.svg").read_bytes().startswith(SVG)
+    # Nobody felt anything without a device, so what was felt is not drawn.
+    assert {path.name for path in figures.iterdir()} == {"fit.png", "fit.svg", "numbers.csv", "numbers.json"}
+    drawn(figures / "fit")
     numbers = json.loads((figures / "numbers.json").read_text())
+    with (figures / "numbers.csv").open() as file:
+        same = list(csv.DictReader(file))
+    assert [row["condition"] for row in same] == [each["condition"] for each in numbers]
+    for row, each in zip(same, numbers, strict=True):
+        what = "threshold" if "threshold" in each else "exponent"
+        assert float(row[what]) == each[what] and each[f"{what}_95_low"] <= each[what] <= each[f"{what}_95_high"]
     with (tmp_path / "out" / "trials.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["trial"]) for row in rows] == list(range(1, len(rows) + 1))
