@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from msgspec.structs import fields
+
+from softfinger.config.errors import ConfigError
 from softfinger.config.load import EXPERIMENTS, build, find_in, load_rig, names_in, overridden, read_toml
+from softfinger.config.schema import Rig, Scene
 from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.masses import scene_with
 from softfinger.server.experiment.schema import ExperimentFile
@@ -45,4 +49,18 @@ def check(experiment: ExperimentFile, folder: Path) -> None:
         name = condition.scene or experiment.scene
         for level in (min(ends), max(ends)):
             values = experiment.overrides | condition.changes | parameters(experiment, task.value(level))
-            scene_with(beside(folder, name), values, f"condition {condition.name}, level {level:g}")
+            where = f"condition {condition.name}, level {level:g}"
+            refuse_rig(values, where)
+            scene_with(beside(folder, name), values, where)
+
+
+def refuse_rig(paths: Iterable[str], where: str) -> None:
+    """Raise ConfigError for a parameter of the rig, which a daemon takes when it starts."""
+    own = {field.name for field in fields(Rig)} - {field.name for field in fields(Scene)}
+    for path in paths:
+        head, _, rest = path.partition(".")
+        if (head == "rig" and rest) or head in own:
+            raise ConfigError(
+                f"{where}: {path}: a value of the rig changes with another start of the daemon alone, so it is no "
+                "factor: run a session with --rig for each of its levels"
+            )

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from softfinger.config.errors import SafetyStop
-from softfinger.config.load import describe
+from softfinger.config.load import describe, load_scene, numbered, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment.masses import scene_with, split
 from softfinger.server.experiment.schema import ExperimentFile
@@ -24,6 +24,9 @@ SLICE_S: Final = 0.02
 """How long a wait for telemetry lasts before anything else is looked at."""
 ZERO_S: Final = 5.0
 """The guard takes the force off in milliseconds; a ramp of parameters takes 10 s at most."""
+BACK_S: Final = 2.0
+BACK_M: Final = 0.002
+"""How long a touch waits for a hand that is led back, and how near that comes: a hand is held by a spring, and sags."""
 HEARTBEAT_S: Final = 0.1
 ONE: Final = "fingertip"
 """How an experiment calls the finger of a scene that has one."""
@@ -61,11 +64,10 @@ class Haptics:
 
     def touch(self, stimulus: Stimulus) -> Felt:
         """Present a stimulus; the change is made at zero force, and without a compile where only values change."""
-        trial, client = self._experiment.trial, self.client
+        client = self.client
         self.release()
-        self._change(stimulus)
-        self._lead_back()
-        self.wait(trial.gap_s)
+        ramp_s = self._change(stimulus)
+        self._lead_back(max(self._experiment.trial.gap_s, ramp_s))
         client.mark("touch", {"trial": stimulus.trial, "touch": stimulus.touch, "changes": stimulus.changes})
         self._kept = []
         try:
@@ -89,22 +91,30 @@ class Haptics:
             "the force does not become zero",
         )
 
-    def _change(self, stimulus: Stimulus) -> None:
-        """Have the scene and its parameters.
+    def _change(self, stimulus: Stimulus) -> float:
+        """Have the scene and its parameters; returns how long they take to be there, s.
 
-        Another scene or mass, and a parameter that goes back to the scene's own value, take set_scene; all else is
-        set_params.
+        Another scene or mass, and a parameter that goes back to what its scene does not have, take set_scene; all else
+        is set_params.
         """
+        name = stimulus.scene or self._experiment.scene
         wanted = self._experiment.overrides | stimulus.changes
-        changed = {path: value for path, value in wanted.items() if self._set.get(path) != value}
-        if stimulus.scene != self._scene or self._set.keys() - wanted.keys() or split(changed)[0]:
-            name = stimulus.scene or self._experiment.scene
+        back = self._own(name, self._set.keys() - wanted.keys()) if stimulus.scene == self._scene else {}
+        changed = {path: value for path, value in (wanted | back).items() if self._set.get(path) != value}
+        ramp_s = 0.0
+        if stimulus.scene != self._scene or None in back.values() or split(changed)[0]:
             scene = scene_with(self._scene_of(name), wanted, f"trial {stimulus.trial}", self._models)
             self.client.set_scene(as_file(scene), name=Path(name).stem[:64])
             self._led = self._hands()
         elif changed:
-            self.wait(self.client.set_params(changed).ramp_s)
+            ramp_s = self.client.set_params(changed).ramp_s
         self._scene, self._set = stimulus.scene, wanted
+        return ramp_s
+
+    def _own(self, name: str, paths: Iterable[str]) -> dict[str, Any]:
+        """The values that a scene itself has, None where it has none."""
+        scene = describe(load_scene(self._scene_of(name)))
+        return {path: value_at(scene, numbered(scene, path)) for path in paths}
 
     def _hands(self) -> dict[str, bool]:
         """Whether a program may lead the hand of each finger, by name."""
@@ -112,13 +122,25 @@ class Haptics:
 
     # --- hands that can be led --------------------------------------------------------------------------
 
-    def _lead_back(self) -> None:
-        """Hands that can be led go where their path begins, or to the trial's start."""
-        for name in self._led:
-            if self._experiment.motion.get(name or ONE):
+    def _lead_back(self, seconds: float) -> None:
+        """Hands that can be led go where their path begins, or to the trial's start; takes so long at the least."""
+        starts = dict[str, tuple[float, float, float]]()
+        for name, led in self._led.items():
+            path = self._experiment.motion.get(name or ONE)
+            start = path[0][1:] if path else self._experiment.trial.start_m
+            if not led or start is None:
+                continue
+            starts[name] = start
+            if path:
                 self._lead(name, 0.0)
-            elif self._experiment.trial.start_m is not None and self._led[name]:
-                self.client.hand(self._experiment.trial.start_m, finger=name or None)
+            else:
+                self.client.hand(start, finger=name or None)
+        until = time.monotonic() + BACK_S
+        self.wait(seconds)
+        while time.monotonic() < until and any(
+            math.dist(self.newest[name].data.probe.position, start) > BACK_M for name, start in starts.items()
+        ):
+            self.wait(SLICE_S)
 
     def _lead(self, name: str, passed: float) -> None:
         """Have a hand want to be where its path is at a time of the touch, s, and turned as it says."""

@@ -13,6 +13,7 @@ from softfinger.server.experiment.design import conditions, planned, williams
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.session import Place, blocks_of
 
 pytestmark = pytest.mark.plain
 
@@ -93,6 +94,11 @@ def test_practice_comes_first() -> None:
         ({"task.parameter": "object.table.material.stifness"}, "is not a key here"),
         ({"task.parameter": "object.chair.material.stiffness_n_per_m"}, "there is no object.chair"),
         ({"task.parameter": "mass.box"}, "the scene has no .world"),
+        ({"task.parameter": "guard.force_max_n"}, "another start of the daemon"),
+        ({"task.parameter": "rig.servo.rate_hz"}, "another start of the daemon"),
+        ({"task.scale": [1, 7]}, "only rate has a scale"),
+        ({"task.kind": "rate", "task.reference": None, "task.scale": [7, 1]}, "the first mark, from 1"),
+        ({"task.scale_ends": ["soft", "hard"]}, "goes with scale"),
         ({"factor.0.levels": [-1.0, 0.0]}, "damping_ns_per_m = -1.0"),
         ({"factor.0.scenes": {"a": "sphere"}}, "give one of parameter, scenes and values"),
         ({"rig": "omega-66"}, "did you mean"),
@@ -103,6 +109,23 @@ def test_what_cannot_be_run_is_refused_before_it_runs(changes: dict[str, Any], s
     """With the key, the value and what to do."""
     with pytest.raises(ConfigError, match=said):
         Experiment(small(), changes)
+
+
+def test_progress_tells_the_block_and_no_condition() -> None:
+    """Blocks are counted where trials come in blocks; practice belongs to the first."""
+    blocked = file(design={"seed": 5, "order": "given", "practice": 1})
+    assert blocks_of(planned(blocked, 1), mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
+    assert blocks_of(planned(file(), 1), mixed=True) == [1] * 36
+    assert Place(3, 37, 1, 3, True, 2, 2).title == "Block 1 of 3, trial 3 of 37, practice"
+    assert Place(3, 37, 1, 1, False, 1, 2).text == "Touch 1 of 2"
+
+
+def test_a_rating_stays_on_its_scale() -> None:
+    """The simulated observer's answers are marks, though its power law leaves the scale at both ends."""
+    task = {"kind": "rate", "parameter": STIFFNESS, "question": "?", "scale": [1, 7], "scale_ends": ["soft", "hard"]}
+    observer = {"scale": 5.0, "exponent": 2.0, "noise": 0.5}
+    made = Experiment(small(task=task, observer=observer, procedure={"kind": "constant", "levels": [0.1, 1.0, 3.0]}))
+    assert {row["answer"] for row in made.rehearse()} <= {float(mark) for mark in made.file.task.marks}
 
 
 def test_numbers_are_no_comparison() -> None:
