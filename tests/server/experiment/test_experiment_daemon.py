@@ -108,7 +108,6 @@ def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> N
         assert force == pytest.approx(wanted, abs=1e-12)
 
 
-<<<<<<< HEAD
 def test_a_led_hand_turns_as_it_is_told_and_is_turned_back(session: tuple[Path, Run]) -> None:
     """0.3 rad about z at the end of each touch, and unturned where one begins: the hand lags by some 30 ms at most."""
     _, run = session
@@ -121,14 +120,14 @@ def test_a_led_hand_turns_as_it_is_told_and_is_turned_back(session: tuple[Path, 
     for begun, end in ends:
         # A tenth of it is what a first-order lag of 30 ms leaves after 70 ms; there are 0.1 s and more.
         assert angle[begun] == pytest.approx(0.0, abs=0.03) and angle[end] == pytest.approx(0.3, abs=0.03)
-=======
+
+
 def test_a_hand_is_led_back_before_it_feels(session: tuple[Path, Run]) -> None:
     """Each touch begins with the probe where the path does, within what a hand on a spring sags."""
     _, run = session
     for event in marks(run, "touch"):
         position = run.first["probe.position"][at(run, event["tick"])]
         assert np.linalg.norm(position - MOTION[0][1:]) <= BACK_M
->>>>>>> 951d213 (Trials go back to a scene's own values without a compile, wait for the hand that is led back; a session with a daemon is killed at random moments; rig values are refused as factors)
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
