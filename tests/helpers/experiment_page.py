@@ -60,8 +60,9 @@ class Session:
         """Whether all these texts come to be read."""
         return bool(eventually(lambda: all(self.page.get_by_text(text).count() for text in texts)))
 
-    def buttons(self, label: str) -> int:
-        return int(self.page.get_by_role("button", name=label, exact=True).count())
+    def write(self, label: str, text: str) -> None:
+        """Write into a field."""
+        self.page.locator(f"xpath=//label[normalize-space()={label!r}]/following::input[1]").fill(text)
 
 
 @contextmanager

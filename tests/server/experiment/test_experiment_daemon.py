@@ -147,9 +147,11 @@ def test_what_was_felt_is_drawn_by_condition(session: tuple[Path, Run]) -> None:
     assert cli.main(["figure", str(folder)]) == 0
     figures = folder / "figures"
     assert {path.name for path in figures.glob("felt.*")} == {"felt.png", "felt.svg"}
-    (numbers,) = json.loads((figures / "numbers.json").read_text())
-    peaks = [row["peak_force_n"] for row in results(folder)]
-    assert numbers["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
+    found = json.loads((figures / "numbers.json").read_text())
+    assert [each["condition"] for each in found] == ["damped", "plain"]
+    for each in found:
+        peaks = [row["peak_force_n"] for row in results(folder) if row["condition"] == each["condition"]]
+        assert each["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
 
 
 def program(file: Path, folder: Path, *words: str) -> list[str]:
