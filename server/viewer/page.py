@@ -66,7 +66,7 @@ class Page:
         self._camera: Camera | None = None
         self._scene: schema.Scene | None = None
         self._drawn: Final[dict[int, Array]] = {}
-        self._handles = NONE
+        self._handles, self._unseen = NONE, False
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
         self.bodies: Bodies | None = None
@@ -122,14 +122,16 @@ class Page:
                 nodes = self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self.bodies)
                 if finger.name in handles:
                     nodes.displays = handles[finger.name].displayed
-        self._scene, self._handles = scene, handles
+        self._scene, self._handles, self._unseen = scene, handles, scene.world is not None
         self._drawn.clear()
         self._look()
 
     def _look(self) -> None:
         """Set the camera for pages that will be opened, and in each that is open, where the scene wants another."""
-        camera = camera_of(self._scene, self._drawn) if self._scene is not None else None
-        if camera is None or camera == self._camera:
+        if self._scene is None or self.bodies is None:
+            return
+        camera = camera_of(self._scene, self._drawn, self.bodies.shown())
+        if camera == self._camera:
             return
         self._camera = camera
         views = [client.camera for client in self.server.get_clients().values()]
@@ -146,6 +148,9 @@ class Page:
         """Bodies of the scene's [world] are there, by name."""
         if self.bodies is not None and not self._paused.value:
             self.bodies.ride(bodies)
+            if bodies and self._unseen:  # where they are is not known before
+                self._unseen = False
+                self._look()
 
     def draw(self, number: int, mesh: Mesh) -> None:
         """The triangles of an object of the scene that is made of a file."""

@@ -65,7 +65,8 @@ class Bodies:
         """Those that ride on a body: its name, and the place in its frame."""
         self._surfaces: Final[dict[int, Level | Triangles]] = {}
         """What may lie below a point, of those whose surface is known."""
-        for number, thing in enumerate((*scene.object, *untouched(scene))):
+        self._things = (*scene.object, *untouched(scene))
+        for number, thing in enumerate(self._things):
             place = (thing.position_m, thing.orientation_wxyz)
             self.places.append(place)
             self._frames.append(api.add_frame(f"/objects/{number}", show_axes=False))
@@ -115,6 +116,10 @@ class Bodies:
         (x, y, z), turn = self.places[number]
         self._frames[number].position = (CM * x, CM * y, CM * z)
         self._frames[number].wxyz = turn
+
+    def shown(self) -> list[tuple[Any, Place]]:
+        """What is drawn, and where it is."""
+        return list(zip(self._things, self.places, strict=True))
 
     def below(self, point: NDArray[np.float64]) -> Foot | None:
         """The highest place straight below a point (3,) m; None where there is none."""

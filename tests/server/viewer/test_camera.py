@@ -10,6 +10,7 @@ import pytest
 
 from softfinger.config.load import load_scene, shipped
 from softfinger.config.schema import Scene
+from softfinger.server.viewer.nodes.bodies import untouched
 from softfinger.server.viewer.nodes.camera import Camera, camera_of
 from softfinger.server.viewer.nodes.glyphs import rotated
 from softfinger.server.viewer.nodes.looks import CM, MAP
@@ -34,10 +35,10 @@ def seen(camera: Camera, point: Any) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", shipped(Scene))
 def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> None:
-    """Of every shipped scene: where the first object is touched from above, a fingertip lies within a square picture
-    and takes a twentieth of its height."""
+    """Of every shipped scene: where the first solid object is touched from above, a fingertip lies within a square
+    picture and takes a twentieth of its height."""
     scene = load_scene(name)
-    camera, thing = camera_of(scene), scene.object[0]
+    camera, thing = camera_of(scene), next(each for each in scene.object if not getattr(each, "inside", False))
     half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(thing.shape, 0.0)
     up = np.array([0.0, 0.0, 1.0])
     middle = np.array(thing.position_m) + (half + RADIUS) * up
@@ -46,6 +47,29 @@ def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> Non
             assert max(map(abs, seen(camera, middle + end * way))) < 1.0
     height = seen(camera, middle + RADIUS * up)[1] - seen(camera, middle - RADIUS * up)[1]
     assert height > 0.1  # of 2
+
+
+def test_a_body_is_looked_at_where_it_is() -> None:
+    """A door whose hinge is 80 mm beside the origin, so that its middle is there: the camera looks at it, but for the
+    fingertip on one side. Of all that a [world] draws, a stack of boxes and what is lifted off it are in view."""
+    scene = load_scene("open-a-door")
+    (door,) = scene.object
+    upright = (1.0, 0.0, 0.0, 0.0)
+    there, here = (camera_of(scene, None, [(door, ((x, 0.0, 0.0), upright))]).look_at[0] for x in (0.08, 0.0))
+    assert there - here == pytest.approx(CM * 0.08) and abs(here) < 0.5 * CM * 2.0 * RADIUS
+    stack = load_scene("stack-boxes")
+    boxes = [(thing, ((0.0, 0.0, 0.015 + 0.03 * k), upright)) for k, thing in enumerate(untouched(stack))]
+    camera = camera_of(stack, None, [*boxes, (stack.object[1], ((0.0, 0.0, 0.075), upright))])
+    assert max(map(abs, (*seen(camera, (0.0, 0.0, 0.0)), *seen(camera, (0.0, 0.0, 0.18))))) < 1.0
+
+
+def test_of_a_bowl_the_ball_is_looked_at() -> None:
+    """Not the middle of the hollow sphere that is its inside, 100 mm higher."""
+    scene = load_scene("ball-in-a-bowl")
+    ball = next(thing for thing in scene.object if thing.name == "ball")
+    place = ((0.0, 0.0, 0.015), (1.0, 0.0, 0.0, 0.0))
+    things = [(thing, place if thing is ball else (thing.position_m, place[1])) for thing in scene.object]
+    assert abs(camera_of(scene, None, things).look_at[2] - CM * 0.015) < CM * RADIUS
 
 
 def test_walls_are_looked_at_from_in_front() -> None:

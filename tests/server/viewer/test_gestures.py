@@ -1,0 +1,98 @@
+"""What gestures make of a contact, without a page: a stiff hand that goes where they say, on the paper's plane."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from softfinger import ContactMode
+from softfinger.proxy.engine import Engine, Step
+from softfinger.server.viewer.gestures import (
+    HOVER_M,
+    ONE_FINGER,
+    PRESS_N,
+    ROLL_M,
+    SLIDE_M,
+    SPEED,
+    SPIN_RAD,
+    Stage,
+    half_width,
+)
+from softfinger.server.viewer.nodes.glyphs import UNTURNED
+from softfinger.server.viewer.target import Target
+
+pytestmark = pytest.mark.plain
+
+START = (0.0, 0.0, 0.02)
+RADIUS, RATE_HZ = 0.01, 100.0
+STEP_N = 1000.0 * SPEED / RATE_HZ
+"""How much a frame adds to the force on the plane of 1000 N/m."""
+
+
+@cache
+def played(name: str, start: tuple[float, float, float]) -> list[Step]:
+    """Steps of the contact in each frame, from a place above the plane on."""
+    engine = Engine("paper-plane", rate_hz=RATE_HZ)
+    here, steps = {"": Target(np.array(start), UNTURNED)}, list[Step]()
+    stage = Stage(
+        lambda finger: here[finger],
+        lambda finger: steps[-1].normal_force if steps else 0.0,
+        lambda finger: RADIUS,
+        lambda point: 0.0,
+    )
+    gesture = ONE_FINGER[name](stage, "")
+    goals = next(gesture)
+    while True:
+        here.update(goals)
+        target = here[""]
+        steps.append(engine.step(position=target.position.tolist(), orientation=list(target.orientation)))
+        try:
+            goals = gesture.send(1.0 / RATE_HZ)
+        except StopIteration:
+            assert target.position[2] > RADIUS + HOVER_M  # it has left the plane
+            return steps
+
+
+@pytest.mark.parametrize("name", ONE_FINGER)
+def test_a_gesture_presses_no_more_than_it_says(name: str) -> None:
+    """By a frame's way more."""
+    most = max(step.normal_force for step in played(name, START))
+    assert PRESS_N <= most < PRESS_N + 1.01 * STEP_N
+
+
+def test_each_gesture_does_what_it_is_called() -> None:
+    """A ball of 10 mm turns by its way over its radius, there and back; a slide takes the contact along, but for the
+    drag at which it sticks, 0.6 mm of 1 N; a spin winds it up to friction_length times the load, 4 mN m."""
+    most = {
+        name: (
+            max(abs(step.rolled) for step in steps),
+            max(float(np.linalg.norm(step.point[:2])) for step in steps if step.mode != ContactMode.FREE),
+            max(abs(step.torsion) for step in steps),
+        )
+        for name in ONE_FINGER
+        for steps in [played(name, START)]
+    }
+    assert most["press"] == (0.0, 0.0, 0.0)
+    assert most["roll"][0] == pytest.approx(2.0 * ROLL_M / RADIUS, rel=0.01)
+    assert most["roll"][1] == pytest.approx(ROLL_M, rel=0.02) and most["roll"][2] < 1e-6
+    assert SLIDE_M - 1.5e-3 < most["slide"][1] < SLIDE_M
+    assert most["slide"][0] < 0.02 and most["slide"][2] < 1e-6
+    assert most["spin"][1] < 1e-6 and 0.004 * PRESS_N <= most["spin"][2] < 0.004 * 1.3 * PRESS_N
+    assert most["spin"][2] < SPIN_RAD * 0.05  # it has slipped about the normal
+
+
+def test_a_slide_on_the_right_goes_to_the_left() -> None:
+    """So that it stays on what lies in the middle of a scene."""
+    for x, way in ((0.03, -1.0), (0.0, 1.0)):
+        points = [step.point[0] for step in played("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
+        farthest = max(points, key=lambda point: abs(point - x))
+        assert way * (farthest - x) == pytest.approx(SLIDE_M, abs=1.5e-3)
+
+
+def test_a_box_is_as_wide_as_it_is_turned() -> None:
+    """Edges of 20 and 40 mm, turned by 30 degrees: the sum of their shadows."""
+    size, turn = (0.02, 0.04, 0.01), (np.cos(np.pi / 12).item(), 0.0, 0.0, np.sin(np.pi / 12).item())
+    wide = 0.5 * (0.02 * np.cos(np.pi / 6) + 0.04 * np.sin(np.pi / 6))
+    assert half_width(size, turn) == pytest.approx(wide, rel=1e-12)
