@@ -16,7 +16,7 @@ from softfinger.server.experiment.design import Condition, Planned
 from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.observer import Simulated
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.experiment.session import Felt, Given, Place
+from softfinger.server.experiment.session import Felt, Given, Place, right
 from softfinger.server.wire.asking import number_of
 from softfinger.server.wire.commands import Prompt
 
@@ -58,7 +58,10 @@ class Person:
             return Given(float(felt.summary.get("duration_s", 0.0)))
         if task.kind == "compare":
             prompt = self._prompt(task.question, choices=CHOICES)
-            return self._asked(prompt, f"{task.question} 1: the first, 2: the second")
+            given = self._asked(prompt, f"{task.question} 1: the first, 2: the second")
+            if trial.practice:
+                self._tell_whether(right(trial, given.value))
+            return given
         if task.scale is None:
             prompt = self._prompt(task.question, number=NUMBERS)
             return self._asked(prompt, f"{task.question} A number above 0, then Enter")
@@ -66,6 +69,11 @@ class Person:
         prompt = self._prompt(f"{task.question}\n{ends}", choices=task.marks)
         given = self._asked(prompt, f"{task.question} {ends} ({task.scale[0]} to {task.scale[1]}, then Enter)")
         return given._replace(value=float(given.value))
+
+    def _tell_whether(self, is_right: bool) -> None:
+        """What practice is for: the participant learns what is meant."""
+        text = "That was right." if is_right else "That was wrong."
+        self._asked(self._prompt(text, choices=(GO_ON,)), f"{text} Enter or a button goes on.")
 
     def pause(self, done: int, of: int) -> None:
         said_so_far = f"{done} of {of} trials are done."

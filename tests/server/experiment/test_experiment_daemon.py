@@ -173,6 +173,7 @@ kind = "constant"
 levels = [0.5, 1.0]
 [design]
 seed = 1
+practice = 1
 [trial]
 touch_s = 0.1
 gap_s = 0.0
@@ -182,7 +183,7 @@ gap_s = 0.0
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
     """A key at a terminal answers, Ctrl-C ends in order, and the next start takes a program's command for the second.
 
-    What is no answer is refused, and the question stays.
+    Practice says whether the answer was right. What is no answer is refused, and the question stays.
     """
     file = tmp_path / "terminal.toml"
     file.write_text(EXPERIMENT)
@@ -190,6 +191,12 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
     try:
         with subprocess.Popen(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
+            assert "Which?" in process.stdout.readline()
+            os.write(ours, b"1")
+            practised = process.stdout.readline()
+            os.write(ours, b"\n")
+            assert "1 of 3 trials are done" in process.stdout.readline()
+            os.write(ours, b"\n")
             assert "Which?" in process.stdout.readline()
             os.write(ours, b"x2")
             assert "Which?" in process.stdout.readline()
@@ -208,10 +215,12 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
         os.close(theirs)
     rows = results(tmp_path / "out")
     assert all(0.0 < row["answer_s"] < WAIT_S for row in rows)
-    assert [(row["trial"], row["answer"], row["attempt"]) for row in rows] == [(1, "second", 1), (2, "first", 2)]
+    found = [(row["trial"], row["practice"], row["answer"], row["attempt"]) for row in rows]
+    assert found == [(1, True, "first", 1), (2, False, "second", 1), (3, False, "first", 2)]
+    assert ("right" if rows[0]["right"] else "wrong") in practised
     journal = read(tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl")
     assert [entry["kind"] for entry in journal] == [
-        "started", "begun", "done", "begun", "started", "begun", "done", "finished",
+        "started", "begun", "done", "begun", "done", "begun", "started", "begun", "done", "finished",
     ]  # fmt: skip
     assert len(list((tmp_path / "out" / "sub-01").glob("*.mcap"))) == 2
 
