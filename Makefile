@@ -119,9 +119,10 @@ lint: $(STAMP) ## ruff, mypy --strict, import order of the layers
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(STAMP) ## Cost of a step, wake-up lateness beside C, tick-to-subscriber latency (BENCH_SECONDS= each)
+bench: $(STAMP) ## Cost of a step, wake-up lateness beside C and with moving bodies, tick-to-subscriber latency (BENCH_SECONDS= each)
 	$(BIN)/softfinger bench step
 	$(BIN)/softfinger bench loop --seconds $(BENCH_SECONDS)
+	$(BIN)/softfinger bench loop --scene lift-a-box --seconds $(BENCH_SECONDS)
 	$(BIN)/softfinger bench telemetry --seconds $(BENCH_SECONDS)
 
 handover-age: $(STAMP) ## How old a pose is when it is used and a force when it arrives, with a thread or library between (ARGS=--json)
