@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from softfinger.config import schema
+from softfinger.config import limits, schema
+from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 SIZE_MAX: Final = 1 << 24
 BODIES_MAX: Final = 1000
+SQUARE: Final = 1e-6
+"""Difference of the sides of a pixel, as a share, that is rounding of sizes in a file: at most 1 pixel in a million."""
 
 
 class Taken(NamedTuple):
@@ -132,11 +135,11 @@ def taken(world: schema.World) -> Iterator[Taken]:
         if material is None:
             yield Taken(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
             continue
-        mesh = spec.mesh(geom.meshname) if geom.meshname else None
-        if mesh is not None and (problem := _no_file_of_ours(mesh)):
-            yield Taken(name, None, problem)
-            continue
-        yield _object(name, geom.id, material, model, data, mesh and _file_of(world, spec, mesh))
+        source = _source(world, spec, model, geom)
+        if isinstance(source, str):
+            yield Taken(name, None, source)
+        else:
+            yield _object(name, geom.id, material, model, data, source)
 
 
 def _material(world: schema.World, geom: Any) -> schema.Material | None:
@@ -161,21 +164,53 @@ def _no_file_of_ours(mesh: Any) -> str:
     return ""
 
 
-def _file_of(world: schema.World, spec: Any, mesh: Any) -> dict[str, Any]:
-    """File and scale of an object in place of a mesh."""
-    folder = Path(world.model).parent / (spec.meshdir or "")
-    return {"file": str(folder / mesh.file), "scale": float(mesh.scale[0])}
+def _source(world: schema.World, spec: Any, model: Any, geom: Any) -> dict[str, Any] | str:
+    """What an object in place of a geom has from a file: nothing for most; or why the geom cannot be touched."""
+    kinds = mujoco_module().mjtGeom
+    match model.geom_type[geom.id]:
+        case kinds.mjGEOM_MESH:
+            mesh = spec.mesh(geom.meshname)
+            folder = Path(world.model).parent / (spec.meshdir or "")
+            return _no_file_of_ours(mesh) or {"file": str(folder / mesh.file), "scale": float(mesh.scale[0])}
+        case kinds.mjGEOM_HFIELD:
+            return _hfield(world, model, int(model.geom_dataid[geom.id]))
+    return {}
 
 
-def _object(
-    name: str, geom: int, material: schema.Material, model: Any, data: Any, of_file: dict[str, Any] | None
-) -> Taken:
+def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | str:
+    rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+    x, y, z = (float(each) for each in model.hfield_size[number][:3])
+    across, along = 2.0 * x / (columns - 1), 2.0 * y / (rows - 1)
+    if abs(across - along) > SQUARE * along:
+        sides = f"{across:.6g} m along x and {along:.6g} m along y"
+        return f"is a height field with pixels of {sides}: make them square, by its size or by resampling"
+    if rows * columns > limits.GRID_VALUES.high:
+        return f"is a height field of {rows} x {columns}: {limits.GRID_VALUES.high:,} values are the most"
+    return {"file": world.model, "hfield": model.hfield(number).name, "pitch_m": across, "level_m": z}
+
+
+def read_hfield(path: str, name: str) -> Grid:
+    """Elevations (rows, columns) of a model's height field, 0 to 1; columns along x, rows along y, the first lowest.
+
+    So MuJoCo has them once it has read them, from whatever file. ConfigError where there is none of that name.
+    """
+    _, model = read_model(path)
+    for number in range(model.nhfield):
+        if model.hfield(number).name == name:
+            rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+            first = int(model.hfield_adr[number])
+            return model.hfield_data[first : first + rows * columns].reshape(rows, columns).astype(np.float64)
+    names = ", ".join(model.hfield(number).name for number in range(model.nhfield)) or "none"
+    raise ConfigError(f"{path}: has no height field {name!r}; it has: {names}")
+
+
+def _object(name: str, geom: int, material: schema.Material, model: Any, data: Any, source: dict[str, Any]) -> Taken:
     kinds = mujoco_module().mjtGeom
     x, y, z = (float(each) for each in model.geom_size[geom])
     body = int(model.geom_bodyid[geom])
     place: dict[str, Any] = {"name": name, "material": material}
     there = model.geom_pos[geom], model.geom_quat[geom]
-    if of_file is not None:  # MuJoCo has moved its vertices to their centre of mass and along their axes of inertia
+    if model.geom_type[geom] == kinds.mjGEOM_MESH:  # whose vertices MuJoCo has about its centre of mass and axes
         number = model.geom_dataid[geom]
         there = _on(there, _inverse((model.mesh_pos[number], model.mesh_quat[number])))
     if moves(model, body):
@@ -196,8 +231,10 @@ def _object(
             return Taken(name, schema.Cylinder(radius_m=x, length_m=2.0 * y, **place), "")
         case kinds.mjGEOM_BOX:
             return Taken(name, schema.Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z), **place), "")
-    if of_file is not None:
-        return Taken(name, schema.Mesh(**of_file, **place), "is touched as it is; other geoms meet its convex hull")
+        case kinds.mjGEOM_HFIELD:
+            return Taken(name, schema.Heightmap(**source, **place), "smooth between its heights, level beyond its rim")
+        case kinds.mjGEOM_MESH:
+            return Taken(name, schema.Mesh(**source, **place), "is touched as it is; other geoms meet its convex hull")
     kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
     return Taken(name, None, f"is of the type {kind}, which fingers do not touch")
 

@@ -44,7 +44,7 @@ class Facets(NamedTuple):
 def read_heights(thing: schema.Heightmap) -> Grid:
     """Heights (rows, columns), m, from the object's file. Raises ConfigError for one that cannot be used."""
     try:
-        heights = read_grid(thing.file, even=True) * thing.level_m
+        heights = _levels(thing) * thing.level_m
         most, worst = limits.COORDINATE_M.high, float(heights.flat[np.abs(heights).argmax()])
         if abs(worst) > most:
             raise ConfigError(
@@ -54,6 +54,14 @@ def read_heights(thing: schema.Heightmap) -> Grid:
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     return heights
+
+
+def _levels(thing: schema.Heightmap) -> Grid:
+    if thing.hfield is None:
+        return read_grid(thing.file, even=True)
+    from softfinger.config.mjcf import read_hfield  # it needs MuJoCo
+
+    return read_hfield(thing.file, thing.hfield)
 
 
 def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:

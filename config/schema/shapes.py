@@ -233,10 +233,16 @@ class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="h
         sized(
             limits.FILE_NAME_LENGTH,
             "grey picture (.png of 8 or 16 bits, .pgm; white is high) or array (.npy, .npz, .csv); columns along x, "
-            "rows along y; a relative path starts at the scene's folder",
+            "rows along y; or a MuJoCo model; a relative path starts at the scene's folder",
             "hills.npy",
         ),
     ]
+    hfield: (
+        Annotated[
+            str, sized(limits.NAME_LENGTH, "of a MuJoCo model: the height field, whose elevations are 0 to 1", "hills")
+        ]
+        | None
+    ) = None
     pitch_m: Annotated[float, within(limits.HEIGHT_PITCH_M, "distance between neighbouring pixels", 0.001)]
     level_m: Annotated[
         float, within(limits.HEIGHT_LEVEL_M, "height of one unit of the file; 1 for an array in metres", 1.0)

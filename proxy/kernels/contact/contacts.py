@@ -35,7 +35,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
-from softfinger.proxy.kernels.query.objects import normal_law_of
+from softfinger.proxy.kernels.query.objects import curvature_of, normal_law_of
 
 
 class Motion(NamedTuple):
@@ -49,9 +49,9 @@ class Motion(NamedTuple):
     last                  the probe at the last tick
     center   (3,)   m     the proxy at the last tick
     turn                  rotation of the fingertip since the last tick
-    free     (3,)   m     way of the proxy without friction, less what carried it
-    blocked  (3,)   m     way of the probe less that
-    farther  (3,)   m     how much farther the proxy went where the normals turned; in neither of the two above
+    free     (3,)   m     way of the probe, displaced by what pushes more or less than before
+    blocked  (3,)   m     way of the probe that the proxy was kept from
+    farther  (3,)   m     how much farther the proxy went over edges
     touches               a first touch, whose contacts stick where it is now: nothing has moved them
     """
 
@@ -67,6 +67,15 @@ class Motion(NamedTuple):
     blocked: Vec3
     farther: Vec3
     touches: bool
+
+
+class Lever(NamedTuple):
+    """How the probe's way over an object is shorter than the proxy's, since the normal turns: by the shares `first`
+    along the unit tangent `along` (3,), and `second` across it. Where a surface bends, in a hollow it is longer."""
+
+    first: float
+    second: float
+    along: Vec3
 
 
 class Load(NamedTuple):
@@ -130,19 +139,50 @@ def displaced_by_friction(before: Contacts, contacts: Contacts) -> Vec3:
 
 
 @jit
-def displaced_by_turning_normal(before: Contacts, contact: ContactState) -> Vec3:
-    """How far (3,) m the proxy goes because the normal of the object under a contact turned in this tick."""
+def displaced_by_turning_objects(before: Contacts, carried: Contacts) -> Vec3:
+    """How far (3,) m the proxy goes beside the probe because objects turn, and their normals with them: contacts of the
+    last tick as they were, and carried along."""
+    way = vec3.scale(before[0].push, vec3.sub(carried[0].normal, before[0].normal))
+    way = vec3.add_scaled(way, before[1].push, vec3.sub(carried[1].normal, before[1].normal))
+    return vec3.add_scaled(way, before[2].push, vec3.sub(carried[2].normal, before[2].normal))
+
+
+@jit
+def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -> Lever:
+    """Depth times the curvature of the surface that the proxy, at `center` (3,) m, moves on; within 1, or a probe at
+    the middle of what it curves about would have no way."""
+    if contact.body < 0.0:
+        return Lever(0.0, 0.0, contact.normal)
+    k1, k2, along = curvature_of(objects, contact.body, radius, center, contact.normal)
+    most = max(abs(k1), abs(k2)) * contact.push
+    depth = contact.push / most if most > 1.0 else contact.push
+    return Lever(depth * k1, depth * k2, along)
+
+
+@jit
+def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
+    """The tangent `v` (3,) at the proxy as it is at the probe: v - depth dn/dp v."""
+    across = vec3.cross(normal, lever.along)
+    v = vec3.add_scaled(v, -lever.first * vec3.dot(v, lever.along), lever.along)
+    return vec3.add_scaled(v, -lever.second * vec3.dot(v, across), across)
+
+
+@jit
+def displaced_by_turning_normal(before: Contacts, contact: ContactState, lever: Lever) -> Vec3:
+    """How far (3,) m the proxy goes because the normal under a contact turned against its object in this tick, at the
+    edge of a facet; where the surface bends it has a lever."""
+    if lever.first != 0.0 or lever.second != 0.0:
+        return (0.0, 0.0, 0.0)
     was = contact_on(before, contact.body)
     return vec3.scale(was.push, vec3.sub(contact.normal, was.normal))
 
 
 @jit
-def farther_than_probe(before: Contacts, contacts: Contacts) -> Vec3:
-    """How much farther (3,) m than the probe, which is deeper, the proxy goes over a curve or an edge."""
-    return vec3.add(
-        vec3.add(displaced_by_turning_normal(before, contacts[0]), displaced_by_turning_normal(before, contacts[1])),
-        displaced_by_turning_normal(before, contacts[2]),
-    )
+def farther_than_probe(before: Contacts, contacts: Contacts, levers: tuple[Lever, Lever, Lever]) -> Vec3:
+    """How much farther (3,) m than the probe, which is deeper, the proxy goes over edges."""
+    way = displaced_by_turning_normal(before, contacts[0], levers[0])
+    way = vec3.add(way, displaced_by_turning_normal(before, contacts[1], levers[1]))
+    return vec3.add(way, displaced_by_turning_normal(before, contacts[2], levers[2]))
 
 
 @jit
@@ -156,16 +196,18 @@ def load_on(objects: Any, contact: ContactState, motion: Motion) -> Load:
 
 @jit
 def shear(
-    method: Any, objects: Any, contact: ContactState, motion: Motion, normal_force: float, unit: float
+    method: Any, objects: Any, contact: ContactState, lever: Lever, motion: Motion, normal_force: float, unit: float
 ) -> tuple[FrictionInput, float]:
     """A contact that sticks, as friction is to see it, and how far it rolled, rad: its deflection after what proxy,
     object and fingertip did in this tick. `unit` is that of its wind-up.
 
-    e <- e - (dy - do) + r theta (a x n), all of it in the tangent plane: y the proxy without friction, o the object
-    there. Of the probe's way that the proxy was kept from, only what unwinds e counts: the hand gets no more work from
+    e <- e - (dx - do) + (1 - d W) r theta (a x n), all of it in the tangent plane: x the probe, displaced by what
+    pushes more or less than before, o the object at the probe, d the depth, W = dn/dp of the surface that the proxy
+    moves on. A proxy that rolls by u takes the probe along by (1 - d W) u: then nothing is wound. The force has the
+    lever (1 - d W) r about the fingertip's centre, so what it stores is what finger and object give, to and fro.
+    Of the probe's way that the proxy was kept from, only what unwinds e counts: the hand gets no more work from
     the contact than its spring gives, whatever the others do meanwhile. And where the proxy goes farther than the
-    probe, its way takes back what a roll has wound: a fingertip that is led as it rolls winds nothing. What a drag has
-    wound follows the probe, or a drag while pressed deep, let go while lifted, would give the hand work.
+    probe over the edge of a facet, its way takes back what a roll has wound.
     """
     normal, carried = contact.normal, carry(objects, contact.body)
     deflection, rolled_part, theta, twist = contact.deflection, contact.rolled_part, 0.0, 0.0
@@ -174,8 +216,9 @@ def shear(
         rolled = roll_flat_on(method, objects, contact.body, motion.radius, normal, turn)
         rode = vec3.sub(carried_point(carried, motion.center), motion.center)
         way = vec3.reject(vec3.sub(motion.free, rode), normal)
-        deflection = vec3.add(vec3.sub(deflection, way), rolled.motion)
-        rolled_part, theta, twist = vec3.add(rolled_part, rolled.motion), rolled.theta, rolled.spin
+        wound = levered(lever, normal, rolled.motion)
+        deflection = vec3.add(vec3.sub(deflection, way), wound)
+        rolled_part, theta, twist = vec3.add(rolled_part, wound), rolled.theta, rolled.spin
         blocked = vec3.reject(motion.blocked, normal)
         square = vec3.dot(blocked, blocked)
         if square > 0.0:

@@ -6,7 +6,9 @@ from softfinger.proxy.kernels.contact.contacts import (
     Motion,
     carried_contacts,
     displaced_by_friction,
+    displaced_by_turning_objects,
     farther_than_probe,
+    lever_of,
     warm_start,
 )
 from softfinger.proxy.kernels.contact.detection import detect_among_several, has_ended, separated
@@ -71,10 +73,11 @@ def find_candidates(finger: Finger, shapes: Any, state: FingerState, position: V
 
 @jit
 def motion_of(
-    finger: Finger, state: FingerState, probe: Probe, last: Any, contacts: Any, began: bool, dt: float
+    finger: Finger, state: FingerState, probe: Probe, last: Any, contacts: Any, levers: Any, began: bool, dt: float
 ) -> Motion:
     """What moves the contacts in this tick; `last` are those of the last tick, carried along."""
     way = displaced_by_friction(last, contacts)
+    rode = displaced_by_turning_objects(state.contacts, last)
     return Motion(
         radius=finger.radius,
         form=finger.form,
@@ -84,9 +87,9 @@ def motion_of(
         last=state.probe,
         center=state.center,
         turn=rotations.relative(probe.orientation, state.probe.orientation),
-        free=vec3.add(vec3.sub(probe.position, state.probe.position), way),
+        free=vec3.add(vec3.add(vec3.sub(probe.position, state.probe.position), way), rode),
         blocked=vec3.scale(-1.0, way),
-        farther=farther_than_probe(last, contacts),
+        farther=farther_than_probe(last, contacts, levers),
         touches=began,
     )
 
@@ -132,11 +135,16 @@ def outcome_among_several(
     state, active, began = candidates.state, rest.active, candidates.began
     last = carried_contacts(shapes, state.contacts)
     held = hand_over(objects, last, active)
-    motion = motion_of(finger, state, probe, last, held, began, dt)
+    levers = (
+        lever_of(shapes, held[0], finger.radius, rest.center),
+        lever_of(shapes, held[1], finger.radius, rest.center),
+        lever_of(shapes, held[2], finger.radius, rest.center),
+    )
+    motion = motion_of(finger, state, probe, last, held, levers, began, dt)
     rough = with_texture_friction(objects, active, rest.center)
-    one = wrench_of(scene.rolling, finger, rough, held[0], motion)
-    two = wrench_of(scene.rolling, finger, rough, held[1], motion)
-    three = wrench_of(scene.rolling, finger, rough, held[2], motion)
+    one = wrench_of(scene.rolling, finger, rough, held[0], levers[0], motion)
+    two = wrench_of(scene.rolling, finger, rough, held[1], levers[1], motion)
+    three = wrench_of(scene.rolling, finger, rough, held[2], levers[2], motion)
     pressing = vec3.add(vec3.add(one.normal_force, two.normal_force), three.normal_force)
     way = tangent_to_all(active, lag_of(one, two, three))
     shown = displaced_proxy(shapes, finger.radius, rest.center, way, active_objects(active), rest.budget)

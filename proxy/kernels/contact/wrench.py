@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.contacts import Motion, load_on, shear
+from softfinger.proxy.kernels.contact.contacts import Lever, Motion, levered, load_on, shear
 from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
 from softfinger.proxy.kernels.friction.contact_patch import contact_patch, torsion_under, winding_unit
@@ -50,7 +50,9 @@ class Wrench(NamedTuple):
 
 
 @outlined_where(takes_long)
-def wrench_of(rolling: Any, finger: Finger, objects: Any, contact: ContactState, motion: Motion) -> Wrench:
+def wrench_of(
+    rolling: Any, finger: Finger, objects: Any, contact: ContactState, lever: Lever, motion: Motion
+) -> Wrench:
     """Friction and torsion of one of several contacts: with its own load, its own law, and its share of the springs."""
     zero = (0.0, 0.0, 0.0)
     if contact.body < 0.0:
@@ -64,7 +66,7 @@ def wrench_of(rolling: Any, finger: Finger, objects: Any, contact: ContactState,
     round_by = radius_of_curvature(finger.form, finger.radius, orientation, normal)
     area = contact_patch(finger.patch, round_by, material.compliance, load.size)
     unit = winding_unit(material.torsion, area, share)
-    seen, theta = shear(rolling, objects, contact, motion, load.size, unit)
+    seen, theta = shear(rolling, objects, contact, lever, motion, load.size, unit)
     kept = stick_slip(
         turned(material.friction, pose_of(objects, contact.body).orientation),
         torsion_under(share_of(material.torsion, share), area),
@@ -79,7 +81,8 @@ def wrench_of(rolling: Any, finger: Finger, objects: Any, contact: ContactState,
     bent = ResistanceInput(contact.body, normal, share, contact.bend, motion.touches)
     bend, bending = resist(finger.patch, objects, bent, motion.probe, motion.last, area)
     pressing = vec3.scale(load.size, load.along)
-    torque = torque_of(finger.form, finger.radius, orientation, normal, kept.moment, pressing, kept.force)
+    turning = levered(lever, normal, kept.force)
+    torque = torque_of(finger.form, finger.radius, orientation, normal, kept.moment, pressing, turning)
     after = ContactState(
         body=contact.body,
         normal=normal,

@@ -22,10 +22,11 @@ from softfinger.proxy.kernels.shapes import (
     closest_or_bound,
     closest_within,
     constraint_at,
+    curvature,
     is_hollow,
     transport,
 )
-from softfinger.proxy.kernels.shapes.composite import Deepest, nearest_of_shape, neighbour_of, raised_clear
+from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of, raised_clear
 
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
 """Places of no objects."""
@@ -146,6 +147,23 @@ def slides_round_hollow(objects: Any, index: float, radius: float, center: Vec3,
             swings = bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > SWING
         at += count(entry)
     return swings
+
+
+@jit
+def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
+    """`curvature` of the object with that place, in the world; 0 of a height map, which may be touched on both sides of
+    a valley at once."""
+    k1, k2, first = 0.0, 0.0, normal
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if contains(entry, at, index):
+            body = element(entry, index - at)
+            if has_creases(body.shape) == 0.0:
+                point = into(body.pose, vec3.add_scaled(center, -radius, normal))
+                k1, k2, along = curvature(body.shape, radius, point, turn_into(body.pose, normal))
+                first = turn_out_of(body.pose, along)
+        at += count(entry)
+    return k1, k2, first
 
 
 @jit

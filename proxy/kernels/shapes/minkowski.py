@@ -24,7 +24,7 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Cylinder, Ellipsoid, MinkowskiSum, Plane, Quaternion, Sphere, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes.ellipsoid import closest_on_ellipsoid, times
-from softfinger.proxy.kernels.shapes.protocol import X_AXIS, Y_AXIS, Z_AXIS, closest, direction
+from softfinger.proxy.kernels.shapes.protocol import X_AXIS, Y_AXIS, Z_AXIS, closest, curvature, direction
 
 
 @by_type
@@ -86,3 +86,28 @@ def nearest_over_cylinder(shape: Cylinder, grown: MinkowskiSum, x: Vec3) -> tupl
 def closest_on_minkowski_sum(shape: MinkowskiSum, x: Vec3) -> tuple[float, Vec3, Vec3]:
     gap, center, normal = nearest_on_minkowski_sum(shape.shape, shape, x)
     return gap + shape.radius, vec3.add_scaled(center, -shape.radius, normal), normal
+
+
+@curvature.of(MinkowskiSum)
+def curvature_of_minkowski_sum(
+    shape: MinkowskiSum, radius: float, point: Vec3, normal: Vec3
+) -> tuple[float, float, Vec3]:
+    """W = (1 + W_o S)^-1 W_o along tangents u, v: W_o of the object, S = E / h - E n (E n)^T / h^3 of the fingertip.
+
+    Both add to how far the centre goes while the normal turns. Source: Schneider, Convex Bodies, section 2.5.
+    """
+    ku, kv, u = curvature(shape.shape, 0.0, point, normal)
+    v = vec3.cross(normal, u)
+    back, a = rotations.conjugate(shape.orientation), shape.semi_axes
+    n = times(a, rotations.rotate(back, normal))
+    p, q = times(a, rotations.rotate(back, u)), times(a, rotations.rotate(back, v))
+    h = vec3.norm(n)
+    along, across = vec3.dot(n, p) / h, vec3.dot(n, q) / h
+    uu, vv = (vec3.dot(p, p) - along * along) / h, (vec3.dot(q, q) - across * across) / h
+    uv = (vec3.dot(p, q) - along * across) / h
+    size = (1.0 + ku * uu) * (1.0 + kv * vv) - ku * kv * uv * uv
+    first, second, mixed = ku * (1.0 + kv * vv) / size, kv * (1.0 + ku * uu) / size, -ku * kv * uv / size
+    half, mean = 0.5 * (first - second), 0.5 * (first + second)
+    spread = sqrt(half * half + mixed * mixed)
+    _, turned = direction((half + spread, mixed, 0.0) if half >= 0.0 else (mixed, spread - half, 0.0), X_AXIS)
+    return mean + spread, mean - spread, vec3.add_scaled(vec3.scale(turned[0], u), turned[1], v)

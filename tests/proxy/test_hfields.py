@@ -1,0 +1,141 @@
+"""Height fields of a model: our height map is where MuJoCo's rays meet it, on a body that stands or moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_scene
+from softfinger.config.mjcf import taken
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.heightmaps import read_heights
+from softfinger.proxy.kernels.jit.decorators import PLAIN
+from softfinger.proxy.kernels.query.objects import closest_to_within
+from softfinger.proxy.kernels.query.world import advance, place_all
+from softfinger.proxy.kernels.shapes.budget import BUDGET
+from softfinger.proxy.scene import start_state
+
+pytestmark = pytest.mark.plain
+
+Array = NDArray[np.float64]
+R = 0.008
+WOOD = {"stiffness_n_per_m": 500.0}
+ROWS, COLUMNS, PITCH, TOP = 9, 13, 0.004, 0.006
+SIZE = f"{0.5 * (COLUMNS - 1) * PITCH} {0.5 * (ROWS - 1) * PITCH} {TOP} 0.01"
+WAVES_M = 0.03, 0.02
+"""Wave lengths over 2 pi of the hills along x and y: several pixels."""
+MODEL = """
+<mujoco>
+  <option timestep="0.001" gravity="0 0 0"/>
+  <compiler angle="degree"/>
+  <asset><hfield name="hills" nrow="{rows}" ncol="{columns}" size="{size}" {source}/></asset>
+  <worldbody>
+    <body name="carrier" pos="0.01 0.02 0.03" euler="20 -30 40">
+      {joint}<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <geom name="hills" type="hfield" hfield="hills" pos="0.01 0.02 0.03" euler="10 20 30"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def hills() -> Array:
+    """Elevations (rows, columns), the first row at the largest y as MuJoCo's files have it; nowhere symmetric."""
+    x, y = (np.arange(n) * PITCH for n in (COLUMNS, ROWS))
+    return np.asarray(np.sin(x / WAVES_M[0] + 0.3) * np.cos(y[:, None] / WAVES_M[1] - 0.4))
+
+
+def written(folder: Path, source: str = "elevation", joint: str = "", size: str = SIZE) -> Path:
+    """The model's file; its height field's numbers in it, or in a binary file or a picture beside it."""
+    elevations = hills()
+    numbers = f'elevation="{" ".join(f"{each!r}" for each in elevations.ravel().tolist())}"'
+    rows, columns = ROWS, COLUMNS
+    if source == "binary":  # its first row is at the least y
+        head = np.array([ROWS, COLUMNS], np.int32).tobytes()
+        (folder / "hills.bin").write_bytes(head + elevations[::-1].astype(np.float32).tobytes())
+        numbers, rows, columns = 'file="hills.bin"', 0, 0
+    elif source == "picture":
+        from PIL import Image
+
+        grey = np.round(255.0 * (elevations - elevations.min()) / np.ptp(elevations)).astype(np.uint8)
+        Image.fromarray(grey).save(folder / "hills.png")
+        numbers, rows, columns = 'file="hills.png"', 0, 0
+    path = folder / "hills.xml"
+    path.write_text(MODEL.format(rows=rows, columns=columns, size=size, source=numbers, joint=joint))
+    return path
+
+
+def made(path: Path, **tables: Any) -> Engine:
+    return Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": WOOD}, **tables})
+
+
+@pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")
+@pytest.mark.parametrize("source", ["elevation", "binary", "picture"])
+@pytest.mark.parametrize("joint", ["<freejoint/>", ""], ids=["that moves", "that stands"])
+def test_a_height_field_is_touched_where_mujocos_rays_meet_it(joint: str, source: str, tmp_path: Path) -> None:
+    """At its heights to the 32 bits in which MuJoCo has them; between them MuJoCo has two triangles a pixel, and ours
+    is smooth: apart by what h'' bends over a pixel's diagonal, p^2 / 4 (1 / a^2 + 1 / b^2) times the amplitude."""
+    engine = made(written(tmp_path, source, joint))
+    if joint:
+        engine.data.qvel[:] = [0.3, -0.2, 0.1, 2.0, 3.0, -1.0]
+        engine.run([[0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]] * 50)
+    world = advance(engine.scene.objects, start_state(engine.scene).world, 1e-3)
+    placed = place_all(engine.scene.objects, world.poses, world.was)
+    mujoco.mj_kinematics(engine.model, engine.data)
+    at, axes = engine.data.geom_xpos[0], engine.data.geom_xmat[0].reshape(3, 3)
+    scale = TOP / np.ptp(hills())
+    bend = scale * (WAVES_M[0] ** -2 + WAVES_M[1] ** -2)
+    between = 0.25 * PITCH**2 * bend * 1.05  # and what a spline misses of a sine that is sampled so
+    if source == "picture":
+        between += TOP / 255.0  # half a level at each corner, and as much from the spline through them
+    seen = set()
+    for half_row in range(2 * ROWS - 1):
+        for half_column in range(2 * COLUMNS - 1):
+            local = 0.5 * PITCH * np.array([half_column - COLUMNS + 1, half_row - ROWS + 1])
+            local *= 1.0 - 1e-7  # a ray on the rim may miss
+            start = at + axes @ [*local, 0.05]
+            way = mujoco.mj_ray(engine.model, engine.data, start, -axes[:, 2], None, 1, -1, np.zeros(1, np.int32))
+            assert way > 0.0
+            hit = start - way * axes[:, 2]
+            gap = closest_to_within(placed, 0.0, tuple(hit.tolist()), BUDGET)[0]
+            node = half_row % 2 == half_column % 2 == 0
+            seen.add(round(way, 6))
+            assert abs(gap) < (1e-8 if node else between), (half_row, half_column, gap)
+    assert len(seen) > 50  # it is no plain
+
+
+def test_pixels_that_are_not_square_are_said(tmp_path: Path) -> None:
+    world = schema.World(
+        model=str(written(tmp_path, size="0.03 0.03 0.006 0.01")), material=schema.Material(stiffness_n_per_m=500.0)
+    )
+    (geom,) = taken(world)
+    assert geom.object is None
+    assert geom.note == (
+        "is a height field with pixels of 0.005 m along x and 0.0075 m along y: make them square, by its size or by "
+        "resampling"
+    )
+    with pytest.raises(ConfigError, match="no geom can be touched: hills is a height field with pixels"):
+        made(Path(world.model))
+
+
+def test_an_object_of_the_scene_may_be_made_of_a_models_height_field(tmp_path: Path) -> None:
+    """Its elevations from 0 to 1, the first row at the least y; another name is one clear error."""
+    path = written(tmp_path)
+    thing = {"name": "hills", "shape": "heightmap", "file": str(path), "hfield": "hills", "pitch_m": PITCH}
+    thing |= {"level_m": TOP, "material": WOOD}
+    scene = {"fingertip": {"radius_m": R}, "object": [thing]}
+    (read,) = load_scene(scene).object
+    assert isinstance(read, schema.Heightmap)
+    elevations = hills()[::-1]
+    expected = TOP * (elevations - elevations.min()) / np.ptp(elevations)
+    np.testing.assert_allclose(read_heights(read), expected, atol=TOP * 2.0**-23)  # 32 bits
+    thing["hfield"] = "hils"
+    with pytest.raises(ConfigError, match=r"hills\.xml: has no height field 'hils'; it has: hills"):
+        Engine(scene)
