@@ -199,7 +199,7 @@ def read_hfield(path: str, name: str) -> Grid:
         if model.hfield(number).name == name:
             rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
             first = int(model.hfield_adr[number])
-            return model.hfield_data[first : first + rows * columns].reshape(rows, columns).astype(np.float64)
+            return np.array(model.hfield_data[first : first + rows * columns], np.float64).reshape(rows, columns)
     names = ", ".join(model.hfield(number).name for number in range(model.nhfield)) or "none"
     raise ConfigError(f"{path}: has no height field {name!r}; it has: {names}")
 

@@ -1,0 +1,74 @@
+"""A body between two soft fingertips rolls on them: it comes to rest as its closed form says, and does not creep."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_bodies import HALF, MASS, RUBBER, TORSION, G, R, box, held_by_two, pinch
+
+pytestmark = pytest.mark.plain
+HEAVY, SOFT = 1.0, 200.0
+"""kg and N/m: pressed with 3 N the tips are 15 mm deep in a box of 40 mm."""
+
+
+def test_a_heavy_body_rolls_on_soft_fingertips_and_comes_to_rest_slowly(tmp_path: Path) -> None:
+    """Turned by b across the line of the contacts it shears each by (h - d) b, h half its width and d the depth.
+
+    The forces N = K d, whose normals turn with it and whose probes are h + r - d from its middle, turn it back:
+
+        I b'' + 2 c (h - d)^2 b' + (2 N (h + r - d) + 2 K (h - d)^2) b = 0
+
+    So what damps it is small where d is near h, whatever c is: mechanics, and no leak. The shears of the two tips are
+    opposite, so its middle stays.
+    """
+    inertia, damping = HEAVY * (2.0 * HALF) ** 2 / 6.0, 0.2 * math.sqrt(SOFT * HEAVY)
+    coupling = {"stiffness_n_per_m": SOFT, "damping_ns_per_m": damping}
+    coupling["torsional_damping_nms_per_rad"] = math.sqrt(TORSION * inertia)
+    material = RUBBER | {"stiffness_n_per_m": SOFT, "damping_ns_per_m": damping}
+    engine, force = held_by_two(box(tmp_path, HEAVY, gravity=0.0), material, coupling), 3.0
+    way = pinch(100, 500.0 / SOFT * force)
+    engine.run(way)
+    engine.data.qvel[:] = [0.0, 0.0, 0.0, 0.0, 0.2, 0.0]
+    hold = {name: poses[-1:] for name, poses in way.items()}
+    rate = np.zeros(1000)
+    for tick in range(len(rate)):
+        engine.run(hold)
+        rate[tick] = engine.data.qvel[4]
+    depth = force / SOFT
+    lever = HALF - depth
+    stiff = 2.0 * force * (HALF + R - depth) + 2.0 * SOFT * lever**2
+    decay = damping * lever**2 / inertia
+    angular = math.sqrt(stiff / inertia - decay**2)
+    turns = np.flatnonzero(np.diff(np.sign(rate)))
+    crossings = turns + rate[turns] / (rate[turns] - rate[turns + 1])
+    halves = [np.abs(rate[a:b]).max() for a, b in pairwise(turns)]
+    # Second order in a tick of 0.018 rad, and a swing of 0.01 rad is a sine to 1e-4.
+    assert math.pi / np.diff(crossings).mean() == pytest.approx(1e-3 * angular, rel=2e-3)
+    assert math.log(halves[0] / halves[-1]) == pytest.approx(decay * math.pi / angular * (len(halves) - 1), rel=0.01)
+
+
+@pytest.mark.parametrize("seconds", [2, pytest.param(10, marks=pytest.mark.exhaustive)])
+def test_a_held_and_rolled_body_does_not_creep(seconds: int, tmp_path: Path) -> None:
+    """Taken 8 mm beside its middle, under its weight, the fingers rolled by 0.03 rad and held: it stays where it is.
+
+    Springs have a rest: after three seconds, in which dampers end the swing, what is left is rounding. A tick rounds
+    places of 0.1 m to 1e-17 m, ten thousand to 1e-13 m; 1e-11 m leaves room, and an encoder's step is 1e-6 m.
+    """
+    engine = held_by_two(box(tmp_path))
+    way = pinch(100, 3.0, beside=0.008)
+    engine.run(way)
+    angle = 0.5 * 0.03
+    hold = {name: np.repeat(poses[-1:], 500, axis=0) for name, poses in way.items()}
+    for poses in hold.values():
+        poses[:, 3:] = [math.cos(angle), 0.0, math.sin(angle), 0.0]
+    for _ in range(6):
+        engine.run(hold)
+    before = engine.data.qpos.copy()
+    for _ in range(2 * seconds):
+        records = engine.run(hold)
+    assert np.abs(engine.data.qpos - before).max() < 1e-11
+    assert records["thumb"]["contact.tangential_force"][-1] > 0.4 * MASS * G  # it hangs by friction
