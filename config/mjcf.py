@@ -19,6 +19,7 @@ from softfinger.config import limits, schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
+from softfinger.config.urdf import complete, is_urdf, places
 
 if TYPE_CHECKING:
     import mujoco
@@ -61,6 +62,8 @@ def read_model(path: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     try:
         spec = package.MjSpec.from_file(path)
         _check_count(len(spec.bodies) - 1, name)  # the world is one of them
+        if is_urdf(path):
+            complete(spec, Path(path).parent)
         model = spec.compile()
     except (ValueError, package.FatalError) as error:
         raise ConfigError(f"world.model {name}: {' '.join(str(error).split())}") from error
@@ -93,7 +96,10 @@ def _check_folders(text: str, path: Path, name: str, seen: set[Path]) -> None:
     for element in root.iter():
         for key in keys:
             given = element.get(key)
-            if given and not Path(os.path.realpath(home / given.removeprefix("package://"))).is_relative_to(home):
+            outside = [
+                way for way in places(given or "") if not Path(os.path.realpath(home / way)).is_relative_to(home)
+            ]
+            if outside:
                 raise ConfigError(
                     f"world.model {name}: <{element.tag} {key}={given!r}> is outside of its folder: put the file "
                     "beside the model"

@@ -14,6 +14,7 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.mjcf import moves, mujoco_module, read_model
+from softfinger.config.urdf import is_urdf
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
@@ -22,6 +23,8 @@ from softfinger.proxy.kernels.query import bodies as at
 
 TIMESTEP_TOLERANCE: Final = 1e-6
 """Relative: a period of whole nanoseconds is the timestep that a model has in decimal seconds."""
+URDF_TIMESTEP_S: Final = 0.002
+"""MuJoCo's own, of a file that gives none. A URDF has no place for it: the tick's is meant."""
 
 
 class _LogConfig(ctypes.Structure):
@@ -54,6 +57,7 @@ class RigidBodies:
         _, self.model = read_model(world.model)
         # What diverges is to be seen, and not to be put back where it began without a word.
         self.model.opt.disableflags |= package.mjtDisableBit.mjDSBL_AUTORESET
+        self._without_timestep: Final = is_urdf(world.model) and self.model.opt.timestep == URDF_TIMESTEP_S
         self.data: Final = package.MjData(self.model)
         self.moving: Final = [body for body in range(1, self.model.nbody) if moves(self.model, body)]
         """Numbers of the bodies that can move, and their names, or numbers where they have none."""
@@ -149,7 +153,10 @@ class RigidBodies:
 
         ConfigError where the model's time step is another, or where its beginning has no finite acceleration.
         """
-        package, step = mujoco_module(), self.model.opt.timestep * self.world.substeps
+        package = mujoco_module()
+        if self._without_timestep:
+            self.model.opt.timestep = period_s / self.world.substeps
+        step = self.model.opt.timestep * self.world.substeps
         if abs(step - period_s) > TIMESTEP_TOLERANCE * period_s:
             raise ConfigError(
                 f"{self.world.model}: its timestep of {self.model.opt.timestep:g} s, world.substeps = "

@@ -1,0 +1,110 @@
+"""A URDF as the model of a scene: a lid of a mesh on a hinge, its name, the files of its package, the time step."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.mjcf import taken
+from softfinger.proxy.engine import Engine
+
+pytestmark = pytest.mark.plain
+
+R = 0.008
+STIFFNESS, DAMPING = 500.0, 0.2
+"""N/m of the contact, N m s/rad of the hinge."""
+WOOD = {"stiffness_n_per_m": STIFFNESS, "damping_ns_per_m": 0.0}
+URDF = """
+<robot name="box_with_lid">
+  <link name="base">
+    <inertial><mass value="2"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><mesh filename="package://toys/lid.stl"/></geometry></visual>
+    <collision name="bottom"><geometry><box size="0.2 0.2 0.02"/></geometry></collision>
+  </link>
+  <link name="lid">
+    <inertial><origin xyz="0.05 0 0"/><mass value="0.3"/>
+      <inertia ixx="0.0002" iyy="0.0005" izz="0.0005" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0.05 0 0"/><geometry>
+      <mesh filename="{file}" scale="0.001 0.001 0.001"/></geometry></collision>
+    <collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.004"/></geometry></collision>
+  </link>
+  <joint name="hinge" type="revolute">
+    <parent link="base"/><child link="lid"/><origin xyz="-0.1 0 0.05"/><axis xyz="0 1 0"/>
+    <limit lower="-1.5" upper="1.5" effort="10" velocity="5"/><dynamics damping="{damping}"/>
+  </joint>
+</robot>
+"""
+
+
+def written(folder: Path, file: str = "package://toys/lid.stl", beside: str = "lid.stl") -> str:
+    """The URDF's file, and the lid's: a plate of 80 x 60 x 10 mm, in mm."""
+    place = folder / beside
+    place.parent.mkdir(exist_ok=True)
+    trimesh.creation.box(extents=(80.0, 60.0, 10.0)).export(place)
+    path = folder / "lid.urdf"
+    path.write_text(URDF.format(file=file, damping=DAMPING))
+    return str(path)
+
+
+@pytest.mark.parametrize("beside", ["lid.stl", "toys/lid.stl"])
+def test_geoms_are_called_as_their_links_and_meshes_are_found_in_the_folder(beside: str, tmp_path: Path) -> None:
+    """`package://toys/lid.stl` is lid.stl beside the URDF, or toys/lid.stl below; what is only seen is not touched."""
+    rule = schema.GeomMaterial(name="lid", material=schema.Material(stiffness_n_per_m=2.0))
+    world = schema.World(
+        model=written(tmp_path, beside=beside), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
+    )
+    found = {each.name: each.object for each in taken(world)}
+    assert list(found) == ["bottom", "lid", "lid 2"]
+    assert all(thing is not None for thing in found.values())
+    bottom, lid, ball = (thing for thing in found.values() if thing is not None)
+    assert isinstance(lid, schema.Mesh) and lid.file == str(tmp_path / beside) and lid.scale == 0.001
+    assert isinstance(bottom, schema.Box) and isinstance(ball, schema.Sphere)
+    assert [thing.material.stiffness_n_per_m for thing in (bottom, lid, ball)] == [1.0, 2.0, 1.0]
+    assert bottom.motion is None and lid.motion == schema.Body(body="lid")
+
+
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_a_lid_turns_about_its_hinge_under_a_finger(substeps: int, tmp_path: Path) -> None:
+    """Pressed from above: what the finger gives, force times arm times time, is I theta' + c theta.
+
+    A URDF has no time step: a tick's is taken.
+    """
+    scene = {
+        "fingertip": {"radius_m": R},
+        "world": {"model": written(tmp_path), "geom": [{"name": "lid", "material": WOOD}], "substeps": substeps},
+    }
+    engine = Engine(scene)
+    engine.model.opt.gravity[:] = 0.0
+    top, arm = 0.05 + 0.005, 0.06
+    pose = [-0.1 + arm, 0.0, top + R - 0.001, 1.0, 0.0, 0.0, 0.0]
+    engine.run([pose] * 20)
+    assert engine.model.opt.timestep == pytest.approx(1e-3 / substeps, rel=1e-12)
+    begun = engine.data.qpos[0], engine.data.qvel[0]
+    felt = engine.run([pose] * 20)["contact.normal_force"]
+    turned, faster = engine.data.qpos[0] - begun[0], engine.data.qvel[0] - begun[1]
+    inertia = 0.0005 + 0.3 * 0.05**2
+    assert felt.min() > 0.3 and turned > 1e-3
+    # The plate tilts by 0.01 rad at the most, and its top is 5 mm above the hinge: the arm changes by 0.2 %.
+    assert inertia * faster + DAMPING * turned == pytest.approx(1e-3 * felt.sum() * arm, rel=5e-3)
+    assert 0.0 < engine.data.qpos[0] < math.atan2(0.001, arm)
+
+
+@pytest.mark.parametrize("file", ["package://toys/../../secret.stl", "package://../secret.stl", "../secret.stl"])
+def test_no_file_outside_of_its_folder_is_read(file: str, tmp_path: Path) -> None:
+    """Not by a package's name either."""
+    world = schema.World(model=written(tmp_path, file), material=schema.Material(stiffness_n_per_m=1.0))
+    with pytest.raises(ConfigError, match="outside of its folder"):
+        list(taken(world))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    world = schema.World(
+        model=written(tmp_path, "package://toys/none.stl"), material=schema.Material(stiffness_n_per_m=1.0)
+    )
+    with pytest.raises(ConfigError, match=r"toys/none\.stl"):
+        list(taken(world))
