@@ -94,15 +94,16 @@ class Haptics:
     def _change(self, stimulus: Stimulus) -> float:
         """Have the scene and its parameters; returns how long they take to be there, s.
 
-        Another scene or mass, and a parameter that goes back to what its scene does not have, take set_scene; all else
-        is set_params.
+        Another scene, mass or material by name, and a parameter that goes back to what its scene does not have, take
+        set_scene; all else is set_params.
         """
         name = stimulus.scene or self._experiment.scene
         wanted = self._experiment.overrides | stimulus.changes
         back = self._own(name, self._set.keys() - wanted.keys()) if stimulus.scene == self._scene else {}
         changed = {path: value for path, value in (wanted | back).items() if self._set.get(path) != value}
         ramp_s = 0.0
-        if stimulus.scene != self._scene or None in back.values() or split(changed)[0]:
+        whole = None in back.values() or any(isinstance(value, str | dict) for value in changed.values())
+        if stimulus.scene != self._scene or whole or split(changed)[0]:
             scene = scene_with(self._scene_of(name), wanted, f"trial {stimulus.trial}", self._models)
             self.client.set_scene(as_file(scene), name=Path(name).stem[:64])
             self._led = self._hands()

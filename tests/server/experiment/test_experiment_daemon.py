@@ -17,6 +17,7 @@ import pytest
 from test_experiment_design import small
 
 from softfinger.config.errors import CommandRefused
+from softfinger.config.materials import materials
 from softfinger.server import cli
 from softfinger.server.experiment.experiment import Experiment, Running, results
 from softfinger.server.experiment.files import shipped
@@ -223,6 +224,28 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
         "started", "begun", "done", "begun", "done", "begun", "started", "begun", "done", "finished",
     ]  # fmt: skip
     assert len(list((tmp_path / "out" / "sub-01").glob("*.mcap"))) == 2
+
+
+@pytest.mark.exhaustive
+def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
+    """Each trial has the stiffness of its material, and the level's damping beside it."""
+    factor = {"name": "plate", "parameter": "object.table.material", "levels": ["wood", "rubber"]}
+    task = {"kind": "rate", "parameter": "object.table.material.damping_ns_per_m", "question": "How heavy?"}
+    procedure = {"kind": "constant", "levels": [0.2], "repetitions": 1}
+    design = small(
+        factor=[factor], task=task, procedure=procedure, trial={"touch_s": 0.9}, motion={"fingertip": MOTION}
+    )
+    Experiment(design).run(tmp_path / "out", 1, settings(tmp_path))
+    recording = tmp_path / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
+    run = load_run(recording, ("contact.normal_force", "contact.penetration"))
+    conditions = [row["condition"] for row in results(tmp_path / "out")]
+    assert sorted(conditions) == ["rubber", "wood"]
+    for condition, end in zip(conditions, marks(run, "release"), strict=True):
+        last = at(run, end["tick"]) - 1
+        normal, depth = run.first["contact.normal_force"][last], run.first["contact.penetration"][last]
+        # The hand rests within some mm/s, of which the damper makes a thousandth of the force.
+        stiffness = materials()[condition].values["stiffness_n_per_m"]
+        assert normal / depth == pytest.approx(stiffness, rel=0.01) and normal > 0.3
 
 
 def test_a_hand_follows_straight_lines() -> None:
