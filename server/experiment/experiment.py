@@ -17,7 +17,7 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.server import signals
-from softfinger.server.experiment import files
+from softfinger.server.experiment import files, rigs
 from softfinger.server.experiment.answers import DryRun, Person
 from softfinger.server.experiment.design import Condition, conditions
 from softfinger.server.experiment.folder import Folder, load, trials_in
@@ -128,10 +128,11 @@ class Experiment:
         from softfinger.server.remote import Client
 
         values = {"recording.directory": str(own.root.absolute()), **running.rig}
-        scene = scene_with(self._scene(self.file.scene), self.file.overrides, "overrides")
+        of_rig, of_scene = rigs.split(self.file.overrides, "overrides")
+        scene = scene_with(self._scene(self.file.scene), of_scene, "overrides")
         with ExitStack() as opened:
             daemon = opened.enter_context(
-                Daemon(load_rig(rig, values), scene, scene_name=Path(self.file.scene).stem[:64])
+                Daemon(load_rig(rig, values | of_rig), scene, scene_name=Path(self.file.scene).stem[:64])
             )
             if daemon.commands_endpoint is None:
                 raise ConfigError(
@@ -148,7 +149,10 @@ class Experiment:
                 page = Shown(daemon.publisher.endpoint, daemon.commands_endpoint, loudness, Role.PARTICIPANT)
                 opened.callback(page.close)
                 looks.append(page.look)
-            haptics = Haptics(client, self.file, self._scene, models, lambda: _check(daemon.wait, looks))
+            haptics = Haptics(
+                client, self.file, self._scene, models, lambda: _check(daemon.wait, looks),
+                lambda changed: daemon.replace(rig=load_rig(rig, values | changed)),
+            )  # fmt: skip
             yield haptics, client.describe()
 
     def _scene(self, name: str) -> str | Path:

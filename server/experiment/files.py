@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from msgspec.structs import fields
-
-from softfinger.config.errors import ConfigError
 from softfinger.config.load import EXPERIMENTS, build, find_in, load_rig, names_in, overridden, read_toml
-from softfinger.config.schema import Rig, Scene
+from softfinger.server.experiment import rigs
 from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.masses import scene_with
 from softfinger.server.experiment.schema import ExperimentFile
@@ -42,7 +39,8 @@ def beside(folder: Path, name: str) -> str | Path:
 
 def check(experiment: ExperimentFile, folder: Path) -> None:
     """Raise ConfigError where a scene, a parameter or the rig cannot be used, before a participant finds out."""
-    load_rig(beside(folder, experiment.rig))
+    rig = beside(folder, experiment.rig)
+    load_rig(rig)
     task, procedure = experiment.task, experiment.procedure
     ends = procedure.levels or (procedure.smallest, procedure.largest)
     for condition in conditions(experiment):
@@ -50,17 +48,6 @@ def check(experiment: ExperimentFile, folder: Path) -> None:
         for level in (min(ends), max(ends)):
             values = experiment.overrides | condition.changes | parameters(experiment, task.value(level))
             where = f"condition {condition.name}, level {level:g}"
-            refuse_rig(values, where)
-            scene_with(beside(folder, name), values, where)
-
-
-def refuse_rig(paths: Iterable[str], where: str) -> None:
-    """Raise ConfigError for a parameter of the rig, which a daemon takes when it starts."""
-    own = {field.name for field in fields(Rig)} - {field.name for field in fields(Scene)}
-    for path in paths:
-        head, _, rest = path.partition(".")
-        if (head == "rig" and rest) or head in own:
-            raise ConfigError(
-                f"{where}: {path}: a value of the rig changes with another start of the daemon alone, so it is no "
-                "factor: run a session with --rig for each of its levels"
-            )
+            of_rig, of_scene = rigs.split(values, where)
+            load_rig(rig, of_rig)
+            scene_with(beside(folder, name), of_scene, where)

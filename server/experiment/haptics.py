@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ import numpy as np
 from softfinger.config.errors import SafetyStop
 from softfinger.config.load import describe, load_scene, numbered, value_at
 from softfinger.config.schema import Scene
+from softfinger.server.experiment import rigs
 from softfinger.server.experiment.masses import scene_with, split
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import Felt, Stimulus
@@ -38,6 +39,7 @@ class Haptics:
     scene_of  where a scene is that the experiment names
     models    folder for models of bodies with other masses
     running   raises what ended the daemon, or Stopped where it was asked to end
+    change_rig  has the daemon go on, from zero force, with these values of the rig and its own for all others
     """
 
     def __init__(
@@ -47,10 +49,12 @@ class Haptics:
         scene_of: Callable[[str], str | Path],
         models: Path,
         running: Callable[[], None],
+        change_rig: Callable[[Mapping[str, Any]], Any],
     ) -> None:
         self.client: Final = client
         self._experiment, self._scene_of, self._models, self._running = experiment, scene_of, models, running
-        self._set: dict[str, Any] = dict(experiment.overrides)
+        self._change_rig: Final = change_rig
+        self._rig, self._set = rigs.split(experiment.overrides, "overrides")
         self._scene: str | None = None
         self.newest: dict[str, Sample] = {}
         """The last tick of each finger, by name."""
@@ -98,7 +102,10 @@ class Haptics:
         set_scene; all else is set_params.
         """
         name = stimulus.scene or self._experiment.scene
-        wanted = self._experiment.overrides | stimulus.changes
+        of_rig, wanted = rigs.split(self._experiment.overrides | stimulus.changes, f"trial {stimulus.trial}")
+        if of_rig != self._rig:
+            self._change_rig(of_rig)
+            self._rig = of_rig
         back = self._own(name, self._set.keys() - wanted.keys()) if stimulus.scene == self._scene else {}
         changed = {path: value for path, value in (wanted | back).items() if self._set.get(path) != value}
         ramp_s = 0.0

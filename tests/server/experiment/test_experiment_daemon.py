@@ -131,6 +131,19 @@ def test_a_hand_is_led_back_before_it_feels(session: tuple[Path, Run]) -> None:
         assert np.linalg.norm(position - MOTION[0][1:]) <= BACK_M
 
 
+def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
+    """The hand presses with some 0.9 N: the guard lets through what its limit in the trial is, from zero force on."""
+    limits = {"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.3, 5.0]}
+    made = Experiment(experiment() | {"factor": [limits]})
+    low, high = made.run(tmp_path / "out", 1, settings(tmp_path))
+    assert low["peak_force_n"] == pytest.approx(0.3, rel=1e-9) and 0.5 < high["peak_force_n"] < 5.0
+    run = load_run(tmp_path / "out" / "sub-01" / "sub-01_run-01_ticks.mcap", ("force",))
+    replaced = [event["first"] for event in run.events if event["name"] == "replaced"]
+    assert len(replaced) == 2
+    for tick in replaced:
+        assert run.first["tick"][at(run, tick)] == tick and not run.first["force"][at(run, tick)].any()
+
+
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
     """The same forces at the same ticks, none lost; the row of the trial has their largest."""
     folder, run = session
