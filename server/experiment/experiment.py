@@ -151,7 +151,7 @@ class Experiment:
                 looks.append(page.look)
             haptics = Haptics(
                 client, self.file, self._scene, models, lambda: _check(daemon.wait, looks),
-                lambda changed: daemon.replace(rig=load_rig(rig, values | changed)),
+                lambda changed: daemon.replace(rig=load_rig(rig, {**values, **changed})),
             )  # fmt: skip
             yield haptics, client.describe()
 
