@@ -31,7 +31,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-all test-numba coverage mutants test-vm emulators browser vm-packages subscribers lint bench soak exchange-cost handover-age study reference figures page-picture \
+.PHONY: help setup run test test-all test-numba coverage mutants test-vm emulators browser vm-packages subscribers lint bench soak exchange-cost handover-age study faults-seen reference figures page-picture \
     docs docs-serve warmup wheel constraints docker-check host-check clean distclean
 
 help: ## This list
@@ -136,6 +136,9 @@ exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that
 
 study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)
+
+faults-seen: $(STAMP) ## Run every test that injects a fault, and keep what was seen for `make reference` (minutes, on a machine at rest)
+	@exec $(BIN)/python tests/faults_seen.py $(ARGS)
 
 reference: $(STAMP) ## Write docs/reference/: keys of scenes and rigs, record, telemetry, commands, states, faults
 	@exec $(BIN)/python -m softfinger.tools.pages.reference docs/reference

@@ -30,6 +30,7 @@ from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import Records, Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.services.supervisor import Supervisor
+from softfinger.server.services.swapping import Swapping
 from softfinger.server.services.telemetry import Telemetry
 from softfinger.server.services.world import WorldState
 from softfinger.server.states import State, States, Trigger
@@ -275,6 +276,7 @@ class Daemon:
             self.supervisor,
             HotplugWatch(hotplug, self._event),
             DeviceWarnings(lambda: self.devices, self._event),
+            Swapping(self._event),
             WorldState(self.servo, self._world, self._event),
             *others,
             *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),

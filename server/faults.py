@@ -5,7 +5,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final, NamedTuple
+
+SEEN_IN: Final = Path(__file__).with_name("faults_seen.json")
+"""What `make faults-seen` has seen of the tests below."""
 
 ADVICE: Final = {
     "not_finite": "the scene gave no finite force: softfinger check names values that do not go together",
@@ -33,6 +37,7 @@ class Hazard(NamedTuple):
     recovery  what leads back to a force
     events    kind and name of each event that tells it
     tests     node ids of the tests that inject it
+    within    ticks at 1 kHz that the tests hold the reaction to, with a rig of theirs; None where it removes no force
     """
 
     name: str
@@ -42,6 +47,7 @@ class Hazard(NamedTuple):
     recovery: str
     events: tuple[str, ...]
     tests: tuple[str, ...]
+    within: int | None = None
 
 
 FAILED: Final = "state faulted"
@@ -49,7 +55,15 @@ FAILED: Final = "state faulted"
 _ENDS: Final = "zero; the run ends"
 _START: Final = "start again"
 _NONE: Final = "none needed"
+_FROZEN: Final = 120
+"""`frozen_s = 0.1` of the tests' rig, and a fifth more."""
+_HELD: Final = 252
+"""`HELD_MAX_S`, and the tick in which it ends."""
+_STALLED: Final = 350
+"""`STALL_POLLS` looks: one may come just before the last tick, and one more until the zero is written."""
 _INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_force_that_it_may_not"
+_EVERYWHERE: Final = "tests/server/test_injected_faults.py::test_on_every_driver"
+_PROCESS: Final = "tests/server/test_process_faults.py"
 
 HAZARDS: Final = (
     Hazard(
@@ -65,15 +79,15 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a pose that is not finite, out of range or short", "before the contact step", "0 ticks", "zero",
-        "the ramp; 0.5 s of it end the run", ("guard pose_refused", FAILED), (_INJECTED,),
+        "the ramp; 0.5 s of it end the run", ("guard pose_refused", FAILED), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
         "a pose that jumps", "`speed_max_m_per_s`, `turn_max_rad_per_s`", "0 ticks", "zero",
-        "the ramp; five in a row end the run", ("guard pose_jumped", FAILED), (_INJECTED,),
+        "the ramp; five in a row end the run", ("guard pose_jumped", FAILED), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
         "a pose that stands still under a force", "`frozen_s`", "5 s by default", "zero", "once it moves, the ramp",
-        ("guard pose_frozen",), (_INJECTED,),
+        ("guard pose_frozen",), (_INJECTED, _EVERYWHERE), within=_FROZEN,
     ),
     Hazard(
         "a handle that runs away", "`handle_speed_max_m_per_s`", "12 ticks at 3 m/s", "zero",
@@ -99,24 +113,27 @@ HAZARDS: Final = (
     Hazard(
         "a device that is lost, silent, or breaks its protocol", "status of the driver", "0 ticks; 1 of a write",
         f"{_ENDS}, exit code 4", _START, (FAILED,),
-        (_INJECTED, "tests/server/test_daemon.py::test_device_failure_is_named_and_force_is_zero"),
+        (_INJECTED, _EVERYWHERE, "tests/server/test_daemon.py::test_device_failure_is_named_and_force_is_zero"),
+        within=1,
     ),
     Hazard(
         "a device that takes no force", "status of the driver", "0.25 s", f"{_ENDS}, exit code 4; until then the force "
-        "of before", _START, (FAILED,), (_INJECTED,),
+        "of before", _START, (FAILED,), (_INJECTED, _EVERYWHERE), within=_HELD,
     ),
     Hazard(
         "a device that removes its force", "status of the driver", "0 ticks", f"{_ENDS}, exit code 6", _START,
-        (FAILED,), (_INJECTED,),
+        (FAILED,), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
         "a loop that stalls", "supervisor: no tick", "0.25 s", f"{_ENDS}, exit code 6; until then the last force",
         _START, ("fault stalled", FAILED),
-        (_INJECTED, "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
+        (_INJECTED, _EVERYWHERE,
+         "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
+        within=_STALLED,
     ),
     Hazard(
         "ticks that are missed", "the loop's clock", "the next tick", "the force changes as in one tick", _NONE,
-        ("servo missed",), (_INJECTED, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
+        ("servo missed",), (_INJECTED, _EVERYWHERE, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
     ),
     Hazard(
         "a machine that starves the loop", "half of the time lost", "0.5 s lost more than half",
@@ -126,7 +143,9 @@ HAZARDS: Final = (
         "a machine that slept, a process that was stopped", "the time since the last tick", "0 ticks",
         "the force begins at zero", "the ramp", ("guard ramping",),
         ("tests/server/test_servo.py::test_after_a_long_pause_the_force_fades_in",
-         "tests/server/test_signals.py::test_no_force_while_the_process_is_stopped"),
+         "tests/server/test_signals.py::test_no_force_while_the_process_is_stopped",
+         f"{_PROCESS}::test_processes_that_sleep_wake_with_zero_force"),
+        within=1,
     ),
     Hazard(
         "a commanding program that is gone", "`heartbeat_s`", "`heartbeat_s` and 0.1 s", "zero, along the slew limit",
@@ -160,8 +179,16 @@ HAZARDS: Final = (
         ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
     ),
     Hazard(
-        "a publisher that is killed", "the daemon", "none", "as before", "it is started again",
-        ("fault publisher",), ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",),
+        "a publisher that is killed, or gets no memory", "the daemon", "none", "as before", "it is started again",
+        ("fault publisher",),
+        ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
+         f"{_PROCESS}::test_a_publisher_without_memory_is_started_again"),
+    ),
+    Hazard(
+        "a publisher that stands still, a network that is lost", "none needed: nobody waits for it", "none",
+        "as before; subscribers miss ticks", _NONE, (),
+        (f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",
+         f"{_PROCESS}::test_a_network_that_is_lost_costs_subscribers_alone"),
     ),
     Hazard(
         "a disk that is full or stalls", "the recorder", "none",
@@ -170,14 +197,21 @@ HAZARDS: Final = (
          "tests/server/recording/test_recorder.py::test_a_disk_that_stalls_costs_ticks_and_no_time"),
     ),
     Hazard(
-        "a clock that is set", "none needed: ticks go by CLOCK_MONOTONIC", "none", "as before", _NONE, (),
-        ("tests/server/test_service_faults.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
+        "a clock that is set", "none needed: ticks, events and recordings go by CLOCK_MONOTONIC", "none", "as before",
+        _NONE, (),
+        (f"{_PROCESS}::test_a_clock_that_is_set_puts_nothing_out_of_order",
+         "tests/server/test_service_faults.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
     ),
     Hazard(
         "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
         "the second ends, and says who holds it", "end the first", (),
         ("tests/drivers/test_serial_loop.py::test_the_command_line_on_a_port",
          "tests/server/test_cli.py::test_endpoint_in_use_has_its_own_exit_code"),
+    ),
+    Hazard(
+        "memory of the daemon in swap", "VmSwap, at the start and once a second", "1 s", "as before",
+        "end what fills the memory, or let the daemon lock its own", ("fault swapped",),
+        ("tests/server/test_swapping.py::test_memory_in_swap_is_told_once",),
     ),
     Hazard(
         "a reader of ticks that fails", "the thread that hands ticks on", "none", "as before, without that reader",

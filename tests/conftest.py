@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from helpers.compiling import CompilationReport
+from helpers.faults_seen import FaultsSeen
 from helpers.stalls import Patience
 from hypothesis import HealthCheck, settings
 
@@ -73,6 +74,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("softfinger")
     group.addoption("--compiled", action="store_true", help="list every file whose tests compile kernels")
     group.addoption("--exhaustive", action="store_true", help="all cases of tests marked `scaled`")
+    group.addoption("--faults-seen", metavar="FILE", help="write what tests of injected faults saw here")
     group.addoption("--put-off", metavar="FILE", help="name tests of real time here that failed")
 
 
@@ -91,6 +93,8 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop("NUMBA_DISABLE_JIT", None)
     config.pluginmanager.register(Patience(config.getoption("--put-off")))
     config.pluginmanager.register(CompilationReport())
+    if file := config.getoption("--faults-seen"):
+        config.pluginmanager.register(FaultsSeen(file))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -19,6 +19,7 @@ from softfinger.config.files import check_owner
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.recording.writer import RecordingFile, with_whole_numbers
 from softfinger.server.wire.events import RecordEvents
+from softfinger.server.wire.stamps import now_s
 
 Array = NDArray[np.float64]
 
@@ -73,7 +74,8 @@ class Log(logging.Handler):
         self.setFormatter(logging.Formatter("%(message)s"))
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._lines.append(Line(record.created, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
+        at_s = now_s() - (time.time() - record.created)
+        self._lines.append(Line(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
 
     def lines(self, since_s: float) -> list[Line]:
         """Those from a time on."""
@@ -127,7 +129,7 @@ class BlackBox:
             recording = RecordingFile(file, self._fingers, about)
             for event in self._put_ticks(recording, rows):
                 recording.event(event)
-            since = time.time() - KEPT_S
+            since = now_s() - KEPT_S
             for event in list(self._events):
                 if event["timestamp"] >= since:
                     recording.event(event)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -22,6 +21,7 @@ from softfinger.server.services.description import described
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.wire.protocol import SCHEMA
+from softfinger.server.wire.stamps import now_s
 
 log: Final = logging.getLogger(__name__)
 
@@ -127,7 +127,7 @@ class Recordings:
         """Record where the bodies of a [world] are; from any thread."""
         recorder = self._recorder
         if recorder is not None:
-            recorder.world({"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "bodies": bodies})
+            recorder.world({"schema": SCHEMA, "timestamp": now_s(), "tick": tick, "bodies": bodies})
 
     def note_settings(self, settings: Any) -> None:
         """What the machine granted of the real-time settings, plain values; known with the servo's start."""

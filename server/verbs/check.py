@@ -31,6 +31,7 @@ from softfinger.config.schema import (
 )
 from softfinger.config.words import near, shown
 from softfinger.server.offline.feels import entry_rows
+from softfinger.server.offline.figures import plot_file
 
 if TYPE_CHECKING:  # with the kernels behind it, which no rig needs
     from softfinger.proxy.meshes.report import Report
@@ -57,6 +58,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--explain", action="store_true", help="compile each scene and measure what a tick and each part of it cost"
     )
+    parser.add_argument(
+        "--plot", type=plot_file, metavar="FILE.png", help="draw the soft wall of a rig about the objects of a scene"
+    )
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 
 
@@ -70,7 +74,37 @@ def run(args: argparse.Namespace) -> int:
     else:
         for finding in findings:
             _show(finding)
+    _draw_walls(findings, args.plot, quiet=args.json)
     return ConfigError.exit_code if any(finding.errors for finding in findings) else 0
+
+
+def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None:
+    """Print each rig's soft wall about the objects of each scene, unless `quiet`, and save the only one as `plot`.
+
+    Raises ConfigError for a plot of none, or of several.
+    """
+    usable = [finding for finding in findings if not finding.errors]
+    rigs = [(each.file, load_rig(_locate(each.file)).guard.workspace) for each in usable if each.kind == "rig"]
+    walls = [(name, wall) for name, wall in rigs if wall is not None]
+    scenes = [each.file for each in usable if each.kind == "scene"]
+    if plot is not None and len(walls) * len(scenes) != 1:
+        raise ConfigError(
+            f"--plot draws one rig with [guard.workspace] and one scene, and there are {len(walls)} and {len(scenes)}: "
+            "name one of each"
+        )
+    if not walls or not scenes or (quiet and plot is None):
+        return
+    from softfinger.server.offline import workspace
+
+    for name, wall in walls:
+        for scene in scenes:
+            objects = workspace.drawn(wall, load_scene(_locate(scene)))
+            if plot is not None:
+                workspace.plot(wall, objects, plot)
+            if not quiet:
+                print(f"the soft wall of {name} in {scene}")
+                _print_rows(workspace.rows(wall, objects))
+                print("\n".join(f"  {line}" for line in workspace.text(wall, objects)))
 
 
 def examine_file(file: str) -> Finding:
@@ -401,6 +435,10 @@ def _show(finding: Finding) -> None:
             print(f"  {error}", file=sys.stderr)
         return
     print(f"{finding.file}: {finding.kind}, usable")
-    width = max(len(label) for label, _ in finding.summary)
-    for label, text in finding.summary:
+    _print_rows(finding.summary)
+
+
+def _print_rows(rows: list[tuple[str, str]]) -> None:
+    width = max((len(label) for label, _ in rows), default=0)
+    for label, text in rows:
         print(f"  {label:{width}}  {text}")

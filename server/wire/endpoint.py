@@ -15,6 +15,8 @@ from typing import Final, NamedTuple
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.files import check_owner
 from softfinger.config.schema import runtime_folder
+from softfinger.drivers.system.discovery import holder
+from softfinger.server.wire.listener import listener_on
 
 LISTEN_BACKLOG: Final = 128
 """Connections that the system keeps until they are accepted."""
@@ -181,7 +183,10 @@ def _claim(path: Path, endpoint: str, key: str) -> int:
 
 
 def _in_use(endpoint: str, key: str) -> AddressInUse:
+    scheme, _, address = endpoint.partition("://")
+    who = holder(f"{address}.lock") if scheme == "ipc" else listener_on(int(address.rpartition(":")[2]))
     free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* takes a free one)"
     return AddressInUse(
-        f"{key} {endpoint} is in use: stop the softfinger or other program that holds it, or set {key} to {free}"
+        f"{key} {endpoint} is in use: stop {who or 'the softfinger or other program that holds it'}, "
+        f"or set {key} to {free}"
     )

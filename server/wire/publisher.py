@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any, Final
@@ -37,6 +36,7 @@ from softfinger.server.wire.protocol import (
     encode,
     wire_schema,
 )
+from softfinger.server.wire.stamps import now_s
 
 log: Final = logging.getLogger(__name__)
 
@@ -91,7 +91,7 @@ class Publisher(Closing):
         alone = isinstance(doors, str)
         content = {
             "schema": SCHEMA,
-            "timestamp": time.time(),
+            "timestamp": now_s(),
             "topics": self._topics,
             "commands": commands_beside(self.endpoint) if alone else self._doors.commands_told,
             "messages": wire_schema()["messages"],
@@ -214,7 +214,7 @@ class Publisher(Closing):
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
         """Send an event of now at once; `fields` are further keys, of types msgpack knows."""
-        self.send_event(event_map((self._relay.tick, time.time()), kind, name, fields))
+        self.send_event(event_map((self._relay.tick, now_s()), kind, name, fields))
 
     def send_event(self, event: dict[str, Any]) -> None:
         """Send an event at once; of a new state of the daemon `health` tells from there on, too."""
@@ -228,7 +228,7 @@ class Publisher(Closing):
         """Send where the bodies of a scene were in a tick: maps with the keys of WORLD_KEYS; from any thread."""
         with self._lock:
             if not self._closed:
-                content = {"schema": SCHEMA, "timestamp": time.time(), "tick": tick, "bodies": bodies}
+                content = {"schema": SCHEMA, "timestamp": now_s(), "tick": tick, "bodies": bodies}
                 self._send(WORLD, content)
 
     def close(self) -> None:

@@ -12,10 +12,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import usb.backend
 import usb.backend.libusb1
 import usb.core
+from numpy.typing import NDArray
 
 from helpers.c_stub import COMPILER, NO_COMPILER, CStub, compile_stub
 from softfinger.drivers.forcedimension import device as forcedimension
@@ -23,6 +25,8 @@ from softfinger.drivers.forcedimension import usb as fd_usb
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
+LOGGED = 1 << 14
+"""Of the stand-in's log."""
 
 
 class Stub(CStub):
@@ -33,6 +37,11 @@ class Stub(CStub):
         out = (ctypes.c_double * 3)()
         self._library.stub_force(out)
         return out[0], out[1], out[2]
+
+    def log(self) -> NDArray[np.float64]:
+        """What the motors were given so far (n, 4): s of the monotonic clock, N in the library's frame."""
+        out = np.zeros((LOGGED, 4))
+        return out[: self._library.stub_log(out.ctypes.data_as(ctypes.c_void_p), LOGGED)]
 
     def busy(self) -> bool:
         """Whether a thread is in an exchange just now."""

@@ -14,7 +14,7 @@ from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.drivers.base import Device
 from softfinger.drivers.injected import Injected
-from softfinger.proxy.record import RECORD_SIZE
+from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import GUARD_NAMES
@@ -30,12 +30,14 @@ WAIT_S = 30.0
 
 class Seen(NamedTuple):
     """What became of a run: its error, None where it went on to its last tick; names of the recording's events, and of
-    those that the supervisor told; ticks done, and those in the recording (n, RECORD_SIZE)."""
+    those that the supervisor told; ticks done, and those in the recording (n, RECORD_SIZE); when each of these began,
+    s of the monotonic clock (n,)."""
 
     error: HapticError | None
     events: list[str]
     ticks: int
     recorded: np.ndarray
+    times: np.ndarray
 
 
 def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float, folder: Path) -> Seen:
@@ -73,10 +75,10 @@ def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float
     error = failures[0] if failures else ended.error
     error = error or shutdown.device_failure(injected, ended)
     error = error or shutdown.loop_failure(ended, servo.ticks, servo.missed, servo.woken_late)
-    done = servo.ticks
+    done, epoch_s = servo.ticks, servo.epoch_s
     servo.close()
     events, recorded = read(path)
-    return Seen(error, events + told, done, recorded)
+    return Seen(error, events + told, done, recorded, recorded[:, AT.timestamp] - epoch_s)
 
 
 def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None]) -> None:

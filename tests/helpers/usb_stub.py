@@ -80,6 +80,12 @@ class UsbStub:
         self._library.stub_log(0, out.ctypes.data_as(ctypes.c_void_p), len(out))
         return out
 
+    def times(self) -> np.ndarray:
+        """When each of these packets came, s of the monotonic clock (n,)."""
+        out = np.zeros(int(self["logged"]))
+        self._library.stub_times(0, out.ctypes.data_as(ctypes.c_void_p), len(out))
+        return out
+
     def busy(self) -> bool:
         """Whether a thread is handling events just now."""
         return bool(self._library.stub_busy())

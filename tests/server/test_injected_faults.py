@@ -1,33 +1,27 @@
 """Faults injected between every driver and the loop: what the device was given, what was told, and how it went on.
 
-What is asserted of forces is what the device's far end has received: the log of a replay and of a simulated handle, the
-frames of a board, the reports of an arm. One scene, so one loop is compiled, of 20 s.
+What is asserted of forces is what the device's far end has received (`helpers/far_ends.py`). One scene, so one loop is
+compiled, of 20 s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from helpers.hid_devices import woody
+from helpers.far_ends import FAR_ENDS, RATE_HZ, FarEnd
+from helpers.faults_seen import SEEN
 from helpers.injected_run import FROZEN_S, RAMP_S, Seen, run
-from helpers.serial_devices import board, settle
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
-from softfinger.config.load import build
-from softfinger.drivers.base import Device
-from softfinger.drivers.replay import device as replay
-from softfinger.drivers.simulated import device as simulated
 from softfinger.proxy.record import AT
 from softfinger.server.loop.health import HELD_MAX_S, SILENCE_MAX_S, STALL_POLL_S, STALL_POLLS
 
 pytestmark = pytest.mark.real_time
 
-RATE_HZ = 1000.0
 FORCE_MAX_N = 12.0
 """Of the rig."""
 STEP_N = 2.0
@@ -37,7 +31,6 @@ TOUCH_N = 0.1
 RAMP_TICKS = round(RAMP_S * RATE_HZ)
 AFTER = 150
 """Ticks behind the fault: the ramp, and what shows that the force is there again."""
-PRESSED_S = 0.01
 FULL_N = 1.2
 """No less than the replay presses with: 1 N, and 0.6 times that of friction."""
 MOMENTS = {"first": 0, "ramp": RAMP_TICKS // 2, "contact": 100}
@@ -73,10 +66,10 @@ CASES = {
     "stale for long": Case({"kind": "stale"}, 2 * FROZEN, "pose_frozen", zero=FROZEN + FROZEN // 5),
     "frozen": Case({"kind": "frozen"}, 20),
     "frozen for long": Case({"kind": "frozen"}, 2 * FROZEN, "pose_frozen", zero=FROZEN + FROZEN // 5),
-    "nan": Case({"kind": "nan", "number": "y"}, 3, "pose_refused", zero=0),
+    "nan": Case({"kind": "nan", "number": "y"}, 20, "pose_refused", zero=0),
     "nan rotation": Case({"kind": "nan", "number": "qw"}, 1, "pose_refused", zero=0),
     "nan for long": Case({"kind": "nan"}, 900, "pose_refused", 0, DeviceError, SILENT),
-    "infinite": Case({"kind": "infinite", "number": "z"}, 2, "pose_refused", zero=0),
+    "infinite": Case({"kind": "infinite", "number": "z"}, 20, "pose_refused", zero=0),
     "short": Case({"kind": "short", "numbers": 3}, 5, "pose_refused", zero=0),
     "teleport": Case({"kind": "teleport", "offset_m": [0.0, 0.0, -0.9]}, 1, "pose_jumped", zero=0),
     "jumping": Case({"kind": "teleport", "offset_m": [0.9, 0.0, 0.0], "every_ticks": 2}, 40, "pose_jumped", 0,
@@ -98,63 +91,23 @@ CASES = {
     "swallowed": Case({"kind": "swallowed"}, 20),
 }  # fmt: skip
 
-Received = Callable[[], np.ndarray]
-"""Forces (n, 3) N that the far end of a device was given, in their order."""
 
-
-@contextmanager
-def pressed_replay(tmp_path: Path) -> Iterator[tuple[Device, Received]]:
-    """A recording of a fingertip 1 mm deep in the plane that is dragged to and fro."""
-    times = np.arange(0.0, 4.005, PRESSED_S)
-    x = 0.005 * np.sin(0.5 * np.pi * times)
-    rest = np.tile([0.0, 0.009, 1.0, 0.0, 0.0, 0.0], (len(times), 1))
-    path = tmp_path / "pressed.csv"
-    np.savetxt(path, np.column_stack([times, x, rest]), delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
-    device = replay.open_device(build(replay.Options, {"recording": str(path)}, "[device]"), RATE_HZ)
-    yield device, lambda: device.written().wrench[:, :3]
-
-
-@contextmanager
-def simulated_hand(tmp_path: Path) -> Iterator[tuple[Device, Received]]:
-    """A computed handle whose hand wants to be 4 mm deep, and sways."""
-    hand = {"position_m": [0.0, 0.0, 0.006], "sway_m": [0.005, 0.0, 0.0], "sway_hz": 0.5}
-    device = simulated.open_device(build(simulated.Options, hand, "[device]"), RATE_HZ)
-    yield device, lambda: device.written().wrench[:, :3]
-
-
-@contextmanager
-def serial_board(tmp_path: Path) -> Iterator[tuple[Device, Received]]:
-    """A board behind a pseudo terminal."""
-    with board(lambda t: (0.002 * np.sin(6.0 * t), 0.0, 0.006), timeout_s=2.0) as (device, far, cable):
-
-        def received() -> np.ndarray:
-            settle(device, cable)
-            return np.array(far.sent, float).reshape(-1, 7)[:, :3] * 1e-3
-
-        yield device, received
-
-
-@contextmanager
-def hid_arm(tmp_path: Path) -> Iterator[tuple[Device, Received]]:
-    """An arm behind a packet socket; what its motors are given is in mA, which is a force to some factor."""
-    with woody(intention=lambda t: (0.002 * np.sin(6.0 * t), 0.0, 0.006), timeout_s=2.0) as (device, arm, answering):
-
-        def received() -> np.ndarray:
-            answering.settle(device)
-            return np.array(arm.sent, float)[:, :3] * 1e-3
-
-        yield device, received
-
-
-DRIVERS = {"replay": pressed_replay, "simulated": simulated_hand, "serial": serial_board, "hid": hid_arm}
-
-
-def injected(driver: Any, name: str, at: int, tmp_path: Path) -> tuple[Seen, np.ndarray]:
+def injected(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, FarEnd, np.ndarray]:
+    """A run with a fault at a tick; and what the far end was given, of each force the tick in which it came."""
     case = CASES[name]
     fault = case.fault | {"at_tick": at, "ticks": case.lasts}
-    with driver(tmp_path) as (device, received):
-        seen = run(device, [fault], at + case.lasts + AFTER, RATE_HZ, tmp_path)
-        return seen, received()
+    with FAR_ENDS[driver](tmp_path) as far:
+        seen = run(far.device, [fault], at + case.lasts + AFTER, RATE_HZ, tmp_path)
+        given = far.received()
+    return seen, far, np.column_stack([ticks_of(given[:, 0], seen), given[:, 1:]])
+
+
+def ticks_of(times: np.ndarray, seen: Seen) -> np.ndarray:
+    """In which tick a time is (n,), -1 before the first; the last one goes on behind its end."""
+    rows = np.arange(len(times), dtype=float)
+    late = np.maximum(times - seen.times[-1], 0.0) * RATE_HZ
+    found = np.searchsorted(seen.times, times, side="right") - 1.0
+    return np.where(np.isnan(times), rows, found + np.floor(late))
 
 
 def check_end(name: str, at: int, seen: Seen) -> None:
@@ -192,9 +145,9 @@ def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: st
     guard's limits; the fault is told by name, the run ends with its error or goes on with a force that fades in, and no
     tick of the recording is lost."""
     case, at = CASES[name], MOMENTS[moment]
-    seen, forces = injected(pressed_replay, name, at, tmp_path)
+    seen, _, given = injected("replay", name, at, tmp_path)
     check_end(name, at, seen)
-    norms = check_limits(forces)
+    norms = check_limits(given[:, 1:])
     if case.zero is not None:
         # A first pose is never a jump, the next one is.
         late = int(at == 0 and case.event == "pose_jumped")
@@ -209,21 +162,76 @@ def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: st
         assert len(norms) <= seen.ticks + 2  # a tick that failed may have been written, and the zero of the stop
 
 
-OTHERS = ("stale", "nan", "teleport", "withheld", "held for long", "disconnect", "force off", "timeout write")
+EVERYWHERE = {
+    "nan": "a pose that is not finite, out of range or short",
+    "infinite": "a pose that is not finite, out of range or short",
+    "teleport": "a pose that jumps",
+    "stale for long": "a pose that stands still under a force",
+    "slow read": "ticks that are missed",
+    "hang": "a loop that stalls",
+    "held for long": "a device that takes no force",
+    "disconnect": "a device that is lost, silent, or breaks its protocol",
+    "force off": "a device that removes its force",
+}
+"""What is injected into every driver, and the row of the fault model that it is of."""
+ALWAYS = {(driver, name) for driver in FAR_ENDS for name in ("nan", "disconnect")}
+"""Pairs for `make test`."""
+TURN = 5
+"""Ticks that a thread of the far end may wait for its turn of the scheduler."""
+GROWS = 1.5
+"""How far the force of a hand that moves as these do grows by itself in so few ticks, times that of before."""
 
 
-@pytest.mark.parametrize("driver", ["simulated", "serial", "hid"])
-@pytest.mark.parametrize("name", OTHERS)
-def test_on_every_driver(name: str, driver: str, tmp_path: Path) -> None:
-    """The same of a computed handle, a board and an arm, whose far ends have heard these wrenches: never more than the
-    guard allows, a zero where one is due, and zero in the end, past a fault that keeps it off the way of every tick."""
+@pytest.mark.parametrize(
+    ("driver", "name"),
+    [
+        pytest.param(driver, name, marks=[pytest.mark.exhaustive] * ((driver, name) not in ALWAYS))
+        for driver in FAR_ENDS
+        for name in EVERYWHERE
+    ],
+)
+def test_on_every_driver(
+    driver: str, name: str, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """What the emulated device of each driver was given: zero within the ticks that are stated, and its own handover;
+    no more than before the fault in these ticks; zero as long as the fault keeps poses away; zero in the end."""
     case, at = CASES[name], 200
-    seen, forces = injected(DRIVERS[driver], name, at, tmp_path)
+    seen, far, given = injected(driver, name, at, tmp_path)
     check_end(name, at, seen)
-    norms = np.linalg.norm(forces, axis=1)
-    assert norms.max() <= FORCE_MAX_N
+    ticks, norms = given[:, 0], np.linalg.norm(given[:, 1:], axis=1)
     assert norms[-1] == 0.0
-    pressed = np.flatnonzero(norms > TOUCH_N * norms.max())
-    assert len(pressed) > 20, "the hand never pressed"
-    if case.ends is None and case.zero is not None:
-        assert (norms[pressed[0] : pressed[-1]] == 0.0).any()
+    before = norms[(ticks >= at - 50) & (ticks < at)].max()
+    assert before > 0.0, "the hand did not press before the fault"
+    assert norms.max() <= far.most
+    left = None
+    if case.zero is not None:
+        late = far.handover + TURN
+        left = ticks_left(ticks, norms, at, case.zero == 0)
+        assert left <= case.zero + late
+        assert norms[(ticks >= at) & (ticks <= at + case.zero + late)].max(initial=0.0) <= GROWS * before
+        if case.event == "pose_refused":
+            assert not norms[(ticks >= at + late) & (ticks < at + case.lasts)].any()
+    again = None
+    if case.ends is None:
+        back = np.flatnonzero((ticks >= at + case.lasts) & (norms > 0.5 * before))
+        assert len(back), "the force did not come back"
+        again = int(ticks[back[0]]) - at - case.lasts
+    told = "state faulted" if case.ends else f"guard {case.event}" if case.zero is not None else f"servo {case.event}"
+    record_property(
+        SEEN,
+        {
+            "hazard": EVERYWHERE[name], "driver": driver, "fault": name, "ticks": left, "event": told,
+            "state": "faulted" if case.ends else "armed",
+            "recovery": "start again" if again is None else "the ramp", "back": again, "handover": far.handover,
+        },
+    )  # fmt: skip
+
+
+def ticks_left(ticks: np.ndarray, norms: np.ndarray, at: int, at_once: bool) -> int:
+    """Ticks from `at` until the first zero at the far end; of one that is due at once, the forces that came meanwhile
+    where these are fewer: a thread that stood still counts for neither."""
+    behind = np.flatnonzero(ticks >= at)
+    assert not norms[behind].all(), "the far end was given no zero"
+    first = behind[np.flatnonzero(norms[behind] == 0.0)[0]]
+    left = int(ticks[first]) - at
+    return min(left, int(np.count_nonzero(behind < first))) if at_once else left

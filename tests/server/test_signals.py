@@ -44,8 +44,13 @@ def until(met: Callable[[], bool], seconds: float, what: str) -> None:
 
 
 @contextmanager
-def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[Board, subprocess.Popen[str]]]:
-    """A board whose hand presses into the plane, and the daemon of the command line that holds against it."""
+def pressing(
+    tmp_path: Path, *words: str, environment: dict[str, str] | None = None
+) -> Iterator[tuple[Board, subprocess.Popen[str]]]:
+    """A board whose hand presses into the plane, and the daemon of the command line that holds against it.
+
+    environment  of the daemon, beside ours
+    """
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
         mine = tmp_path / "rig.toml"
@@ -56,6 +61,7 @@ def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[Board, subprocess.Po
             [*command, "--endpoint", f"ipc://{tmp_path}/t", *words],
             stderr=subprocess.PIPE,
             text=True,
+            env=os.environ | (environment or {}),
             process_group=0,  # one without a parent in its session, as a service manager's, is not stopped by Ctrl-Z
         )
         timer = threading.Timer(START_S, process.kill)

@@ -53,6 +53,9 @@ static const struct knob { const char *name; double *value, first; } knob[] = {K
 #undef X
 static double position[3], velocity[3], now_s;
 static volatile int64_t fed_ns;
+enum { LOGGED = 1 << 14 };
+static double given[LOGGED][4];
+static int gifts;
 static double before[12];
 static volatile int inside;
 static uint64_t noise = 88172645463325252ull;
@@ -82,6 +85,7 @@ void stub_reset(void)
 {
     for (const struct knob *one = knob; one->name; one++) *one->value = one->first;
     fed_ns = 0;
+    gifts = 0;
     put_back();
 }
 void stub_pose(double *out) { memcpy(out, position, sizeof position); }
@@ -94,6 +98,25 @@ void stub_force(double *out)
     out[0] = on ? k.fx : 0;
     out[1] = on ? k.fy : 0;
     out[2] = on ? k.fz : 0;
+}
+
+/* What the motors were given so far: time (s, monotonic clock) and force (N), rows of 4; returns how many. */
+int stub_log(double *out, int rows)
+{
+    if (rows > gifts) rows = gifts;
+    memcpy(out, given, rows * sizeof *given);
+    return rows;
+}
+
+static void note(void)
+{
+    struct timespec now;
+    if (gifts == LOGGED) return;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    given[gifts][0] = now.tv_sec + 1e-9 * now.tv_nsec;
+    given[gifts][1] = k.fx;
+    given[gifts][2] = k.fy;
+    given[gifts++][3] = k.fz;
 }
 
 static int fail(int error) { last_error = error; return -1; }
@@ -114,6 +137,7 @@ static void force_off(int cause)
     k.brakes = 1;
     k.fx = k.fy = k.fz = 0;
     k.cause = cause;
+    note();
 }
 
 static void watch(void)
@@ -393,6 +417,7 @@ int dhdSetForceAndTorqueAndGripperForce(
         k.fy = fy * scale;
         k.fz = fz * scale;
         if (norm > k.peak) k.peak = norm;
+        note();
     }
     leave();
     return code;

@@ -14,6 +14,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 enum { DEVICES = 2, QUEUE = 64, LOGGED = 8192, CHIP = 64, STATUS_BYTES = 2, PACKET = 16, REPLY_MAX = 62 };
 
@@ -56,6 +57,7 @@ struct falcon {
     double dry, replies;
     double log[LOGGED][6];
     bool waited[LOGGED];
+    double came_s[LOGGED];
 };
 static struct falcon falcon[DEVICES];
 static uint64_t noise = 88172645463325252ull;
@@ -63,6 +65,13 @@ static uint64_t noise = 88172645463325252ull;
 #define X(name, first) {#name, offsetof(struct falcon, name), first},
 static const struct knob { const char *name; size_t at; double first; } knob[] = {KNOBS {0, 0, 0}};
 #undef X
+
+static double now_s(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return t.tv_sec + 1e-9 * t.tv_nsec;
+}
 
 static double *at(int number, const char *name)
 {
@@ -233,6 +242,7 @@ static void packet_of_host(struct falcon *f)
         force_at(f, f->place, row);
         for (int i = 0; i < 3; i++) row[3 + i] = f->place[i];
         f->waited[(int)f->logged] = false;
+        f->came_s[(int)f->logged] = now_s();
         f->logged += 1;
     }
     answer(f);

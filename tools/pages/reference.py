@@ -6,6 +6,7 @@ python -m softfinger.tools.pages.reference docs/reference
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Mapping
@@ -14,7 +15,7 @@ from typing import Any, Final
 
 from softfinger.config.materials import flat, papers
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
-from softfinger.server.faults import HAZARDS
+from softfinger.server.faults import HAZARDS, SEEN_IN, Hazard
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.offline import feels
 from softfinger.server.verbs import schema, shipped
@@ -124,7 +125,7 @@ says who arms; [Safety](../safety.md) says what a fault is."""
 
 
 def faults_page() -> str:
-    """The fault model."""
+    """The fault model, and what tests have seen of it."""
     head = """\
 # Faults: every hazard
 
@@ -132,6 +133,7 @@ What can go wrong, what detects it, and what the hand feels. A reaction counts f
 Every end of a run commands zero force. The tests in the last column inject each fault; `softfinger run --inject`
 [injects faults](../operate/faults.md) of a device. An error that ends a run is the cause of the event `state
 faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught."""
+    seen = json.loads(SEEN_IN.read_text("utf-8"))
     rows = [
         [
             each.name,
@@ -140,12 +142,49 @@ faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught
             each.state,
             each.recovery,
             ", ".join(f"`{event}`" for event in each.events) or "none",
-            ", ".join(f"[{test.partition('::')[2]}](../../{test.partition('::')[0]})" for test in each.tests),
+            _cases(each, seen),
         ]
         for each in HAZARDS
     ]
-    table = schema.grid(["hazard", "detection", "reaction", "safe state", "recovery", "event", "tests"], rows)
-    return _page(head, table)
+    table = schema.grid(["hazard", "detection", "reaction", "safe state", "recovery", "event", "cases passed"], rows)
+    about = """\
+What the test run has seen (`make faults-seen`). Ticks at 1 kHz, from the first tick with the fault until the
+emulated device had received zero; where the guard waits, such as for `frozen_s` (0.1 s in the tests), that is in
+them. After that, what became of the run."""
+    columns = ["hazard", "injected", "ticks until zero", "event", "state", "recovery"]
+    return _page(head, table, "## What was injected and seen", about, schema.grid(columns, _seen_rows(seen)))
+
+
+def _seen_rows(seen: list[dict[str, Any]]) -> list[list[str]]:
+    """A row for each fault that was injected, the drivers of it together."""
+    faults: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for each in seen:
+        if "driver" in each:
+            key = tuple(each[name] for name in ("hazard", "fault", "event", "state", "recovery"))
+            faults.setdefault(key, []).append(each)
+    rows = []
+    for (hazard, fault, event, state, recovery), found in faults.items():
+        ticks = ", ".join(f"{each['driver']} {_ticks(each)}" for each in found)
+        back = [each["back"] for each in found if each.get("back") is not None]
+        felt = f": half of the force after {min(back)} to {max(back)} ticks" if back else ""
+        told = event if event == "none" else f"`{event}`"
+        rows.append([hazard, fault, ticks, told, state, recovery + felt])
+    return rows
+
+
+def _cases(hazard: Hazard, seen: list[dict[str, Any]]) -> str:
+    """How many cases of each of a hazard's tests have passed, with a link to it."""
+    found = {each["test"]: each for each in seen if each["hazard"] == hazard.name and "test" in each}
+    told = []
+    for test in hazard.tests:
+        file, _, name = test.partition("::")
+        counted = f"{found[test]['passed']} of {found[test]['of']}: " if test in found else ""
+        told.append(f"{counted}[{name}](../../{file})")
+    return ", ".join(told)
+
+
+def _ticks(seen: dict[str, Any]) -> str:
+    return "keeps a force" if seen["ticks"] is None else str(seen["ticks"])
 
 
 def materials_page() -> str:

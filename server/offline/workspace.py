@@ -1,0 +1,165 @@
+"""The soft wall of a rig and the objects of a scene, seen from the front and from the right: as text, as a figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.schema import Object, Plane, Scene, Workspace
+from softfinger.proxy.pictures import Filed, picture_of
+from softfinger.server.offline.figures import figure, save
+from softfinger.server.viewer.nodes.meshes import mesh_of, plane
+
+Array = NDArray[np.float64]
+
+VIEWS: Final = (("from the front", 0, "x"), ("from the right", 1, "y"))
+"""What each is called, and which axis is to its right; up is z."""
+COLUMNS: Final = 49
+ROWS: Final = 25
+"""Cells of a view: odd, so that one is in the middle, and of characters that are twice as high as wide."""
+AROUND: Final = 1.25
+"""How much of the surroundings is shown, times the workspace."""
+NUMBERS: Final = "123456789abcdefghijklmnopqrstuvwxyz"
+WALL: Final = "·"
+
+
+class Drawn(NamedTuple):
+    """An object: its name; corners (n, 3, 3) of its triangles, m in the world; points (m, 3) on them."""
+
+    name: str
+    triangles: Array
+    points: Array
+
+
+def half_sizes(wall: Workspace) -> Array:
+    """Half of the box (3,) m around the workspace."""
+    return np.full(3, wall.radius_m) if wall.size_m is None else 0.5 * np.array(wall.size_m)
+
+
+def beyond(wall: Workspace, points: Array) -> Array:
+    """How far (n,) m points (n, 3) are beyond the wall; below zero inside."""
+    away = points - np.array(wall.center_m)
+    if wall.size_m is None:
+        assert wall.radius_m is not None
+        return np.asarray(np.linalg.norm(away, axis=1) - wall.radius_m)
+    out = np.abs(away) - half_sizes(wall)
+    return np.asarray(np.linalg.norm(np.maximum(out, 0.0), axis=1) + np.minimum(out.max(axis=1), 0.0))
+
+
+def drawn(wall: Workspace, scene: Scene) -> list[Drawn]:
+    """The objects of a scene, where they are at the start, without those whose shape is not known here."""
+    cell = 2.0 * AROUND * float(half_sizes(wall).max()) / COLUMNS
+    found = []
+    for thing in scene.object:
+        corners = _corners(thing, 8.0 * float(half_sizes(wall).max()) + 2.0 * float(np.abs(wall.center_m).max()))
+        if corners is not None:
+            placed = corners @ _rotation(thing.orientation_wxyz).T + np.array(thing.position_m)
+            found.append(Drawn(thing.name, placed, _filled(placed, 0.5 * cell)))
+    return found
+
+
+def rows(wall: Workspace, objects: list[Drawn]) -> list[tuple[str, str]]:
+    """Of each object, whether the fingertip's centre reaches it before the wall."""
+    told = []
+    for number, thing in zip(NUMBERS, objects, strict=False):
+        away = 1e3 * beyond(wall, thing.points)
+        if away.max() <= 0.0:
+            where = "inside"
+        elif away.min() > 0.0:
+            where = f"outside: its nearest point is {away.min():.0f} mm behind the wall"
+        else:
+            where = "inside and outside"
+        told.append((f"{number} '{thing.name}'", where))
+    return told
+
+
+def text(wall: Workspace, objects: list[Drawn]) -> list[str]:
+    """Lines of both views, beside each other."""
+    views = [_view(wall, objects, axis) for _, axis, _ in VIEWS]
+    half = 1e3 * AROUND * float(half_sizes(wall).max())
+    heads = [f"{name}: {letter} to the right, z up; {2 * half:.0f} mm wide" for name, _, letter in VIEWS]
+    lines = ["   ".join(head.ljust(COLUMNS) for head in heads).rstrip()]
+    lines += ["   ".join(pair).rstrip() for pair in zip(*views, strict=True)]
+    return [*lines, f"{WALL} inside of the wall, + its centre, numbers: objects"]
+
+
+def plot(wall: Workspace, objects: list[Drawn], path: Path) -> None:
+    """Both views as a figure, .png or .svg, axes in mm."""
+    from matplotlib.collections import PolyCollection
+
+    drawing = figure(9.0, 4.8)
+    half = 1e3 * AROUND * float(half_sizes(wall).max())
+    for axes, (name, axis, letter) in zip(drawing.subplots(1, 2), VIEWS, strict=True):
+        middle = 1e3 * np.array([wall.center_m[axis], wall.center_m[2]])
+        for number, thing in enumerate(objects):
+            flat = 1e3 * thing.triangles[:, :, [axis, 2]]
+            colour = f"C{number}"
+            axes.add_collection(PolyCollection(flat, facecolor=colour, edgecolor=colour, alpha=0.4, linewidth=0.6))
+            axes.plot([], [], color=colour, label=thing.name)
+        u, v = np.meshgrid(*(np.linspace(m - half, m + half, 201) for m in middle))
+        away = beyond(wall, 1e-3 * _in_plane(1e3 * np.array(wall.center_m), axis, u, v)).reshape(u.shape)
+        axes.contour(u, v, away, [0.0], colors="black", linestyles="dashed")
+        axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal", title=name)
+        axes.set_xlabel(f"{letter} [mm]")
+        axes.set_ylabel("z [mm]")
+    axes.plot([], [], "k--", label="soft wall")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
+    save(drawing, path)
+
+
+def _view(wall: Workspace, objects: list[Drawn], axis: int) -> list[str]:
+    """A view as ROWS lines of COLUMNS characters."""
+    center, half = np.array(wall.center_m), AROUND * float(half_sizes(wall).max())
+    right, up = np.meshgrid(np.linspace(-half, half, COLUMNS), np.linspace(half, -half, ROWS))
+    inside = beyond(wall, _in_plane(center, axis, center[axis] + right, center[2] + up)).reshape(right.shape) <= 0.0
+    cells = np.where(inside, WALL, " ")
+    for number, thing in zip(NUMBERS, objects, strict=False):
+        column = np.rint((thing.points[:, axis] - center[axis] + half) / (2.0 * half) * (COLUMNS - 1))
+        row = np.rint((half - thing.points[:, 2] + center[2]) / (2.0 * half) * (ROWS - 1))
+        seen = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
+        cells[row[seen].astype(int), column[seen].astype(int)] = number
+    cells[ROWS // 2, COLUMNS // 2] = "+"
+    return ["".join(line) for line in cells]
+
+
+def _in_plane(center: Array, axis: int, right: Array, up: Array) -> Array:
+    """Points (n, 3) of a view's plane through the centre."""
+    points = np.tile(center, (right.size, 1))
+    points[:, axis], points[:, 2] = right.ravel(), up.ravel()
+    return points
+
+
+def _corners(thing: Object, edge: float) -> Array | None:
+    """Corners (n, 3, 3) of an object's triangles, m in its own frame; of a plane a square of that edge (m)."""
+    if isinstance(thing, Filed):
+        (vertices, faces), _ = picture_of(thing)
+        return np.asarray(vertices, float)[np.asarray(faces, int)]
+    mesh = plane(edge) if isinstance(thing, Plane) else mesh_of(thing)
+    return None if mesh is None else mesh.vertices[mesh.faces]
+
+
+def _filled(triangles: Array, step: float) -> Array:
+    """Points (n, 3) on triangles, no farther apart than `step` m where a few hundred of each are enough."""
+    found = []
+    for triangle in triangles:
+        longest = max(float(np.linalg.norm(triangle[k] - triangle[k - 1])) for k in range(3))
+        n = int(np.clip(np.ceil(longest / step), 1, 400))
+        i, j = (each.ravel() for each in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+        few = i + j <= n
+        shares = np.stack([i, j, n - i - j])[:, few].T / n
+        found.append(shares @ triangle)
+    return np.concatenate(found) if found else np.zeros((0, 3))
+
+
+def _rotation(wxyz: tuple[float, float, float, float]) -> Array:
+    """Matrix (3, 3) of a unit quaternion."""
+    w, x, y, z = np.array(wxyz) / np.linalg.norm(wxyz)
+    rotation: Any = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array(rotation)

@@ -1,0 +1,45 @@
+"""Runs every test that the fault model names, and keeps what was injected and seen, for docs/reference/faults.md.
+
+`make faults-seen`. Words go to pytest. The machine should do nothing else meanwhile: a stall shows in the ticks.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.server.faults import HAZARDS, SEEN_IN
+
+ROOT: Final = Path(__file__).parents[1]
+FILE: Final = ROOT / "build" / "faults-seen.json"
+
+
+def main() -> int:
+    """Exit code of pytest; the file of the program is written where every test has passed or was skipped."""
+    tests = sorted({test for hazard in HAZARDS for test in hazard.tests})
+    words = [sys.executable, "-m", "pytest", "-q", f"--faults-seen={FILE}", *tests, *sys.argv[1:]]
+    code = subprocess.run(words, cwd=ROOT, check=False).returncode
+    if code == 0:
+        SEEN_IN.write_text(condensed(json.loads(FILE.read_text("utf-8"))), "utf-8")
+        print(f"written: {SEEN_IN.relative_to(ROOT)}; make reference puts it into docs/reference/faults.md")
+    return code
+
+
+def condensed(tests: dict[str, dict[str, Any]]) -> str:
+    """JSON of what was seen, a line for each: by hazard what tests noted, and of each test how many cases passed."""
+    rows: list[dict[str, Any]] = []
+    for hazard in HAZARDS:
+        for test in hazard.tests:
+            cases = [seen for name, seen in tests.items() if name.partition("[")[0] == test]
+            noted = [each for case in cases for each in case["seen"] if each.get("hazard", hazard.name) == hazard.name]
+            rows += [{"hazard": hazard.name, **each} for each in noted]
+            passed = sum(case["outcome"] == "passed" for case in cases)
+            rows.append({"hazard": hazard.name, "test": test, "passed": passed, "of": len(cases)})
+    return "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,264 @@
+"""Every driver that displays a force, with what its emulated device was given, and when: the far end of each.
+
+The hand of each presses into the paper's plane from the first tick on, and moves, so that no pose stands still.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from emulators.hapkit import COMPILER as CXX
+from emulators.hapkit import NO_COMPILER as NO_CXX
+from emulators.hapkit import Hapkit, compile_sketch
+from emulators.haply2diy import TORQUE_MAX, Firmware, Port
+from numpy.typing import NDArray
+
+from helpers import described_boards, haply_devices, usb_stub
+from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.drd_stub import SOURCE as DRD
+from helpers.drd_stub import Stub, StubBench
+from helpers.hd_stub import SOURCE as HD
+from helpers.hd_stub import HdStub, TouchBench
+from helpers.hid_devices import woody
+from helpers.serial_devices import board, settle
+from softfinger.config.load import build
+from softfinger.drivers.base import Device
+from softfinger.drivers.replay import device as replay
+from softfinger.drivers.simulated import device as simulated
+
+RATE_HZ = 1000.0
+PRESSED_S = 0.01
+
+
+class FarEnd(NamedTuple):
+    """A device, and what it was given.
+
+    device    open and armed
+    received  once the device is closed, of each force that came, in their order (n, 4): when, s of the monotonic clock,
+              NaN where row k is that of tick k; and the force, in N, or in A or N m of the motors where that is what
+              the far end is given
+    handover  ticks that a force may be on its way to the motors
+    most      what the guard lets through, as `received` has it
+    """
+
+    device: Device
+    received: Callable[[], NDArray[np.float64]]
+    handover: int = 1
+    most: float = 12.0
+
+
+class Timed(list[Any]):
+    """A list that knows when each element came, s of the monotonic clock."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.times: list[float] = []
+
+    def append(self, element: Any) -> None:
+        self.times.append(time.monotonic())
+        super().append(element)
+
+
+def rows(times: Any, forces: Any) -> NDArray[np.float64]:
+    """`received` of times (n,) and forces (n, 1 to 3)."""
+    given = np.array(forces, float).reshape(len(times), -1)
+    out = np.zeros((len(times), 4))
+    out[:, 0] = times
+    out[:, 1 : 1 + given.shape[1]] = given
+    return out
+
+
+@contextmanager
+def pressed_replay(tmp_path: Path) -> Iterator[FarEnd]:
+    """A recording of a fingertip 1 mm deep in the plane that is dragged to and fro."""
+    times = np.arange(0.0, 4.005, PRESSED_S)
+    x = 0.005 * np.sin(0.5 * np.pi * times)
+    rest = np.tile([0.0, 0.009, 1.0, 0.0, 0.0, 0.0], (len(times), 1))
+    path = tmp_path / "pressed.csv"
+    np.savetxt(path, np.column_stack([times, x, rest]), delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
+    device = replay.open_device(build(replay.Options, {"recording": str(path)}, "[device]"), RATE_HZ)
+    yield FarEnd(device, lambda: logged(device))
+
+
+@contextmanager
+def simulated_hand(tmp_path: Path) -> Iterator[FarEnd]:
+    """A computed handle whose hand wants to be 4 mm deep, and sways."""
+    hand = {"position_m": [0.0, 0.0, 0.006], "sway_m": [0.005, 0.0, 0.0], "sway_hz": 0.5}
+    device = simulated.open_device(build(simulated.Options, hand, "[device]"), RATE_HZ)
+    yield FarEnd(device, lambda: logged(device))
+
+
+def logged(device: Any) -> NDArray[np.float64]:
+    """The log of a device without a far end of its own."""
+    forces = device.written().wrench[:, :3]
+    return rows(np.full(len(forces), np.nan), forces)
+
+
+def swaying(t: float) -> tuple[float, float, float]:
+    """Where a hand wants to be (m) at a time (s): 4 mm deep, to and fro."""
+    return (0.002 * np.sin(6.0 * t), 0.0, 0.006)
+
+
+@contextmanager
+def serial_board(tmp_path: Path) -> Iterator[FarEnd]:
+    """WoodenHaptics' third generation behind a pseudo terminal."""
+    with board(swaying, timeout_s=2.0) as (device, far, cable):
+        far.sent = Timed()
+
+        def received() -> NDArray[np.float64]:
+            settle(device, cable)
+            return rows(far.sent.times, np.array(far.sent, float).reshape(-1, 7)[:, :3] * 1e-3)
+
+        yield FarEnd(device, received)
+
+
+@contextmanager
+def hid_arm(tmp_path: Path) -> Iterator[FarEnd]:
+    """An arm behind a packet socket; its motors are given A."""
+    with woody(intention=swaying, timeout_s=2.0) as (device, arm, answering):
+        arm.sent = Timed()
+
+        def received() -> NDArray[np.float64]:
+            answering.settle(device)
+            return rows(arm.sent.times, np.array(arm.sent, float)[:, :3] * 1e-3)
+
+        yield FarEnd(device, received)
+
+
+@contextmanager
+def falcon(tmp_path: Path) -> Iterator[FarEnd]:
+    """A Falcon behind libusb."""
+    needs(COMPILER, NO_COMPILER)
+    library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
+    stub = usb_stub.UsbStub(library)
+    stub.reset()
+    stub.update(z=0.008, press=0.003, drag=0.01)
+    bench = usb_stub.FalconBench(stub)
+    with usb_stub.in_place_of_libusb(library), bench.open(kick_s=0.15, timeout_s=2.0) as device:
+        stub["logged"] = 0
+        yield FarEnd(device, lambda: rows(stub.times(), stub.log()[:, :3]))
+
+
+@contextmanager
+def force_dimension(tmp_path: Path) -> Iterator[FarEnd]:
+    """An omega.3 behind the stand-in for libdrd."""
+    needs(COMPILER, NO_COMPILER)
+    stub = Stub(compiled(DRD, "libdrd.so.3.17.5"))
+    stub.reset()
+    stub.update(z=0.008, ax=0.002, ay=0.002)
+    with StubBench(stub).open() as device:
+        yield FarEnd(device, stub.log)
+
+
+@contextmanager
+def open_haptics(tmp_path: Path) -> Iterator[FarEnd]:
+    """A Touch behind the stand-in for libHD, whose thread gives the motors the newest force once a millisecond."""
+    needs(COMPILER, NO_COMPILER)
+    stub = HdStub(compiled(HD, "libHD.so.3.4.0", "-pthread"))
+    stub.reset()
+    stub.update(y=8.0, ax=2.0, az=2.0)
+    with pytest.MonkeyPatch.context() as patch, TouchBench(stub, patch).open() as device:
+
+        def received() -> NDArray[np.float64]:
+            journal = stub.journal()
+            return rows(journal["ns"] * 1e-9, journal["force"])
+
+        yield FarEnd(device, received, handover=2)
+
+
+@contextmanager
+def haply(tmp_path: Path) -> Iterator[FarEnd]:
+    """An Inverse3 behind the emulated service, a process of its own."""
+    with haply_devices.Service() as service, haply_devices.opened(service) as device:
+        service.do("hand", id=haply_devices.ID, at=[0.0, 0.0, 0.008], press=0.003, drag=0.01)
+
+        def received() -> NDArray[np.float64]:
+            return np.array(service.log())
+
+        yield FarEnd(device, received, handover=2)
+
+
+class Given(Firmware):
+    """A 2DIY that remembers every command."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.given = Timed()
+
+    def give(self, torques: list[float]) -> None:
+        super().give(torques)
+        self.given.append(tuple(self.torques))
+
+
+@contextmanager
+def two_diy(tmp_path: Path) -> Iterator[FarEnd]:
+    """A Haply 2DIY behind a pseudo terminal, its fingertip in the floor; its motors are given N m."""
+    firmware = Given()
+    with Port(firmware) as port, described_boards.opened("haply-2diy", port.path, timeout_s=2.0) as device:
+        firmware.angles = [142.0, 38.0]
+
+        def received() -> NDArray[np.float64]:
+            return rows(firmware.given.times, firmware.given)
+
+        yield FarEnd(device, received, most=2.0 * TORQUE_MAX)
+
+
+@contextmanager
+def hapkit(tmp_path: Path) -> Iterator[FarEnd]:
+    """A Hapkit with its sketch behind a pseudo terminal, in the floor, with a hand that trembles; its motor is given
+    N m. Its log has changes alone."""
+    needs(CXX, NO_CXX)
+    done = threading.Event()
+    with Hapkit(sketch_library()) as sketch, described_boards.opened("hapkit", sketch.path, timeout_s=2.0) as device:
+        sketch.turn(0.094)
+
+        def tremble() -> None:
+            while not done.wait(0.002):
+                sketch.turn(0.094 + 0.004 * np.sin(12.0 * time.monotonic()))
+
+        hand = threading.Thread(target=tremble)
+        hand.start()
+        try:
+            yield FarEnd(device, lambda: rows(*zip(*sketch.changes(), strict=True)), most=0.03)
+        finally:
+            done.set()
+            hand.join()
+
+
+@cache
+def folder() -> tempfile.TemporaryDirectory[str]:
+    """Of what was compiled; it ends with the process."""
+    return tempfile.TemporaryDirectory(prefix="far-ends-")
+
+
+@cache
+def compiled(source: Path, name: str, *flags: str) -> Path:
+    """A stand-in as a shared library."""
+    return compile_stub(source, Path(folder().name) / name, *flags)
+
+
+@cache
+def sketch_library() -> Path:
+    return compile_sketch(Path(folder().name) / "hapkit.so")
+
+
+def needs(compiler: str | None, why_not: str) -> None:
+    if compiler is None:
+        pytest.skip(why_not)
+
+
+FAR_ENDS = {
+    "replay": pressed_replay, "simulated": simulated_hand, "serial": serial_board, "hid": hid_arm, "falcon": falcon,
+    "forcedimension": force_dimension, "openhaptics": open_haptics, "haply": haply, "serial, 2DIY": two_diy,
+    "serial, Hapkit": hapkit,
+}  # fmt: skip
+"""By driver."""

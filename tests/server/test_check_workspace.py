@@ -1,0 +1,88 @@
+"""`check` of a rig and a scene: where the soft wall is among the objects, in words, as text and as a figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import paper_mapping
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.config.schema import Scene, Workspace
+from softfinger.server import cli
+from softfinger.server.offline import workspace
+
+pytestmark = pytest.mark.plain
+
+SPHERE = Workspace(radius_m=0.04, center_m=(0.01, 0.0, 0.02))
+BOX = Workspace(size_m=(0.1, 0.06, 0.08))
+STEP_M = 1e-3
+"""Points on a drawn sphere are so close, and its chords so near to it."""
+
+
+def scene(**ball: object) -> Scene:
+    """A sphere of 10 mm radius somewhere."""
+    table = {"name": "ball", "shape": "sphere", "radius_m": 0.01, **ball}
+    return build(Scene, paper_mapping(table=table, material={"torsion": None}), "test scene")
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ((0.01, 0.0, 0.02), "inside"),
+        ((0.05, 0.0, 0.02), "inside and outside"),
+        ((0.08, 0.0, 0.02), "outside: its nearest point is 20 mm behind the wall"),  # 70 mm away, less 40 and 10
+    ],
+)
+def test_what_the_wall_keeps_away_is_said(place: tuple[float, float, float], said: str) -> None:
+    """Of a sphere in a sphere, whose distances are sums."""
+    objects = workspace.drawn(SPHERE, scene(position_m=list(place)))
+    assert workspace.rows(SPHERE, objects) == [("1 'ball'", said)]
+    away = workspace.beyond(SPHERE, objects[0].points)
+    apart = float(np.linalg.norm(np.array(place) - np.array(SPHERE.center_m)))
+    assert away.max() == pytest.approx(apart + 0.01 - 0.04, abs=STEP_M)
+    assert away.min() == pytest.approx(abs(apart - 0.01) - 0.04, abs=STEP_M) or apart < 0.01
+
+
+def test_beyond_a_box() -> None:
+    """Inside the nearest face counts, outside the nearest point of the box: at a corner by Pythagoras."""
+    points = np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.0], [0.08, 0.07, 0.0], [0.045, 0.0, 0.0]])
+    assert workspace.beyond(BOX, points) == pytest.approx([-0.03, 0.01, 0.05, -0.005])
+
+
+def test_text_has_the_wall_and_the_objects_to_scale() -> None:
+    """The middle line of a sphere is as wide as the sphere, and a ball at its edge stands there, in both views."""
+    turned = scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
+    lines = workspace.text(SPHERE, workspace.drawn(SPHERE, turned))
+    assert lines[0].startswith("from the front: x to the right, z up; 100 mm wide")
+    middle = lines[1 + workspace.ROWS // 2].ljust(2 * workspace.COLUMNS + 3)
+    front, right = middle[: workspace.COLUMNS], middle[-workspace.COLUMNS :]
+    cell = 100.0 / (workspace.COLUMNS - 1)
+    assert len(front.strip()) == 2 * int(40.0 / cell) + 1
+    # From the front the ball is in the middle; from the right 20 to 40 mm to the right of it.
+    assert [k - workspace.COLUMNS // 2 for k, c in enumerate(front) if c == "1"] == [*range(-5, 0), *range(1, 6)]
+    seen = [cell * (k - workspace.COLUMNS // 2) for k, c in enumerate(right) if c == "1"]
+    assert min(seen) == pytest.approx(20.0, abs=cell) and max(seen) == pytest.approx(40.0, abs=cell)
+
+
+def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """After the files' own lines; a plane is a line; with --plot a figure of one pair."""
+    picture = tmp_path / "wall.svg"
+    assert cli.main(["check", "falcon", "paper-plane", "--plot", str(picture)]) == 0
+    said = capsys.readouterr().out
+    assert "the soft wall of falcon in paper-plane\n  1 'table'  inside and outside\n" in said
+    assert "1" * (workspace.COLUMNS // 2) + "+" + "1" * (workspace.COLUMNS // 2) in said
+    drawing = picture.read_text()
+    assert "soft wall" in drawing and "table" in drawing and "from the right" in drawing
+    assert cli.main(["check", "falcon"]) == 0
+    assert "the soft wall of" not in capsys.readouterr().out
+
+
+def test_a_plot_of_nothing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A rig without a wall, or without a scene: one error that says what to name."""
+    assert (
+        cli.main(["check", "simulated", "paper-plane", "--plot", str(tmp_path / "wall.png")]) == ConfigError.exit_code
+    )
+    assert "there are 0 and 1: name one of each" in capsys.readouterr().err

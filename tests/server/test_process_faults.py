@@ -1,0 +1,222 @@
+"""What a machine does to a daemon's processes: they sleep, get no memory, their clock is set, their network is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.faults_seen import SEEN
+from test_kills import children
+from test_signals import END_S, FORCE_N, START_S, pressing, state, until
+
+from softfinger.proxy.record import AT
+from softfinger.server.recording.reader import Event, Ticks, contents
+from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.control import Control
+
+pytestmark = pytest.mark.real_time
+
+Note = Callable[[str, object], None]
+CLOCK = Path(__file__).parents[1] / "stubs" / "clock.c"
+SLEPT_S = 0.6
+"""Longer than a loop may stand still, a quarter of a second, and shorter than this rig waits for its board."""
+RAMP_TICKS = 500
+"""Of the rig."""
+
+
+def read(path: Path) -> tuple[list[int], list[tuple[str, float]]]:
+    """Ticks of a recording in their order, and names and times of its events in the order of the file."""
+    parts = list(contents(path))
+    ticks = [int(row) for part in parts if isinstance(part, Ticks) for row in part.records()[:, AT.tick]]
+    return ticks, [(part.event["name"], part.event["timestamp"]) for part in parts if isinstance(part, Event)]
+
+
+def end(process: subprocess.Popen[str]) -> str:
+    """End a daemon in order; what it has said."""
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=END_S)[1]
+    assert process.returncode == 0, said
+    return said
+
+
+def publisher_of(pid: int) -> int:
+    """The daemon's child that has its sockets."""
+    (found,) = [each for each in children(pid) if b"publishing" in Path(f"/proc/{each}/cmdline").read_bytes()]
+    return found
+
+
+def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_property: Note) -> None:
+    """All of them stopped outright for longer than a loop may stand still, as with a machine that is suspended: the
+    board has no new force meanwhile, it begins at zero after that, and fades in; no tick of the recording is missing,
+    and the run goes on."""
+    recording = tmp_path / "slept.mcap"
+    with pressing(tmp_path, "--record", str(recording)) as (board, process):
+        everyone = [*children(process.pid), process.pid]
+        for each in everyone:
+            os.kill(each, signal.SIGSTOP)
+        until(lambda: all(state(each) == "T" for each in everyone), END_S, "the stop")
+        time.sleep(0.05)  # what was under way to the board has arrived
+        count = len(board.sent)
+        time.sleep(SLEPT_S)
+        assert len(board.sent) == count
+        for each in everyone:
+            os.kill(each, signal.SIGCONT)
+        until(lambda: board.force[2] > FORCE_N, END_S, "the force")
+        before, forces = board.sent[count - 1][2], [frame[2] for frame in board.sent[count:]]
+        first = next(place for place, force in enumerate(forces) if force <= before * 2 / RAMP_TICKS)
+        assert first <= 1, "more than the tick that was under way had a force"
+        # What the hand has pressed deeper meanwhile gives more than before, by its spring's share: 300 of 1300 N/m.
+        assert max(forces[first : first + RAMP_TICKS // 10]) < 5.0 * before / 10
+        end(process)
+    ticks, events = read(recording)
+    assert ticks == list(range(len(ticks)))
+    assert "ramping" in [name for name, _ in events]
+    seen = {"driver": "serial", "fault": "every process is stopped for 0.6 s", "ticks": first, "event": "guard ramping"}
+    record_property(SEEN, seen | {"state": "armed", "recovery": "the ramp"})
+
+
+def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_property: Note) -> None:
+    """Stopped for a second: the board is given forces on and on, the recording has every tick, and a subscriber hears
+    of new ticks once it goes on."""
+    recording = tmp_path / "on.mcap"
+    with pressing(tmp_path, "--record", str(recording)) as (board, process):
+        publisher = publisher_of(process.pid)
+        os.kill(publisher, signal.SIGSTOP)
+        until(lambda: state(publisher) == "T", END_S, "the stop")
+        count = len(board.sent)
+        until(lambda: len(board.sent) > count + 1000, END_S, "a thousand forces")
+        felt = [frame[2] for frame in board.sent[count : count + 1000]]
+        os.kill(publisher, signal.SIGCONT)
+        with subscribe(f"ipc://{tmp_path}/t", timeout_s=END_S) as telemetry:
+            first = next(iter(telemetry)).tick
+            assert next(sample for sample in telemetry if sample.tick > first + 100)
+        end(process)
+    assert min(felt) > 0.0
+    ticks, _ = read(recording)
+    assert ticks == list(range(len(ticks)))
+    seen = {"driver": "serial", "fault": "the publisher is stopped for a second", "ticks": None, "event": "none"}
+    record_property(SEEN, seen | {"state": "armed", "recovery": "none needed"})
+
+
+def test_a_publisher_without_memory_is_started_again(tmp_path: Path, record_property: Note) -> None:
+    """No byte more than it has: with new subscribers it ends, and a new one serves them; forces go on, and it is told
+    with its restart."""
+    recording = tmp_path / "starved.mcap"
+    with pressing(tmp_path, "--record", str(recording)) as (board, process):
+        publisher = publisher_of(process.pid)
+        resource.prlimit(publisher, resource.RLIMIT_AS, (1, 1))
+        with subscribe(f"ipc://{tmp_path}/t", timeout_s=END_S) as telemetry:
+            count = len(board.sent)
+            until(lambda: not Path(f"/proc/{publisher}").exists(), END_S, "the end of the publisher")
+            assert next(iter(telemetry)).tick > 0
+            until(lambda: publisher_of(process.pid) != publisher, END_S, "another publisher")
+        assert min(frame[2] for frame in board.sent[count:]) > 0.0
+        end(process)
+    ticks, events = read(recording)
+    assert ticks == list(range(len(ticks)))
+    assert [name for name, _ in events].count("publisher") == 1
+    seen = {"driver": "serial", "fault": "the publisher gets no memory", "ticks": None, "event": "fault publisher"}
+    record_property(SEEN, seen | {"state": "armed", "recovery": "it is started again"})
+
+
+@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
+@pytest.mark.parametrize("jump_s", [pytest.param(-3600, marks=pytest.mark.exhaustive), 3600])
+def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Path, record_property: Note) -> None:
+    """The time of day of every process of a daemon is set an hour back, or forth, while it presses: every frame has a
+    force, and what is recorded before, at and after it stays in the order of its times, ticks and events alike."""
+    library = compile_stub(CLOCK, tmp_path / "clock.so")
+    clock, recording = tmp_path / "ahead", tmp_path / "set.mcap"
+    clock.write_bytes(struct.pack("=q", 0))
+    set_clock = {"LD_PRELOAD": str(library), "SET_CLOCK": str(clock)}
+    with pressing(tmp_path, "--record", str(recording), environment=set_clock) as (board, process):
+        with Control(f"ipc://{tmp_path}/t.commands", START_S) as control:
+            before = control.mark("before").tick
+            count = len(board.sent)
+            with clock.open("r+b") as file:
+                file.write(struct.pack("=q", jump_s))
+            until(lambda: len(board.sent) > count + 500, END_S, "forces after it")
+            control.mark("after")
+        felt = [frame[2] for frame in board.sent[count : count + 500]]
+        end(process)
+    assert min(felt) > 0.0
+    parts = list(contents(recording))
+    rows = [row for part in parts if isinstance(part, Ticks) for row in part.records()]
+    times = {int(row[AT.tick]): row[AT.timestamp] for row in rows}
+    assert list(times) == list(range(len(times)))
+    assert all(later > earlier for earlier, later in zip(list(times.values()), list(times.values())[1:], strict=False))
+    marks = {
+        part.event["label"]: part.event for part in parts if isinstance(part, Event) and part.event["name"] == "mark"
+    }
+    for mark in marks.values():
+        # An event is told within a few ticks; what is asked for is that no hour lies between.
+        assert abs(mark["timestamp"] - times[mark["tick"]]) < 5.0
+    assert marks["before"]["timestamp"] < marks["after"]["timestamp"] and marks["before"]["tick"] >= before
+    seen = {"driver": "serial", "fault": f"the clock is set by {jump_s} s", "ticks": None, "event": "none"}
+    record_property(SEEN, seen | {"state": "armed", "recovery": "none needed"})
+
+
+NETWORK = """
+import json, subprocess, sys
+from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.record import AT
+from softfinger.server.app import Daemon
+from softfinger.server.services.records import Sink
+from softfinger.server.wire.client import subscribe
+
+def link(way):
+    subprocess.run(["ip", "link", "set", "lo", way], check=True)
+
+link("up")
+ticks, lost = [], []
+rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
+sink = Sink("ticks", lambda records, drops: (ticks.extend(records[:, AT.tick].tolist()), lost.append(drops)))
+with Daemon(rig, load_scene("paper-plane"), sinks=[sink]) as daemon:
+    daemon.start()
+    with subscribe(daemon.publisher.endpoint, timeout_s=60.0) as telemetry:
+        heard = iter(telemetry)
+        before = next(heard).tick
+        link("down")
+        away = daemon.servo.ticks
+        while daemon.servo.ticks < away + 1000:
+            pass
+        link("up")
+        back = daemon.servo.ticks
+        after = next(sample.tick for sample in heard if sample.tick >= back)
+    state = daemon.states.now.value
+    daemon.stop()
+    daemon.wait(20.0)
+whole = ticks == list(range(len(ticks)))
+print(json.dumps({"whole": whole, "lost": sum(lost), "heard": after >= back, "state": state}))
+"""
+
+
+def has_network() -> bool:
+    """Whether this process may make a network of its own."""
+    words = ["unshare", "--net", "ip", "link", "set", "lo", "up"]
+    tools = shutil.which("unshare") and shutil.which("ip")
+    return bool(tools) and subprocess.run(words, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.exhaustive
+def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -> None:
+    """The link of a network of the daemon's own goes down for a thousand ticks: no tick is missed by what takes them in
+    the daemon, which stays armed, and a subscriber hears of new ones once the link is back."""
+    if not has_network():
+        pytest.skip("no network of its own: it needs iproute2, and root")
+    words = ["unshare", "--net", sys.executable, "-c", NETWORK]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == {"whole": True, "lost": 0, "heard": True, "state": "armed"}
+    seen = {"driver": "replay", "fault": "the link is down for 1000 ticks", "ticks": None, "event": "none"}
+    record_property(SEEN, seen | {"state": "armed", "recovery": "subscribers connect anew by themselves"})

@@ -1,0 +1,47 @@
+"""Memory of the daemon in swap: told once, and again when it comes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softfinger.server.services.swapping import NAME, STATUS, Swapping, swapped_kb
+
+pytestmark = pytest.mark.plain
+
+
+def test_memory_in_swap_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """An event and a line of the log when there is some and there was none, with how much and what to do."""
+    told: list[tuple[str, str, str]] = []
+
+    def event(kind: str, name: str, message: str) -> None:
+        told.append((kind, name, message))
+
+    status = tmp_path / "status"
+    watch = Swapping(event, status)
+    for kilobytes in (0, 40, 80, 0, 12):
+        status.write_text(f"Name:\tpython3\nVmStk:\t   132 kB\nVmSwap:\t   {kilobytes} kB\nThreads:\t3\n")
+        watch.look()
+    assert [(kind, name, message.split(":")[0]) for kind, name, message in told] == [
+        ("fault", NAME, f"{kilobytes} kB of the daemon are in swap") for kilobytes in (40, 12)
+    ]
+    assert caplog.text.count("softfinger doctor") == 2
+
+
+def test_it_looks_at_once_and_a_failing_look_is_told(tmp_path: Path) -> None:
+    """The thread's first look is at its start; where it cannot look, that is an event, and it can be stopped."""
+    told: list[Any] = []
+    watch = Swapping(lambda *words, **fields: told.append((words, fields)), tmp_path / "nothing")
+    watch.start()
+    watch._thread.join(10.0)
+    watch.stop()
+    ((words, fields),) = told
+    assert words == ("fault", NAME) and "No such file" in fields["message"]
+
+
+def test_this_system_says_it() -> None:
+    """The line is in the status of a process here; a status without it is none in swap."""
+    assert "VmSwap:" in STATUS.read_text()
+    assert swapped_kb("Name:\tpython3\n") == 0
