@@ -37,7 +37,8 @@ def condensed(tests: dict[str, dict[str, Any]]) -> str:
             noted = [each for case in cases for each in case["seen"] if each.get("hazard", hazard.name) == hazard.name]
             rows += [{"hazard": hazard.name, **each} for each in noted]
             passed = sum(case["outcome"] == "passed" for case in cases)
-            rows.append({"hazard": hazard.name, "test": test, "passed": passed, "of": len(cases)})
+            if cases:
+                rows.append({"hazard": hazard.name, "test": test, "passed": passed, "of": len(cases)})
     return "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
 
 

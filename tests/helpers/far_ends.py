@@ -97,6 +97,10 @@ def simulated_hand(tmp_path: Path) -> Iterator[FarEnd]:
     yield FarEnd(device, lambda: logged(device))
 
 
+TIMELESS = ("replay", "simulated")
+"""Logs of what was written, without times: they say nothing of ticks in which nothing is."""
+
+
 def logged(device: Any) -> NDArray[np.float64]:
     """The log of a device without a far end of its own."""
     forces = device.written().wrench[:, :3]
@@ -258,7 +262,7 @@ def needs(compiler: str | None, why_not: str) -> None:
 
 FAR_ENDS = {
     "replay": pressed_replay, "simulated": simulated_hand, "serial": serial_board, "hid": hid_arm, "falcon": falcon,
-    "forcedimension": force_dimension, "openhaptics": open_haptics, "haply": haply, "serial, 2DIY": two_diy,
-    "serial, Hapkit": hapkit,
+    "forcedimension": force_dimension, "openhaptics": open_haptics, "haply": haply, "haply-2diy": two_diy,
+    "hapkit": hapkit,
 }  # fmt: skip
-"""By driver."""
+"""By driver; of boards that a rig describes, by rig."""

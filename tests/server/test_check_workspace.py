@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import paper_mapping
+from helpers.called import called
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene, Workspace
-from softfinger.server import cli
 from softfinger.server.offline import workspace
 
 pytestmark = pytest.mark.plain
@@ -67,22 +67,21 @@ def test_text_has_the_wall_and_the_objects_to_scale() -> None:
     assert min(seen) == pytest.approx(20.0, abs=cell) and max(seen) == pytest.approx(40.0, abs=cell)
 
 
-def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path) -> None:
     """After the files' own lines; a plane is a line; with --plot a figure of one pair."""
     picture = tmp_path / "wall.svg"
-    assert cli.main(["check", "falcon", "paper-plane", "--plot", str(picture)]) == 0
-    said = capsys.readouterr().out
+    done = called("check", "falcon", "paper-plane", "--plot", str(picture))
+    assert done.returncode == 0, done.stderr
+    said = done.stdout
     assert "the soft wall of falcon in paper-plane\n  1 'table'  inside and outside\n" in said
     assert "1" * (workspace.COLUMNS // 2) + "+" + "1" * (workspace.COLUMNS // 2) in said
     drawing = picture.read_text()
     assert "soft wall" in drawing and "table" in drawing and "from the right" in drawing
-    assert cli.main(["check", "falcon"]) == 0
-    assert "the soft wall of" not in capsys.readouterr().out
+    assert "the soft wall of" not in called("check", "falcon").stdout
 
 
-def test_a_plot_of_nothing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plot_of_nothing_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A rig without a wall, or without a scene: one error that says what to name."""
-    assert (
-        cli.main(["check", "simulated", "paper-plane", "--plot", str(tmp_path / "wall.png")]) == ConfigError.exit_code
-    )
-    assert "there are 0 and 1: name one of each" in capsys.readouterr().err
+    done = called("check", "simulated", "paper-plane", "--plot", str(tmp_path / "wall.png"))
+    assert done.returncode == ConfigError.exit_code
+    assert "there are 0 and 1: name one of each" in done.stderr + caplog.text

@@ -164,7 +164,9 @@ def _seen_rows(seen: list[dict[str, Any]]) -> list[list[str]]:
             faults.setdefault(key, []).append(each)
     rows = []
     for (hazard, fault, event, state, recovery), found in faults.items():
-        ticks = ", ".join(f"{each['driver']} {_ticks(each)}" for each in found)
+        ticks = ", ".join(f"{each['driver']} {each['ticks']}" for each in found)
+        if all(each["ticks"] is None for each in found):
+            ticks = "keeps a force: " + ", ".join(each["driver"] for each in found)
         back = [each["back"] for each in found if each.get("back") is not None]
         felt = f": half of the force after {min(back)} to {max(back)} ticks" if back else ""
         told = event if event == "none" else f"`{event}`"
@@ -181,10 +183,6 @@ def _cases(hazard: Hazard, seen: list[dict[str, Any]]) -> str:
         counted = f"{found[test]['passed']} of {found[test]['of']}: " if test in found else ""
         told.append(f"{counted}[{name}](../../{file})")
     return ", ".join(told)
-
-
-def _ticks(seen: dict[str, Any]) -> str:
-    return "keeps a force" if seen["ticks"] is None else str(seen["ticks"])
 
 
 def materials_page() -> str:
