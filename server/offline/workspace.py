@@ -97,7 +97,9 @@ def plot(wall: Workspace, objects: list[Drawn], path: Path) -> None:
         for number, thing in enumerate(objects):
             flat = 1e3 * thing.triangles[:, :, [axis, 2]]
             colour = f"C{number}"
-            axes.add_collection(PolyCollection(list(flat), facecolor=colour, edgecolor=colour, alpha=0.4, linewidth=0.6))
+            axes.add_collection(
+                PolyCollection(list(flat), facecolor=colour, edgecolor=colour, alpha=0.4, linewidth=0.6)
+            )
             axes.plot([], [], color=colour, label=thing.name)
         u, v = np.meshgrid(*(np.linspace(m - half, m + half, 201) for m in middle))
         away = beyond(wall, 1e-3 * _in_plane(1e3 * np.array(wall.center_m), axis, u, v)).reshape(u.shape)
@@ -136,7 +138,8 @@ def _corners(thing: Object, edge: float) -> Array | None:
     """Corners (n, 3, 3) of an object's triangles, m in its own frame; of a plane a square of that edge (m)."""
     if isinstance(thing, Filed):
         (vertices, faces), _ = picture_of(thing)
-        return np.asarray(vertices, float)[np.asarray(faces, int)]
+        corners: Array = np.asarray(vertices, float)[np.asarray(faces, int)]
+        return corners
     mesh = plane(edge) if isinstance(thing, Plane) else mesh_of(thing)
     return None if mesh is None else np.asarray(mesh.vertices[mesh.faces])
 
