@@ -97,7 +97,11 @@ def _rules(node: ast.AST) -> Iterator[Rule]:
     left_out |= isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
     if left_out and not ast.unparse(node).startswith(_WORDS):
         yield "removed", lambda n: ast.Pass()
-    if isinstance(node, ast.FunctionDef) and isinstance(node.returns, ast.Constant) and node.returns.value is None:
+    if (
+        isinstance(node, ast.FunctionDef)
+        and ast.unparse(node.returns or node) == "None"
+        and not (isinstance(node.body[-1], ast.Expr) and isinstance(node.body[-1].value, ast.Constant))  # no body yet
+    ):
         yield f"{node.name} returns at once", lambda n: _with(body=[ast.Return(None), *n.body])(n)
 
 

@@ -1,0 +1,235 @@
+"""Bytes of strangers, made from true ones by chance: everything that reads a file, a message or a packet takes them.
+
+    python -m helpers.fuzzing TARGET SECONDS SEED FOLDER
+
+Each is taken or refused: by an error of the program's own that says something, in bounded time of the processor and
+memory, without a warning. The bytes of the moment are in FOLDER, so what ends the process is known as well.
+
+A mutator of our own and not atheris: that has wheels for two of our three versions of Python, and follows branches of
+Python's code, where these readers spend their time in msgspec, numpy, MuJoCo and expat.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+HANGS_S: Final = 10.0
+"""Of the processor, for one input: longer than any takes that is within the readers' limits."""
+GROWTH_MAX: Final = 600 << 20
+"""Bytes: an array of the readers' largest, 160 MB, may be there twice, beside what has read it."""
+SEED_MAX: Final = 1 << 16
+"""Bytes of a seed: what is wrong in a long file is wrong in a short one."""
+SAID_MAX: Final = 4000
+"""Characters of a clear error."""
+
+_TOKENS: Final = (
+    b"nan", b"inf", b"-inf", b"-1", b"0", b"1e308", b"1e-320", b"9" * 25, b"0x10", b"true", b"''", b'""', b"[]", b"{}",
+    b"[[", b"\x00", b"\xff" * 8, b"\x7f\xff\xff\xff", b"\xc3\x28", "é".encode(), b"\r\n", b"=", b".", b",",
+    b"../../etc/passwd", b"\xdd\xff\xff\xff\xff", b"\xc1", b"\x80", b"\x93", b"name", b"[" * 50,
+)  # fmt: skip
+_NUMBER: Final = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
+
+
+def mutated(seeds: list[bytes], chance: random.Random) -> bytes:
+    """One of the seeds with a few mistakes."""
+    data = bytearray(chance.choice(seeds))
+    for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
+        _spoil(data, chance, seeds)
+    return bytes(data)
+
+
+def _spoil(data: bytearray, chance: random.Random, seeds: list[bytes]) -> None:
+    at = chance.randrange(len(data) + 1)
+    end = min(len(data), at + chance.choice((1, 1, 2, 4, 8, 64, 1000)))
+    match chance.randrange(8):
+        case 0 if at < len(data):
+            data[at] ^= 1 << chance.randrange(8)
+        case 1 if at < len(data):
+            data[at] = chance.randrange(256)
+        case 2:
+            del data[at:end]
+        case 3:
+            data[at:at] = data[at:end] * chance.choice((1, 2, 20))
+        case 4:
+            data[at:at] = chance.choice(_TOKENS)
+        case 5:
+            del data[at:]
+        case 6:
+            other = chance.choice(seeds)
+            start = chance.randrange(len(other) + 1)
+            data[at:end] = other[start : start + chance.choice((4, 64, 1000))]
+        case 7 if numbers := list(_NUMBER.finditer(bytes(data))):
+            where = chance.choice(numbers)
+            data[where.start() : where.end()] = chance.choice(_TOKENS[:15])
+
+
+class Target(NamedTuple):
+    """Seeds; what takes bytes, given a file with them; the errors that refuse them; the ending of the file. `named`:
+    whether an error has to name the file."""
+
+    seeds: Callable[[], list[bytes]]
+    take: Callable[[Path, bytes], object]
+    refusals: tuple[type[Exception], ...]
+    ending: str = ".bin"
+    named: bool = True
+
+
+def _shipped(*patterns: str) -> Callable[[], list[bytes]]:
+    def read() -> list[bytes]:
+        files = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+        seeds = [path.read_bytes() for path in files]
+        short = [seed for seed in seeds if len(seed) <= SEED_MAX]
+        return short or [seed[:SEED_MAX] for seed in seeds]
+
+    return read
+
+
+def _written(write: Callable[[Path], object], ending: str) -> Callable[[], list[bytes]]:
+    def made() -> list[bytes]:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, f"seed{ending}")
+            write(path)
+            return [path.read_bytes()]
+
+    return made
+
+
+def _records() -> Any:
+    from helpers.telemetry_records import put, synthetic
+
+    records = synthetic(20)
+    put(records, "tick", range(20))
+    put(records, "timestamp", [1.7e9 + tick / 1000.0 for tick in range(20)])
+    return records
+
+
+def _results(path: Path) -> None:
+    from softfinger.server.offline.results import write_results
+
+    write_results(path, _records())
+
+
+def _run(path: Path) -> None:
+    from helpers.recorded import about, event, recorded
+
+    recorded(path, _records(), [event("user", "mark", 3, label="a")], **about())
+
+
+def _poses(path: Path) -> None:
+    import numpy as np
+
+    t = np.arange(20) * 0.01
+    np.savez(path, t=t, position=np.column_stack((t, t, t)), orientation=np.tile([1.0, 0.0, 0.0, 0.0], (20, 1)))
+
+
+@cache
+def targets() -> dict[str, Target]:
+    """By name; what they import takes a second."""
+    from helpers import fuzzed_packets as packets
+    from softfinger.config.arrays.grids import read_grid
+    from softfinger.config.errors import ConfigError, RecordingError
+    from softfinger.config.load import load_faults, load_rig, load_scene
+    from softfinger.config.mjcf import read_model
+    from softfinger.drivers.poses import load_poses
+    from softfinger.proxy.meshes.reading import arrays_of
+    from softfinger.server.offline.results import read_results
+    from softfinger.server.recording.compare import FIELDS
+    from softfinger.server.recording.reader import contents
+    from softfinger.server.recording.run import load_run
+    from softfinger.server.recording.summary import summary
+    from softfinger.server.wire.envelope import Declined, parse
+
+    config, recording = (ConfigError,), (RecordingError,)
+
+    def every(path: Path, _: bytes) -> None:
+        for read in (lambda: list(contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
+            try:
+                read()
+            except RecordingError as error:
+                said = error
+        if "said" in locals():
+            raise said
+
+    return {
+        "scene": Target(_shipped("config/scenes/*.toml"), lambda path, _: load_scene(path), config, ".toml"),
+        "rig": Target(_shipped("config/rigs/*.toml"), lambda path, _: load_rig(path), config, ".toml"),
+        "faults": Target(_shipped("config/faults/*.toml"), lambda path, _: load_faults(path), config, ".toml"),
+        "poses-csv": Target(_shipped("config/recordings/*.csv"), lambda path, _: load_poses(path), recording, ".csv"),
+        "poses-npz": Target(_written(_poses, ".npz"), lambda path, _: load_poses(path), recording, ".npz"),
+        "results-csv": Target(_written(_results, ".csv"), lambda path, _: read_results(path), recording, ".csv"),
+        "results-mcap": Target(_written(_results, ".mcap"), lambda path, _: read_results(path), recording, ".mcap"),
+        "recording": Target(_written(_run, ".mcap"), every, recording, ".mcap"),
+        "mjcf": Target(lambda: packets.MODELS, lambda path, _: read_model(str(path)), config, ".xml"),
+        "mesh-stl": Target(lambda: packets.STL, arrays_of, config, ".stl"),
+        "mesh-obj": Target(lambda: packets.OBJ, arrays_of, config, ".obj"),
+        "mesh-ply": Target(lambda: packets.PLY, arrays_of, config, ".ply"),
+        "grid-png": Target(packets.pictures, lambda path, _: read_grid(path), config, ".png"),
+        "grid-npy": Target(packets.arrays, lambda path, _: read_grid(path), config, ".npy"),
+        "command": Target(packets.commands, lambda _, data: parse(data), (Declined,), named=False),
+        **packets.targets(Target),
+    }
+
+
+def verdict(target: Target, path: Path, data: bytes) -> str:
+    """What is wrong with how bytes are taken; empty where they are taken, or refused as they should be."""
+    path.write_bytes(data)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.filterwarnings("ignore", "Inertia matrix")  # MuJoCo says it of a model that it goes on with
+            target.take(path, data)
+    except target.refusals as error:
+        said = str(error)
+        if not said.strip() or len(said) > SAID_MAX:
+            return f"an error of {len(said)} characters: {said[:200]!r}"
+        if target.named and path.name not in said:
+            return f"the error does not name the file: {said[:200]!r}"
+    except Exception:
+        return traceback.format_exc()
+    return ""
+
+
+def bounded() -> Iterator[None]:
+    """Memory that this process may have more than now."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + GROWTH_MAX
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    yield
+
+
+def main(name: str, seconds: float, seed: int, folder: Path) -> int:
+    chance, target = random.Random(seed), targets()[name]
+    path = folder / f"input{target.ending}"
+    seeds = [each for each in target.seeds() if b"[world]" not in each]  # which would need its model beside it
+    if wrong := next(filter(None, (verdict(target, path, each) for each in seeds)), ""):
+        print(f"of the seeds: {wrong}")
+        return 1
+    next(bounded())
+    count, until = 0, time.monotonic() + seconds
+    while time.monotonic() < until:
+        data = mutated(seeds, chance)
+        signal.setitimer(signal.ITIMER_PROF, HANGS_S)  # ends the process
+        if wrong := verdict(target, path, data):
+            print(wrong)
+            return 1
+        count += 1
+    print(count)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT / "tests"))
+    raise SystemExit(main(sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])))

@@ -1,0 +1,60 @@
+"""Bytes of strangers are taken or refused with one clear error: those that were found, and new ones for a while.
+
+A failure prints what to do to keep its bytes: they belong into tests/corpus, where every run tries them again.
+SOFTFINGER_FUZZ_SECONDS is how long each target has, SOFTFINGER_FUZZ_SEED where it begins.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from hashlib import sha256
+from pathlib import Path
+from typing import Final
+
+import pytest
+from helpers import fuzzing
+
+pytestmark = pytest.mark.plain
+
+HERE: Final = Path(__file__).parent
+CORPUS: Final = HERE / "corpus"
+FOUND: Final = sorted(path for path in CORPUS.glob("*/*") if path.is_file())
+SECONDS: Final = float(os.environ.get("SOFTFINGER_FUZZ_SECONDS", "4"))
+SEED: Final = int(os.environ.get("SOFTFINGER_FUZZ_SEED", "0")) or int.from_bytes(os.urandom(4))
+TARGETS: Final = sorted(fuzzing.targets())
+
+
+def test_every_folder_of_the_corpus_is_a_target() -> None:
+    """None is left over when a target is named anew."""
+    assert {path.parent.name for path in FOUND} <= set(TARGETS)
+
+
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: f"{path.parent.name}-{path.name}")
+def test_what_was_found_is_taken_or_refused(path: Path, tmp_path: Path) -> None:
+    """Each of these once ended in another error, a crash, or none that says something."""
+    target = fuzzing.targets()[path.parent.name]
+    assert not fuzzing.verdict(target, tmp_path / f"input{target.ending}", path.read_bytes())
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", TARGETS)
+def test_mistaken_bytes_are_taken_or_refused(name: str) -> None:
+    """No other error, no warning, no crash, at most 10 s of the processor and 600 MB for each."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "helpers.fuzzing", name, f"{SECONDS}", f"{SEED}", folder]
+        environment = os.environ | {"PYTHONPATH": str(HERE), "NUMBA_DISABLE_JIT": "1"}
+        done = subprocess.run(
+            command, cwd=HERE, env=environment, capture_output=True, text=True, check=False,
+            timeout=20.0 * SECONDS + 300.0,
+        )  # fmt: skip
+        (last,) = Path(folder).glob("input*")
+        data = last.read_bytes()
+    if done.returncode != 0:
+        kept = CORPUS / name / sha256(data).hexdigest()[:12]
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_bytes(data)
+        pytest.fail(f"seed {SEED}: code {done.returncode}\n{done.stdout}{done.stderr[-2000:]}\nkept as {kept}")
+    assert int(done.stdout.split()[-1]) > 0
