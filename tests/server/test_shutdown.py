@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import threading
+import time
 from math import nan
 from types import SimpleNamespace
 from typing import Any, cast
@@ -139,14 +140,29 @@ def test_all_are_stopped_whoever_fails_or_hangs(caplog: pytest.LogCaptureFixture
 
 
 @pytest.mark.usefixtures("short")
-def test_those_that_hang_are_waited_for_together() -> None:
-    """Ten that hang are all given up within END_S, which begins once for all: each is named, in order."""
+def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten that hang are all given up within END_S, which begins once for all, and keep no process from its end."""
+    waits, daemons = list[float](), list[bool]()
+    join = threading.Thread.join
+
+    def noted(thread: threading.Thread, timeout: float) -> None:
+        waits.append(timeout)
+        daemons.append(thread.daemon)
+        join(thread, timeout)
+
+    monkeypatch.setattr(threading.Thread, "join", noted)
     motors = [Motor(hangs=True) for _ in range(10)]
     failures = opened.at_once(lambda motor: motor.stop(), [*motors, Motor()])
+    assert sum(waits) <= opened.END_S and all(daemons) and len(waits) == 11
     assert [motor for motor, _ in failures] == motors
     assert all(isinstance(error, TimeoutError) for _, error in failures)
     for motor in motors:
         motor.free.set()
+
+
+def test_one_that_takes_a_while_is_waited_for() -> None:
+    """Less than END_S is no failure."""
+    assert opened.at_once(lambda _: time.sleep(0.2), [Motor()]) == []
 
 
 def test_at_once_is_at_the_same_time() -> None:

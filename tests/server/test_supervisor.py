@@ -9,7 +9,8 @@ from typing import Any, cast
 import pytest
 
 from softfinger.config.errors import HapticError, SafetyStop
-from softfinger.server.loop.health import STALL_POLL_S, STALL_POLLS, Watchdog
+from softfinger.server.loop.health import STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND, Watchdog
+from softfinger.server.services import supervisor as supervising
 from softfinger.server.services.supervisor import Supervisor
 
 pytestmark = pytest.mark.plain
@@ -69,6 +70,34 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
     assert ended.wait(WAIT_S)
     supervisor.stop()
     assert done[0] == "no tick" and sorted(done[1:3]) == ["stop a", "stop b"] and done[3:] == ["fault stalled"]
+
+
+class Stalled:
+    """A servo of which no tick comes, and how often it was looked at."""
+
+    looping, armed, looks = True, True, 0
+
+    def __init__(self, holds_a_force: bool) -> None:
+        info = SimpleNamespace(holds_a_force=holds_a_force)
+        self.devices = (SimpleNamespace(info=info, stop=lambda: None),)
+
+    @property
+    def ticks(self) -> int:
+        self.looks += 1
+        return 7
+
+
+@pytest.mark.parametrize(("held", "looks"), [(True, STALL_POLLS), (False, STALL_POLLS_WITHOUT_HAND)])
+def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
+    held: bool, looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The look that sees the last tick, and so many more, each after a rest; the words have their time and the tick."""
+    rests: list[float] = []
+    monkeypatch.setattr(supervising.time, "sleep", rests.append)
+    servo, errors = Stalled(held), list[HapticError]()
+    Supervisor(cast(Any, servo), errors.append, lambda *words, **fields: None).work()
+    assert servo.looks == 1 + looks and rests == [STALL_POLL_S] * (1 + looks)
+    assert f"no tick for {looks * STALL_POLL_S:.2f} s after tick 7:" in str(errors[0])
 
 
 class Unarmed:

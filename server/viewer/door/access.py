@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import gzip
 import hmac
+import logging
 import secrets
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
@@ -22,11 +23,16 @@ from typing import Any, Final
 from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
+from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
 
 from softfinger.config.errors import ConfigError
 
+log: Final = logging.getLogger(__name__)
+
 TOKEN_BYTES: Final = 16
+SAID_MAX: Final = 200
+"""Characters of an error that the log repeats."""
 ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
 HEADERS: Final = {
     "X-Frame-Options": "DENY",
@@ -38,6 +44,7 @@ HEADERS: Final = {
 NAMED: Final = b"<title>Viser</title>"
 
 Answer = Callable[[ServerConnection, Request], Response | None]
+Talk = Callable[[ServerConnection], Awaitable[None]]
 
 
 def new_token() -> str:
@@ -120,9 +127,9 @@ class Access:
         """
         plain, name, taken = websockets_server.serve, "serve", list[bool]()
 
-        def serve(*words: Any, process_request: Answer, **options: Any) -> Any:
+        def serve(talk: Talk, *words: Any, process_request: Answer, **options: Any) -> Any:
             taken.append(True)
-            return plain(*words, process_request=self.guarded(process_request), **options)
+            return plain(cut_off(talk), *words, process_request=self.guarded(process_request), **options)
 
         setattr(websockets_server, name, serve)
         try:
@@ -131,6 +138,20 @@ class Access:
             setattr(websockets_server, name, plain)
         if not taken:
             raise ConfigError("the page cannot be guarded with this viser: pip install 'softfinger[viewer]' has one")
+
+
+def cut_off(talk: Talk) -> Talk:
+    """`talk` with a browser, which ends with a line in the log where that says what is no message of the page."""
+
+    async def until(connection: ServerConnection) -> None:
+        try:
+            await talk(connection)
+        except Exception as error:  # of a dozen classes: viser takes the bytes apart by what is written in them
+            said = " ".join(f"{type(error).__name__}: {error}".split())[:SAID_MAX]
+            log.warning("a browser of the page was cut off: it said what the page does not know (%s)", said)
+            await connection.close(CloseCode.INVALID_DATA, "no message of this page: load it anew")
+
+    return until
 
 
 @lru_cache(maxsize=4)

@@ -1,0 +1,94 @@
+"""What a browser sends to the page, spoiled: the page's process goes on, and serves the next browser."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import urlopen
+
+import msgpack
+import pytest
+import viser
+from helpers.fuzzing import mutated
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
+
+pytestmark = pytest.mark.real_time
+
+PAGE = """
+import sys
+from softfinger.server.viewer.page import Page
+page = Page("127.0.0.1", 0)
+page.add_views()
+print(page.address, flush=True)
+sys.stdin.readline()
+page.close()
+"""
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0],
+    "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
+}  # fmt: skip
+SAID: list[dict[str, Any]] = [
+    CAMERA,
+    {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 1.0}},
+    {"type": "ScenePointerMessage", "event_type": "click", "ray_origin": [0, 0, 1], "ray_direction": [0, 0, -1],
+     "screen_pos": [[0.5, 0.5]]},
+    {"type": "TransformControlsUpdateMessage", "name": "/a", "wxyz": [1, 0, 0, 0], "position": [0, 0, 0]},
+    {"type": "ShareUrlDisconnect"},
+]  # fmt: skip
+"""Messages of a browser, as viser has them."""
+GROWTH_MAX_KB = 200_000
+"""A process of Python grows by some tens of MB in its first seconds; a message of a stranger may keep nothing."""
+
+
+def resident_kb(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 1024
+
+
+def talk(address: str, messages: list[bytes]) -> None:
+    """Open the page's websocket as its own script does, hear what it has, and say these after the camera."""
+    where = urlsplit(address)
+    with connect(
+        f"ws://{where.netloc}{where.path}", origin=Origin(f"http://{where.netloc}"), compression=None, max_queue=None,
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None,
+    ) as client:  # fmt: skip
+        client.recv(timeout=60.0)
+        try:
+            for message in messages:
+                client.send(message)
+        except ConnectionClosed:
+            return  # it is cut off, as it may be
+
+
+@pytest.mark.parametrize("seconds", [2.0, pytest.param(15.0, marks=pytest.mark.exhaustive)])
+def test_spoiled_messages_cost_a_browser_its_page_at_most(seconds: float, tmp_path: Path) -> None:
+    """However they are spoiled: the process is there, no larger, serves, and says no traceback for them."""
+    seeds = [msgpack.packb(each) for each in SAID]
+    chance = random.Random(25 if seconds < 5.0 else None)
+    log = tmp_path / "said"
+    with log.open("wb") as said, subprocess.Popen(
+        [sys.executable, "-c", PAGE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, text=True
+    ) as page:  # fmt: skip
+        assert page.stdout is not None
+        address = page.stdout.readline().strip()
+        try:
+            talk(address, seeds)
+            before, until = resident_kb(page.pid), time.monotonic() + seconds
+            while time.monotonic() < until:
+                talk(address, [seeds[0], *(mutated(seeds, chance) for _ in range(8))])
+            assert page.poll() is None
+            assert resident_kb(page.pid) - before < GROWTH_MAX_KB
+            with urlopen(address, timeout=60.0) as answer:
+                assert answer.status == 200
+        finally:
+            page.communicate("\n", timeout=60.0)
+    assert page.returncode == 0
+    assert "Traceback" not in log.read_text("utf-8"), log.read_text("utf-8")[-3000:]
