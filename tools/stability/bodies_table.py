@@ -103,6 +103,9 @@ def draw(path: Path, found: Sequence[Found]) -> None:
             left = [np.nan if row.left is None else max(row.left, 1e-6) for row in rows]
             axes.loglog([row.stiffness_n_per_m for row in rows], left, "o-", label=mass_text(rows[0]))
         axes.axhline(AT_REST, color="0.4", linewidth=0.8)
+        stiffnesses = sorted({row.stiffness_n_per_m for row in found})
+        axes.set_xticks(stiffnesses, [f"{each:g}" for each in stiffnesses])
+        axes.set_xticks([], minor=True)
         axes.set(title=case, xlabel="stiffness, N/m")
         axes.grid(True, alpha=0.3)
     panels[0].set_ylabel("share of a knock's speed after 1 s")
