@@ -40,6 +40,13 @@ _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
 
 
+COMPILE_S: Final = (27.0, 9.0)
+"""Of a scene with bodies, and of each geom that a finger touches: seconds of a processor, measured with 2, 4 and 8 free
+bodies of five kinds, friction and rolling, on a busy machine."""
+LONG_S: Final = 90.0
+"""From here on a first start is worth a word."""
+
+
 class Finding(NamedTuple):
     """What one file is: kind (scene, rig, or empty), summary rows, errors, its content as read; by object its mesh."""
 
@@ -212,6 +219,10 @@ def _world_rows(world: World) -> list[tuple[str, str]]:
     geoms = list(taken(world))
     touched = sum(geom.object is not None for geom in geoms)
     rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
+    compiling = COMPILE_S[0] + COMPILE_S[1] * touched
+    if compiling >= LONG_S:
+        few = "to touch fewer give a material to these alone, by [[world.geom]]"
+        rows.append(("  compiling", f"some {round(compiling, -1):g} s at the first start; {few}"))
     return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
 
 

@@ -94,3 +94,29 @@ def test_a_scene_is_explained_by_measured_costs() -> None:
     assert done.returncode == 0, done.stderr
     for said in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", r"1000 N/m; passive at 1000 Hz .* more than 0\.5"):
         assert len(re.findall(said, done.stdout)) == 1, done.stdout
+
+
+@pytest.mark.plain
+def test_check_tells_how_geoms_are_taken_and_when_many_take_long_to_compile(tmp_path: Path) -> None:
+    """A height field as a map; ten balls that are touched, and one: seconds from the number of those alone."""
+    balls = "".join(
+        f'<body pos="{k} 0 1"><freejoint/><geom name="ball {k}" type="sphere" size="0.02"/></body>' for k in range(10)
+    )
+    (tmp_path / "many.xml").write_text(
+        '<mujoco><option timestep="0.001"/><asset><hfield name="hills" nrow="2" ncol="3" size="0.2 0.1 0.05 0.01" '
+        'elevation="0 1 2 1 0 1"/></asset><worldbody><geom name="hills" type="hfield" hfield="hills"/>'
+        f"{balls}</worldbody></mujoco>"
+    )
+    scene = '[fingertip]\nradius_m = 0.008\n[world]\nmodel = "many.xml"\n'
+    (tmp_path / "all.toml").write_text(scene + "material = { stiffness_n_per_m = 500.0 }\n")
+    (tmp_path / "one.toml").write_text(
+        scene + '[[world.geom]]\nname = "hills"\nmaterial = { stiffness_n_per_m = 500.0 }\n'
+    )
+    every = called("check", str(tmp_path / "all.toml"))
+    assert every.returncode == 0, every.stderr
+    assert re.search(r"11 of 11 geoms touched", every.stdout)
+    assert re.search(r"compiling +some \d+ s at the first start; to touch fewer", every.stdout)
+    assert re.search(r"map +3 x 2 pixels, .* heights 0 to 0\.05 m", every.stdout)
+    one = called("check", str(tmp_path / "one.toml"))
+    assert one.returncode == 0, one.stderr
+    assert re.search(r"1 of 11 geoms touched", one.stdout) and "compiling" not in one.stdout
