@@ -40,7 +40,7 @@ _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
 
 
-COMPILE_S: Final = (27.0, 9.0)
+COMPILE_S: Final = (31.0, 7.0)
 """Of a scene with bodies, and of each geom that a finger touches: seconds of a processor, measured with 2, 4 and 8 free
 bodies of five kinds, friction and rolling, on a busy machine."""
 LONG_S: Final = 90.0

@@ -37,6 +37,9 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
 from softfinger.proxy.kernels.query.objects import curvature_of, normal_law_of
 
+EDGE = 1.0 - 1e-6
+"""Curvature of the surface that the proxy moves on, times the fingertip's radius, from which on an edge is under it."""
+
 
 class Motion(NamedTuple):
     """What moves all contacts in a tick.
@@ -150,10 +153,12 @@ def displaced_by_turning_objects(before: Contacts, carried: Contacts) -> Vec3:
 @jit
 def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -> Lever:
     """Depth times the curvature of the surface that the proxy, at `center` (3,) m, moves on; within 1, or a probe at
-    the middle of what it curves about would have no way."""
+    the middle of what it curves about would have no way. None over an edge, of a box as of triangles."""
     if contact.body < 0.0:
         return Lever(0.0, 0.0, contact.normal)
     k1, k2, along = curvature_of(objects, contact.body, radius, center, contact.normal)
+    if max(k1, k2) * radius > EDGE:
+        return Lever(0.0, 0.0, along)
     most = max(abs(k1), abs(k2)) * contact.push
     depth = contact.push / most if most > 1.0 else contact.push
     return Lever(depth * k1, depth * k2, along)
@@ -169,8 +174,8 @@ def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
 
 @jit
 def displaced_by_turning_normal(before: Contacts, contact: ContactState, lever: Lever) -> Vec3:
-    """How far (3,) m the proxy goes because the normal under a contact turned against its object in this tick, at the
-    edge of a facet; where the surface bends it has a lever."""
+    """How far (3,) m the proxy goes because the normal under a contact turned against its object in this tick, over an
+    edge; where the surface bends it has a lever."""
     if lever.first != 0.0 or lever.second != 0.0:
         return (0.0, 0.0, 0.0)
     was = contact_on(before, contact.body)
@@ -207,7 +212,7 @@ def shear(
     lever (1 - d W) r about the fingertip's centre, so what it stores is what finger and object give, to and fro.
     Of the probe's way that the proxy was kept from, only what unwinds e counts: the hand gets no more work from
     the contact than its spring gives, whatever the others do meanwhile. And where the proxy goes farther than the
-    probe over the edge of a facet, its way takes back what a roll has wound.
+    probe over an edge, its way takes back what a roll has wound.
     """
     normal, carried = contact.normal, carry(objects, contact.body)
     deflection, rolled_part, theta, twist = contact.deflection, contact.rolled_part, 0.0, 0.0
