@@ -41,10 +41,9 @@ class Part(NamedTuple):
     tests: tuple[str, ...]
 
 
-_OUTPUT: Final = ("server/test_guard", "server/test_limits", "server/test_passivity", "server/test_reactions")
 PARTS: Final = {
-    "guard": Part(("server/loop/guard.py",), _OUTPUT),
-    "limits": Part(("server/loop/limits.py", "server/loop/output.py"), _OUTPUT),
+    "guard": Part(("server/loop/guard.py",), ("server/test_guard",)),
+    "limits": Part(("server/loop/limits.py", "server/loop/output.py"), ("server/test_limits",)),
     "shutdown": Part(
         ("server/closing.py", "drivers/opened.py", "server/loop/shutdown.py"),
         ("server/test_shutdown", "server/test_supervisor"),
