@@ -131,6 +131,7 @@ def test_a_hand_is_led_back_before_it_feels(session: tuple[Path, Run]) -> None:
         assert np.linalg.norm(position - MOTION[0][1:]) <= BACK_M
 
 
+@pytest.mark.exhaustive
 def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
     """The hand presses with some 0.9 N: the guard lets through what its limit in the trial is, from zero force on."""
     limits = {"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.3, 5.0]}
