@@ -92,7 +92,7 @@ def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[
     kills = cases(3, 50)  # each costs a start of the program, some 2 s of processor
     (tmp_path / "rig.toml").write_text(RIG)
     file = tmp_path / "killed.toml"
-    file.write_text(EXPERIMENT.format(repetitions=kills))
+    file.write_text(EXPERIMENT.format(repetitions=2 * kills))
     words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", str(file), "--dry-run", "--no-doctor"]
     words += ["--out", str(tmp_path / "out"), "--endpoint", f"ipc://{tmp_path}/t", "--commands", f"ipc://{tmp_path}/c"]
     own, rng = tmp_path / "out" / "sub-01", random.Random(11)
