@@ -36,7 +36,7 @@ from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.record import AT, FREE, SLIDING
 from softfinger.proxy.scene import build_scene
 from softfinger.proxy.textures import FREQUENCY_MAX_HZ, bounds, filtered
-from softfinger.server.verbs.check import scene_summary
+from softfinger.server.offline.summary import scene_summary
 
 pytestmark = pytest.mark.plain
 

@@ -27,7 +27,7 @@ from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning, begin, tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate, with_devices
-from softfinger.server.verbs.check import rig_summary
+from softfinger.server.offline.summary import rig_summary
 
 DT = 1e-3
 SLOW_HZ = 250.0
