@@ -45,18 +45,19 @@ class Play:
         hand.interrupted = self.stop
         self._scene: schema.Scene | None = None
         self._bodies: Bodies | None = None
-        self._name, self._senses = "", dict[str, int]()
+        self._senses: dict[str, int] = {}
         self._forces: dict[str, float] = {}
         self._gesture: Gesture | None = None
         self._wanted = self._after = ""
 
     def change(self, scene: schema.Scene, bodies: Bodies | None, described: dict[str, Any]) -> None:
         """Another scene is rendered, as the daemon describes it."""
+        after = self._after if described["scene_name"] == LIFTED else ""
         self.stop()
-        self._scene, self._bodies, self._name = scene, bodies, described["scene_name"]
+        self._scene, self._bodies = scene, bodies
         self._senses = {each["name"]: each["device"]["sensed_dof"] for each in described["fingers"]}
         self._forces.clear()
-        self._wanted, self._after = self._after, ""
+        self._wanted = after
 
     def see(self, finger: str, row: Array) -> None:
         """The newest tick (RECORD_SIZE,) of a finger."""
@@ -84,7 +85,7 @@ class Play:
 
     def stop(self) -> None:
         """A person leads, or there is another scene."""
-        self._gesture, self._wanted = None, ""
+        self._gesture, self._wanted, self._after = None, "", ""
 
     def _clicked(self, event: Any) -> None:
         if event.client is not None and event.target.value in (*ONE_FINGER, LIFT):
