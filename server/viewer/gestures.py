@@ -36,6 +36,8 @@ GRIP_N: Final = 2.5
 """Twice as much as holds 100 g by a friction of 0.2."""
 STAYS_S: Final = 0.8
 LIFT_M: Final = 0.05
+LIFTS: Final = 0.04
+"""m/s with what is held."""
 ROLL_M: Final = 0.012
 SLIDE_M: Final = 0.025
 SPIN_RAD: Final = radians(70.0)
@@ -142,9 +144,9 @@ def lift(stage: Stage, left: str, right: str, box: Box) -> Gesture:
     yield from carry(stage, {name: beside(name) for name in sides})
     yield from close_in(stage, {name: -way for name, way in sides.items()}, GRIP_N)
     held = {name: stage.target(name).position for name in sides}
-    yield from carry(stage, {name: place + LIFT_M * UP for name, place in held.items()}, SPEED)
+    yield from carry(stage, {name: place + LIFT_M * UP for name, place in held.items()}, LIFTS)
     yield from wait({name: stage.target(name) for name in sides}, STAYS_S)
-    yield from carry(stage, held, SPEED)
+    yield from carry(stage, held, LIFTS)
     yield from carry(stage, {name: beside(name) for name in sides}, SPEED)
 
 

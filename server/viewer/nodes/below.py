@@ -23,11 +23,12 @@ UP: Final = np.array([0.0, 0.0, 1.0])
 
 
 class Foot(NamedTuple):
-    """Where a plumb line ends: point (3,) m, the unit normal (3,) of the surface there, which points up; of which
-    object, by its number among the places."""
+    """Where a plumb line ends: point (3,) m, the unit normal (3,) of the surface there, which points up; whether it is
+    flat; of which object, by its number among the places."""
 
     point: Array
     normal: Array
+    flat: bool
     number: int = -1
 
 
@@ -40,14 +41,14 @@ class Level:
         if normal[2] <= LEVEL:
             return None
         height = point[2] - float(normal @ (point - np.array(place[0]))) / normal[2]
-        return Foot(np.array([point[0], point[1], height]), normal) if height <= point[2] else None
+        return Foot(np.array([point[0], point[1], height]), normal, flat=True) if height <= point[2] else None
 
 
 class Triangles:
     """A surface of triangles, in its own frame, m."""
 
     def __init__(self, mesh: Mesh) -> None:
-        self._corners = mesh.vertices[mesh.faces]
+        self._corners, self._flat = mesh.vertices[mesh.faces], mesh.flat
         self._place: Any = None
 
     def below(self, point: Array, place: Place) -> Foot | None:
@@ -69,7 +70,7 @@ class Triangles:
             return None
         best = int(np.argmax(np.where(inside, heights, -np.inf)))
         up = normal[best] / np.linalg.norm(normal[best])
-        return Foot(under[best], up if up[2] > 0.0 else -up)
+        return Foot(under[best], up if up[2] > 0.0 else -up, self._flat)
 
     def _turn(self, place: Place) -> None:
         """Put them where they are in the world, without those that stand upright, which nothing lies on."""

@@ -43,8 +43,8 @@ NOTHING_N: Final = 1e-4
 """Force that has no arrow."""
 RECENT: Final = 100
 """Ticks over which a contact is seen to roll or to spin."""
-SHADE_M: Final = 1e-4
-"""A shadow lies so far above its surface, lest that hide it, and below traces."""
+SHADE_M: Final = (6e-4, 1e-4)
+"""A shadow lies so far above a round surface, whose hollow would hide its rim, and above a flat one, below traces."""
 LEAST_ARC: Final = radians(8.0)
 """A shorter arc, rad, would be a head without a line, and is not drawn."""
 
@@ -196,7 +196,7 @@ class FingerNodes:
         self.height_m = None if foot is None else float(centre[2] - foot.point[2]) - min(self._radii)
         if foot is not None:
             self._plumb.points = CM * np.array([[centre, foot.point]])
-            self._shadow.position = CM * (foot.point + SHADE_M * foot.normal)
+            self._shadow.position = CM * (foot.point + SHADE_M[foot.flat] * foot.normal)
             self._shadow.wxyz = towards(foot.normal)
 
     def _trace(self, rows: Array, shown: bool) -> None:

@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cache
 
 import numpy as np
 import pytest
+from helpers.simulated_hands import SimulatedHands
 
 from softfinger import ContactMode
+from softfinger.drivers.simulated.plant import Drive
 from softfinger.proxy.engine import Engine, Step
+from softfinger.proxy.kernels.jit.decorators import PLAIN
+from softfinger.proxy.record import AT
+from softfinger.server.offline.closed_loop import Held
 from softfinger.server.viewer.gestures import (
+    GRIP_N,
     HOVER_M,
+    LIFT_M,
     ONE_FINGER,
     PRESS_N,
     ROLL_M,
     SLIDE_M,
     SPEED,
     SPIN_RAD,
+    Box,
     Stage,
     half_width,
+    lift,
 )
 from softfinger.server.viewer.nodes.glyphs import UNTURNED
 from softfinger.server.viewer.target import Target
 
 pytestmark = pytest.mark.plain
 
+FRAME_S = 0.04
 START = (0.0, 0.0, 0.02)
 RADIUS, RATE_HZ = 0.01, 100.0
 STEP_N = 1000.0 * SPEED / RATE_HZ
@@ -89,6 +100,52 @@ def test_a_slide_on_the_right_goes_to_the_left() -> None:
         points = [step.point[0] for step in played("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
         farthest = max(points, key=lambda point: abs(point - x))
         assert way * (farthest - x) == pytest.approx(SLIDE_M, abs=1.5e-3)
+
+
+class Led(SimulatedHands):
+    """Two hands beside the shipped box, each at a place that a test may change."""
+
+    def __init__(self) -> None:
+        super().__init__("lift-a-box")
+        places = {"thumb": -0.04, "index": 0.04}
+        self.goals = {name: np.array([x, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]) for name, x in places.items()}
+        self._hands = tuple(
+            Held(hand.plant, Drive(hand.drive.intention._replace(length=1.0, loop=0.0), goal, hand.drive.line))
+            for hand, goal in zip(self._hands, self.goals.values(), strict=True)
+        )
+
+
+@pytest.mark.exhaustive
+@pytest.mark.skipif(not PLAIN, reason="would compile a minute; plain Python plays it in half of that")
+def test_a_lift_lifts_a_box_and_puts_it_down() -> None:
+    """By simulated hands on MuJoCo's body: as high as it says but for the give of the grip, level, and to the floor."""
+    hands, forces, passed = Led(), {"thumb": 0.0, "index": 0.0}, 0.0
+    stage = Stage(
+        lambda finger: Target(hands.goals[finger][:3].copy(), UNTURNED),
+        forces.__getitem__,
+        lambda finger: RADIUS,
+        lambda point: 0.0,
+    )
+    back: list[bool] = []
+    box = Box(lambda: hands.data.qpos[:3].copy(), 0.02, lambda: back.append(True))
+    gesture, heights, tilts, most = lift(stage, "thumb", "index", box), [], [], 0.0
+    goals = next(gesture)
+    with suppress(StopIteration):
+        while True:
+            for finger, target in goals.items():
+                hands.goals[finger][:3] = target.position
+            passed += FRAME_S
+            for finger, rows in hands.until(passed).items():
+                forces[finger] = float(np.asarray(rows)[-1, AT.contact_normal_force])
+            most = max(most, *forces.values())
+            heights.append(float(hands.data.qpos[2]))
+            tilts.append(abs(float(hands.data.qpos[3])))
+            goals = gesture.send(FRAME_S)
+    assert back == [True] and GRIP_N <= most < 2.0 * GRIP_N
+    # 1 N of weight on two contacts and two hands of 1000 N/m each gives by 1 mm
+    assert max(heights) == pytest.approx(0.02 + LIFT_M, abs=2e-3)
+    assert heights[-1] == pytest.approx(0.02, abs=5e-4) and min(tilts) > np.cos(np.radians(1.0))
+    assert forces == {"thumb": 0.0, "index": 0.0}
 
 
 def test_a_box_is_as_wide_as_it_is_turned() -> None:
