@@ -76,7 +76,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
         before, forces = board.sent[count - 1][2], [frame[2] for frame in board.sent[count:]]
         first = next(place for place, force in enumerate(forces) if force <= before * 2 / RAMP_TICKS)
         assert first <= 1, "more than the tick that was under way had a force"
-        # Without a wall the hand comes 4 mm deep, and overshoots to twice that at most: 8 N, of which this is a fiftieth.
+        # Without a wall the hand comes 4 mm deep, and overshoots to twice that at most: of 8 N this is a fiftieth.
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2
         end(process)
     ticks, events = read(recording)
