@@ -53,10 +53,11 @@ class Play:
     def change(self, scene: schema.Scene, bodies: Bodies | None, described: dict[str, Any]) -> None:
         """Another scene is rendered, as the daemon describes it."""
         after = self._after if described["scene_name"] == LIFTED else ""
-        self.stop()
+        if scene != self._scene:  # else its bodies were put back, maybe by the gesture itself
+            self.stop()
         self._scene, self._bodies = scene, bodies
         self._senses = {each["name"]: each["device"]["sensed_dof"] for each in described["fingers"]}
-        self._forces.clear()
+        self._forces = dict.fromkeys(self._senses, 0.0) if self._gesture else {}
         self._wanted = after
 
     def see(self, finger: str, row: Array) -> None:
@@ -142,12 +143,16 @@ class Play:
         sides = self._hand.sides()
         if number is None or len(sides) < 2:
             return self._fetch_a_box()
-        bodies, thing = self._bodies, self._scene.object[number]
+        thing = self._scene.object[number]
         assert isinstance(thing, schema.Box)
-        half = half_width(thing.size_m, bodies.places[number][1])
-        box = Box(lambda: np.array(bodies.places[number][0]), half, self._ask.put_back)
+        half = half_width(thing.size_m, self._bodies.places[number][1])
+        box = Box(lambda: self._middle(number), half, self._ask.put_back)
         self._start(lift(stage, sides[0], sides[1], box))
         return ""
+
+    def _middle(self, number: int) -> Array:
+        assert self._bodies is not None
+        return np.array(self._bodies.places[number][0])
 
     def _fetch_a_box(self) -> str:
         """Ask for the scene that has one, where the fingers are those of it."""
