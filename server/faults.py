@@ -179,10 +179,9 @@ HAZARDS: Final = (
         ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
     ),
     Hazard(
-        "a publisher that is killed, or gets no memory", "the daemon", "none", "as before", "it is started again",
+        "a publisher that is killed", "the daemon", "none", "as before", "it is started again",
         ("fault publisher",),
-        ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
-         f"{_PROCESS}::test_a_publisher_without_memory_is_started_again"),
+        ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",),
     ),
     Hazard(
         "a publisher that stands still, a network that is lost", "none needed: nobody waits for it", "none",
