@@ -51,10 +51,10 @@ def heights(daemon: Daemon) -> Iterator[object]:
 @pytest.fixture(autouse=True)
 def beside(client: Client, screen: Screen) -> None:
     """Each begins with the box on the floor and the hands beside it, and the camera where it was."""
+    client.reset_world()  # first: the page draws anew
     for name, x in (("thumb", -0.04), ("index", 0.04)):
         client.hand((x, 0.0, 0.02), (1.0, 0.0, 0.0, 0.0), finger=name)
     assert eventually(lambda: abs(client.get_state().position[0] + 0.04) < 5e-4)
-    client.reset_world()
     screen.tab("Hand")
 
 
