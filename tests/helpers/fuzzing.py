@@ -5,8 +5,8 @@
 Each is taken or refused: by an error of the program's own that says something, in bounded time of the processor and
 memory, without a warning. The bytes of the moment are in FOLDER, so what ends the process is known as well.
 
-A mutator of our own and not atheris: that has wheels for two of our three versions of Python, and follows branches of
-Python's code, where these readers spend their time in msgspec, numpy, MuJoCo and expat.
+A mutator of our own and not atheris, which follows branches of Python's code: these readers spend their time in
+msgspec, numpy, MuJoCo and expat.
 """
 
 from __future__ import annotations
