@@ -48,12 +48,14 @@ class FarEnd(NamedTuple):
               the far end is given
     handover  ticks that a force may be on its way to the motors
     most      what the guard lets through, as `received` has it
+    withholds whether the driver gives zero by itself while nobody reads its answers
     """
 
     device: Device
     received: Callable[[], NDArray[np.float64]]
     handover: int = 1
     most: float = 12.0
+    withholds: bool = False
 
 
 class Timed(list[Any]):
@@ -135,7 +137,7 @@ def hid_arm(tmp_path: Path) -> Iterator[FarEnd]:
             answering.settle(device)
             return rows(arm.sent.times, np.array(arm.sent, float)[:, :3] * 1e-3)
 
-        yield FarEnd(device, received)
+        yield FarEnd(device, received, withholds=True)
 
 
 @contextmanager
@@ -186,6 +188,7 @@ def haply(tmp_path: Path) -> Iterator[FarEnd]:
         service.do("hand", id=haply_devices.ID, at=[0.0, 0.0, 0.008], press=0.003, drag=0.01)
 
         def received() -> NDArray[np.float64]:
+            haply_devices.settle(device)
             return np.array(service.log())
 
         yield FarEnd(device, received, handover=2)
@@ -211,6 +214,8 @@ def two_diy(tmp_path: Path) -> Iterator[FarEnd]:
         firmware.angles = [142.0, 38.0]
 
         def received() -> NDArray[np.float64]:
+            written = device.counts()["written"]
+            described_boards.settled(lambda: firmware.taken, lambda taken: taken >= written)
             return rows(firmware.given.times, firmware.given)
 
         yield FarEnd(device, received, most=2.0 * TORQUE_MAX)
@@ -231,8 +236,13 @@ def hapkit(tmp_path: Path) -> Iterator[FarEnd]:
 
         hand = threading.Thread(target=tremble)
         hand.start()
+
+        def received() -> NDArray[np.float64]:
+            described_boards.settled(sketch.torque, lambda torque: torque == 0.0)
+            return rows(*zip(*sketch.changes(), strict=True))
+
         try:
-            yield FarEnd(device, lambda: rows(*zip(*sketch.changes(), strict=True)), most=0.03)
+            yield FarEnd(device, received, most=0.03)
         finally:
             done.set()
             hand.join()

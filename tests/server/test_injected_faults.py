@@ -110,8 +110,9 @@ def ticks_of(times: np.ndarray, seen: Seen) -> np.ndarray:
     return np.where(np.isnan(times), rows, found + np.floor(late))
 
 
-def check_end(name: str, at: int, seen: Seen) -> None:
-    """How it ended, what was told, and that the recording has every tick."""
+def check_end(name: str, at: int, seen: Seen, withholds: bool = False) -> None:
+    """How it ended, what was told, and that the recording has every tick; `withholds`: a driver that gives zero by
+    itself while nobody reads is sooner than the guard."""
     case = CASES[name]
     if case.ends is None:
         assert seen.error is None, seen.error
@@ -121,7 +122,7 @@ def check_end(name: str, at: int, seen: Seen) -> None:
         assert case.fault["kind"] in str(seen.error) or case.event == "stalled"
         assert at <= seen.ticks <= at + case.within
     if case.event:
-        assert case.event in seen.events
+        assert case.event in seen.events or (withholds and name == "stale for long" and "ramping" in seen.events)
     assert seen.recorded[:, AT.tick].tolist() == list(range(seen.ticks))
 
 
@@ -198,7 +199,7 @@ def test_on_every_driver(
     no more than before the fault in these ticks; zero as long as the fault keeps poses away; zero in the end."""
     case, at = CASES[name], 200
     seen, far, given = injected(driver, name, at, tmp_path)
-    check_end(name, at, seen)
+    check_end(name, at, seen, far.withholds)
     ticks, norms = given[:, 0], np.linalg.norm(given[:, 1:], axis=1)
     assert norms[-1] == 0.0
     before = norms[(ticks >= at - 50) & (ticks < at)].max()
