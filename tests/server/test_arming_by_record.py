@@ -23,8 +23,12 @@ class Asked:
     def __init__(self, arm: str, fingers: int = 1, armed_at: int = 0) -> None:
         self.rig = SimpleNamespace(guard=SimpleNamespace(arm=arm))
         self.servo = SimpleNamespace(devices=[None] * fingers)
-        self.armed_at = armed_at
         self.acts: list[Any] = []
+        self.force = SimpleNamespace(
+            given_at=armed_at,
+            note_guard=lambda reason, there: self.acts.append((reason, there)),
+            tell=lambda: self.acts.append("tell"),
+        )
 
     def disarm(self, reason: str) -> None:
         self.acts.append(("disarm", reason))
@@ -32,14 +36,8 @@ class Asked:
     def arm(self, *reasons: str) -> None:
         self.acts.append(("arm", *reasons))
 
-    def tell_fault(self, reason: str, there: bool) -> None:
-        self.acts.append((reason, there))
-
     def advance(self) -> None:
         self.acts.append("advance")
-
-    def tell(self) -> None:
-        self.acts.append("tell")
 
 
 def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:

@@ -555,7 +555,7 @@ def test_what_is_no_request_is_no_sign_of_life():
     for body, too_much in given:
         commands = Commands("ipc:///nowhere", rendering, doing, "none")  # nothing was ever heard
         reasons.clear()
-        assert commands._answer(b"client", body, too_much) is not None
+        assert commands._take(b"client", body, too_much) is not None
         commands._look_after()
         alive.append(not reasons)
     assert alive == [False, False, False, False, True]
@@ -759,7 +759,7 @@ def test_the_compiler_leaves_with_the_daemon():
 
 def test_a_second_daemon_and_none_at_all(rig, tmp_path):
     """The endpoint of another daemon is in use; off is off; ipc follows the telemetry's, for this user alone."""
-    in_use = pytest.raises(AddressInUse, match=r"\[commands\] endpoint .* is in use: stop the softfinger")
+    in_use = pytest.raises(AddressInUse, match=r"\[commands\] endpoint .* is in use: stop process ")
     with running(rig()) as (daemon, _, _), in_use:
         Daemon(rig(**{"commands.endpoint": daemon.commands_endpoint}), pressed_scene())
     threads = threading.active_count()

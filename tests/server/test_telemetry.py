@@ -407,7 +407,7 @@ def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
     wanted = "tcp://127.0.0.1:*" if scheme == "tcp" else f"ipc://{tmp_path}/telemetry"
     with Publisher(wanted) as holder:
         endpoint = holder.endpoint
-        with pytest.raises(AddressInUse, match="in use: stop the softfinger"):
+        with pytest.raises(AddressInUse, match="in use: stop process "):
             Publisher(endpoint)
         socket = plain(endpoint, "event")
         join(holder, socket)

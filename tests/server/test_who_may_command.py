@@ -211,7 +211,7 @@ def test_a_killed_daemon_leaves_no_address_in_use_and_a_living_one_keeps_its_own
     with listen(endpoint, KEY, own=True).files:
         living = path.stat().st_ino, path.stat().st_ctime_ns
         assert living != left
-        with pytest.raises(AddressInUse, match="is in use: stop the softfinger"):
+        with pytest.raises(AddressInUse, match="is in use: stop process "):
             listen(endpoint, KEY, own=True)
         assert (path.stat().st_ino, path.stat().st_ctime_ns) == living
     assert not path.exists()

@@ -215,7 +215,7 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
             assert fed(live, lambda: "Not done:" in page._said.content and "position_m" in page._said.content)
             assert handles._nodes[0].position.tolist() == [0.0, 0.0, 1.0]
             pulls(handles, (0.0, 0.0, 2.0))
-            assert fed(live, lambda: page._bodies is not None and page._bodies.places[0][0] == (0.0, 0.0, 0.02))
+            assert fed(live, lambda: page.bodies is not None and page.bodies.places[0][0] == (0.0, 0.0, 0.02))
             assert running.rendering.scene.object[0].position_m == (0.0, 0.0, 0.02)
             live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 700.0})
             nodes = page.fingers[""]
