@@ -78,6 +78,39 @@ def test_clamp_survives_forces_whose_square_overflows():
     np.testing.assert_allclose(after.force, (12 / math.sqrt(2), 12 / math.sqrt(2), 0.0), rtol=1e-14)
 
 
+@pytest.mark.parametrize("tiny", [1e-301, 5e-324])
+def test_what_is_too_small_for_a_direction_is_zero_where_less_is_allowed(tiny):
+    """Beyond a limit of 0 it becomes zero, told as clamped; within a limit it keeps its bits."""
+    none = OPEN._replace(force_max=0.0, torque_max=0.0)
+    after, bits = compiled(none, ENGAGED, (tiny, 0.0, 0.0), (0.0, -tiny, 0.0), DT)
+    assert (after.force, after.torque) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert bits == g.FORCE_CLAMPED | g.TORQUE_CLAMPED
+    after, bits = compiled(OPEN, ENGAGED, (tiny, 0.0, 0.0), (0.0, -tiny, 0.0), DT)
+    assert (after.force, after.torque, bits) == ((tiny, 0.0, 0.0), (0.0, -tiny, 0.0), 0)
+
+
+def test_the_smallest_with_a_direction_is_brought_down_along_it():
+    """1e-300 is the least that can be divided by; its limit is a tenth of it here."""
+    small = OPEN._replace(force_max=1e-301)
+    after, bits = compiled(small, ENGAGED, (0.0, 1e-300, 0.0), (0.0, 0.0, 0.0), DT)
+    assert bits == g.FORCE_CLAMPED and after.force[1] == pytest.approx(1e-301, rel=1e-14)
+
+
+def test_the_torque_alone_may_be_slew_limited():
+    """50 N m/s are 0.05 N m in a tick: 0.3 N m are reached in six, along the way, and told."""
+    after, bits = compiled(LIMITS, ENGAGED, (0.0, 0.0, 0.0), (0.0, 0.18, 0.24), DT)
+    assert bits == g.SLEW_LIMITED
+    np.testing.assert_allclose(after.torque, (0.0, 0.03, 0.04), rtol=1e-14)  # 0.05 N m along (0, 3, 4) / 5
+
+
+def test_without_a_ramp_the_force_is_there_at_once_and_no_larger():
+    """ramp_s = 0 means the whole force, once, from the first tick on."""
+    after, bits = compiled(OPEN, g.DISENGAGED, (11.0, 0.0, 0.0), (0.0, 0.0, 0.25), DT)
+    assert (after, bits) == (g.Guarded((11.0, 0.0, 0.0), (0.0, 0.0, 0.25), 1.0), 0)
+    after, bits = compiled(OPEN, g.DISENGAGED, (13.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
+    assert bits == g.FORCE_CLAMPED and after.force[0] == pytest.approx(12.0, rel=1e-14)
+
+
 def test_slew_limits_each_tick_along_the_way():
     """A step to 10 N is reached in ticks of force_slew * dt, straight towards the goal."""
     after, bits = compiled(LIMITS, ENGAGED, (6.0, 0.0, 8.0), (0.0, 0.0, 0.0), DT)

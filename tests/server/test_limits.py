@@ -180,6 +180,15 @@ def test_energy_given_in_a_contact_fades_the_force():
     assert shares[-1] == pytest.approx(0.4, rel=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("spent", "share"), [(-1.0, 1.0), (0.0, 1.0), (1.0, 1.0), (1.25, 0.75), (2.0, 0.0), (3.0, 0.0)]
+)
+def test_the_force_fades_between_once_and_twice_the_energy(spent, share):
+    """All of it up to the energy that may be given, none from twice that on, straight between."""
+    limits = lim.UNLIMITED._replace(energy=0.2)
+    assert lim.share_of(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
+
+
 def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
     """Pressed in and let out again nothing was given; a surplus of friction does not pay for the next contact."""
     guard, passed = limited(energy=0.1), BEGUN
