@@ -93,7 +93,7 @@ def test_the_smallest_with_a_direction_is_brought_down_along_it():
     """1e-300 is the least that can be divided by; its limit is a tenth of it here."""
     small = OPEN._replace(force_max=1e-301)
     after, bits = compiled(small, ENGAGED, (0.0, 1e-300, 0.0), (0.0, 0.0, 0.0), DT)
-    assert bits == g.FORCE_CLAMPED and after.force[1] == pytest.approx(1e-301, rel=1e-14)
+    assert bits == g.FORCE_CLAMPED and after.force[1] == pytest.approx(1e-301, rel=1e-14, abs=0.0)
 
 
 def test_the_torque_alone_may_be_slew_limited():
@@ -163,6 +163,15 @@ def test_ramp_grows_linearly_from_engaging():
     # 500 additions of 0.002 round to within 1e-12 of the exact share.
     np.testing.assert_allclose(forces[:500], np.arange(1, 501) / 500.0, atol=1e-12)
     assert forces[501:] == [1.0] * 99
+
+
+def test_the_limits_do_not_grow_once_the_ramp_is_over():
+    """The ramp ends at the whole force: however long it has been engaged, the largest force is the limit's."""
+    before = ENGAGED
+    for _ in range(600):
+        before, _ = compiled(LIMITS, before, (20.0, 0.0, 0.0), (0.0, 0.4, 0.0), DT)
+        assert before.gain == 1.0
+    assert before.force[0] == pytest.approx(12.0, rel=1e-14) and before.torque[1] == pytest.approx(0.3, rel=1e-14)
 
 
 def test_the_moment_ramps_with_the_force():
