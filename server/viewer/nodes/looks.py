@@ -22,7 +22,7 @@ NORMAL: Final[Colour] = (30, 120, 60)
 CONE: Final[Colour] = (250, 205, 60)
 MAP: Final[Colour] = (214, 178, 120)
 """Of a height map, which is mostly seen against a grey plane or none."""
-ARROW_MAX_CM: Final = 3.0
+ARROW_MAX_CM: Final = 5.0
 """The longest arrow of a force that stays on the screen."""
 OBJECTS: Final[tuple[Colour, ...]] = ((196, 204, 218), (214, 203, 188), (190, 212, 200), (208, 196, 214))
 
@@ -36,7 +36,7 @@ class Looks:
     cone, traces, ghost, patches  whether each is shown
     """
 
-    newtons_per_cm: float = 0.5
+    newtons_per_cm: float = 0.3
     degrees_per_mnm: float = 60.0
     cone: bool = False
     traces: bool = True
