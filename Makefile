@@ -146,7 +146,7 @@ reference: $(STAMP) ## Write docs/reference/: keys of scenes and rigs, record, t
 figures: $(STAMP) ## Draw the figures of the model pages anew (docs/figures/model-*.svg)
 	@NUMBA_DISABLE_JIT=1 exec $(BIN)/python -m softfinger.tools.pages.figures docs/figures
 
-page-picture: $(STAMP) ## Draw the pictures of the page in docs/figures/ anew (needs `make browser`)
+page-picture: $(STAMP) ## Take the screenshots of docs/figures/ again (needs `make browser`)
 	@$(BIN)/python tests/page_picture.py
 	@exec $(BIN)/python tests/experiment_picture.py
 

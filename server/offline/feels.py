@@ -35,7 +35,7 @@ def found(name: str) -> tuple[str, Entry]:
 
 
 def whole(kind: str, name: str) -> Any:
-    """The table of a scene that names the entry and says nothing else."""
+    """A table as a scene writes it: the name of the entry, and no key beside it."""
     return build(_TABLES[kind], {LIBRARIES[kind].key: name}, name)
 
 

@@ -1,4 +1,4 @@
-// The gamepad of whoever looks, some 30 times a second while it is held.
+// Sends the state of the viewer's gamepad, some 30 times a second while it is held.
 //
 // Only a pad with the W3C's "standard" layout counts: axes 0 and 1 are the left stick, 2 and 3 the right one; buttons 4
 // and 5 the bumpers, 6 and 7 the triggers.

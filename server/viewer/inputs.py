@@ -19,7 +19,7 @@ SILENT_S: Final = 0.3
 TOTALS: Final = 7
 """Of two hands: three of each finger, and one of the wheel."""
 SESSIONS: Final = 16
-"""Pages whose totals are known; one more begins anew."""
+"""How many pages have their totals kept; those of the oldest are dropped."""
 JUMP_M: Final = 0.02
 """The farthest that a finger is led at once by keys or a wheel."""
 SPEED: Final = 0.05
