@@ -24,7 +24,7 @@ from softfinger.proxy.kernels.query import bodies as at
 TIMESTEP_TOLERANCE: Final = 1e-6
 """Relative: a period of whole nanoseconds is the timestep that a model has in decimal seconds."""
 URDF_TIMESTEP_S: Final = 0.002
-"""MuJoCo's own, of a file that gives none. A URDF has no place for it: the tick's is meant."""
+"""MuJoCo's default time step. A URDF cannot give one: it takes the servo's."""
 
 
 class _LogConfig(ctypes.Structure):

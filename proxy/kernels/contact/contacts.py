@@ -165,6 +165,16 @@ def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -
 
 
 @jit
+def levers_of(objects: Any, contacts: Contacts, radius: float, center: Vec3) -> tuple[Lever, Lever, Lever]:
+    """`lever_of` of each contact."""
+    return (
+        lever_of(objects, contacts[0], radius, center),
+        lever_of(objects, contacts[1], radius, center),
+        lever_of(objects, contacts[2], radius, center),
+    )
+
+
+@jit
 def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
     """The tangent `v` (3,) at the proxy as it is at the probe: v - depth dn/dp v."""
     across = vec3.cross(normal, lever.along)

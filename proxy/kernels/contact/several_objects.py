@@ -8,7 +8,7 @@ from softfinger.proxy.kernels.contact.contacts import (
     displaced_by_friction,
     displaced_by_turning_objects,
     farther_than_probe,
-    lever_of,
+    levers_of,
     warm_start,
 )
 from softfinger.proxy.kernels.contact.detection import detect_among_several, has_ended, separated
@@ -135,11 +135,7 @@ def outcome_among_several(
     state, active, began = candidates.state, rest.active, candidates.began
     last = carried_contacts(shapes, state.contacts)
     held = hand_over(objects, last, active)
-    levers = (
-        lever_of(shapes, held[0], finger.radius, rest.center),
-        lever_of(shapes, held[1], finger.radius, rest.center),
-        lever_of(shapes, held[2], finger.radius, rest.center),
-    )
+    levers = levers_of(shapes, held, finger.radius, rest.center)
     motion = motion_of(finger, state, probe, last, held, levers, began, dt)
     rough = with_texture_friction(objects, active, rest.center)
     one = wrench_of(scene.rolling, finger, rough, held[0], levers[0], motion)
