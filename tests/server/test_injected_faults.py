@@ -105,6 +105,8 @@ def injected(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, Far
 def ticks_of(times: np.ndarray, seen: Seen) -> np.ndarray:
     """In which tick a time is (n,), -1 before the first; the last one goes on behind its end."""
     rows = np.arange(len(times), dtype=float)
+    if not seen.ticks:
+        return rows - 1.0  # no tick was finished: all that came is of the way out
     late = np.maximum(times - seen.times[-1], 0.0) * RATE_HZ
     found = np.searchsorted(seen.times, times, side="right") - 1.0
     return np.where(np.isnan(times), rows, found + np.floor(late))
