@@ -1,25 +1,81 @@
-"""What a device of one or two degrees of freedom has of a scene: the line or the plane it moves in."""
+"""What a device of one or two degrees of freedom has of a scene: the arc or the plane in which it moves, and the part
+of a force that it displays."""
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.schema import DeviceConfig
 from softfinger.drivers.kinematics.options import Kinematics, Paddle, Pantograph
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.kernels.numerics.rotations import rotate
 
+Array = NDArray[np.float64]
+
+
+class Freedom(NamedTuple):
+    """In the world.
+
+    degrees  1 or 2
+    axis     (3,)    of the arc, or normal of the plane
+    origin   (3,) m  a point of the arc's axis, or of the plane
+    middle   (3,) m  where the handle is in the middle of its range
+    """
+
+    degrees: int
+    axis: Array
+    origin: Array
+    middle: Array
+
+    def displayed(self, position: Array, force: Array) -> Array:
+        """The part (3,) of a force (N) that is displayed where the handle is: along the arc, or in the plane."""
+        if self.degrees == 2:
+            return np.asarray(force - (force @ self.axis) * self.axis)
+        tangent = np.cross(self.axis, position - self.origin)
+        length = float(np.linalg.norm(tangent))
+        return 0.0 * force if length == 0.0 else np.asarray((force @ tangent) / length**2 * tangent)
+
+    def words(self) -> str:
+        """Where the handle moves, and what becomes of the other forces."""
+        if self.degrees == 2:
+            where = f"in the plane across ({_components(self.axis)}) of the world; forces out of it"
+        else:
+            along = np.cross(self.axis, self.middle - self.origin)
+            where = f"on an arc, in its middle along ({_components(along / np.linalg.norm(along))}) of the world; "
+            where += "forces across it"
+        return f"{where} are shown, not displayed"
+
+
+def freedom_of(kinematics: Kinematics | None, mounting: Mounting) -> Freedom | None:
+    """None for a mechanism of three degrees of freedom."""
+    place, turned = mounting.frame()
+    middle = np.array(place)
+    if isinstance(kinematics, Pantograph):  # z = 0
+        return Freedom(2, np.array(rotate(turned, (0.0, 0.0, 1.0))), middle, middle)
+    if isinstance(kinematics, Paddle):  # about y, from the joint upwards
+        joint = middle + np.array(rotate(turned, (0.0, 0.0, -float(kinematics.length_m))))
+        return Freedom(1, np.array(rotate(turned, (0.0, 1.0, 0.0))), joint, middle)
+    return None
+
+
+def freedom_of_table(table: DeviceConfig) -> Freedom | None:
+    """Of a rig's device; None too where its driver is somebody else's, with other options of these names."""
+    try:
+        kinematics: Any = msgspec.convert(table.options.get("kinematics"), Kinematics | None)
+        return freedom_of(kinematics, msgspec.convert(table.options.get("mounting", {}), Mounting))
+    except msgspec.ValidationError:
+        return None
+
 
 def freedom_rows(kinematics: Kinematics | None, mounting: Mounting) -> list[tuple[str, str]]:
     """For `softfinger check`: a row for fewer than three degrees of freedom, else none."""
-    if not isinstance(kinematics, Paddle | Pantograph):
-        return []
-    _, turned = mounting.frame()
-    if isinstance(kinematics, Paddle):
-        where = (
-            f"on an arc, in its middle along ({_axis(*rotate(turned, (1.0, 0.0, 0.0)))}) of the world; forces across it"
-        )
-    else:
-        where = f"in the plane across ({_axis(*rotate(turned, (0.0, 0.0, 1.0)))}) of the world; forces out of it"
-    return [("  moves", f"{where} are shown, not displayed")]
+    freedom = freedom_of(kinematics, mounting)
+    return [] if freedom is None else [("  moves", freedom.words())]
 
 
-def _axis(*components: float) -> str:
-    return ", ".join(f"{round(value, 2) + 0.0:.2f}" for value in components)
+def _components(vector: Array) -> str:
+    return ", ".join(f"{round(float(value), 2) + 0.0:.2f}" for value in vector)

@@ -1,4 +1,4 @@
-"""Which part of a force a device displays that has one or two degrees of freedom, and what the page says of it."""
+"""What the page says of a device of one or two degrees of freedom."""
 
 from __future__ import annotations
 
@@ -6,49 +6,19 @@ from collections.abc import Mapping
 from importlib.metadata import metadata
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
-from softfinger.drivers.kinematics.options import Kinematics, Paddle, Pantograph
-from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.kinematics.freedom import Freedom, freedom_of_table
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.nodes.glyphs import rotated
 
 Array = NDArray[np.float64]
 
 GUIDE: Final = "devices/serial.md#one-or-two-degrees-of-freedom-in-a-three-dimensional-scene"
 WHERE: Final = {1: "along its line", 2: "in its plane"}
-
-
-class Freedom(NamedTuple):
-    """In the world: of an arc, its axis (3,) and a point (3,) m of that; of a plane, its normal and a point of it."""
-
-    degrees: int
-    axis: Array
-    origin: Array
-
-    def displayed(self, position: Array, force: Array) -> Array:
-        """The part (3,) of a force (N) that is displayed where the handle is: along the arc, or in the plane."""
-        if self.degrees == 2:
-            return np.asarray(force - (force @ self.axis) * self.axis)
-        tangent = np.cross(self.axis, position - self.origin)
-        length = float(np.linalg.norm(tangent))
-        return 0.0 * force if length == 0.0 else np.asarray((force @ tangent) / length**2 * tangent)
-
-
-def freedom_of(kinematics: Kinematics | None, mounting: Mounting) -> Freedom | None:
-    """Of a mechanism whose frames `drivers/kinematics/` has; None for one of three degrees of freedom."""
-    origin, turned = mounting.frame()
-    if isinstance(kinematics, Pantograph):  # z = 0
-        return Freedom(2, rotated(turned, np.array([0.0, 0.0, 1.0])), np.array(origin))
-    if isinstance(kinematics, Paddle):  # about y, from the joint upwards
-        joint = np.array(origin) + rotated(turned, np.array([0.0, 0.0, -kinematics.length_m]))
-        return Freedom(1, rotated(turned, np.array([0.0, 1.0, 0.0])), joint)
-    return None
 
 
 class Handle(NamedTuple):
@@ -89,15 +59,7 @@ def handles(described: Mapping[str, Any]) -> dict[str, Handle]:
     found = {}
     for finger in described.get("fingers", ({"name": ""},)):
         table = rig.tables.get("device" if rig.device is not None else f"devices.{finger['name']}")
-        freedom = None if table is None else _freedom(table)
+        freedom = None if table is None else freedom_of_table(table)
         if freedom is not None:
             found[finger["name"]] = Handle(freedom, np.array(finger.get("offset_m", (0.0, 0.0, 0.0))))
     return found
-
-
-def _freedom(table: schema.DeviceConfig) -> Freedom | None:
-    try:
-        kinematics: Any = msgspec.convert(table.options.get("kinematics"), Kinematics | None)
-        return freedom_of(kinematics, msgspec.convert(table.options.get("mounting", {}), Mounting))
-    except msgspec.ValidationError:  # of a driver of somebody else
-        return None

@@ -18,11 +18,12 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.load import build, describe, load_rig, load_scene
+from softfinger.drivers.kinematics.freedom import freedom_of
 from softfinger.drivers.kinematics.options import Paddle
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
-from softfinger.server.viewer.displayed import freedom_of, handles
+from softfinger.server.viewer.displayed import handles
 from softfinger.server.viewer.nodes.bodies import Began, Bodies
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.glyphs import dashes, rotated
