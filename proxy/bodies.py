@@ -68,6 +68,7 @@ class RigidBodies:
             self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
             self._library.mju_setLogHandler(jump_on_error.address)
         self._fault: Final = np.zeros(2, np.int64)
+        self._last: Final = (np.zeros_like(self.data.xpos), np.zeros_like(self.data.xquat))
         self._memory: Final = np.zeros(RESCUE_BYTES + RESCUE_ALIGNMENT, np.uint8)
         self._rescue: Final = -(-self._memory.ctypes.data // RESCUE_ALIGNMENT) * RESCUE_ALIGNMENT
         self._said = ""
@@ -90,6 +91,8 @@ class RigidBodies:
             at.TREE_CENTER: data.subtree_com,
             at.TREE_ROOT: self.model.body_rootid,
             at.FAULT: self._fault,
+            at.LAST_POSITION: self._last[0],
+            at.LAST_ORIENTATION: self._last[1],
         }
         for word, array in arrays.items():
             words[word] = array.__array_interface__["data"][0]
@@ -174,6 +177,7 @@ class RigidBodies:
         if warned or not np.isfinite(self.data.qacc).all():
             raise ConfigError(f"{self.world.model}: cannot be simulated as it begins: {warned or 'no acceleration'}")
         package.mj_step1(self.model, self.data)
+        self._last[0][:], self._last[1][:] = self.data.xpos, self.data.xquat
 
 
 _WARNINGS: Final = ("inertia", "contacts full", "constraints full", "bad qpos", "bad qvel", "bad qacc", "bad ctrl")

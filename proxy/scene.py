@@ -25,6 +25,8 @@ from softfinger.proxy.textures import kernel_texture
 
 ROWS_FROM: Final = 8
 """So many objects of one type and more are asked by a loop at run time; fewer by code of their own."""
+ROWS_OF_WORLD_FROM: Final = 2
+"""The same beside bodies that move by themselves, whose step takes longer than any loop."""
 APART_MAX: Final = 24
 """Objects with code of their own: each takes seconds to compile, and with 32 numba's recursion has no end."""
 
@@ -60,23 +62,25 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
             bodies.append(model.Object(shape, pose, motion, made_of, float(number), own, texture=texture))
     return model.Scene(
         fingers=tuple(_finger(each, scene.rolling) for each in scene.fingers),
-        objects=_entries(bodies),
+        objects=_entries(bodies, ROWS_FROM if rigid is None else ROWS_OF_WORLD_FROM),
         rolling=_rolling(scene),
         effects=kernel_effects(scene.effect),
         bodies=None if rigid is None else rigid.kernel(tuple(riders)),
     )
 
 
-def _entries(bodies: list[model.Object]) -> tuple[model.Object | Rows, ...]:
-    """The objects as the kernels ask them, those behind the first that many others are like in rows.
+def _entries(bodies: list[model.Object], rows_from: int) -> tuple[model.Object | Rows, ...]:
+    """The objects as the kernels ask them; so many and more that are alike stand in rows, behind the others.
 
-    What moves, remembers or is textured stays by itself: the world and each finger have a place for it.
+    What has a motion of its own, remembers or is textured stays by itself: the world and each finger have a place for
+    it. What rides on a body is where that is.
     """
     alike: dict[Any, list[model.Object]] = {}
     for body in bodies:
-        if body.motion is None and not body.effects and body.texture is None and not isinstance(body.shape, model.Mesh):
+        rides = body.motion is None or isinstance(body.motion, model.Simulated)
+        if rides and not body.effects and body.texture is None and not isinstance(body.shape, model.Mesh):
             alike.setdefault(_type(body), []).append(body)
-    many = [those for those in alike.values() if len(those) >= ROWS_FROM]
+    many = [those for those in alike.values() if len(those) >= rows_from]
     if len(many) == 1 and len(many[0]) == len(bodies):
         many[0].pop(0)  # a tuple of one entry is a scene of one body, which has one patch
     in_rows = {id(body) for those in many for body in those}
@@ -84,7 +88,8 @@ def _entries(bodies: list[model.Object]) -> tuple[model.Object | Rows, ...]:
     if len(apart) > APART_MAX:
         raise ConfigError(
             f"{len(apart)} walls and objects need compiled code of their own; at most {APART_MAX} can: those of "
-            f"one shape share it, from {ROWS_FROM} on, if they stand still and have neither effects nor a texture"
+            f"one shape share it, from {rows_from} on, if they stand still or ride on a body, and have neither effects "
+            "nor a texture"
         )
     return (*apart, *map(Rows, many))
 
@@ -127,9 +132,9 @@ def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.
 
 def start_state(scene: model.Scene) -> model.State:
     """State before the first pose."""
-    bodies = [entry[0] if isinstance(entry, Rows) else entry for entry in scene.objects]  # those in rows stand still
+    bodies = [entry[0] if isinstance(entry, Rows) else entry for entry in scene.objects]  # those in rows have none
     effects = (start_states(scene.effects), tuple(start_states(body.effects) for body in bodies))
-    poses = tuple(None if body.motion is None else body.pose for body in bodies)
+    alone = [None if isinstance(entry, Rows) or entry.motion is None else entry.pose for entry in scene.objects]
     finger = model.FingerState(
         started=0.0,
         probe=model.Probe(position=model.ZERO, orientation=(1.0, 0.0, 0.0, 0.0), velocity=model.ZERO),
@@ -140,6 +145,7 @@ def start_state(scene: model.Scene) -> model.State:
         stuck=0.0,
         effects=effects,
     )
+    poses = tuple(alone)
     world = model.World(started=0.0, time=0.0, poses=poses, was=poses)
     return model.State(world=world, fingers=(finger,) * len(scene.fingers))
 

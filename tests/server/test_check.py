@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+import trimesh
 from helpers.called import called
 
 
@@ -98,25 +99,26 @@ def test_a_scene_is_explained_by_measured_costs() -> None:
 
 @pytest.mark.plain
 def test_check_tells_how_geoms_are_taken_and_when_many_take_long_to_compile(tmp_path: Path) -> None:
-    """A height field as a map; ten balls that are touched, and one: seconds from the number of those alone."""
-    balls = "".join(
-        f'<body pos="{k} 0 1"><freejoint/><geom name="ball {k}" type="sphere" size="0.02"/></body>' for k in range(10)
+    """A height field as a map; ten meshes that are touched, each of code of its own; ten balls, which share theirs."""
+    trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "cube.stl")
+    geom = '<body pos="{k} 0 1"><freejoint/><geom name="geom {k}" {kind}/></body>'
+    cubes, balls = (
+        "".join(geom.format(k=k, kind=kind) for k in range(10))
+        for kind in ('type="mesh" mesh="cube"', 'type="sphere" size="0.02"')
     )
-    (tmp_path / "many.xml").write_text(
-        '<mujoco><option timestep="0.001"/><asset><hfield name="hills" nrow="2" ncol="3" size="0.2 0.1 0.05 0.01" '
-        'elevation="0 1 2 1 0 1"/></asset><worldbody><geom name="hills" type="hfield" hfield="hills"/>'
-        f"{balls}</worldbody></mujoco>"
-    )
-    scene = '[fingertip]\nradius_m = 0.008\n[world]\nmodel = "many.xml"\n'
-    (tmp_path / "all.toml").write_text(scene + "material = { stiffness_n_per_m = 500.0 }\n")
-    (tmp_path / "one.toml").write_text(
-        scene + '[[world.geom]]\nname = "hills"\nmaterial = { stiffness_n_per_m = 500.0 }\n'
-    )
-    every = called("check", str(tmp_path / "all.toml"))
+    for name, bodies in (("cubes", cubes), ("balls", balls)):
+        (tmp_path / f"{name}.xml").write_text(
+            '<mujoco><option timestep="0.001"/><asset><mesh name="cube" file="cube.stl" scale="0.001 0.001 0.001"/>'
+            '<hfield name="hills" nrow="2" ncol="3" size="0.2 0.1 0.05 0.01" elevation="0 1 2 1 0 1"/></asset>'
+            f'<worldbody><geom name="hills" type="hfield" hfield="hills"/>{bodies}</worldbody></mujoco>'
+        )
+        scene = f'[fingertip]\nradius_m = 0.008\n[world]\nmodel = "{name}.xml"\n'
+        (tmp_path / f"{name}.toml").write_text(scene + "material = { stiffness_n_per_m = 500.0 }\n")
+    every = called("check", str(tmp_path / "cubes.toml"))
     assert every.returncode == 0, every.stderr
     assert re.search(r"11 of 11 geoms touched", every.stdout)
     assert re.search(r"compiling +some \d+ s at the first start; to touch fewer", every.stdout)
     assert re.search(r"map +3 x 2 pixels, .* heights 0 to 0\.05 m", every.stdout)
-    one = called("check", str(tmp_path / "one.toml"))
-    assert one.returncode == 0, one.stderr
-    assert re.search(r"1 of 11 geoms touched", one.stdout) and "compiling" not in one.stdout
+    shared = called("check", str(tmp_path / "balls.toml"))
+    assert shared.returncode == 0, shared.stderr
+    assert re.search(r"11 of 11 geoms touched", shared.stdout) and "compiling" not in shared.stdout

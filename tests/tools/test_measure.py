@@ -10,6 +10,7 @@ import pytest
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
+from softfinger.proxy.scene import build_scene
 from softfinger.tools.bench.geoms import KINDS, scene_of_geoms
 from softfinger.tools.bench.loop import evaluate, missed_by_c
 from softfinger.tools.measure import quantiles
@@ -44,6 +45,15 @@ def test_deadlines_that_the_c_loop_missed_are_counted_as_those_of_the_servo() ->
     """Ticks of 1 ms that end 0.5 ms, 1.2 ms and 3.5 ms after they were due: one deadline passed, and three."""
     rows = np.array([[1e-4, 1e-5, 4e-4], [1e-4, 1e-5, 1.1e-3], [3.4e-3, 1e-5, 1e-4]])
     assert missed_by_c(rows, 1e-3) == 4
+
+
+def test_geoms_of_a_kind_are_compiled_once(tmp_path: Path) -> None:
+    """A scene of 20 geoms has as much code as one of 8, two of each of four kinds: theirs, and the floor's."""
+    entries = []
+    for count in (8, 20):
+        scene = build_scene(load_scene(scene_of_geoms(count, 1000.0, tmp_path)))
+        entries.append([type(entry) for entry in scene.objects])
+    assert entries[0] == entries[1] and len(entries[0]) == len(KINDS)
 
 
 def test_bodies_of_a_bench_lie_on_their_floor(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A scene of many bodies, made anew for a bench: one that a finger presses and drags, the others lying about it."""
+"""A scene of many bodies, made anew for a bench: one that two fingers press and drag, the others lying about it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MODEL: Final = """
 
 
 def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
-    """A scene of `count` bodies of 100 g, of four kinds, on a floor, all touched by a finger; its model in `folder`.
+    """A scene of `count` bodies of 100 g, of four kinds, on a floor, touched by two fingers; its model in `folder`.
 
     The tops are at z = 0, where the shipped recording presses and drags. Raises ConfigError for a count out of range.
     """
@@ -57,7 +57,7 @@ def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
         "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
     }
     return {
-        "fingertip": {"radius_m": 0.01},
+        "finger": [{"name": name, "radius_m": 0.01} for name in ("thumb", "index")],
         "rolling": {"method": "midpoint"},
         "coupling": {
             "stiffness_n_per_m": 1000.0,

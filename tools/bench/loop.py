@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--geoms",
         type=int,
         metavar="N",
-        help=f"instead so many bodies on a floor, one geom each, up to {GEOMS_MAX}; compiling 20 takes minutes",
+        help=f"instead so many bodies on a floor, one geom each, up to {GEOMS_MAX}, and two fingers",
     )
     parser.add_argument("--realtime", default="auto", help="auto, require or off (default: %(default)s)")
     add_output_options(parser)

@@ -52,7 +52,10 @@ RESCUE: Final = 17
 """Memory of `rescued`."""
 BUDGET_NS: Final = 18
 """How long a step may take, ns; 0 for any time."""
-BLOCK_SIZE: Final = 19
+LAST_POSITION: Final = 19
+LAST_ORIENTATION: Final = 20
+"""POSITION and ORIENTATION before the last step, of the bodies that can move."""
+BLOCK_SIZE: Final = 21
 
 SLOW_STEPS: Final = 20
 """A step that was interrupted comes alone; a model that is too large takes too long in more than half of its steps."""
@@ -73,8 +76,18 @@ SLOW: Final = 3
 @jit
 def pose_of_body(block: Any, body: float) -> Pose:
     """Frame of a body in the world, now."""
-    x, q = float64_at(block[POSITION]), float64_at(block[ORIENTATION])
-    i, j = 3 * int(body), 4 * int(body)
+    return frame_in(float64_at(block[POSITION]), float64_at(block[ORIENTATION]), int(body))
+
+
+@jit
+def last_pose_of_body(block: Any, body: float) -> Pose:
+    """Frame of a body in the world before the last step; only of one that can move."""
+    return frame_in(float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION]), int(body))
+
+
+@jit
+def frame_in(x: Any, q: Any, body: int) -> Pose:
+    i, j = 3 * body, 4 * body
     return Pose((x[i], x[i + 1], x[i + 2]), (q[j], q[j + 1], q[j + 2], q[j + 3]))
 
 
@@ -174,10 +187,25 @@ def step_all_bodies(bodies: Bodies) -> int:
     block = bodies.block
     fault = int64_at(block[FAULT])
     if fault[0] == NO_FAULT:
+        keep_poses(bodies)
         fault[0] = step_half(block, SECOND_HALF)
     if fault[0] == NO_FAULT:
         fault[0] = step_half(block, FIRST_HALF)
     return int(fault[0])
+
+
+@jit
+def keep_poses(bodies: Bodies) -> None:
+    """Frames of now become those before the last step."""
+    block = bodies.block
+    x, q = float64_at(block[POSITION]), float64_at(block[ORIENTATION])
+    last_x, last_q = float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION])
+    for i in range(block[MOVING]):
+        body = bodies.moving[i]
+        for k in range(3):
+            last_x[3 * body + k] = x[3 * body + k]
+        for k in range(4):
+            last_q[4 * body + k] = q[4 * body + k]
 
 
 @jit

@@ -14,6 +14,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.query.motion import in_row
 from softfinger.proxy.kernels.shapes.composite import count_of_shape, element_of_shape, shape_contains
 
 
@@ -59,4 +60,5 @@ def element_of_object(entry: Any, number: float) -> Any:
 
 @element.of(Rows)
 def element_of_rows(entry: Any, number: float) -> Any:
-    return entry[int(number)]
+    body = entry[int(number)]
+    return in_row(body.motion, body)

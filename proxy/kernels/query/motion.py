@@ -12,10 +12,11 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import Driven, Pose, Quaternion, Simulated, Sinusoid, Turntable, Vec3
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import Driven, Object, Pose, Quaternion, Simulated, Sinusoid, Turntable, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
-from softfinger.proxy.kernels.query.bodies import pose_of_body
+from softfinger.proxy.kernels.query.bodies import last_pose_of_body, pose_of_body
 
 TURNS_CEILING = 1e15
 """Past this many turns float64 has no fraction of a turn left."""
@@ -90,6 +91,23 @@ def pose_of_turntable(motion: Turntable, pose: Pose, time: float) -> Pose:
 def pose_of_simulated(motion: Simulated, pose: Pose, time: float) -> Pose:
     """The pose of rest is that in the body's frame."""
     return carried(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
+
+
+@by_type
+def in_row(motion: Any, body: Object) -> Any:
+    """An object of a row, which the World has no place for, where it is now and was at the last tick."""
+
+
+@in_row.of(None)
+def still_in_row(motion: None, body: Object) -> Object:
+    return body
+
+
+@in_row.of(Simulated)
+def riding_in_row(motion: Simulated, body: Object) -> Object:
+    rest = body.pose
+    was = carried(last_pose_of_body(motion.block, motion.body), rest.position, rest.orientation)
+    return replace(body, "pose", pose_of_simulated(motion, rest, 0.0), "was", was)
 
 
 @by_type

@@ -219,7 +219,7 @@ def nearest_of_object(entry: Any, x: Vec3, within: float, at: float, known: Vec3
 def smallest_gap_in_rows(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
     smallest, number = 1e300, 0.0
     for i in range(len(entry)):
-        body = entry[i]
+        body = element(entry, i)
         gap, _, budget = nearest_of_shape(body.shape, into(body.pose, x), within, at + i, known, budget)
         if gap < smallest:
             smallest, number = gap, float(i)

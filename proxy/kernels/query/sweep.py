@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
-from softfinger.proxy.kernels.query.elements import count
+from softfinger.proxy.kernels.query.elements import count, element
 from softfinger.proxy.kernels.query.motion import carried_along
 from softfinger.proxy.kernels.shapes import NO_HIT
 from softfinger.proxy.kernels.shapes.protocol import meets
@@ -42,12 +42,12 @@ def meets_it(
 def first_in_rows(
     entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
 ) -> tuple[float, float, Vec3, int]:
-    share, index = NO_HIT, at
+    share, index, where = NO_HIT, at, start
     for i in range(len(entry)):
-        met, place, _, budget = meets_it(entry[i], at + i, start, end, radius, leaves, skip, budget)
+        met, place, begin, budget = meets_it(element(entry, i), at + i, start, end, radius, leaves, skip, budget)
         if met < share:
-            share, index = met, place
-    return share, index, start, budget  # what stands in rows does not move
+            share, index, where = met, place, begin
+    return share, index, where, budget
 
 
 @jit

@@ -30,16 +30,29 @@ def poses_at(objects: Any, time: float) -> Any:
 
 @poses_at.of(1)
 def pose_of_one_at(objects: Any, time: float) -> Any:
-    body = element(objects[0], 0.0)
-    return (moving_pose(body.motion, pose_at(body.motion, body.pose, time)),)
+    return (entry_at(objects[0], time),)
 
 
 @poses_at.of(2)
 def poses_of_several_at(objects: Any, time: float) -> Any:
-    body = element(objects[0], 0.0)
-    pose = moving_pose(body.motion, pose_at(body.motion, body.pose, time))
     # numba joins tuples of known types, and does not unpack one inside another.
-    return (pose,) + poses_at(objects[1:], time)  # noqa: RUF005
+    return (entry_at(objects[0], time),) + poses_at(objects[1:], time)  # noqa: RUF005
+
+
+@by_type
+def entry_at(entry: Any, time: float) -> Any:
+    """Pose of an entry at `time` (s), None of one that cannot move, and of rows, which read it where bodies have it."""
+
+
+@entry_at.of(Rows)
+def rows_at(entry: Any, time: float) -> None:
+    return None
+
+
+@entry_at.otherwise
+def object_at(entry: Any, time: float) -> Any:
+    body = element(entry, 0.0)
+    return moving_pose(body.motion, pose_at(body.motion, body.pose, time))
 
 
 @by_type
@@ -94,7 +107,7 @@ def place(body: Any, pose: Any, was: Any) -> Any:
 
 @place.of(Rows)
 def place_of_rows(body: Any, pose: Any, was: Any) -> Any:
-    return body  # what stands in rows does not move
+    return body  # each is asked where it is when it is read: `in_row`
 
 
 @place.of(Object)
