@@ -46,6 +46,11 @@ STALL_POLL_S: Final = 0.05
 """A loop has stalled when so many looks in a row, this far apart, find no new tick: a quarter of a second, which
 is longer than any host stall seen and shorter than a hand needs to be hurt. Counting looks, not time: a process that
 was suspended as a whole did not stall."""
+STALL_MAX_S: Final = (STALL_POLLS + 2) * STALL_POLL_S
+"""From the last tick to the zero force that a stall ends with, at the most. The look that sees this tick may come a
+whole STALL_POLL_S behind it, and STALL_POLLS more follow: 0.30 s. Each of these looks, and the thread that writes the
+zero, may wait for its turn of the interpreter, 5 ms each (`sys.getswitchinterval`): 35 ms, for which there is one more
+STALL_POLL_S. A device that does not take the zero at once adds its own time."""
 STALL_POLLS_WITHOUT_HAND: Final = 100
 """The same where no force is held in a hand, 5 s: a machine that stands still for a while ends no recording."""
 

@@ -9,6 +9,7 @@ import pytest
 
 from softfinger.server.faults import ADVICE, FAILED, HAZARDS, SEEN_IN
 from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.loop.health import STALL_MAX_S, STALL_POLL_S, STALL_POLLS
 from softfinger.server.states import State
 
 pytestmark = pytest.mark.plain
@@ -80,6 +81,13 @@ def test_each_row_was_seen_to_fit_what_it_says():
             timed.add(hazard.name)
             assert each["ticks"] <= hazard.within + each.get("handover", 0) + TURN, each
     assert len(timed) >= 7
+
+
+def test_the_row_of_a_stall_says_what_the_supervisor_does():
+    """From its number of looks to the most that it may take, in words and in ticks at 1 kHz."""
+    (stall,) = [hazard for hazard in HAZARDS if hazard.name == "a loop that stalls"]
+    assert stall.reaction == f"{STALL_POLLS * STALL_POLL_S:.2f} to {STALL_MAX_S:.2f} s"
+    assert stall.within == round(1000 * STALL_MAX_S)
 
 
 def test_rows_are_told_apart():

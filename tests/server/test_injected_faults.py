@@ -18,7 +18,7 @@ from helpers.injected_run import FROZEN_S, RAMP_S, Seen, run
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
 from softfinger.proxy.record import AT
-from softfinger.server.loop.health import HELD_MAX_S, SILENCE_MAX_S, STALL_POLL_S, STALL_POLLS
+from softfinger.server.loop.health import HELD_MAX_S, SILENCE_MAX_S, STALL_MAX_S
 
 pytestmark = pytest.mark.real_time
 
@@ -55,8 +55,7 @@ class Case(NamedTuple):
     within: int = 1
 
 
-STALLED = round(RATE_HZ * STALL_POLL_S * (STALL_POLLS + 2))
-"""A look may come just before the last tick, and one more until the zero is written."""
+STALLED = round(RATE_HZ * STALL_MAX_S)
 SILENT = round(RATE_HZ * SILENCE_MAX_S) + 2
 HELD = round(RATE_HZ * HELD_MAX_S) + 2
 FROZEN = round(RATE_HZ * FROZEN_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from types import SimpleNamespace
 from typing import Any, cast
@@ -9,7 +10,13 @@ from typing import Any, cast
 import pytest
 
 from softfinger.config.errors import HapticError, SafetyStop
-from softfinger.server.loop.health import STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND, Watchdog
+from softfinger.server.loop.health import (
+    STALL_MAX_S,
+    STALL_POLL_S,
+    STALL_POLLS,
+    STALL_POLLS_WITHOUT_HAND,
+    Watchdog,
+)
 from softfinger.server.services import supervisor as supervising
 from softfinger.server.services.supervisor import Supervisor
 
@@ -98,6 +105,45 @@ def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
     Supervisor(cast(Any, servo), errors.append, lambda *words, **fields: None).work()
     assert servo.looks == 1 + looks and rests == [STALL_POLL_S] * (1 + looks)
     assert f"no tick for {looks * STALL_POLL_S:.2f} s after tick 7:" in str(errors[0])
+
+
+class Clock:
+    """Time that goes on with each rest of a looker, and by `turn` s more until it is its turn."""
+
+    def __init__(self, turn: float) -> None:
+        self.now, self._turn = 0.0, turn
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds + self._turn
+
+
+@pytest.mark.parametrize("turn", [0.0, sys.getswitchinterval()])
+@pytest.mark.parametrize("share", [1e-9, 0.3, 0.7, 1.0])
+def test_a_stall_ends_with_zero_within_what_the_fault_model_says(
+    turn: float, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the last tick, which comes at this share of the time between two looks, to the stop of a device: the rest of
+    that time and STALL_POLLS whole ones, each longer by the looker's turn; no less than STALL_POLLS looks apart and,
+    where the stop waits for a turn too, no more than STALL_MAX_S."""
+    clock, stopped = Clock(turn), list[float]()
+    monkeypatch.setattr(supervising.time, "sleep", clock.sleep)
+    step = STALL_POLL_S + turn
+    last = (3.0 + share) * step  # a tick a millisecond before it, and none behind it
+
+    class Running:
+        looping, armed = True, True
+        devices = (
+            SimpleNamespace(info=SimpleNamespace(holds_a_force=True), stop=lambda: stopped.append(clock.now + turn)),
+        )
+
+        @property
+        def ticks(self) -> int:
+            return int(min(clock.now, last) * 1000.0) + (clock.now >= last)
+
+    Supervisor(cast(Any, Running()), lambda error: None, lambda *words, **fields: None).work()
+    (reaction,) = (when - last for when in stopped)
+    assert reaction == pytest.approx((1.0 - share + STALL_POLLS) * step + turn, abs=1e-9)  # rounding of sums
+    assert STALL_POLLS * STALL_POLL_S - 1e-9 <= reaction <= STALL_MAX_S
 
 
 class Unarmed:
