@@ -125,8 +125,8 @@ HAZARDS: Final = (
         (FAILED,), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
-        "a loop that stalls", "supervisor: no tick", "0.25 to 0.35 s", f"{_ENDS}, exit code 6; until then the last force",
-        _START, ("fault stalled", FAILED),
+        "a loop that stalls", "supervisor: no tick", "0.25 to 0.35 s",
+        f"{_ENDS}, exit code 6; until then the last force", _START, ("fault stalled", FAILED),
         (_INJECTED, _EVERYWHERE,
          "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
         within=_STALLED,
