@@ -138,6 +138,8 @@ class Experiment:
                 raise ConfigError(
                     f"{rig}: takes no commands, and an experiment needs them: leave commands.endpoint out"
                 )
+            asked = ((where, parameters) for where, _, parameters in files.ends(self.file))
+            rigs.check_rated(asked, [device.info for device in daemon.devices])
             opened.enter_context(signals.asked(daemon.stop, daemon.pause))
             daemon.start()
             client = opened.enter_context(Client(daemon.publisher.endpoint, daemon.commands_endpoint))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,14 +40,21 @@ def beside(folder: Path, name: str) -> str | Path:
 def check(experiment: ExperimentFile, folder: Path) -> None:
     """Raise ConfigError where a scene, a parameter or the rig cannot be used, before a participant finds out."""
     rig = beside(folder, experiment.rig)
-    load_rig(rig)
+    guard = load_rig(rig).guard
+    for where, scene, values in ends(experiment):
+        of_rig, of_scene = rigs.split(values, where)
+        rigs.check_motors(guard, of_rig, where)
+        load_rig(rig, of_rig)
+        scene_with(beside(folder, scene), of_scene, where)
+
+
+def ends(experiment: ExperimentFile) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Where in the design, scene and parameters of each condition, at both ends of its levels and at the reference."""
     task, procedure = experiment.task, experiment.procedure
-    ends = procedure.levels or (procedure.smallest, procedure.largest)
+    levels = procedure.levels or (procedure.smallest, procedure.largest)
+    touches = [(f"level {level:g}", task.value(level)) for level in (min(levels), max(levels))]
+    touches += [] if task.reference is None else [("reference", task.reference)]
     for condition in conditions(experiment):
-        name = condition.scene or experiment.scene
-        for level in (min(ends), max(ends)):
-            values = experiment.overrides | condition.changes | parameters(experiment, task.value(level))
-            where = f"condition {condition.name}, level {level:g}"
-            of_rig, of_scene = rigs.split(values, where)
-            load_rig(rig, of_rig)
-            scene_with(beside(folder, name), of_scene, where)
+        for name, value in touches:
+            values = experiment.overrides | condition.changes | parameters(experiment, value)
+            yield f"condition {condition.name}, {name}", condition.scene or experiment.scene, values

@@ -107,6 +107,25 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
         assert np.linalg.norm(forces, axis=1).max() > 0.2
 
 
+def test_a_rig_that_asks_for_more_than_the_device_displays_gets_no_more():
+    """A guard of 40 N, the most of any rig, in the place of one of 0.2 N, while the hand presses: what it is given then
+    is what its device displays, 0.3 N, to the bit of a scaled vector, and never more."""
+    most, device = 0.3, {"device.force_max_n": 0.3}
+    kept, rig = Kept(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
+    with Daemon(rig, load_scene("paper-plane"), sinks=[kept.sink]) as running:
+        running.start()
+        assert eventually(lambda: bool(kept.rows) and np.linalg.norm(kept.rows[-1][-1, 3:]) > 0.19)
+        begun = running.replace(rig=load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 40.0}))
+        assert eventually(lambda: running.servo.ticks > begun + 200)
+        running.stop()
+        assert running.wait(WAIT_S)
+        (plant,) = running.devices
+        written = np.linalg.norm(plant._log.written().wrench[:, :3], axis=1)
+    norms = np.linalg.norm(kept.all[:, 3:], axis=1)
+    assert norms[:begun].max() == pytest.approx(0.2, rel=1e-12)  # rounding of the scaled vector
+    assert norms.max() == pytest.approx(most, rel=1e-12) and written.max() <= most * (1.0 + 1e-12)
+
+
 def test_a_stiff_scene_exchanged_in_contact_fades_in_as_any_other():
     """A wall of 1 MN/m asks for many times the limit in its first tick: it gets a share that grows with the ramp."""
     rig, kept = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()

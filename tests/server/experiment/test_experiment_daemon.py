@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from test_experiment_design import small
 
-from softfinger.config.errors import CommandRefused
+from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.config.materials import materials
 from softfinger.server import cli
 from softfinger.server.experiment.experiment import Experiment, Running, results
@@ -143,6 +143,26 @@ def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
     assert len(replaced) == 2
     for tick in replaced:
         assert run.first["tick"][at(run, tick)] == tick and not run.first["force"][at(run, tick)].any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"factor": [{"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.5, 2.0]}]},
+         "condition 2.0, level 1: rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
+        ({"overrides": {"rig.guard.force_max_n": 2.0}}, "rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
+    ],
+)  # fmt: skip
+def test_what_the_device_does_not_display_is_refused_before_the_first_trial(
+    changes: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    """Above the rig's own limit, and above what the open device displays: the levels would feel alike. It has had no
+    tick then, and the journal no session."""
+    made, running = Experiment(experiment() | changes), settings(tmp_path)
+    weak = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
+    with pytest.raises(ConfigError, match=said):
+        made.run(tmp_path / "out", 1, running._replace(rig={**running.rig, **weak}))
+    assert read(tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl") == []
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:

@@ -97,6 +97,18 @@ def test_practice_comes_first() -> None:
         ({"task.parameter": "guard.force_max_n"}, "of the rig there are rig.guard"),
         ({"task.parameter": "rig.guard.arm"}, "another start of the daemon"),
         ({"factor.0.parameter": "rig.guard.force_max_n", "factor.0.levels": [1.0, -1.0]}, "guard.force_max_n = -1.0"),
+        (
+            {"rig": "touch", "factor.0.parameter": "rig.guard.continuous_force_n", "factor.0.levels": [0.5, 0.95]},
+            "0.95: the rig's 0.88 is what its motors bear",
+        ),
+        (
+            {"rig": "touch", "overrides": {"rig.guard.heat_time_s": 1e3}},
+            "heat_time_s = 1000.0: the rig's .* is what its motors bear",
+        ),
+        (  # of the levels, 40.5 / 1.1 to 40.5 / 1.4, none is above 40
+            {"task.parameter": "rig.guard.force_max_n", "task.reference": 40.5, "task.more": "down"},
+            "guard.force_max_n = 40.5",
+        ),
         ({"task.parameter": "rig.servo.rate_hz"}, "another start of the daemon"),
         ({"task.scale": [1, 7]}, "only rate has a scale"),
         ({"task.kind": "rate", "task.reference": None, "task.scale": [7, 1]}, "the first mark, from 1"),
