@@ -19,6 +19,8 @@ lost with the contact; what it was given counts on over several contacts, and is
 rounding never comes to the limit. Between the limit and twice of it the share of the force falls linearly to zero:
 no more than twice the limit is given. The share goes by the most that was given, so that the press of the next bounce
 on an unstable wall meets the weaker force too.
+A device that displays a force d ticks late makes more than is observed here: on a spring, and any path in one contact,
+up to 2 d + 1 times as much, which sum dx_k dx_(k-j) <= sum dx_k^2 says for each of the d ticks.
 Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, for the observer.
 """
 

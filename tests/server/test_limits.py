@@ -267,6 +267,64 @@ def test_an_unstable_wall_fades(energy):
         assert late < 0.8 * 12.0 and spent and energy < given < 2.0 * energy
 
 
+def forgetful(works):
+    """Sums of works (J) of which what was given is forgotten as the limit forgets it, one behind each work."""
+    total, sums = 0.0, []
+    for work in works:
+        total = (total + work) * (lim.FORGET_S / (lim.FORGET_S + T) if total + work > 0.0 else 1.0)
+        sums.append(total)
+    return np.array(sums)
+
+
+@pytest.mark.parametrize("late", [0, 1, 4])
+@pytest.mark.parametrize("hz", [5.0, 20.0])
+def test_what_a_wall_makes_in_a_cycle_and_the_limit_counts(hz, late):
+    """A path A (1 - cos) into a wall K, so in one contact: a force that acts `late` ticks late gives the hand
+    K A^2 N sin((late + 1/2) 2 pi / N) sin(pi / N) in a cycle of N ticks, which is Colgate's pi K A^2 sin(w (late +
+    1/2) T); the limit counts the one of late = 0. It acts before the hand has been given 2 late + 1 times the limit."""
+    stiffness, amplitude, count = 2000.0, 2e-3, round(1.0 / (T * hz))
+    depths = amplitude * (1.0 - np.cos(2.0 * np.pi * np.arange(60 * count) / count))
+    forces, moved = stiffness * depths, -np.diff(depths, prepend=0.0)
+    acting = np.concatenate([np.zeros(1 + late), forces])[: len(forces)]  # during the way to each place
+    works = acting * moved
+
+    def in_a_cycle(ticks):
+        return stiffness * amplitude**2 * count * math.sin((ticks + 0.5) * 2 * np.pi / count) * math.sin(np.pi / count)
+
+    assert works[count : 2 * count].sum() == pytest.approx(in_a_cycle(late), rel=1e-9)  # a sum of roundings
+    continuous = np.pi * stiffness * amplitude**2 * math.sin(2.0 * np.pi * hz * (late + 0.5) * T)
+    assert in_a_cycle(late) == pytest.approx(continuous, rel=1.0 / count)
+    energy = 4.5 * in_a_cycle(0)
+    guard, passed, bits, spent = limited(force_max=40.0, energy=energy), BEGUN, 0, -1
+    while not bits & g.ENERGY_SPENT:  # there are more ticks than it takes, or the path ends with an IndexError
+        spent += 1
+        passed, bits = tick(guard, passed, (0.0, 0.0, forces[spent]), (0.0, 0.0, moved[spent]), ROLLING)
+    assert spent > 4 * count  # and then some, for a part is forgotten
+    stored = 0.5 * stiffness * depths[spent] ** 2
+    made = forgetful(works)[spent] + stored
+    assert made <= (2 * late + 1) * (passed.limited.given + stored) * (1.0 + 1e-9)  # rounding, where none is late
+
+
+@pytest.mark.parametrize("late", [1, 2, 4])
+def test_with_a_delay_in_the_device_the_limit_acts_before_the_energy_that_is_stated(late):
+    """The bounce on an unstable wall, on a device with a delay: the motors have given the hand no more than 2 late + 1
+    times the limit when the force begins to fade, and no more than twice that ever, forgotten as the limit forgets."""
+    energy, stiff = 0.05, load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 5000.0})
+    tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
+    guard = tuning.guards[0]._replace(limits=lim.UNLIMITED._replace(energy=energy))
+    plant = make_plant(T, Handle((0.2,) * 3, (0.3,) * 3, delay=late), Impedance(0.05, 0.5, 300.0))
+    wanted = np.array([0.0, 0.0, 0.005, *LEVEL])
+    device = Simulation(plant, resting((0.0, 0.0, 0.008)), Intention(1.0, 0.0, NONE, 0.0, 0.0), wanted)
+    closed = run_closed_loop(tuning._replace(guards=(guard,)), [device], 1.0 / T, 1000)
+    records = np.concatenate(list(closed))[:, 0]
+    forces, places = (records[:, at : at + 3] for at in (AT.force, AT.probe_position))
+    acting = np.concatenate([np.zeros((1 + late, 3)), forces])[: len(forces)]  # held from each tick to the next
+    given = forgetful(np.sum(acting * np.diff(places, axis=0, prepend=places[:1]), axis=1))
+    first = int(np.argmax(records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT != 0))
+    assert first > 0 and energy < given[first] <= (2 * late + 1) * energy
+    assert given.max() <= 2.0 * (2 * late + 1) * energy
+
+
 def slewed(size, allowed):
     """Largest norm (N) that a force of norm `size` has after 2 N of the straight way to one of `allowed` at most: along
     the tangent to that ball, since any other way leads inward."""
