@@ -1,31 +1,34 @@
 """`bench soak`: a daemon with all that goes on around it, for a long time: does anything grow, is anything lost?
 
 One daemon at 1 kHz on the simulated device, recorded, with four subscribers, a viewer, a client that changes a
-parameter ten times a second, and a program that is busy a third of the time. Beside it, all the while, the loop in C
-of `bench loop`, where there is a compiler: what it misses too is the machine's doing.
+parameter ten times a second, and a program that is busy a third of the time. The viewer's page is open: a client of
+its socket takes all that a browser is sent, and draws nothing. Beside it, all the while, the loop in C of `bench loop`,
+where there is a compiler: what it misses too is the machine's doing. Ctrl-C ends the run, and what it has is shown.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from softfinger.config.errors import ConfigError, Unfit
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
+from softfinger.server import signals
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.remote import Client
@@ -38,7 +41,7 @@ from softfinger.tools.measure import Array, add_output_options, show
 SUBSCRIBERS: Final = 4
 CHANGE_S: Final = 0.1
 SAMPLE_S: Final = 1.0
-C_TURN_S: Final = 60.0
+C_TURN_S: Final = 10.0
 """The loop in C keeps what it measured in memory until a turn is over."""
 WARM_S: Final = 600.0
 """Allocators and caches fill in the first minutes; of a run of less than half an hour a third is left out."""
@@ -114,11 +117,12 @@ def soak(rig: Rig, seconds: float) -> Soaked:
         daemon = [sys.executable, "-m", "softfinger.server.cli", *words, "--endpoint", "ENDPOINT"]
         shown = running.enter_context(source([*daemon, "--commands", commands], "ipc", folder))
         await_messages(shown.endpoint)
-        page, _ = running.enter_context(viewer("--endpoint", shown.endpoint, "--commands", commands))
-        readers = [running.enter_context(ended(receiver(shown.endpoint))) for _ in range(SUBSCRIBERS)]
+        page, address = running.enter_context(viewer("--endpoint", shown.endpoint, "--commands", commands))
+        running.enter_context(ended(words_of("--page", address)))
+        readers = [running.enter_context(ended(words_of(shown.endpoint))) for _ in range(SUBSCRIBERS)]
         running.enter_context(ended([sys.executable, "-c", BUSY]))
         client = running.enter_context(Client(shown.endpoint, commands, timeout_s=30.0))
-        beside = running.enter_context(in_c(rig, seconds, folder))
+        beside = running.enter_context(in_c(rig, folder))
         trees = {"daemon": shown.process.pid, "page": page.pid}
         trees |= {f"subscriber {number}": reader.pid for number, reader in enumerate(readers, 1)}
         first = newest(shown.endpoint)
@@ -132,14 +136,12 @@ def soak(rig: Rig, seconds: float) -> Soaked:
 
 def watched(trees: dict[str, int], act: Callable[[int], None], seconds: float) -> tuple[Array, dict[str, Array]]:
     """Samples (n,) s and (n, 3) of every process and its children, NaN where it was not there; `act` is called ten
-    times a second. One that was there for less than half of the time is left out."""
-    begun = time.monotonic()
+    times a second. One that was there for less than half of the time is left out. A signal ends it sooner."""
+    begun, passed, number = time.monotonic(), 0.0, 0
     times, seen = list[float](), list[Sizes]()
-    with progress("soaking", round(seconds)) as done:
-        for number in itertools.count():
-            passed = time.monotonic() - begun
-            if passed >= seconds:
-                break
+    stopped = threading.Event()
+    with progress("soaking", round(seconds)) as done, signals.asked(stopped.set):
+        while passed < seconds and not stopped.is_set():
             act(number)
             if passed >= SAMPLE_S * len(times):
                 times.append(passed)
@@ -147,7 +149,9 @@ def watched(trees: dict[str, int], act: Callable[[int], None], seconds: float) -
                 for name, pid in trees.items():
                     seen[-1] |= sizes(name, pid)
                 done(int(passed))
-            time.sleep(max(0.0, begun + CHANGE_S * (number + 1) - time.monotonic()))
+            number += 1
+            stopped.wait(max(0.0, begun + CHANGE_S * number - time.monotonic()))
+            passed = time.monotonic() - begun
     nothing = (np.nan,) * len(FIELDS)
     names = dict.fromkeys(name for each in seen for name in each)
     found = {name: np.array([each.get(name, nothing) for each in seen]) for name in names}
@@ -200,22 +204,26 @@ def ended(words: list[str]) -> Iterator[subprocess.Popen[str]]:
             process.wait()
 
 
-def receiver(endpoint: str) -> list[str]:
-    """The words of a subscriber."""
-    return [sys.executable, "-m", "softfinger.tools.bench.soak", endpoint]
+def words_of(*words: str) -> list[str]:
+    """The command of a process that this file is."""
+    return [sys.executable, "-m", "softfinger.tools.bench.soak", *words]
 
 
 @contextmanager
-def in_c(rig: Rig, seconds: float, folder: Path) -> Iterator[Callable[[], int | None]]:
-    """The loop in C, in turns, for so long; a function that says what it has missed, None without a compiler."""
+def in_c(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
+    """The loop in C, in turns; a function that ends it and says what it has missed, None without a compiler."""
     program = compile_reference(folder)
     if program is None:
         yield lambda: None
         return
     priority = "off" if rig.servo.realtime == "off" else "on"
-    words = [str(program), repr(rig.servo.rate_hz), repr(seconds), priority, str(rig.servo.priority)]
-    with ended([sys.executable, "-m", "softfinger.tools.bench.soak", "--c", *words]) as process:
-        yield lambda: int(process.communicate(timeout=C_TURN_S + 60.0)[0])
+    with ended(words_of("--c", str(program), repr(rig.servo.rate_hz), priority, str(rig.servo.priority))) as process:
+
+        def missed() -> int:
+            process.send_signal(signal.SIGTERM)
+            return int(process.communicate(timeout=C_TURN_S + 60.0)[0])
+
+        yield missed
 
 
 def evaluate(soaked: Soaked) -> dict[str, Any]:
@@ -288,32 +296,57 @@ def draw(path: Path, soaked: Soaked) -> None:
     save(drawing, path)
 
 
+def until_asked() -> threading.Event:
+    """Is set by SIGTERM."""
+    stopped = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stopped.set())
+    return stopped
+
+
 def receive(endpoint: str) -> None:
     """A subscriber: counts the ticks that it did not get, and says so when it is asked to end."""
-    going = [True]
-    signal.signal(signal.SIGTERM, lambda *_: going.clear())
-    lost = 0
+    stopped, lost = until_asked(), 0
     with subscribe(endpoint) as samples:
-        while going:
+        while not stopped.is_set():
             if (sample := samples.receive(0.1)) is not None:
                 lost += sample.lost
     print(lost)
 
 
-def repeat_in_c(program: str, rate_hz: str, seconds: str, realtime: str, priority: str) -> None:
-    """The loop in C, turn after turn; says how many deadlines it missed."""
+def look_on(address: str) -> None:
+    """A client of the page's socket: takes what a browser is sent, and answers nothing."""
+    import viser
+    from websockets.sync.client import connect
+    from websockets.typing import Origin, Subprotocol
+
+    where = urlsplit(address)
+    with connect(
+        f"ws://{where.netloc}{where.path}",
+        origin=Origin(f"http://{where.netloc}"),
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        max_size=None,
+    ) as page:
+        for _ in page:
+            pass
+
+
+def repeat_in_c(program: str, rate_hz: str, realtime: str, priority: str) -> None:
+    """The loop in C, turn after turn; says how many deadlines it missed when it is asked to end."""
     rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.priority": int(priority)})
     if realtime == "off":
         rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.realtime": "off"})
-    until, missed = time.monotonic() + float(seconds), 0
-    while (left := until - time.monotonic()) > 0.0:
-        rows = run_reference(Path(program), rig, max(1, round(min(left, C_TURN_S) * rig.servo.rate_hz)))
+    stopped, missed = until_asked(), 0
+    while not stopped.is_set():
+        rows = run_reference(Path(program), rig, round(C_TURN_S * rig.servo.rate_hz))
         missed += int(np.floor(rows[:, 0] * rig.servo.rate_hz).sum())
     print(missed)
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "--c":
-        repeat_in_c(*sys.argv[2:])
-    else:
-        receive(sys.argv[1])
+    match sys.argv[1:]:
+        case ["--c", program, rate_hz, realtime, priority]:
+            repeat_in_c(program, rate_hz, realtime, priority)
+        case ["--page", address]:
+            look_on(address)
+        case [endpoint]:
+            receive(endpoint)

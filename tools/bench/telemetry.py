@@ -202,7 +202,7 @@ def source(words: list[str], transport: str, folder: Path) -> Iterator[Source]:
         with zmq.Context() as context, context.socket(zmq.PUB) as probe:
             endpoint = f"tcp://127.0.0.1:{probe.bind_to_random_port('tcp://127.0.0.1')}"
     started = [endpoint if word == "ENDPOINT" else word for word in words]
-    with subprocess.Popen(started, stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen(started, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C is not for it
         try:
             yield Source(process, endpoint)
         finally:

@@ -147,7 +147,7 @@ def received(endpoint: str, seconds: float) -> Array:
 def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A process `softfinger view` with these words, and its page's address; ConfigError with what it said without."""
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "--no-open", *words]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # nor is Ctrl-C
         assert process.stderr is not None
         try:
             said = ""
