@@ -1,4 +1,4 @@
-"""The study: figures of docs/, and tables of accuracy, stability, bodies and extremes, made anew by one command.
+"""The study: figures of docs/, and the tables of accuracy and of bodies under fingers, made anew by one command.
 
     python -m softfinger.tools.study docs             # or: make study
 
@@ -25,22 +25,19 @@ from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.tools.accuracy import report
-from softfinger.tools.patches_figure import drags_table, draw_patches
-from softfinger.tools.stability import bodies, bodies_table, extremes, hostile
+from softfinger.tools.patches_figure import draw_patches
+from softfinger.tools.stability import bodies, bodies_table
 from softfinger.tools.stability.maps import MAPS, POINTS
 
 BLOCK: Final = re.compile(r"(<!-- study: (?P<name>[a-z-]+) -->\n).*?(<!-- end -->)", re.S)
 DRIFT_STEPS: Final = 10_000_000
-HOSTILE_TICKS: Final = 2_500_000
-"""On each of four scenes: ten million in all."""
 PROGRAM: Final = (sys.executable, "-m", "softfinger.server.cli")
 ACCURACY: Final = {
     "paper": report.paper_table,
     "speed": report.speed_table,
-    "sweeps": report.sweep_table,
 }
 """Tables of `softfinger accuracy` that the pages show; the others are in figures/accuracy.txt."""
-TABLES: Final = (*ACCURACY, "drags", "extremes", "hostile", "knocked", "bodies")
+TABLES: Final = (*ACCURACY, "bodies")
 
 
 def markdown(table: Any) -> str:
@@ -87,25 +84,19 @@ def draw_shipped_run(path: Path) -> None:
 
 def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     """Draw every figure and return every table by its name; `quick` for a short run that shows it works."""
-    drift, points, fed = DRIFT_STEPS, str(POINTS), HOSTILE_TICKS
-    short = []
+    drift, points, short = DRIFT_STEPS, str(POINTS), []
     if quick:
-        drift, points, fed, short = 20_000, "3", 4_000, ["--quick", "--surface", "plane", "torus"]
+        drift, points, short = 20_000, "3", ["--quick", "--surface", "plane", "torus"]
     found = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
     tables = {name: markdown(table(found)) for name, table in ACCURACY.items()}
     draw_shipped_run(figures / "run.svg")
     draw_patches(figures / "patches.svg")
-    tables["drags"] = markdown(drags_table())
     command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
     for name in MAPS:
         plot = figures / f"stability-{name}.svg"
         command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
-    found = command("stability", "--extremes", "--garbage", str(fed))
-    tables["extremes"] = extremes.summary([extremes.Finding(**row) for row in found["extremes"]])
-    tables["hostile"] = hostile.hostile_table(found["hostile"])
     found = command("stability", "--bodies")
-    knocked = [bodies.Found(**row) for row in found["bodies"]]
-    tables["knocked"], tables["bodies"] = bodies_table.left_table(knocked), bodies_table.case_table(knocked)
+    tables["bodies"] = bodies_table.case_table([bodies.Found(**row) for row in found["bodies"]])
     return tables
 
 

@@ -1,4 +1,4 @@
-"""What `bodies` found, as text, as tables of Markdown, and as a figure."""
+"""What `bodies` found, as text, as a table of Markdown, and as a figure."""
 
 from __future__ import annotations
 
@@ -28,12 +28,6 @@ def mass_text(row: Found) -> str:
     return mass if row.substeps == 1 else f"{mass}, {row.substeps} substeps"
 
 
-def cell_text(row: Found) -> str:
-    """Share of a knock's speed that is left, and the verdict where it is another than that of the page."""
-    left = "" if row.left is None else f"{100.0 * row.left:.2g} %" if row.left > 1e-5 else "< 0.001 %"
-    return left if row.verdict == "rests" else f"{row.verdict} {left}".strip()
-
-
 def lines(found: Sequence[Found]) -> list[str]:
     """A cell a line, for a terminal."""
     heads = ("left", "ripple, mN", "slips", "given, mJ", "unbalanced, N")
@@ -55,17 +49,6 @@ def lines(found: Sequence[Found]) -> list[str]:
             + f"  {row.verdict}{why}"
         )
     return text
-
-
-def left_table(found: Sequence[Found]) -> str:
-    """What is left of a knock: a row for each case and mass, a column for each stiffness."""
-    stiffnesses = list(dict.fromkeys(row.stiffness_n_per_m for row in found))
-    text = [f"| case | mass | {' | '.join(f'{each:g} N/m' for each in stiffnesses)} |"]
-    text.append("|---|---|" + "---|" * len(stiffnesses))
-    for case, mass in dict.fromkeys((row.case, row.mass_kg) for row in found):
-        rows = [row for row in found if (row.case, row.mass_kg) == (case, mass)]
-        text.append(f"| {case} | {mass_text(rows[0])} | {' | '.join(map(cell_text, rows))} |")
-    return "\n".join(text) + "\n"
 
 
 def case_table(found: Sequence[Found]) -> str:

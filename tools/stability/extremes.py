@@ -319,13 +319,3 @@ def table(found: Sequence[Finding]) -> str:
         for row in found
     ]
     return "\n".join(lines) + "\n"
-
-
-def summary(found: Sequence[Finding]) -> str:
-    """The findings by extreme as a table of Markdown: how many cases, the largest force, and what does not hold."""
-    lines = ["| extreme | cases | largest force | holds |", "|---|---|---|---|"]
-    for name in dict.fromkeys(row.name for row in found):
-        rows = [row for row in found if row.name == name]
-        wrong = "; ".join(row.wrong for row in rows if row.wrong)
-        lines.append(f"| {name} | {len(rows)} | {max(row.force_n for row in rows):.3g} N | {wrong or 'yes'} |")
-    return "\n".join(lines) + "\n"
