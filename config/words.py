@@ -33,7 +33,8 @@ def expected(info: inspect.Type, key: str) -> str:
         case inspect.TupleType():
             each, _ = unwrapped(kind.item_types[0])
             limits = _span(each) if isinstance(each, inspect.FloatType | inspect.IntType) else ""
-            return f"a list of {len(kind.item_types)} numbers{limits}{_unit(key)}"
+            noun = "truth values" if isinstance(each, inspect.BoolType) else "numbers"
+            return f"a list of {len(kind.item_types)} {noun}{limits}{_unit(key)}"
         case inspect.VarTupleType() | inspect.ListType():
             what = "tables" if _is_table(kind.item_type) else "values"
             return "a list" + (_length(kind, what) or f" of {what}")

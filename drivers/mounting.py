@@ -12,13 +12,12 @@ from softfinger.proxy.kernels.numerics.rotations import normalize
 
 
 class Mounting(Table, frozen=True, kw_only=True):
-    """Where the device stands: its frame in the world."""
+    """Pose of the device's frame in the world."""
 
-    position_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("device's origin in the world", [0.0, 0.0, 0.0])
-    ] = (0.0, 0.0, 0.0)
+    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("origin", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component], said("device to world", [1.0, 0.0, 0.0, 0.0])
+        tuple[Component, Component, Component, Component],
+        said("device to world: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:

@@ -111,7 +111,7 @@ HAZARDS: Final = (
         ("tests/server/test_limits.py::test_the_soft_wall_pushes_back_by_the_depth_behind_it",),
     ),
     Hazard(
-        "a device that is lost, silent, or breaks its protocol", "status of the driver", "0 ticks; 1 of a write",
+        "a device that is lost, silent, or breaks its protocol", "status of the driver", "0 ticks, 1 of a write",
         f"{_ENDS}, exit code 4", _START, (FAILED,),
         (_INJECTED, _EVERYWHERE, "tests/server/test_daemon.py::test_device_failure_is_named_and_force_is_zero"),
         within=1,
@@ -136,7 +136,7 @@ HAZARDS: Final = (
         ("servo missed",), (_INJECTED, _EVERYWHERE, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
     ),
     Hazard(
-        "a machine that starves the loop", "half of the time lost", "0.5 s lost more than half",
+        "a machine that starves the loop", "more than half of the time lost", "0.5 s",
         f"{_ENDS}, exit code 6", _START, (FAILED,), ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",),
     ),
     Hazard(

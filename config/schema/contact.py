@@ -38,9 +38,7 @@ class Form(Table, frozen=True, kw_only=True):
     pad: (
         Annotated[
             str,
-            sized(
-                limits.NAME_LENGTH, "fingertip of the library; keys given beside it override its values", "human-index"
-            ),
+            sized(limits.NAME_LENGTH, "fingertip of the library; keys beside it override its values", "human-index"),
         ]
         | None
     ) = None
@@ -48,14 +46,14 @@ class Form(Table, frozen=True, kw_only=True):
     radius_m: (
         Annotated[
             float,
-            within(limits.LENGTH_M, "radius of a spherical fingertip; required unless pad or radii_m is given", 0.01),
+            within(limits.LENGTH_M, "radius of a sphere; required without pad or radii_m", 0.01),
         ]
         | None
     ) = None
     radii_m: (
         Annotated[
             tuple[Length, Length, Length],
-            said("semi-axes of an ellipsoidal fingertip, in place of radius_m", [0.008, 0.007, 0.012]),
+            said("semi-axes of an ellipsoid, in place of radius_m", [0.008, 0.007, 0.012]),
         ]
         | None
     ) = None
@@ -63,8 +61,8 @@ class Form(Table, frozen=True, kw_only=True):
         Annotated[
             tuple[Component, Component, Component, Component],
             said(
-                "orientation of the ellipsoid's axes in the fingertip frame: quaternion w, x, y, z, normalised on "
-                "load; default: no rotation",
+                "axes of the ellipsoid in the fingertip frame: quaternion w, x, y, z, normalised on load; default: "
+                "no rotation",
                 [1.0, 0.0, 0.0, 0.0],
             ),
         ]
@@ -108,7 +106,7 @@ class Form(Table, frozen=True, kw_only=True):
 
 
 class Fingertip(Form, frozen=True, kw_only=True):
-    """The fingertip: a rigid sphere or ellipsoid, centred on the probe."""
+    """A rigid sphere or ellipsoid, centred on the probe."""
 
     patch: Patch | None = None
 
@@ -116,16 +114,14 @@ class Fingertip(Form, frozen=True, kw_only=True):
 class Rolling(Table, frozen=True, kw_only=True):
     """Rolling contact; without this table a rotation of the fingertip moves no contact."""
 
-    method: Annotated[
-        RollingMethod, said("integration method: turns the rotation between two ticks into a roll", "euler_zxz")
-    ]
+    method: Annotated[RollingMethod, said("integration of the rotation between two ticks", "euler_zxz")]
     torque_stiffness_n_per_m: (
         Annotated[
             float,
             within(
                 limits.STIFFNESS_N_PER_M,
-                "stiffness against a roll that the hand does not follow (k_tau); default and largest: the coupling "
-                "stiffness, which alone conserves energy",
+                "stiffness against a roll that the hand does not follow (k_tau); default and largest: that of the "
+                "coupling, which alone conserves energy",
                 1000.0,
             ),
         ]
@@ -145,7 +141,7 @@ class Rolling(Table, frozen=True, kw_only=True):
     state_machine: Annotated[
         StateMachine,
         said(
-            "rule that switches between rolling and sliding; paper: the published rule verbatim, for study only",
+            "rule between rolling and sliding; paper: the published rule verbatim, for study only",
             "default",
         ),
     ] = "default"
@@ -179,12 +175,12 @@ class Probe(Table, frozen=True, kw_only=True):
         float,
         within(
             limits.TIME_CONSTANT_S,
-            "time constant of the low-pass filter on the probe velocity; 0: plain difference quotient",
+            "low-pass filter on the probe velocity; 0: difference quotient",
             0.002,
         ),
     ] = 0.002
     position_resolution_m: Annotated[
-        float, within(limits.RESOLUTION_M, "position resolution of the device; smaller motions count as noise", 1e-5)
+        float, within(limits.RESOLUTION_M, "resolution of the device: smaller motions count as noise", 1e-5)
     ] = 0.0
 
 
@@ -192,10 +188,7 @@ class Finger(Form, frozen=True, kw_only=True):
     """One of several fingertips, each with its own device; replaces [fingertip]."""
 
     name: TopicPart
-    device: (
-        Annotated[TopicPart, said("rig section [devices.NAME] that moves this finger; default: the finger's name")]
-        | None
-    ) = None
+    device: Annotated[TopicPart, said("[devices.NAME] of the rig that moves it; default: its name")] | None = None
     patch: Patch | None = None
     coupling: Coupling | None = None
     probe: Probe | None = None
@@ -206,14 +199,12 @@ class Passivity(Table, frozen=True, kw_only=True):
 
     mode: Annotated[
         PassivityMode,
-        said("observe: report the energy in telemetry; control: also dissipate generated energy", "control"),
+        said("observe: energy in telemetry; control: also dissipate generated energy", "control"),
     ]
     damping_max_ns_per_m: (
         Annotated[
             float,
-            within(
-                limits.DAMPING_NS_PER_M, "control only: largest damping that the controller adds; default: 20", 20.0
-            ),
+            within(limits.DAMPING_NS_PER_M, "control only: largest damping added; default: 20", 20.0),
         ]
         | None
     ) = None

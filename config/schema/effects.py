@@ -28,10 +28,10 @@ BallRadius = Annotated[float, within(limits.LENGTH_M, "radius of a ball, in plac
 Direction = Annotated[
     tuple[Component, Component, Component], said("direction in the world; normalised", [0.0, 0.0, 1.0])
 ]
-EffectDamping = Annotated[float, within(limits.DAMPING_NS_PER_M, "damping: force per speed, against the velocity", 2.0)]
+EffectDamping = Annotated[float, within(limits.DAMPING_NS_PER_M, "force per speed, against the velocity", 2.0)]
 EffectStiffness = Annotated[float, within(limits.STIFFNESS_N_PER_M, "stiffness", 200.0)]
 ForceVector = Annotated[tuple[Force, Force, Force], said("force on the hand in the world", [0.0, 0.0, -1.0])]
-Amplitude = Annotated[float, within(limits.EFFECT_FORCE_N, "amplitude of the force", 0.5)]
+Amplitude = Annotated[float, within(limits.EFFECT_FORCE_N, "amplitude", 0.5)]
 Frequency = Annotated[float, within(limits.FREQUENCY_HZ, "frequency", 100.0)]
 
 
@@ -41,14 +41,14 @@ def _extent_faults(size: object, radius: object) -> Iterator[Complaint]:
 
 
 class Region(Table, frozen=True, kw_only=True):
-    """Region in which a workspace effect acts; without this table it acts everywhere."""
+    """Region in which an effect but a boundary acts; without this table it acts everywhere."""
 
     position_m: Middle = (0.0, 0.0, 0.0)
     size_m: Edges | None = None
     radius_m: BallRadius | None = None
     edge_m: Annotated[
         float,
-        within(limits.EDGE_M, "width of the border over which the effect rises linearly from zero; 0: a step", 0.005),
+        within(limits.EDGE_M, "border over which the effect rises linearly from zero; 0: a step", 0.005),
     ] = 0.0
 
     def faults(self) -> Iterator[Complaint]:
@@ -135,7 +135,7 @@ class ObjectForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="
 
 
 class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vibration"):
-    """Sinusoidal force while the object is touched; the phase starts at zero on touch."""
+    """Sinusoidal force while the object is touched, from phase zero on."""
 
     kind: ClassVar[str] = "vibration"
     amplitude_n: Amplitude

@@ -46,6 +46,7 @@ def said(meaning: str, example: Any = None) -> Meta:
 
 _UNITS: Final = {
     "_rad_per_s": "rad/s",
+    "_nm_per_a": "N m/A",
     "_nms_per_rad": "N m s/rad",
     "_nm_per_rad": "N m/rad",
     "_nm_per_s": "N m/s",
@@ -59,11 +60,14 @@ _UNITS: Final = {
     "_nm": "N m",
     "_rad": "rad",
     "_kg": "kg",
+    "_deg": "deg",
+    "_us": "us",
     "_ticks": "ticks",
     "_m": "m",
     "_n": "N",
     "_j": "J",
     "_s": "s",
+    "_a": "A",
 }
 
 
@@ -78,7 +82,7 @@ TopicPart = Annotated[
         min_length=int(limits.TOPIC_PART_LENGTH.low),
         max_length=int(limits.TOPIC_PART_LENGTH.high),
         pattern="^[A-Za-z0-9_-]+$",
-        description="name of letters, digits, - and _; part of a telemetry topic",
+        description="letters, digits, - and _; part of a telemetry topic",
         examples=["thumb"],
     ),
 ]
@@ -90,7 +94,7 @@ Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION
 
 Resolved = Annotated[
     bool | None,
-    said("true: all values of the named entry stand here, the library is not asked; recordings and telemetry have it"),
+    said("true, as in recordings and telemetry: all values stand here, the library is not asked"),
 ]
 """Of a table that may name an entry of a library: without it a recording would change with the library."""
 

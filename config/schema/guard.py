@@ -17,7 +17,7 @@ Size = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.W
 class Workspace(Table, frozen=True, kw_only=True):
     """Soft wall in front of the end stops: a sphere by `radius_m`, or a box by `size_m`."""
 
-    center_m: Annotated[tuple[Arm, Arm, Arm], said("its centre, as the device says positions", [0.0, 0.0, 0.0])] = (
+    center_m: Annotated[tuple[Arm, Arm, Arm], said("centre, in the device's positions", [0.0, 0.0, 0.0])] = (
         0.0,
         0.0,
         0.0,
@@ -42,7 +42,7 @@ Arming = Literal["automatic", "command", "button"]
 
 
 class Guard(Table, frozen=True, kw_only=True):
-    """Limits on every force before it reaches the device."""
+    """Limits on every force before it reaches the device; a limited norm keeps its direction."""
 
     arm: Annotated[
         Arming,
@@ -53,19 +53,15 @@ class Guard(Table, frozen=True, kw_only=True):
         ),
     ] = "automatic"
 
-    force_max_n: Annotated[
-        float, within(limits.FORCE_MAX_N, "largest norm of the force; the direction is kept", 12.0)
-    ] = 12.0
-    torque_max_nm: Annotated[
-        float, within(limits.TORQUE_MAX_NM, "largest norm of the torque; the direction is kept", 0.3)
-    ] = 0.3
+    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest norm of the force", 12.0)] = 12.0
+    torque_max_nm: Annotated[float, within(limits.TORQUE_MAX_NM, "largest norm of the torque", 0.3)] = 0.3
     force_slew_n_per_s: Annotated[
         float, within(limits.FORCE_SLEW_N_PER_S, "largest rate of change of the force", 2000.0)
     ] = 2000.0
     torque_slew_nm_per_s: Annotated[
         float, within(limits.TORQUE_SLEW_NM_PER_S, "largest rate of change of the torque", 50.0)
     ] = 50.0
-    ramp_s: Annotated[float, within(limits.RAMP_S, "time over which the force fades in after engaging", 0.5)] = 0.5
+    ramp_s: Annotated[float, within(limits.RAMP_S, "time over which the force fades in", 0.5)] = 0.5
     speed_max_m_per_s: Annotated[
         float, within(limits.SPEED_MAX_M_PER_S, "a faster motion counts as a jump and gets no force", 10.0)
     ] = 10.0
@@ -76,7 +72,7 @@ class Guard(Table, frozen=True, kw_only=True):
         float,
         within(
             limits.FROZEN_S,
-            "the force is removed from a pose that repeats bit for bit for this long; 0: never",
+            "a pose that repeats bit for bit for this long gets no force; 0: never",
             5.0,
         ),
     ] = 5.0
@@ -88,7 +84,7 @@ class Guard(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.CONTINUOUS_FORCE_N,
-                "force that the motors bear for ever; more heats them, and is lowered in time; default: no limit",
+                "force that the motors bear for ever; more is lowered as they heat; default: no limit",
                 3.0,
             ),
         ]

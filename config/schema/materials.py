@@ -20,9 +20,7 @@ class Normal(Table, frozen=True, kw_only=True):
 
     exponent: Annotated[
         float,
-        within(
-            limits.NORMAL_EXPONENT, "exponent of the depth (p): 1 linear, 1.5 Hertz, above 1.5 soft fingertips", 1.5
-        ),
+        within(limits.NORMAL_EXPONENT, "exponent (p): 1 linear, 1.5 Hertz, above 1.5 soft fingertips", 1.5),
     ] = 1.0
     depth_m: Annotated[
         float,
@@ -51,7 +49,7 @@ class Normal(Table, frozen=True, kw_only=True):
 
 
 class Friction(Table, frozen=True, kw_only=True):
-    """Coulomb friction with optional extensions; without this table the object is frictionless."""
+    """Coulomb friction; without this table the object is frictionless."""
 
     static: Annotated[float, within(limits.FRICTION, "coefficient of static friction (mu_s)", 0.6)]
     kinetic: Annotated[float, within(limits.FRICTION, "coefficient of kinetic friction (mu_d), at most static", 0.5)]
@@ -60,7 +58,7 @@ class Friction(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.STRIBECK_SPEED_M_PER_S,
-                "Stribeck speed (v_s): friction falls from static to kinetic around it; default: falls at once",
+                "speed (v_s) around which friction falls from static to kinetic; default: at once",
                 0.02,
             ),
         ]
@@ -88,13 +86,11 @@ class Friction(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None
-    static_scale: (
-        Annotated[tuple[Scale, Scale], said("factors on static friction along direction_x and across it", [1.0, 0.5])]
-        | None
-    ) = None
+    static_scale: Annotated[tuple[Scale, Scale], said("factors along direction_x and across it", [1.0, 0.5])] | None = (
+        None
+    )
     kinetic_scale: (
-        Annotated[tuple[Scale, Scale], said("factors on kinetic friction along direction_x and across it", [1.0, 0.5])]
-        | None
+        Annotated[tuple[Scale, Scale], said("factors along direction_x and across it", [1.0, 0.5])] | None
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
@@ -129,7 +125,7 @@ class Torsion(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.TORSION_NM_PER_RAD,
-                "torsional stiffness (k_z); required unless the fingertip has a patch, which then determines it",
+                "torsional stiffness (k_z); required without [fingertip.patch]",
                 0.05,
             ),
         ]
@@ -140,8 +136,7 @@ class Torsion(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.FRICTION_LENGTH_M,
-                "torsional limit over normal force (mu_t); required unless the fingertip has a patch, which then "
-                "determines the limit",
+                "torsional limit over normal force (mu_t); required without [fingertip.patch]",
                 0.004,
             ),
         ]
@@ -171,8 +166,7 @@ class Torsion(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.FRICTION_LENGTH_M,
-                "soft_finger_proxy only: kinetic torsional limit over normal force; at most friction_length_m, the "
-                "default",
+                "soft_finger_proxy only: the kinetic limit; at most friction_length_m, the default",
                 0.003,
             ),
         ]
@@ -208,7 +202,7 @@ class Material(Table, frozen=True, kw_only=True):
     name: (
         Annotated[
             str,
-            sized(limits.NAME_LENGTH, "material of the library; keys given beside it override its values", "rubber"),
+            sized(limits.NAME_LENGTH, "material of the library; keys beside it override its values", "rubber"),
         ]
         | None
     ) = None

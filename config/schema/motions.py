@@ -19,12 +19,12 @@ from softfinger.config.schema.fields import (
 
 Axis = Annotated[
     tuple[Component, Component, Component],
-    said("rotation axis in the object frame; normalised", [0.0, 0.0, 1.0]),
+    said("rotation axis in the object frame, normalised", [0.0, 0.0, 1.0]),
 ]
 
 
 class Sinusoid(Table, frozen=True, kw_only=True, tag_field="kind", tag="sinusoid"):
-    """Sinusoidal motion about the rest pose, in the object frame."""
+    """Sinusoidal motion about the rest pose."""
 
     kind: ClassVar[str] = "sinusoid"
     translation_m: Annotated[
@@ -56,13 +56,13 @@ class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntab
 
 
 class Driven(Table, frozen=True, kw_only=True, tag_field="kind", tag="driven"):
-    """Pose set by the command `drive`; the object rests at its initial pose until then."""
+    """Pose set by the command `drive`; until then at rest."""
 
     kind: ClassVar[str] = "driven"
 
 
 class Body(Table, frozen=True, kw_only=True, tag_field="kind", tag="body"):
-    """Riding on a body of the scene's [world]; the pose at rest is that in the body's frame."""
+    """Fixed to a body of [world]; the pose at rest is that in the body's frame."""
 
     kind: ClassVar[str] = "body"
     body: Annotated[str, sized(limits.NAME_LENGTH, "name of the body, or its number where it has none", "box")]

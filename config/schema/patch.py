@@ -10,7 +10,7 @@ from softfinger.config.schema.fields import Complaint, Table, known, within
 
 
 class Patch(Table, frozen=True, kw_only=True):
-    """Contact patch of a soft fingertip; it determines the torsional stiffness and limit in place of the material."""
+    """Contact patch of a soft fingertip; it, and not the material, determines the torsional stiffness and limit."""
 
     shear_modulus_pa: Annotated[
         float,
@@ -39,9 +39,8 @@ class Patch(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.PRESSURE_EXPONENT,
-                "exponent of the pressure distribution (k), p ~ (1 - (s / a)^k)^(1/k) at the distance s from the "
-                "centre; "
-                "needs radius_m; default: 2, Hertz",
+                "exponent of the pressure p ~ (1 - (s / a)^k)^(1/k) at the distance s from the centre (k); needs "
+                "radius_m; default: 2, Hertz",
                 3.0,
             ),
         ]
@@ -52,8 +51,7 @@ class Patch(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.ROLLING_LOSS,
-                "fraction of the elastic work lost in rolling (alpha); the rolling resistance is 3/16 alpha a f_N; "
-                "default: none",
+                "share of the elastic work lost in rolling (alpha), a resistance of 3/16 alpha a f_N; default: none",
                 0.3,
             ),
         ]

@@ -23,7 +23,7 @@ class Tool(Table, frozen=True, kw_only=True):
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         tuple[Component, Component, Component, Component],
-        said("orientation, tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
+        said("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
@@ -32,7 +32,7 @@ class Tool(Table, frozen=True, kw_only=True):
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):
-    """Driver of the device; the other keys are the driver's own options, on the page of the device."""
+    """Driver of the device; its other keys are the driver's, on the page of the device."""
 
     gathers: ClassVar[str] = "options"
     """All keys of [device] but those below go into this field."""
@@ -126,7 +126,7 @@ class Recording(Table, frozen=True, kw_only=True):
         str,
         sized(
             limits.FILE_NAME_LENGTH,
-            "folder below which record_start writes, relative to the working directory of run",
+            "folder below which record_start writes, from the working directory of run",
             ".",
         ),
     ] = "."

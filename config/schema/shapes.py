@@ -48,7 +48,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         tuple[Component, Component, Component, Component],
-        said("orientation, object to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
+        said("object to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
     material: Material
     effect: Annotated[tuple[ObjectEffect, ...], sized(limits.EFFECTS, "further forces on the hand")] = ()
@@ -103,7 +103,7 @@ class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphe
 
     shape: ClassVar[str] = "sphere"
     unrolls: ClassVar[bool] = True
-    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the sphere", 0.05)]
+    radius_m: Annotated[float, within(limits.LENGTH_M, "radius", 0.05)]
     inside: Inside = False
 
     @property
@@ -120,7 +120,7 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
 
     shape: ClassVar[str] = "cylinder"
     unrolls: ClassVar[bool] = True
-    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the cylinder", 0.05)]
+    radius_m: Annotated[float, within(limits.LENGTH_M, "radius", 0.05)]
     length_m: Annotated[float, within(limits.LENGTH_M, "length; default: infinite", 0.2)] | None = None
     inside: Inside = False
 
@@ -156,7 +156,7 @@ class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cap
 
     shape: ClassVar[str] = "capsule"
     unrolls: ClassVar[bool] = True
-    radius_m: Annotated[float, within(limits.LENGTH_M, "radius of barrel and caps", 0.02)]
+    radius_m: Annotated[float, within(limits.LENGTH_M, "radius", 0.02)]
     length_m: Annotated[float, within(limits.LENGTH_M, "distance between the centres of the caps", 0.1)]
     inside: Inside = False
 
@@ -233,14 +233,12 @@ class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="h
         sized(
             limits.FILE_NAME_LENGTH,
             "grey picture (.png of 8 or 16 bits, .pgm; white is high) or array (.npy, .npz, .csv); columns along x, "
-            "rows along y; or a MuJoCo model; a relative path starts at the scene's folder",
+            "rows along y; or a MuJoCo model",
             "hills.npy",
         ),
     ]
     hfield: (
-        Annotated[
-            str, sized(limits.NAME_LENGTH, "of a MuJoCo model: the height field, whose elevations are 0 to 1", "hills")
-        ]
+        Annotated[str, sized(limits.NAME_LENGTH, "height field of a MuJoCo model; elevations are 0 to 1", "hills")]
         | None
     ) = None
     pitch_m: Annotated[float, within(limits.HEIGHT_PITCH_M, "distance between neighbouring pixels", 0.001)]
@@ -259,15 +257,13 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
         str,
         sized(
             limits.FILE_NAME_LENGTH,
-            ".ply, .stl, .obj or .glb; a relative path starts at the scene's folder",
+            ".ply, .stl, .obj or .glb",
             "part.ply",
         ),
     ]
     scale: Annotated[float, within(limits.MESH_SCALE, "metres per unit of the file; 0.001 for mm", 0.001)] = 1.0
     inside: Inside = False
-    shading: Annotated[
-        Shading, said("none: flat triangles; normals: force direction interpolated between vertex normals", "none")
-    ] = "none"
+    shading: Annotated[Shading, said("normals: force direction interpolated between vertex normals", "none")] = "none"
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()

@@ -22,15 +22,13 @@ class Texture(Table, frozen=True, kw_only=True):
         str,
         sized(
             limits.FILE_NAME_LENGTH,
-            "array (.npy, .npz, .csv) or grey picture (.pgm); a relative path starts at the scene's folder",
+            "array (.npy, .npz, .csv) or grey picture (.pgm)",
             "ribs.csv",
         ),
     ]
-    size_m: Annotated[
-        tuple[Length, Length], said("size of the array on the surface, along its columns and rows", [0.02, 0.02])
-    ]
+    size_m: Annotated[tuple[Length, Length], said("size on the surface, along columns and rows", [0.02, 0.02])]
     border: Annotated[
-        Border, said("period: the array repeats; clamp: the border value continues; around a cylinder period only")
+        Border, said("period: repeats; clamp: the border value continues; around a cylinder period only")
     ] = "period"
     height_m: (
         Annotated[

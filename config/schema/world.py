@@ -13,11 +13,11 @@ from softfinger.config.schema.materials import Material
 
 
 class GeomMaterial(Table, frozen=True, kw_only=True):
-    """A material for some geoms of the model: those that have all of what is given here."""
+    """Material of the geoms that have all of what is given here."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "name of the geom", "box")] | None = None
-    group: Annotated[int, within(limits.GEOM_GROUP, "number of its group", 0)] | None = None
-    default: Annotated[str, sized(limits.NAME_LENGTH, "name of its class of defaults", "rubber")] | None = None
+    group: Annotated[int, within(limits.GEOM_GROUP, "group", 0)] | None = None
+    default: Annotated[str, sized(limits.NAME_LENGTH, "class of defaults", "rubber")] | None = None
     material: Material
 
     def faults(self) -> Iterator[Complaint]:
@@ -32,7 +32,7 @@ class World(Table, frozen=True, kw_only=True):
 
     model: Annotated[
         str,
-        sized(limits.FILE_NAME_LENGTH, "MJCF or URDF file; a relative path starts at the scene's folder", "box.xml"),
+        sized(limits.FILE_NAME_LENGTH, "MJCF or URDF file", "box.xml"),
     ]
     substeps: Annotated[
         int, within(limits.SUBSTEPS, "contact and simulation steps in a tick; very light bodies need several", 1)
@@ -40,7 +40,7 @@ class World(Table, frozen=True, kw_only=True):
     budget_us: (
         Annotated[
             float,
-            within(limits.STEP_BUDGET_US, "time that a step of the bodies may take in the servo; unset: any", 300.0),
+            within(limits.STEP_BUDGET_US, "time that a step of the bodies may take; default: any", 300.0),
         ]
         | None
     ) = None

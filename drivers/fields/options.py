@@ -37,30 +37,31 @@ COMMANDED: Final[tuple[str, ...]] = (
 
 
 class InputField(Table, frozen=True, kw_only=True):
-    """One number from the device: meaning = scale * raw + bias."""
+    """A number from the device: meaning = scale * raw + bias."""
 
-    meaning: Annotated[Sensed, said("joint or encoder a to f, position, quaternion, gripper, buttons", "a")]
-    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte; a report id does not count", 0)]
-    type: Annotated[Type, said("type", "int16")]
-    scale: Annotated[float, within(SCALE, "per count; metres for x, y, z, rad for joints", 1.0)] = 1.0
+    meaning: Annotated[Sensed, said("what it is; several buttons are added", "a")]
+    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte, from 0; a report id does not count", 0)]
+    type: Annotated[Type, said("of the number", "int16")]
+    scale: Annotated[float, within(SCALE, "per count, to m, rad or encoder counts", 1.0)] = 1.0
     bias: Annotated[float, within(SCALE, "added after scaling", 0.0)] = 0.0
     button_above: (
-        Annotated[float, within(SCALE, "a raw value above this has twice it added, for a pressed button 0", 5000.0)]
+        Annotated[
+            float,
+            within(SCALE, "a raw value above it: button 0 is pressed, and twice this is subtracted", 5000.0),
+        ]
         | None
     ) = None
-    least: Annotated[float, within(SCALE, "a meaning below this is no number of this device", -3.2)] | None = None
-    most: Annotated[float, within(SCALE, "nor one above this", 3.2)] | None = None
+    least: Annotated[float, within(SCALE, "a meaning below it is a fault", -3.2)] | None = None
+    most: Annotated[float, within(SCALE, "a meaning above it is a fault", 3.2)] | None = None
 
 
 class OutputField(Table, frozen=True, kw_only=True):
-    """One number to the device: raw = scale * meaning, rounded to the nearest."""
+    """A number to the device: raw = scale * meaning, rounded to the nearest."""
 
-    meaning: Annotated[
-        Commanded, said("what it is: a current, a force, a torque, a preset count, a constant", "current_a")
-    ]
-    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte; a report id does not count", 0)]
-    type: Annotated[Type, said("type", "int16")]
-    scale: Annotated[float, within(SCALE, "counts per A, N or N m; the value itself of a constant", 1000.0)] = 1.0
+    meaning: Annotated[Commanded, said("what it is", "current_a")]
+    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte, from 0; a report id does not count", 0)]
+    type: Annotated[Type, said("of the number", "int16")]
+    scale: Annotated[float, within(SCALE, "counts per A, N or N m; of a constant its value", 1000.0)] = 1.0
 
 
 def layout_faults(

@@ -115,9 +115,11 @@ class Options(Table, frozen=True, kw_only=True):
     kinematics: Kinematics
     mounting: Mounting = Mounting()
     calibrate: Annotated[bool, said("the arm rests in its calibration pose when opened: set its counts", False)] = False
-    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "most that it displays", 5.0)]
-    stiffness_max_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "most that it renders stably", 1000.0)]
-    damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 8.0)]
+    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force displayed", 5.0)]
+    stiffness_max_n_per_m: Annotated[
+        float, within(limits.STIFFNESS_N_PER_M, "largest stiffness rendered stably", 1000.0)
+    ]
+    damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "largest damping rendered stably", 8.0)]
     workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("about the workspace centre", 0.1)]
     kick_s: Annotated[float, within(SILENCE_S, "after so long without a report a zero is sent", 0.01)] = 0.01
     timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a report the device is given up", 0.1)] = 0.1

@@ -34,7 +34,7 @@ Angle = Annotated[float, Meta(ge=ANGLE_DEG.low, le=ANGLE_DEG.high)]
 
 
 class Cartesian(Table, frozen=True, kw_only=True, tag_field="kind", tag="cartesian"):
-    """The device knows its position itself and is sent forces."""
+    """The device sends its position and takes forces."""
 
     sensed: ClassVar[frozenset[str]] = frozenset("xyz")
     commanded: ClassVar[frozenset[str]] = frozenset({"force_x", "force_y", "force_z"})
@@ -42,50 +42,50 @@ class Cartesian(Table, frozen=True, kw_only=True, tag_field="kind", tag="cartesi
 
 
 class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
-    """Three joints over capstans, and a wrist of three encoders where there is one; docs/devices/hid.md draws it."""
+    """Three joints over capstans, with or without a wrist of three encoders."""
 
     sensed: ClassVar[frozenset[str]] = frozenset("abc")
     commanded: ClassVar[frozenset[str]] = frozenset({"current_a", "current_b", "current_c"})
     dof: ClassVar[int] = 3
 
     capstan_m: Annotated[Lengths, said("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
-    body_m: Annotated[Lengths, said("diameters of the bodies they drive", [0.16, 0.12, 0.12])]
+    body_m: Annotated[Lengths, said("diameters of the bodies that they drive", [0.16, 0.12, 0.12])]
     link_m: Annotated[tuple[Link, Link, Link], said("lengths of bodies a, b, c", [0.08, 0.205, 0.245])]
     origin_m: Annotated[
         tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the foot of the arm", [0.22, 0.0, 0.08])
     ]
     counts_per_turn: Annotated[float, within(COUNTS, "counts per turn of a motor", 2000.0)]
     torque_constant_nm_per_a: Annotated[
-        tuple[TorqueConstant, TorqueConstant, TorqueConstant], said("of the three motors", [0.321, 0.0603, 0.0603])
+        tuple[TorqueConstant, TorqueConstant, TorqueConstant], said("motors a, b, c", [0.321, 0.0603, 0.0603])
     ]
     aligned: Annotated[
         tuple[bool, bool, bool], said("motor and body turn the same way, so that counts fall", [False, False, False])
     ] = (False, False, False)
     calibration_counts: Annotated[
-        tuple[Preset, Preset, Preset], said("what encoders a, b, c show in the calibration pose", [0, 0, 6000])
+        tuple[Preset, Preset, Preset], said("counts a, b, c in the calibration pose", [0, 0, 6000])
     ] = (0.0, 0.0, 0.0)
-    current_max_a: Annotated[float, within(CURRENT_A, "most in one motor; all three come down together", 2.0)] = 2.0
-    wrist_counts_per_turn: Annotated[float, within(COUNTS, "of encoders d, e, f; absent: no wrist", 1024.0)] | None = (
-        None
-    )
+    current_max_a: Annotated[float, within(CURRENT_A, "largest in a motor; all are scaled down together", 2.0)] = 2.0
+    wrist_counts_per_turn: (
+        Annotated[float, within(COUNTS, "counts of encoders d, e, f; default: no wrist", 1024.0)] | None
+    ) = None
     wrist_aligned: Annotated[
         tuple[bool, bool, bool], said("whether joints D, E, F turn with their counts", [False, True, False])
     ] = (True, True, True)
 
 
 class Paddle(Table, frozen=True, kw_only=True, tag_field="kind", tag="paddle"):
-    """One joint with a handle on it, such as a Hapkit; docs/devices/serial.md draws it."""
+    """One joint with a handle on it, such as a Hapkit."""
 
     sensed: ClassVar[frozenset[str]] = frozenset("a")
     commanded: ClassVar[frozenset[str]] = frozenset({"torque_a"})
     dof: ClassVar[int] = 1
 
     length_m: Annotated[float, within(LINK_M, "from the joint's axis to the end of the handle", 0.07)]
-    torque_max_nm: Annotated[float, within(TORQUE_NM, "most at the joint", 0.3)]
+    torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of the joint", 0.3)]
 
 
 class Pantograph(Table, frozen=True, kw_only=True, tag_field="kind", tag="pantograph"):
-    """Two motors and a loop of four links in a plane, such as a Haply 2DIY; docs/devices/serial.md draws it."""
+    """Two motors and a loop of four links in a plane, such as a Haply 2DIY."""
 
     sensed: ClassVar[frozenset[str]] = frozenset("ab")
     commanded: ClassVar[frozenset[str]] = frozenset({"torque_a", "torque_b"})
@@ -97,11 +97,11 @@ class Pantograph(Table, frozen=True, kw_only=True, tag_field="kind", tag="pantog
     origin_m: Annotated[
         tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the axis of motor a", [0.019, 0.1, 0.0])
     ] = (0.0, 0.0, 0.0)
-    torque_max_nm: Annotated[float, within(TORQUE_NM, "most at a joint; both come down together", 0.12)]
+    torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of a joint; all are scaled down together", 0.12)]
 
 
 class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
-    """Three legs with motors in the base and an end that does not turn; docs/devices/serial.md draws it."""
+    """Three legs with motors in the base and an end that does not turn."""
 
     sensed: ClassVar[frozenset[str]] = frozenset("abc")
     commanded: ClassVar[frozenset[str]] = frozenset({"torque_a", "torque_b", "torque_c"})
@@ -117,9 +117,9 @@ class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
         240.0,
     )
     origin_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the base's", [0.0, 0.0, 0.2])
+        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the base's centre", [0.0, 0.0, 0.2])
     ] = (0.0, 0.0, 0.0)
-    torque_max_nm: Annotated[float, within(TORQUE_NM, "most at a joint; all come down together", 0.2)]
+    torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of a joint; all are scaled down together", 0.2)]
 
     def faults(self) -> Iterator[Complaint]:
         if not known(self.base_m, self.end_m, self.arm_m, self.rod_m):

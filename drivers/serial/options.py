@@ -47,19 +47,30 @@ Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
 class Checksum(Table, frozen=True, kw_only=True):
-    """One or two bytes that tell a damaged frame."""
+    """Checksum. One byte: sum8, xor8 (exclusive or), crc8 (polynomial 0x07, from 0). Two, from 0xFFFF: crc16-ccitt
+    (polynomial 0x1021), crc16-modbus (0x8005 reflected)."""
 
-    kind: Annotated[Check, said("how it is computed", "crc8")]
-    offset: Annotated[int, Meta(ge=1, le=int(FRAME_BYTES.high)), said("where it is; it covers the bytes before", 6)]
-    first: Annotated[int, Meta(ge=0, le=int(FRAME_BYTES.high)), said("first byte that it covers", 0)] = 0
+    kind: Annotated[
+        Check,
+        said(
+            "computation",
+            "crc8",
+        ),
+    ]
+    offset: Annotated[
+        int, Meta(ge=1, le=int(FRAME_BYTES.high)), said("its first byte; it covers the bytes from first up to it", 6)
+    ]
+    first: Annotated[
+        int, Meta(ge=0, le=int(FRAME_BYTES.high)), said("first byte that it covers, 0 the first of the frame", 0)
+    ] = 0
 
 
 class Frame(Table, frozen=True, kw_only=True):
     """What frames in both directions have."""
 
-    bytes: Annotated[int, within(FRAME_BYTES, "length of a frame, marks and checksum included", 8)]
-    start: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that every frame begins with", [165])] = ()
-    end: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that every frame ends with", [10])] = ()
+    bytes: Annotated[int, within(FRAME_BYTES, "length, marks and checksum included", 8)]
+    start: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that it begins with", [165])] = ()
+    end: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that it ends with", [10])] = ()
     check: Checksum | None = None
 
     def marked(self) -> bool:
@@ -99,7 +110,7 @@ def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> 
 
 
 class InputFrame(Frame, frozen=True, kw_only=True):
-    """What the board sends."""
+    """Frame from the board. Of a stream it needs a check, or both start and end."""
 
     field: Annotated[tuple[InputField, ...], sized(FIELDS, "its numbers")]
 
@@ -110,7 +121,8 @@ class InputFrame(Frame, frozen=True, kw_only=True):
 
 
 class OutputFrame(Frame, frozen=True, kw_only=True):
-    """What the board is sent; bytes of no field are 0."""
+    """Frame to the board: `output` each tick, `setup` at opening until it answers, and at closing. Bytes of no field
+    are 0."""
 
     field: Annotated[tuple[OutputField, ...], sized(FIELDS, "its numbers")]
 
@@ -119,20 +131,22 @@ class OutputFrame(Frame, frozen=True, kw_only=True):
 
 
 class Resync(Table, frozen=True, kw_only=True):
-    """Bytes that end a frame of which the board still awaits a part, and that mean nothing to it otherwise."""
+    """Bytes in front of a zero after a missing answer; they complete a torn frame, and mean nothing to the board."""
 
-    byte: Annotated[Byte, said("such a byte", 3)]
-    count: Annotated[int, within(RESYNC, "so many, as many as a frame has", 9)]
+    byte: Annotated[Byte, said("the byte", 3)]
+    count: Annotated[int, within(RESYNC, "how often: the length of a frame", 9)]
 
 
 class Frames(Table, frozen=True, kw_only=True):
-    """The language of a board."""
+    """Frames of the board; without them it speaks WoodenHaptics' text."""
 
-    mode: Annotated[Mode, said("whether it answers each frame, or sends by itself", "answer")]
-    order: Annotated[Order, said("which byte of a number comes first, the lowest or the highest", "little")] = "little"
+    mode: Annotated[Mode, said("answer: the board answers each frame; stream: it sends by itself", "answer")]
+    order: Annotated[Order, said("byte order of numbers", "little")] = "little"
     input: InputFrame
     output: OutputFrame
-    setup: Annotated[OutputFrame | None, said("sent once when the port is opened; its fields are constants")] = None
+    setup: Annotated[
+        OutputFrame | None, said("sent when the port is opened, and at closing; its fields are constants")
+    ] = None
     resync: Resync | None = None
 
     def faults(self) -> Iterator[Complaint]:
@@ -147,24 +161,29 @@ class Frames(Table, frozen=True, kw_only=True):
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """What a rig's [device] table may say for `driver = "serial"`."""
+    """Keys for `driver = "serial"`."""
 
-    vendor_id: Annotated[int, within(USB_ID, "USB vendor; with neither, name path", 0x16C0)] | None = None
-    product_id: Annotated[int, within(USB_ID, "USB product", 0x0483)] | None = None
-    serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
-    path: Annotated[str, said("port, in place of looking for one", "/dev/ttyACM0")] | None = None
-    baud: Annotated[Baud, said("speed; a port of USB's own has none", 115200)] = 115200
+    vendor_id: Annotated[int, within(USB_ID, "USB vendor of the port; without the ids, path", 0x16C0)] | None = None
+    product_id: Annotated[int, within(USB_ID, "USB product of the port", 0x0483)] | None = None
+    serial: Annotated[str, said("serial number, if several are attached", "SN42")] | None = None
+    path: (
+        Annotated[str, said("the port; default: the one with the ids; one on USB must have them", "/dev/ttyACM0")]
+        | None
+    ) = None
+    baud: Annotated[Baud, said("speed in Bd; without effect on a port of USB's own", 115200)] = 115200
     frames: Annotated[Frames | None, said("language of the board; absent: WoodenHaptics' text")] = None
     kinematics: Annotated[Kinematics | None, said("mechanism, with frames")] = None
     mounting: Mounting = Mounting()
-    force_max_n: Annotated[float, within(FORCE_MAX_N, "most that it displays", 5.0)]
-    stiffness_max_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "most that it renders stably", 1000.0)]
-    damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 8.0)]
-    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("about the device's origin", 0.1)]
-    quiet_s: Annotated[float, within(SILENCE_S, "after so long without a frame no force is sent", 0.02)] = 0.02
-    kick_s: Annotated[float, within(SILENCE_S, "a silent device is kicked so often", 0.1)] = 0.1
-    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a frame the device is given up", 0.2)] = 0.2
-    wake_s: Annotated[float, within(WAKE_S, "time to wake the device when it is opened", 3.0)] = 3.0
+    force_max_n: Annotated[float, within(FORCE_MAX_N, "largest force displayed", 5.0)]
+    stiffness_max_n_per_m: Annotated[
+        float, within(limits.STIFFNESS_N_PER_M, "largest stiffness rendered stably", 1000.0)
+    ]
+    damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "largest damping rendered stably", 8.0)]
+    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("workspace about the device's origin", 0.1)]
+    quiet_s: Annotated[float, within(SILENCE_S, "silence after which the force is removed", 0.02)] = 0.02
+    kick_s: Annotated[float, within(SILENCE_S, "period of the frames that wake a silent board", 0.1)] = 0.1
+    timeout_s: Annotated[float, within(GIVE_UP_S, "silence after which the run ends", 0.2)] = 0.2
+    wake_s: Annotated[float, within(WAKE_S, "time to wake it at opening", 3.0)] = 3.0
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:

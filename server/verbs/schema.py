@@ -6,7 +6,8 @@ import argparse
 import dataclasses
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -26,6 +27,8 @@ _EITHER: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")
 _NAMED: Final = {"Material": MATERIALS, "Fingertip": FINGERTIPS}
 """Tables that a name of a library may stand for."""
 _SELECTS: Final = "selects the other keys"
+SHARED_MIN: Final = 3
+"""So many keys of another table are told by its name."""
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -33,7 +36,6 @@ class Row(NamedTuple):
     """One key of a TOML table, as the reference page lists it."""
 
     key: str
-    unit: str
     allowed: str
     default: str
     meaning: str
@@ -116,30 +118,65 @@ def markdown(kind: str) -> str:
     if kind == "telemetry":
         names = [field.name for field in dataclasses.fields(FIELDS[0])]
         return grid(names, [[str(getattr(field, name)) for name in names] for field in FIELDS])
-    names_of: dict[str, list[str]] = {}
-    for heading, meaning, keys in _sections(tables(_STRUCTS[kind])):
-        cells = [[f"`{row.key}`", row.unit, row.allowed, row.default, row.meaning] for row in keys]
-        body = "\n\n".join(
-            [meaning, *([grid(["key", "unit", "allowed", "default", "meaning"], cells)] if cells else [])]
-        )
-        names_of.setdefault(body, []).append(heading)
-    return "\n\n".join(f"### {', '.join(names)}\n\n{body}" for body, names in names_of.items())
+    return key_tables(_STRUCTS[kind])
 
 
-def _sections(listed: list[TableRows]) -> Iterator[tuple[str, str, list[Row]]]:
-    """Heading, meaning and rows: a table of several kinds has first the keys of all of them, then those of each."""
+def key_tables(struct_type: type[msgspec.Struct], name: str = "") -> str:
+    """The tables of a struct that stands at `name` in the file, as Markdown; equal ones are listed once."""
     kinds: dict[str, list[TableRows]] = {}
-    for table in listed:
+    for table in tables(struct_type, name):
         kinds.setdefault(table.name, []).append(table)
-    for table in listed:
-        same = kinds[table.name]
-        shared = [row for row in table.rows if len(same) > 1 and all(row in other.rows for other in same)]
-        if shared and table is same[0]:
-            yield f"`{table.name}`", f"Keys that every {table.rows[0].key} has.", shared
-        tag = [row for row in table.rows if row.meaning == _SELECTS]
-        own = [row for row in table.rows if row not in shared and row not in tag]
-        kind = "".join(f" with `{row.key} = {row.allowed.strip('`')}`" for row in tag)
-        yield f"`{table.name}`{kind}", table.meaning, own
+    listed: dict[str, dict[str, list[str]]] = {}  # names by meaning, by the keys in Markdown
+    whole: dict[str, list[Row]] = {}
+    for at, same in kinds.items():
+        if len(same) > 1:
+            body = _several(same)
+        else:
+            body = _added(whole, same[0].rows)
+            whole[at] = same[0].rows
+        listed.setdefault(body, {}).setdefault("" if len(same) > 1 else same[0].meaning, []).append(f"`{at}`")
+    return "\n\n".join(_section(body, meanings) for body, meanings in listed.items())
+
+
+def _section(body: str, meanings: dict[str, list[str]]) -> str:
+    """Heading, meaning and keys; of tables that have the same keys, each with what it is."""
+    heading = f"### {', '.join(name for names in meanings.values() for name in names)}"
+    said = "\n".join(f"- {', '.join(names)}: {meaning}" for meaning, names in meanings.items())
+    return "\n\n".join(filter(None, [heading, next(iter(meanings)) if len(meanings) == 1 else said, body]))
+
+
+def _added(whole: dict[str, list[Row]], rows: list[Row]) -> str:
+    """The keys of a table; where it has all of another that is listed already, what it adds."""
+    for name, theirs in whole.items():
+        if len(theirs) >= SHARED_MIN and all(row in rows for row in theirs) and len(theirs) < len(rows):
+            return f"The keys of `{name}`, and:\n\n" + _keys(row for row in rows if row not in theirs)
+    return _keys(rows)
+
+
+def _several(same: list[TableRows]) -> str:
+    """A table of several kinds: the keys that all of them have, the kinds, and the keys of single kinds."""
+    tag = same[0].rows[0].key
+    shared = [row for row in same[0].rows if all(row in other.rows for other in same)]
+    own: dict[Row, list[str]] = {}
+    lines = []
+    for table in same:
+        kind, *rows = (row for row in table.rows if row not in shared)
+        for row in rows:
+            own.setdefault(row, []).append(kind.allowed.strip('`"'))
+        lines.append([kind.allowed, table.meaning, ", ".join(f"`{row.key}`" for row in rows) or "none"])
+    said = [row.key for row in own]
+    of = {row: f" of {', '.join(names)}" if said.count(row.key) > 1 else "" for row, names in own.items()}
+    return "\n\n".join([
+        *([_keys(shared)] if shared else []),
+        grid([f"`{tag}`", "what it is", "its own keys"], lines),
+        _keys(own, of),
+    ])  # fmt: skip
+
+
+def _keys(rows: Iterable[Row], of: Mapping[Row, str] = MappingProxyType({})) -> str:
+    """Keys as Markdown; `of` says whose a key is."""
+    lines = [[f"`{row.key}`{of.get(row, '')}", row.allowed, row.default, row.meaning] for row in rows]
+    return grid(["key", "allowed", "default", "meaning"], lines)
 
 
 def grid(head: list[str], lines: list[list[str]]) -> str:
@@ -147,10 +184,10 @@ def grid(head: list[str], lines: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *lines])
 
 
-def tables(struct_type: type[msgspec.Struct]) -> list[TableRows]:
-    """Every TOML table of a scene or rig with its keys, in order."""
+def tables(struct_type: type[msgspec.Struct], name: str = "") -> list[TableRows]:
+    """Every TOML table of a struct that stands at `name` (empty: the file) with its keys, in order."""
     found: dict[tuple[str, str], TableRows] = {}
-    for table in _tables(described(struct_type), ""):
+    for table in _tables(described(struct_type), name):
         # A material is the same in every shape: listed where it first stands.
         if table.rows:
             found.setdefault((table.name, table.meaning), table)
@@ -160,7 +197,7 @@ def tables(struct_type: type[msgspec.Struct]) -> list[TableRows]:
 def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
     rows = []
     if info.tag_field is not None:
-        rows.append(Row(info.tag_field, "", f'`"{info.tag}"`', "required", _SELECTS))
+        rows.append(Row(info.tag_field, f'`"{info.tag}"`', "required", _SELECTS))
     inner = []
     for field in info.fields:
         structs = list(_structs(field.type))
@@ -187,11 +224,13 @@ def _row(field: inspect.Field) -> Row:
     allowed = re.sub(r"'([^']*)'", r'`"\1"`', expected(kind, "").removeprefix("one of "))
     allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
     allowed = re.sub(r"^a (whole )?number from", lambda found: "integer," if found[1] else "", allowed).strip()
+    allowed = re.sub(r"^text of (.*) characters", r"text, \1", allowed)
+    allowed = f"{allowed} {unit(field.encode_name)}".strip()
     if field.required or field.default is None:
         default = "required" if field.required else "optional"
     else:
         default = f"`{toml(field.default)}`"
-    return Row(field.encode_name, unit(field.encode_name), allowed, default, extra.get("description", ""))
+    return Row(field.encode_name, allowed, default, extra.get("description", ""))
 
 
 def _bare(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:

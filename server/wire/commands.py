@@ -334,8 +334,10 @@ def _words(info: inspect.Type) -> str:
             return " or ".join(_words(each) for each in info.types if not isinstance(each, inspect.NoneType))
         case inspect.TupleType():
             return f"{len(info.item_types)} numbers"
-        case inspect.DictType():
+        case inspect.DictType() | inspect.StructType():
             return "map"
+        case inspect.VarTupleType():
+            return "list"
     return _PLAIN.get(type(info), "true or false")
 
 

@@ -59,7 +59,7 @@ class Key(NamedTuple):
     meaning: str
 
 
-_SCHEMA_KEY: Final = Key("schema", "int", "1", "", "version of this protocol")
+SCHEMA_KEY: Final = Key("schema", "int", "1", "", "version of this protocol")
 _TICK_KEY: Final = Key("tick", "int", "1", "", "tick of the message, -1 before the first")
 
 _LISTS: Final = [f"contacts{i}" for i in range(PATCHES)]
@@ -74,13 +74,13 @@ def _key_of(field: Field) -> Key:
 
 
 CONTACT_KEYS: Final = (
-    _SCHEMA_KEY,
+    SCHEMA_KEY,
     Key("every", "int", "1", "", "one tick in this many is published"),
     *dict.fromkeys(_key_of(field) for field in FIELDS),
 )
 
 EVENT_KEYS: Final = (
-    _SCHEMA_KEY,
+    SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "time of the event since the epoch"),
     _TICK_KEY,
     Key("kind", "str", "", "", "contact, guard, servo, device, command, mark, fault, state or lifecycle"),
@@ -144,7 +144,7 @@ EVENT_EXTRA_KEYS: Final = {
 _QUANTILES: Final = (("p50", "median"), ("p99", "99th percentile"), ("p999", "99.9th percentile"), ("max", "largest"))
 
 HEALTH_KEYS: Final = (
-    _SCHEMA_KEY,
+    SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "time of the last tick, since the epoch"),
     _TICK_KEY,
     Key("rate", "float", "1/s", "", "ticks a second"),
@@ -190,7 +190,7 @@ STATE_KEYS: Final = (
 """Those of hapticore's state message, and no other: its client takes it into a record of exactly these."""
 
 WORLD_KEYS: Final = (
-    _SCHEMA_KEY,
+    SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "when it was sent, since the epoch"),
     _TICK_KEY,
     Key("bodies[].name", "str", "", "", "name of the body in the model, or its number"),
@@ -201,7 +201,7 @@ WORLD_KEYS: Final = (
 )
 
 SCHEMA_KEYS: Final = (
-    _SCHEMA_KEY,
+    SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "when the server was started, since the epoch"),
     Key("topics", "str[]", "", "", "all topics"),
     Key("commands", "str", "", "", "endpoint where commands are taken, empty where none are"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -265,10 +266,13 @@ def test_the_walls_of_a_hollow_enclose_what_the_solid_fills(shape: str) -> None:
 
 
 def test_the_reference_has_the_dimensions_of_every_shape() -> None:
-    """The generated tables give each dimension with its unit, under the shape's name."""
-    text = schema_verb.markdown("scene")
+    """The generated tables give each dimension with its unit, and say which shapes have it."""
+    tables = schema_verb.markdown("scene").split("### `[[object]]`\n", 1)[1].split("\n### ", 1)[0]
     for shape, keys in SHAPES.items():
-        at = text.index(f'`[[object]]` with `shape = "{shape}"`')
-        table = text[at:].split("\n###")[0]
-        assert all(f"| `{key}` | {'' if shape in UNSIZED else 'm'} |" in table for key in keys)
-        assert ("`inside`" in table) == (shape != "plane")
+        (own,) = re.findall(rf'^\| `"{shape}"` \| .* \| (.*) \|$', tables, re.MULTILINE)
+        assert set(re.findall(r"`(\w+)`", own)) >= set(keys)
+        for key in keys:
+            rows = re.findall(rf"^\| `{key}`(?: of ([\w, ]+))? \| (.*?) \|", tables, re.MULTILINE)
+            (allowed,) = [allowed for of, allowed in rows if not of or shape in of.split(", ")]
+            assert allowed.endswith(" m") == (shape not in UNSIZED)
+        assert ("`inside`" in own) == (shape != "plane")

@@ -50,7 +50,9 @@ from softfinger.server.wire.publisher import BACKLOG, LINGER_S, Publisher
 DOCS = Path(__file__).parents[2] / "docs"
 DOC = (DOCS / "protocol.md").read_text(encoding="utf-8")
 TELEMETRY = (DOCS / "reference" / "telemetry.md").read_text(encoding="utf-8")
-HEADER = ["key", "type", "unit", "frame", "meaning"]
+RECORD = (DOCS / "reference" / "record.md").read_text(encoding="utf-8")
+HEADER = ("key", "type", "meaning")
+KINDS = ("kind", *HEADER)
 CODE_TABLES = {
     "contact": CONTACT_KEYS,
     "event": EVENT_KEYS,
@@ -66,28 +68,39 @@ def cells(line):
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def doc_tables():
-    """Rows of each table of the reference, by the heading it stands under: `contact`, `event`, `event guard`, ..."""
-    tables, topic, title = {}, "", ""
-    for line in TELEMETRY.splitlines():
-        if heading := re.match(r"## `(\w+)`", line):
-            topic = title = heading[1]
-        elif line.startswith("## "):
-            title = ""
-        elif heading := re.match(r"### Kind `(\w+)`", line):
-            title = f"{topic} {heading[1]}"
-        elif line.startswith("|") and title:
-            tables.setdefault(title, []).append(cells(line))
+def rows_below(text, heading):
+    """Rows of each table of a section, by the head of the table."""
+    tables, head = {}, None
+    for line in text.split(f"{heading}\n", 1)[1].split("\n## ", 1)[0].splitlines():
+        if not line.startswith("|"):
+            head = None
+        elif head is None:
+            head = tuple(cells(line))
+            tables[head] = []
+        elif "---" not in line:
+            tables[head].append(cells(line))
     return tables
 
 
-def test_tables_have_the_agreed_columns():
-    """Each table has the header key, type, unit, frame, meaning, so that the other tests read what they think."""
-    tables = doc_tables()
-    assert set(tables) == set(CODE_TABLES)
-    for rows in tables.values():
-        assert rows[0] == HEADER
-        assert all(len(row) == len(HEADER) for row in rows)
+def doc_tables():
+    """Types by key as the reference has them, for `contact`, `event`, `event guard`, ...: a tick has the record's."""
+    found = {}
+    for topic in re.findall(r"^## `(\w+)`$", TELEMETRY, re.MULTILINE):
+        below = rows_below(TELEMETRY, f"## `{topic}`")
+        found[topic] = {} if topic == "state" else {"`schema`": "int"}  # as the head of the page says
+        found[topic] |= {key: kind.partition(",")[0] for key, kind, _ in below.pop(HEADER)}
+        for kinds, key, kind, _ in below.pop(KINDS, []):
+            for each in kinds.split(", "):
+                found.setdefault(f"{topic} {each.strip('`')}", {})[key] = kind.partition(",")[0]
+        assert not below
+    (record,) = [rows for head, rows in rows_below(RECORD, "# The record of a tick").items() if head == HEADER]
+    found["contact"] |= {key.replace("contacts0", "contacts[]"): kind.partition(",")[0] for key, kind, _ in record}
+    return {title: {key.strip("`"): kind for key, kind in keys.items()} for title, keys in found.items()}
+
+
+def test_tables_list_the_keys_of_the_code():
+    """Each message has a table with its keys and their types."""
+    assert doc_tables() == {title: {key.name: key.type for key in keys} for title, keys in CODE_TABLES.items()}
 
 
 def flatten(message, maps=(), prefix=""):
@@ -150,7 +163,7 @@ def real_messages():
 @pytest.mark.real_time
 def test_real_messages_have_the_documented_keys_and_types():
     """Every message has exactly the keys of its tables, each with a value of the type written there."""
-    tables = {title: {row[0].strip("`"): row[1] for row in rows[2:]} for title, rows in doc_tables().items()}
+    tables = doc_tables()
     seen = set()
     for title, message in real_messages():
         documented = tables["event"] | tables.get(title, {}) if title.startswith("event") else tables[title]

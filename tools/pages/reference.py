@@ -9,11 +9,13 @@ import argparse
 import json
 import sys
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.materials import flat, papers
+from softfinger.drivers.serial.options import Options
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
 from softfinger.server.faults import HAZARDS, SEEN_IN, Hazard
 from softfinger.server.loop.guard import GUARD_NAMES
@@ -27,8 +29,8 @@ WIDTH: Final = 120
 MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
 
 _KEYS: Final = """\
-Units are SI and end each key. Neither a file nor a flag widens a range. *optional* marks a key without a default
-value. `[[name]]` is a table that may stand several times."""
+Units are SI and end each key. Neither a file nor a flag widens a range. A text has its length. *optional* marks a key
+without a default value. `[[name]]` may stand several times."""
 
 
 def scenes() -> str:
@@ -37,7 +39,8 @@ def scenes() -> str:
 # Scenes: every key
 
 A scene file (TOML) describes the fingertips, the objects and the effects: [write a scene](../operate/scenes.md).
-`softfinger schema scene` prints these tables as JSON Schema. {_KEYS}"""
+`softfinger schema scene` prints these tables as JSON Schema. {_KEYS} A relative path of a file starts at the scene's
+folder."""
     return _page(head, "## Shipped scenes", _listed("scenes"), "## Keys", schema.markdown("scene"))
 
 
@@ -48,7 +51,13 @@ def rigs() -> str:
 
 A rig file (TOML) names the device and sets the servo loop, the safety limits and the interfaces: [write a
 rig](../operate/scenes.md#write-a-rig). `softfinger schema rig` prints these tables as JSON Schema. {_KEYS}"""
-    return _page(head, "## Shipped rigs", _listed("rigs"), "## Keys", schema.markdown("rig"))
+    serial = """\
+[A board on a serial port](../devices/serial.md) has these further keys. `kinematics` is the same for
+[`hid`](../devices/hid.md), and `field` for its reports."""
+    return _page(
+        head, "## Shipped rigs", _listed("rigs"), "## Keys", schema.markdown("rig"),
+        "## Keys of the driver `serial`", " ".join(serial.split()), schema.key_tables(Options, "[device]"),
+    )  # fmt: skip
 
 
 def record() -> str:
@@ -58,8 +67,9 @@ def record() -> str:
 
 Every tick of the servo loop writes one record. Results files, recordings and `Engine.run` have its fields as
 columns, in this order; a field of several components has the columns `name[0]`, `name[1]`, ...
-[Telemetry](telemetry.md) publishes the same fields. `contacts0` is the contact with the largest
-load; `contacts1` and `contacts2` are further ones, with the same fields. The object of an unused one is -1."""
+[Telemetry](telemetry.md) publishes the same fields. A type has its unit and, of a vector, its frame. `contacts0` is
+the contact with the largest load; `contacts1` and `contacts2` are further ones, with the same fields. The object of an
+unused one is -1."""
     numbered = [
         ("`contact.mode`", enumerate(MODE_NAMES)),
         ("`contact.cause`", enumerate(CAUSE_NAMES)),
@@ -76,21 +86,43 @@ def telemetry() -> str:
     head = f"""\
 # Telemetry: every key
 
-Each message has two frames, a topic and a msgpack map. `schema` is {protocol.SCHEMA}. A dot in a key stands for
-a map within a map, `[]` for a list of maps. [The protocol](../protocol.md) explains sockets, topics, losses and
-when each event is sent. A scene with several fingers has the topic `finger/NAME` for each, with the keys of
-`contact`."""
+Each message has two frames, a topic and a msgpack map. A dot in a key stands for a map within a map, `[]` for a
+list of maps; a type has its unit and, of a vector, its frame. All but `state` have `schema`: {protocol.SCHEMA}, the
+version of the [protocol](../protocol.md), which explains sockets, topics, losses and when each event is sent."""
+    contact = """\
+The fields of [the record](record.md) under their names, with the list `contacts` in place of `contacts0` to
+`contacts2`. Several fingers have the topic `finger/NAME` each, with the same keys. Besides:"""
+    kinds = """\
+Keys that events of single kinds add. Other kinds add what the event needs."""
     tables = {
-        "## `contact`": protocol.CONTACT_KEYS,
-        "## `state`": protocol.STATE_KEYS,
-        "## `event`": protocol.EVENT_KEYS,
-        **{f"### Kind `{kind}`": keys for kind, keys in protocol.EVENT_EXTRA_KEYS.items()},
-        "## `health`": protocol.HEALTH_KEYS,
-        "## `world`": protocol.WORLD_KEYS,
-        "## `schema`": protocol.SCHEMA_KEYS,
+        "`state`": protocol.STATE_KEYS,
+        "`event`": protocol.EVENT_KEYS,
+        "`health`": protocol.HEALTH_KEYS,
+        "`world`": protocol.WORLD_KEYS,
+        "`schema`": protocol.SCHEMA_KEYS,
     }
-    parts = [part for heading, keys in tables.items() for part in (heading, keys_table(keys))]
+    parts = ["## `contact`", " ".join(contact.split()), keys_table(_beside_the_record(protocol.CONTACT_KEYS))]
+    for title, keys in tables.items():
+        parts += [f"## {title}", keys_table(keys)]
+        if keys is protocol.EVENT_KEYS:
+            parts += [kinds, _kinds_table(protocol.EVENT_EXTRA_KEYS)]
     return _page(head, *parts)
+
+
+def _beside_the_record(keys: Iterable[Key]) -> list[Key]:
+    """Keys of a message of a tick that are no fields of the record."""
+    names = {field.name for field in FIELDS}
+    return [key for key in keys if key.name.replace("[]", "0") not in names]
+
+
+def _kinds_table(kinds: Mapping[str, Iterable[Key]]) -> str:
+    """Keys of events with the kinds that have them; a key that several have alike stands once."""
+    of: dict[Key, list[str]] = {}
+    for kind, keys in kinds.items():
+        for key in keys:
+            of.setdefault(key, []).append(f"`{kind}`")
+    rows = [[", ".join(names), f"`{key.name}`", _typed(key), key.meaning] for key, names in of.items()]
+    return schema.grid(["kind", "key", "type", "meaning"], rows)
 
 
 def commands_page() -> str:
@@ -98,17 +130,22 @@ def commands_page() -> str:
     head = """\
 # Commands: every method
 
-Requests to a running daemon. [Commands to a running daemon](../operate/commands.md) shows their use,
-[the protocol](../protocol.md#commands) the messages. Units are SI. A parameter in brackets may be left out; a method
-without `params` has none."""
+[Commands to a running daemon](../operate/commands.md) shows their use, [the protocol](../protocol.md#commands) the
+messages. Units are SI. A key in brackets may be left out."""
+    results = Counter(method.result for method in commands.METHODS.values())
+    shared = [kind for kind, times in results.items() if times > 1]
     parts = []
     for name, (params, result, meaning) in commands.table().items():
         method = commands.METHODS[name]
-        rows = [["params", params, _said(method.params)]] if params else []
-        rows.append(["result", result, _said(method.result)])
-        parts += [f"### `{name}`", meaning, schema.grid(["", "keys", "meaning"], rows)]
+        takes = f"- takes {params}. {_said(method.params)}" if params else ""
+        gives = f"- gives {result}. {'' if method.result in shared else _said(method.result)}"
+        parts += [f"### `{name}`", meaning, "\n".join(filter(None, [takes, gives.strip()]))]
+    several = schema.grid(["keys", "meaning"], [[commands.fields(kind), _said(kind)] for kind in shared])
     errors = schema.grid(["name", "meaning"], [[f"`{name}`", meaning] for name, meaning in commands.ERRORS.items()])
-    return _page(head, "## Methods", *parts, "## Errors", "The text of an error begins with its name.", errors)
+    results_of = ["## Results of several methods", several]
+    return _page(
+        head, "## Methods", *parts, *results_of, "## Errors", "The text of an error begins with its name.", errors
+    )
 
 
 def states_page() -> str:
@@ -138,15 +175,14 @@ faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught
         [
             each.name,
             each.detection,
-            each.reaction,
-            each.state,
+            each.state if each.reaction == "none" else f"{each.reaction}: {each.state}",
             each.recovery,
             ", ".join(f"`{event}`" for event in each.events) or "none",
             _cases(each, seen),
         ]
         for each in HAZARDS
     ]
-    table = schema.grid(["hazard", "detection", "reaction", "safe state", "recovery", "event", "cases passed"], rows)
+    table = schema.grid(["hazard", "detection", "reaction: safe state", "recovery", "event", "cases passed"], rows)
     about = """\
 What the test run has seen (`make faults-seen`). Ticks at 1 kHz, from the first tick with the fault until the
 emulated device had received zero; where the guard waits, such as for `frozen_s` (0.1 s in the tests), that is in
@@ -164,9 +200,13 @@ def _seen_rows(seen: list[dict[str, Any]]) -> list[list[str]]:
             faults.setdefault(key, []).append(each)
     rows = []
     for (hazard, fault, event, state, recovery), found in faults.items():
-        ticks = ", ".join(f"{each['driver']} {each['ticks']}" for each in found)
-        if all(each["ticks"] is None for each in found):
-            ticks = "keeps a force: " + ", ".join(each["driver"] for each in found)
+        after: dict[int | None, list[str]] = {}
+        for each in found:
+            after.setdefault(each["ticks"], []).append(each["driver"])
+        ticks = "; ".join(
+            f"{'keeps a force' if count is None else count}: {', '.join(drivers)}"
+            for count, drivers in sorted(after.items(), key=lambda each: each[0] or 0)
+        )
         back = [each["back"] for each in found if each.get("back") is not None]
         felt = f": half of the force after {min(back)} to {max(back)} ticks" if back else ""
         told = event if event == "none" else f"`{event}`"
@@ -230,8 +270,13 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
 
 def keys_table(keys: Iterable[Key]) -> str:
     """Keys of a message as a Markdown table."""
-    rows = [[f"`{key.name}`", key.type, key.unit, key.frame, key.meaning] for key in keys]
-    return schema.grid(["key", "type", "unit", "frame", "meaning"], rows)
+    rows = [[f"`{key.name}`", _typed(key), key.meaning] for key in keys if key is not protocol.SCHEMA_KEY]
+    return schema.grid(["key", "type", "meaning"], rows)
+
+
+def _typed(key: Key) -> str:
+    """Type, unit and frame of a key, those that it has: `float[3], m, world`."""
+    return ", ".join(part for part in (key.type, key.unit, key.frame) if part not in ("", "1"))
 
 
 def _said(kind: Any) -> str:

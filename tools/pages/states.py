@@ -23,7 +23,12 @@ _ALOFT: Final = 0.14
 def tables() -> tuple[str, str]:
     """States with what they are; transitions with what leads to them."""
     states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
-    rows = [[f"`{before}`", f"{trigger}: {CAUSES[trigger]}", f"`{after}`"] for (before, trigger), after in _ways()]
+    ways: dict[tuple[Any, State], list[str]] = {}
+    for (before, trigger), after in _ways():
+        ways.setdefault((trigger, after), []).append(f"`{before}`")
+    rows = [
+        [", ".join(before), f"{trigger}: {CAUSES[trigger]}", f"`{after}`"] for (trigger, after), before in ways.items()
+    ]
     return states, schema.grid(["from", "by", "to"], rows)
 
 
