@@ -32,12 +32,8 @@ from softfinger.tools.stability.maps import MAPS, POINTS
 BLOCK: Final = re.compile(r"(<!-- study: (?P<name>[a-z-]+) -->\n).*?(<!-- end -->)", re.S)
 DRIFT_STEPS: Final = 10_000_000
 PROGRAM: Final = (sys.executable, "-m", "softfinger.server.cli")
-ACCURACY: Final = {
-    "paper": report.paper_table,
-    "speed": report.speed_table,
-}
-"""Tables of `softfinger accuracy` that the pages show; the others are in figures/accuracy.txt."""
-TABLES: Final = (*ACCURACY, "bodies")
+TABLES: Final = ("paper", "bodies")
+"""What the pages show; the other tables of `softfinger accuracy` are in figures/accuracy.txt."""
 
 
 def markdown(table: Any) -> str:
@@ -88,7 +84,7 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     if quick:
         drift, points, short = 20_000, "3", ["--quick", "--surface", "plane", "torus"]
     found = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
-    tables = {name: markdown(table(found)) for name, table in ACCURACY.items()}
+    tables = {"paper": markdown(report.paper_table(found))}
     draw_shipped_run(figures / "run.svg")
     draw_patches(figures / "patches.svg")
     command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
