@@ -26,6 +26,8 @@ _EITHER: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")
 """Keys of which a file has exactly one."""
 _NAMED: Final = {"Material": MATERIALS, "Fingertip": FINGERTIPS}
 """Tables that a name of a library may stand for."""
+_REQUIRED: Final = "required"
+_OPTIONAL: Final = "optional"
 _SELECTS: Final = "selects the other keys"
 SHARED_MIN: Final = 3
 """So many keys of another table are told by its name."""
@@ -175,8 +177,15 @@ def _several(same: list[TableRows]) -> str:
 
 def _keys(rows: Iterable[Row], of: Mapping[Row, str] = MappingProxyType({})) -> str:
     """Keys as Markdown; `of` says whose a key is."""
-    lines = [[f"`{row.key}`{of.get(row, '')}", row.allowed, row.default, row.meaning] for row in rows]
-    return grid(["key", "allowed", "default", "meaning"], lines)
+    lines = [[f"`{row.key}`{of.get(row, '')}", _allowed(row), row.meaning] for row in rows]
+    return grid(["key", "allowed (default)", "meaning"], lines)
+
+
+def _allowed(row: Row) -> str:
+    """What a key allows, with its default; nothing behind it: the key may be left out."""
+    if row.default == _OPTIONAL:
+        return row.allowed
+    return f"{row.allowed}, {_REQUIRED}" if row.default == _REQUIRED else f"{row.allowed} ({row.default})"
 
 
 def grid(head: list[str], lines: list[list[str]]) -> str:
@@ -197,7 +206,7 @@ def tables(struct_type: type[msgspec.Struct], name: str = "") -> list[TableRows]
 def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
     rows = []
     if info.tag_field is not None:
-        rows.append(Row(info.tag_field, f'`"{info.tag}"`', "required", _SELECTS))
+        rows.append(Row(info.tag_field, f'`"{info.tag}"`', _REQUIRED, _SELECTS))
     inner = []
     for field in info.fields:
         structs = list(_structs(field.type))
@@ -224,10 +233,10 @@ def _row(field: inspect.Field) -> Row:
     allowed = re.sub(r"'([^']*)'", r'`"\1"`', expected(kind, "").removeprefix("one of "))
     allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
     allowed = re.sub(r"^a (whole )?number from", lambda found: "integer," if found[1] else "", allowed).strip()
-    allowed = re.sub(r"^text of (.*) characters", r"text, \1", allowed)
+    allowed = re.sub(r"^text of (.*) characters( like .*)?", r"text, \1", allowed)  # the meaning says which characters
     allowed = f"{allowed} {unit(field.encode_name)}".strip()
     if field.required or field.default is None:
-        default = "required" if field.required else "optional"
+        default = _REQUIRED if field.required else _OPTIONAL
     else:
         default = f"`{toml(field.default)}`"
     return Row(field.encode_name, allowed, default, extra.get("description", ""))

@@ -29,8 +29,8 @@ WIDTH: Final = 120
 MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
 
 _KEYS: Final = """\
-Units are SI and end each key. Neither a file nor a flag widens a range. A text has its length. *optional* marks a key
-without a default value. `[[name]]` may stand several times."""
+Units are SI and end each key. Neither a file nor a flag widens a range. A text has its length. A key without
+*required* or a default may be left out. `[[name]]` may stand several times."""
 
 
 def scenes() -> str:
@@ -231,8 +231,7 @@ def materials_page() -> str:
 # Materials and fingertips: every entry
 
 What a scene may name: `material = "rubber"`, `fingertip = "human-index"`. [Materials](../model/materials.md) shows how,
-and the models beside what was published; `softfinger materials NAME` prints one, with `--plot` its figure. Sources are
-given by the names of the last table, which says how far each was read: mostly the abstract."""
+and the models beside what was published; `softfinger materials NAME` prints one, with `--plot` its figure."""
     listed = feels.entries()
     parts = []
     for kind, title in (("material", "## Materials"), ("fingertip", "## Fingertips")):
@@ -249,11 +248,14 @@ given by the names of the last table, which says how far each was read: mostly t
             if each == kind
         ]
         parts += [title, schema.grid(["name", "what", "values", "holds", "published", "sources"], rows)]
-    sources = [
-        [name, paper.text + (f", doi `{paper.doi}`" if paper.doi else ""), paper.read]
-        for name, paper in papers().items()
-    ]
-    return _page(head, *parts, "## Sources", schema.grid(["name", "source", "read"], sources))
+    by_read: dict[str, list[str]] = {}
+    for name, paper in papers().items():
+        by_read.setdefault(paper.read, []).append(name)
+    *few, most = sorted(by_read, key=lambda read: len(by_read[read]))
+    said = "; ".join(f"of {', '.join(by_read[read])} {read}" for read in few)
+    sources = [[name, paper.text + (f", doi `{paper.doi}`" if paper.doi else "")] for name, paper in papers().items()]
+    read = f"Of each source the {most} was read, but {said}."
+    return _page(head, *parts, "## Sources", read, schema.grid(["name", "source"], sources))
 
 
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
