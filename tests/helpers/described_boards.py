@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,13 +55,17 @@ def settled(value: Callable[[], Any], wanted: Callable[[Any], bool], within_s: f
 
 
 def force_of(board: Firmware) -> np.ndarray:
-    """The force (3,) N on the hand in the world that a 2DIY's torques make: J^-T tau, J by differences of its place."""
+    """The force (3,) N on the hand in the world that a 2DIY's torques make now."""
+    return force_at(board.angles, board.torques)
+
+
+def force_at(angles: Sequence[float], torques: Sequence[float]) -> np.ndarray:
+    """The same of torques (N m, ports 1 and 2) at angles (degrees): J^-T tau, J by differences of its place."""
     h = 1e-4  # degrees
-    one, two = board.angles
+    one, two = angles
     columns = [
         (np.subtract(place(one + h, two), place(one - h, two))) / np.radians(2 * h),
         (np.subtract(place(one, two + h), place(one, two - h))) / np.radians(2 * h),
     ]
-    torques = (board.torques[1], board.torques[0])  # link 1 is on port 2
-    x, y = np.linalg.solve(np.array(columns), torques)
+    x, y = np.linalg.solve(np.array(columns), (torques[1], torques[0]))  # link 1 is on port 2
     return TO_WORLD @ np.array([x, y, 0.0])

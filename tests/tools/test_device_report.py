@@ -36,9 +36,9 @@ ROOT = Path(__file__).resolve().parents[2]
 COMMAND = (sys.executable, "-m", "softfinger.server.cli", "doctor")
 USER: Final = "zaphodb"
 KEYS: Final = {
-    "report", "complete", "ended", "softfinger", "system", "driver", "options", "rate_hz", "guided", "identity",
-    "maker_library", "device", "realtime", "rest", "exchange", "without_pauses", "range", "moves", "buttons", "pushes",
-    "counts", "reason", "fault", "questions",
+    "report", "complete", "ended", "softfinger", "system", "driver", "options", "rate_hz", "guided", "freedom",
+    "identity", "maker_library", "device", "realtime", "rest", "exchange", "without_pauses", "range", "moves",
+    "buttons", "pushes", "counts", "reason", "fault", "questions",
 }  # fmt: skip
 RATE_HZ: Final = 1000.0
 

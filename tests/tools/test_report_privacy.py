@@ -38,6 +38,7 @@ def somebody(monkeypatch: pytest.MonkeyPatch) -> privacy.Privacy:
         ("attached is SN-4711-A here", "attached is ...-A here"),
         ("/dev/serial/by-id/usb-PJRC_Teensy_123456-if00", "/dev/serial/by-id/..."),
         ("a serial line at 115200", "a serial line at 115200"),
+        ("serial 16c0:0483 at /dev/pts/0", "serial 16c0:0483 at /dev/pts/0"),
     ],
 )
 def test_a_text_does_not_say_whose_it_is(text: str, clean: str, somebody: privacy.Privacy) -> None:

@@ -19,6 +19,8 @@ MOVED_M: Final = 0.005
 TURNED_RAD: Final = 0.1
 CLEAR: Final = 2.0
 """A motion is along an axis when that component is so many times the next largest."""
+BY_ITSELF: Final = (5.0, 95.0)
+"""Percentiles between which the handle's place at rest is its own motion: a handle that settles first is not one."""
 ENDS: Final = 0.1
 """Share of a part at either end whose median is taken for where the handle was."""
 
@@ -50,6 +52,15 @@ def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
         "position_std_m": place.std(axis=0).tolist(),
         "rotation_std_rad": about.std(axis=0).tolist() if about is not None else None,
     }
+
+
+def by_itself(rows: Array) -> Array:
+    """How far (3,) m from its middle the handle went along each axis while nobody pushed it."""
+    kept = finite(rows)[:, SAMPLE : SAMPLE + 3]
+    if len(kept) == 0:
+        return np.zeros(3)
+    low, high = np.percentile(kept, BY_ITSELF, axis=0)
+    return np.asarray(0.5 * (high - low))
 
 
 def reach(rows: Array) -> dict[str, list[float]] | None:
@@ -124,14 +135,17 @@ def along(vector: Array, least: float) -> str:
     return f"{'+' if vector[largest] > 0.0 else '-'}{AXES[largest]}"
 
 
-def push(axis: int, frequency_hz: float, rate_hz: float, rows: Array) -> dict[str, Any] | None:
+def push(
+    axis: int, frequency_hz: float, rate_hz: float, rows: Array, own_m: Array | None = None
+) -> dict[str, Any] | None:
     """What a push along an axis did, from the motion that goes with the force that was written.
 
     The motion is fitted by the force and by the force a quarter of a cycle late, beside a slow drift. Lag is by how
     much of a cycle the motion comes behind the force: 0 for a handle on a spring, a quarter for one that is braked,
     half a cycle for a free mass. Whatever holds it, if it is passive, is within; a force of the wrong sign is outside.
 
-    rows  (n, ROW_SIZE) of the push; None where it has no pose or no force
+    rows   (n, ROW_SIZE) of the push; None where it has no pose or no force
+    own_m  (3,) m, what the handle does by itself: a push that moves it no further is not told from that
     """
     kept = np.isfinite(rows[:, SAMPLE : SAMPLE + 3]).all(axis=1)
     force, place = rows[:, FORCE + axis], rows[:, SAMPLE : SAMPLE + 3]
@@ -156,7 +170,7 @@ def push(axis: int, frequency_hz: float, rate_hz: float, rows: Array) -> dict[st
         "m_per_n": compliance,
         "lag_deg": lag,
         "share": share,
-        "seen": _verdict(AXES[k], compliance * largest, lag, share),
+        "seen": _verdict(AXES[k], compliance * largest, lag, share, 0.0 if own_m is None else float(own_m[k])),
     }
 
 
@@ -167,9 +181,11 @@ def _without(drift: Array, values: Array) -> Array:
     return rest_of
 
 
-def _verdict(axis: str, size_m: float, lag_deg: float, share: float) -> str:
+def _verdict(axis: str, size_m: float, lag_deg: float, share: float, own_m: float) -> str:
     if size_m < PUSHED_M:
         return "no motion"
+    if size_m < own_m:
+        return f"not clear: at rest the handle moved along {axis} by as much"
     if share < SHARE_MIN:
         return f"not clear: the push accounts for {share:.0%} of the motion"
     if abs(lag_deg) > 180.0 - SPRINGY_DEG:

@@ -16,7 +16,10 @@ KEPT_KEYS: Final = frozenset({"driver", "id"})
 """Their values are words of this program: a user who is called like a driver does not change them."""
 
 _BY_ID: Final = re.compile(r"(/dev/\S*by-id/)\S+")
-_SERIAL: Final = re.compile(r"(serial(?: number)?[ =:]*['\"]?)([\w-]*\d[\w-]*)", re.IGNORECASE)
+_SERIAL: Final = re.compile(
+    r"(serial(?: number)?[ =:]*['\"]?)(?![0-9a-f]{4}:[0-9a-f]{4}\b)([\w-]*\d[\w-]*)", re.IGNORECASE
+)
+"""USB ids behind the name of the driver `serial` are none."""
 
 
 def shortened(serial: str) -> str:

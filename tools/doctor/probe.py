@@ -13,7 +13,9 @@ import numpy as np
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
+from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.base import Device, DeviceInfo
+from softfinger.drivers.kinematics.freedom import freedom_of_table
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import claim_on
 from softfinger.server.loop.guard import Guard
@@ -22,7 +24,7 @@ from softfinger.tools.doctor import motions
 from softfinger.tools.doctor.axes_picture import picture
 from softfinger.tools.doctor.report import begun, pushing, record, report_file, written
 from softfinger.tools.doctor.session import TRANSLATIONS, Session
-from softfinger.tools.exchange import START, Exchange, Push, disarmed
+from softfinger.tools.exchange import START, Exchange, disarmed
 from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
 
@@ -36,6 +38,7 @@ PEAK: Final = 3.0 * 3.0**0.5 / 8.0
 def run(args: argparse.Namespace) -> int:
     """Probe, write and print; returns the exit code. Raises as `report.run`."""
     rig = load_rig(args.rig if args.rig is not None else attached_rig())
+    freedom = freedom_of_table(single_device(rig))
     file = report_file(rig, args.probe, "--probe")
     if args.push:
         check_push(rig)
@@ -46,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         return pushing(rig, device, PUSH_N, "--push") if args.push else disarmed(rig)
 
     def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
-        return Probe(exchange, info, report, PART_S, guided)
+        return Probe(exchange, info, report, PART_S, guided, freedom)
 
     def work() -> None:
         record(rig, report, guard_of, session_of, PUSH_N if args.push else None)
@@ -75,16 +78,19 @@ class Probe(Session):
     """Ten seconds of parts that follow each other without a word from the user, then the pushes."""
 
     def run(self, force_n: float | None) -> None:
+        self._tell_freedom()
         self._ask(
             "ten seconds: 2 s each at rest, to the right, away from you, up, and for the buttons and turns. "
             "Keep the handle where each motion ends"
         )
         parts = [self._cued("hold still")]
-        self._report["rest"] = motions.rest(parts[0], self._info.sensed_dof > 3)
+        self._rest_of(parts[0])
+        wanted = self._translations()
         for one in TRANSLATIONS:
-            rows = self._cued(one.words)
+            rows = self._cued(one.words) if one in wanted else self._record("what else it does", self._seconds)
             parts.append(rows)
-            found = motions.move(one.words, one.kind, one.expected, rows) if self._guided else None
+            asked = self._guided and one in wanted
+            found = motions.move(one.words, one.kind, one.expected, rows) if asked else None
             if found is not None:
                 self._report["moves"].append(found)
         parts.append(self._cued("press each button in turn, and turn the handle"))
@@ -101,14 +107,14 @@ class Probe(Session):
         return self._record(words, self._seconds)
 
     def _push_each(self, force_n: float) -> None:
-        self._ask(f"hold the handle lightly: it pushes with {force_n:g} N along each axis and back")
-        frequency = 1.0 / PUSH_S
-        for axis, name in enumerate(motions.AXES):
-            x, y, z = (force_n / PEAK if k == axis else 0.0 for k in range(3))
-            rows = self._record(f"a push along {name}", PUSH_S, Push((x, y, z), frequency, PUSH_S))
-            found = motions.push(axis, frequency, self._exchange.rate_hz, rows)
+        warning = f"hold the handle lightly: it pushes with {force_n:g} N along each axis and back"
+        if not self._guided:
+            print(warning, file=sys.stderr, flush=True)
+        self._ask(warning)
+        for axis in self._pushed_axes():
+            found = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
             if found is not None:
-                self._report["pushes"].append(found | {"felt": self._felt(name)})
+                self._report["pushes"].append(found | {"felt": self._felt(motions.AXES[axis])})
 
     def _felt(self, name: str) -> str:
         """What the user says in a line; empty where nobody is asked."""

@@ -18,6 +18,7 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.base import Device, DeviceInfo
+from softfinger.drivers.kinematics.freedom import freedom_of_table
 from softfinger.drivers.registry import open_device
 from softfinger.drivers.system import discovery
 from softfinger.server.loop.guard import Guard
@@ -62,13 +63,14 @@ def run(args: argparse.Namespace) -> int:
     check_force(args.with_force, args.seconds, rig)
     guided = sys.stdin.isatty() and not args.no_prompts
     report, serials = begun(rig, guided)
+    freedom = freedom_of_table(single_device(rig))
 
     def work() -> None:
         def guard_of(device: Device) -> Guard:
             return disarmed(rig) if args.with_force is None else pushing(rig, device, args.with_force)
 
         def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
-            return Session(exchange, info, report, args.seconds, guided)
+            return Session(exchange, info, report, args.seconds, guided, freedom)
 
         session = record(rig, report, guard_of, session_of, args.with_force)
         if args.plot is not None and len(session.timing):
@@ -131,6 +133,7 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
 def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """A report with everything that is known before the device is opened, and the serial numbers to be shortened."""
     found = [one for one in discovery.attached() if attached.is_of(rig, one)]
+    freedom = freedom_of_table(single_device(rig))
     report: dict[str, Any] = {
         "report": FORMAT,
         "complete": False,
@@ -146,6 +149,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
         "options": privacy.options(single_device(rig).options),
         "rate_hz": rig.servo.rate_hz,
         "guided": guided,
+        "freedom": "" if freedom is None else freedom.words(),
         "identity": [identity(one) for one in found],
         "maker_library": [],
         "device": None,

@@ -18,6 +18,8 @@ def lines(report: Report, file: Path) -> list[str]:
         text.append(f"  fault: {report['fault']['message']}")
     if report["device"] is not None:
         text.append(f"  {report['device']['name']} at {report['rate_hz']:g} Hz, {report['system']['system']}")
+    if report["freedom"]:
+        text.append(f"  it moves {report['freedom']}")
     text += [f"  on {one['bus']} {one['vendor_id']}:{one['product_id']} {one['name']}" for one in report["identity"]]
     text += _measured(report)
     if report["counts"]:

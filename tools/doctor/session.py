@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.drivers.base import DeviceInfo
+from softfinger.drivers.kinematics.freedom import Freedom
 from softfinger.server.progress import progress
 from softfinger.tools.doctor import motions
 from softfinger.tools.exchange import FORCE_CYCLES, ROW_SIZE, Exchange, Push
@@ -18,6 +19,10 @@ REST_S: Final = 1.0
 """Long enough for noise of the mains, short enough for a hand to keep still."""
 FORCE_MIN_S: Final = 1.0
 """A push of three cycles is faster than a handle follows in less."""
+
+
+LEAST_PART: Final = 0.5
+"""Of a motion or a push along an axis, what the handle has to have of it to be asked for it."""
 
 
 class Asked(NamedTuple):
@@ -42,13 +47,21 @@ class Session:
     exchange  runs
     seconds   length of each part but the first
     guided    whether somebody at a terminal is asked to move the handle
+    freedom   of a device that moves on an arc or in a plane: what it cannot do is not asked for
     """
 
     def __init__(
-        self, exchange: Exchange, info: DeviceInfo, report: dict[str, Any], seconds: float, guided: bool
+        self,
+        exchange: Exchange,
+        info: DeviceInfo,
+        report: dict[str, Any],
+        seconds: float,
+        guided: bool,
+        freedom: Freedom | None,
     ) -> None:
         self._exchange, self._info, self._report = exchange, info, report
-        self._seconds, self._guided = seconds, guided
+        self._seconds, self._guided, self._freedom = seconds, guided, freedom
+        self._own_m = np.zeros(3)
         self._rows: list[Array] = []
         self.timing = np.zeros((0, ROW_SIZE))
         """Rows of the part that times the exchange."""
@@ -58,6 +71,7 @@ class Session:
 
         Where the device fails or a recording ends, the parts after that are empty; the exchange's `failure` says which.
         """
+        self._tell_freedom()
         self._at_rest()
         self._timing()
         if self._guided:
@@ -68,7 +82,11 @@ class Session:
     def _at_rest(self) -> None:
         self._ask("let go of the handle, or hold it still")
         rows = self._record("the handle at rest", REST_S)
+        self._rest_of(rows)
+
+    def _rest_of(self, rows: Array) -> None:
         self._report["rest"] = motions.rest(rows, self._info.sensed_dof > 3)
+        self._own_m = motions.by_itself(rows)
 
     def _timing(self) -> None:
         self.timing = self._record("the exchange", self._seconds)
@@ -79,7 +97,7 @@ class Session:
             self._report["without_pauses"] = burst_figures(burst)
 
     def _moves(self) -> None:
-        asked = [*TRANSLATIONS, *([TURN] if self._info.sensed_dof > 3 else [])]
+        asked = [*self._translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
         for one in asked:
             self._ask(f"{one.words}, within {self._seconds:g} s, and keep it there")
             found = motions.move(one.words, one.kind, one.expected, self._record(one.words, self._seconds))
@@ -94,13 +112,36 @@ class Session:
         if not self._guided:
             print(warning, file=sys.stderr, flush=True)
         self._ask(warning)
-        frequency = FORCE_CYCLES / self._seconds
-        for axis, name in enumerate(motions.AXES):
-            x, y, z = (force_n if k == axis else 0.0 for k in range(3))
-            rows = self._record(f"a push along {name}", self._seconds, Push((x, y, z), frequency, self._seconds))
-            found = motions.push(axis, frequency, self._exchange.rate_hz, rows)
+        for axis in self._pushed_axes():
+            found = self._push(axis, force_n, FORCE_CYCLES / self._seconds, self._seconds)
             if found is not None:
                 self._report["pushes"].append(found)
+
+    def _push(self, axis: int, force_n: float, frequency_hz: float, seconds: float) -> dict[str, Any] | None:
+        x, y, z = (force_n if k == axis else 0.0 for k in range(3))
+        push = Push((x, y, z), frequency_hz, seconds)
+        rows = self._record(f"a push along {motions.AXES[axis]}", seconds, push)
+        return motions.push(axis, frequency_hz, self._exchange.rate_hz, rows, self._own_m)
+
+    def _tell_freedom(self) -> None:
+        if self._freedom is not None:
+            print(
+                f"the device moves {self._freedom.words()}. Right, away and up are the world's, into which "
+                "[device.mounting] turns it",
+                file=sys.stderr,
+            )
+
+    def _part(self, axis: int) -> Array:
+        """What the handle has (3,) of a motion or force along an axis."""
+        whole = np.eye(3)[axis]
+        return whole if self._freedom is None else self._freedom.displayed(self._freedom.middle, whole)
+
+    def _translations(self) -> list[Asked]:
+        """Motions that the handle can make."""
+        return [one for k, one in enumerate(TRANSLATIONS) if motions.along(self._part(k), LEAST_PART) == one.expected]
+
+    def _pushed_axes(self) -> list[int]:
+        return [k for k in range(3) if float(np.linalg.norm(self._part(k))) > LEAST_PART]
 
     def _record(self, what: str, seconds: float, push: Push | None = None) -> Array:
         with progress(f"recording {what}"):
