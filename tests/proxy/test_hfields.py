@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,11 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.query.objects import closest_to_within
 from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
+from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.scene import start_state
+from softfinger.server import cli
+from softfinger.server.viewer.nodes import meshes
+from softfinger.server.viewer.nodes.bodies import Began, Bodies
 
 pytestmark = pytest.mark.plain
 
@@ -133,9 +139,64 @@ def test_an_object_of_the_scene_may_be_made_of_a_models_height_field(tmp_path: P
     scene = {"fingertip": {"radius_m": R}, "object": [thing]}
     (read,) = load_scene(scene).object
     assert isinstance(read, schema.Heightmap)
-    elevations = hills()[::-1]
-    expected = TOP * (elevations - elevations.min()) / np.ptp(elevations)
-    np.testing.assert_allclose(read_heights(read), expected, atol=TOP * 2.0**-23)  # 32 bits
+    np.testing.assert_allclose(read_heights(read), elevations_m(), atol=TOP * 2.0**-23)  # 32 bits
     thing["hfield"] = "hils"
     with pytest.raises(ConfigError, match=r"hills\.xml: has no height field 'hils'; it has: hills"):
         Engine(scene)
+
+
+def elevations_m() -> Array:
+    """Heights (rows, columns) of the geom above its frame, m, the first row at the least y."""
+    found = hills()[::-1]
+    return np.asarray(TOP * (found - found.min()) / np.ptp(found))
+
+
+def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> None:
+    """A vertex for each height, in the geom's place; on the page its surface is where the body has brought it."""
+    viser = pytest.importorskip("viser")
+    path = str(written(tmp_path, joint="<freejoint/>"))
+    scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}})
+    (thing,) = scene.object
+    assert isinstance(thing, Filed) and isinstance(thing.motion, schema.Body)
+    (vertices, triangles), of = picture_of(thing)
+    assert of == len(triangles) == 2 * (ROWS - 1) * (COLUMNS - 1)
+    x, y = (PITCH * (np.arange(n) - 0.5 * (n - 1)) for n in (COLUMNS, ROWS))
+    expected = np.stack([*np.meshgrid(x, y), elevations_m()], axis=-1).reshape(-1, 3)
+    np.testing.assert_allclose(vertices, expected, atol=1e-8)  # 32 bits
+    server = viser.ViserServer(port=0, verbose=False)
+    try:
+        bodies = Bodies(server.scene, scene, Began(0, 0, 1e-3, True))
+        bodies.draw(0, meshes.sent(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
+        half = math.sqrt(0.5)  # the body turned so that the geom lies in the world as it does in its own frame
+        turn, back = np.empty(4), np.empty(4)
+        mujoco.mju_negQuat(back, np.array(thing.orientation_wxyz))
+        mujoco.mju_mulQuat(turn, np.array([half, 0.0, 0.0, half]), back)
+        offset = np.empty(3)
+        mujoco.mju_rotVecQuat(offset, np.array(thing.position_m), turn)
+        bodies.ride({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
+        for row, column in ((2, 3), (6, 9)):  # a quarter turn: x of the map is y of the world
+            foot = bodies.below(np.array([0.3 - y[row], 0.2 + x[column], 1.0]))
+            assert foot is not None and foot.point[2] == pytest.approx(0.1 + elevations_m()[row, column], abs=1e-7)
+    finally:
+        server.stop()
+
+
+@pytest.mark.skipif(not PLAIN, reason="would compile a minute for a scene")
+def test_what_was_felt_of_it_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Pressed and dragged over the hills, on a body that gives way: the same forces in every tick."""
+    written(tmp_path, joint="<freejoint/>")
+    scene, poses, file = (str(tmp_path / name) for name in ("hills.toml", "poses.csv", "run.mcap"))
+    material = "stiffness_n_per_m = 500.0, damping_ns_per_m = 2.0, friction = { static = 0.6, kinetic = 0.5 }"
+    Path(scene).write_text(
+        f'[fingertip]\nradius_m = {R}\n[rolling]\nmethod = "midpoint"\n'
+        f'[world]\nmodel = "hills.xml"\nmaterial = {{ {material} }}\n'
+    )
+    share = np.linspace(0.0, 1.0, 200)
+    way = np.zeros((200, 8))
+    way[:, 0], way[:, 1], way[:, 4] = 1e-3 * np.arange(200), 0.02 + 0.01 * share, 1.0
+    way[:, 2], way[:, 3] = 0.03, 0.09 - 0.03 * share
+    np.savetxt(poses, way, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
+    assert cli.main(["simulate", "--scene", scene, "--poses", poses, "--out", file]) == 0
+    assert "no contact" not in capsys.readouterr().out
+    assert cli.main(["replay", file, "--scene", scene, "--tolerance", "0", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["compared"] == 200

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.simulated_hands import SimulatedHands
+from helpers.simulated_hands import DT, SimulatedHands
 
 from softfinger.config.load import FOLDERS, describe, load_scene, shipped
 from softfinger.config.schema import Rig, Scene
 from softfinger.proxy.kernels.jit.decorators import PLAIN
+from softfinger.server import cli
 
 pytestmark = pytest.mark.plain
 PLAIN_ONLY = pytest.mark.skipif(not PLAIN, reason="would compile a minute for each scene; `make test` plays them")
@@ -147,3 +150,32 @@ def test_three_boxes_are_stacked_and_stay() -> None:
     upright = hands.data.xmat[1:].reshape(3, 3, 3)[:, 2, 2]
     assert np.degrees(np.arccos(np.clip(upright, -1.0, 1.0))).max() < 0.5
     assert np.abs(hands.data.qvel).max() < 1e-3
+
+
+SECONDS = {
+    "turn-a-knob": 1.0,
+    "open-a-drawer": 1.5,
+    "open-a-door": 1.0,
+    "press-a-button": 1.5,
+    "roll-a-pencil": 1.0,
+    "ball-in-a-bowl": 1.8,
+    "lift-a-box": 1.0,
+    "stack-boxes": 1.5,
+}
+"""Until each hand has pressed, rolled or pushed for some tenths."""
+
+
+@PLAIN_ONLY
+@pytest.mark.parametrize(
+    "name", [each if each == "turn-a-knob" else pytest.param(each, marks=pytest.mark.exhaustive) for each in SECONDS]
+)
+def test_what_hands_did_is_replayed_to_the_bit(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Poses of the recording alone, with bodies that are there from the beginning: the same forces in every tick."""
+    file, seconds = str(tmp_path / "run.mcap"), SECONDS[name]
+    hands = ["--scene", name, "--device", "simulated", "--duration", str(seconds)]
+    assert cli.main(["simulate", *hands, "--out", file]) == 0
+    assert "no contact" not in capsys.readouterr().out
+    scene = ["--scene", name, "--rig", f"simulated-{name}"]
+    assert cli.main(["replay", file, *scene, "--tolerance", "0", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["equal"] and told["compared"] == round(seconds / DT)
