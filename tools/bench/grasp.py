@@ -18,32 +18,14 @@ from softfinger.proxy.engine import Engine
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench import grasp_bullet, grasp_drake, grasp_mujoco
-from softfinger.tools.bench.grasp_case import (
-    BESIDE_M,
-    DAMPING,
-    DT,
-    FRICTION,
-    GRAVITY,
-    GRIP_N,
-    HALF_M,
-    LOADED_S,
-    MASS_KG,
-    RADIUS_M,
-    SETTLE_S,
-    SPIN_LENGTH_M,
-    STIFFNESS,
-    TORSION,
-    WEIGHT_S,
-    Held,
-    held_as,
-    lift,
-)
+from softfinger.tools.bench import grasp_case as case
+from softfinger.tools.bench.grasp_case import Held
 from softfinger.tools.measure import Array, add_output_options, show
 
 PEERS: Final = {"mujoco": grasp_mujoco, "bullet": grasp_bullet, "drake": grasp_drake}
 OURS: Final = f"""
-<mujoco><option timestep="{DT}" integrator="implicitfast" gravity="0 0 0"/><worldbody><body name="box"><freejoint/>
-  <geom name="box" type="box" size="{HALF_M} {HALF_M} {HALF_M}" mass="{MASS_KG}"/>
+<mujoco><option timestep="{case.DT}" integrator="implicitfast" gravity="0 0 0"/><worldbody><body name="box"><freejoint/>
+  <geom name="box" type="box" size="{case.HALF_M} {case.HALF_M} {case.HALF_M}" mass="{case.MASS_KG}"/>
 </body></worldbody></mujoco>"""
 
 
@@ -71,9 +53,9 @@ def run(args: argparse.Namespace) -> int:
             held |= dict(PEERS[peer].contacts(args.seconds))
             done(number + 1)
     rows = [{"contact": name} | figures_of(each) for name, each in held.items()]
-    expected = float(np.degrees(MASS_KG * GRAVITY * BESIDE_M / (2.0 * TORSION)))
+    expected = float(np.degrees(case.MASS_KG * case.GRAVITY * case.BESIDE_M / (2.0 * case.TORSION)))
     lines = [
-        f"{1e3 * MASS_KG:g} g taken {1e3 * BESIDE_M:g} mm off centre with {GRIP_N:g} N, lifted, "
+        f"{1e3 * case.MASS_KG:g} g taken {1e3 * case.BESIDE_M:g} mm off centre with {case.GRIP_N:g} N, lifted, "
         f"held {args.seconds:g} s; "
         f"m g d / (2 k_z) = {expected:.2f} degrees",
         f"  {'contact':<26}{'ripple, mN':>12}{'creep, um/s':>13}{'turn, deg':>11}{'creep of it, deg/s':>20}",
@@ -91,10 +73,11 @@ def run(args: argparse.Namespace) -> int:
 
 def figures_of(held: Held) -> dict[str, float]:
     """Largest change of the force in a tick after WEIGHT_S, creep down and round after LOADED_S, turn at the end."""
-    first = round(LOADED_S / DT)
-    seconds = DT * (len(held.height) - 1 - first)
+    first = round(case.LOADED_S / case.DT)
+    seconds = case.DT * (len(held.height) - 1 - first)
+    changes = np.diff(held.force[round(case.WEIGHT_S / case.DT) :], axis=0)
     return {
-        "ripple_mn": 1e3 * float(np.linalg.norm(np.diff(held.force[round(WEIGHT_S / DT) :], axis=0), axis=1).max()),
+        "ripple_mn": 1e3 * float(np.linalg.norm(changes, axis=1).max()),
         "creep_um_per_s": 1e6 * float(held.height[first] - held.height[-1]) / seconds,
         "turn_deg": float(np.degrees(held.turn[-1])),
         "turn_creep_deg_per_s": float(np.degrees(held.turn[-1] - held.turn[first])) / seconds,
@@ -104,41 +87,41 @@ def figures_of(held: Held) -> dict[str, float]:
 def ours(seconds: float) -> Held:
     """Held by two soft fingertips."""
     material = {
-        "stiffness_n_per_m": STIFFNESS,
-        "damping_ns_per_m": DAMPING,
-        "friction": {"static": FRICTION, "kinetic": 0.7},
-        "torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": SPIN_LENGTH_M},
+        "stiffness_n_per_m": case.STIFFNESS,
+        "damping_ns_per_m": case.DAMPING,
+        "friction": {"static": case.FRICTION, "kinetic": 0.7},
+        "torsion": {"stiffness_nm_per_rad": case.TORSION, "friction_length_m": case.SPIN_LENGTH_M},
     }
     with tempfile.TemporaryDirectory() as folder:
         model = Path(folder, "box.xml")
         model.write_text(OURS, encoding="utf-8")
         mapping = {
-            "finger": [{"name": name, "radius_m": RADIUS_M} for name in ("thumb", "index")],
+            "finger": [{"name": name, "radius_m": case.RADIUS_M} for name in case.SIDES],
             "rolling": {"method": "midpoint"},
             "coupling": {
-                "stiffness_n_per_m": STIFFNESS,
+                "stiffness_n_per_m": case.STIFFNESS,
                 "damping_ns_per_m": 1.0,
                 "torsional_damping_nms_per_rad": 0.0015,
             },
             "world": {"model": str(model), "material": material},
         }
-        engine = Engine(mapping, 1.0 / DT)
-    way, states = lift(seconds), list[Array]()
-    settle = round(SETTLE_S / DT)
-    depth = GRIP_N / STIFFNESS * np.minimum(np.arange(settle) / (0.5 * settle), 1.0)
-    engine.run({name: _poses(side, depth) for name, side in (("thumb", -1.0), ("index", 1.0))})
-    engine.model.opt.gravity[2] = -GRAVITY
+        engine = Engine(mapping, 1.0 / case.DT)
+    way, states = case.lift(seconds), list[Array]()
+    settle = round(case.SETTLE_S / case.DT)
+    depth = case.GRIP_N / case.STIFFNESS * np.minimum(np.arange(settle) / (0.5 * settle), 1.0)
+    engine.run({name: _poses(side, depth) for name, side in case.SIDES.items()})
+    engine.model.opt.gravity[2] = -case.GRAVITY
     force = np.empty((len(way), 3))
     for tick, height in enumerate(way):
-        hold = {name: _poses(side, depth[-1:], height) for name, side in (("thumb", -1.0), ("index", 1.0))}
+        hold = {name: _poses(side, depth[-1:], height) for name, side in case.SIDES.items()}
         force[tick] = engine.run(hold)["thumb"]["force"][0]
         states.append(engine.data.qpos.copy())
-    return held_as(np.array(states), way, force)
+    return case.held_as(np.array(states), way, force)
 
 
 def _poses(side: float, depth: Array, height: float = 0.0) -> Array:
     poses = np.zeros((len(depth), 7))
-    poses[:, 0], poses[:, 1], poses[:, 2] = side * (HALF_M + RADIUS_M - depth), BESIDE_M, height
+    poses[:, 0], poses[:, 1], poses[:, 2] = case.x_of(side, depth), case.BESIDE_M, height
     poses[:, 3] = 1.0
     return poses
 
@@ -148,7 +131,7 @@ def draw(held: dict[str, Held], path: Path) -> None:
     drawing = figure(height=4.0)
     above, below = drawing.subplots(2, 1, sharex=True)
     for name, each in held.items():
-        seconds = DT * np.arange(len(each.height))
+        seconds = case.DT * np.arange(len(each.height))
         above.plot(seconds, 1e3 * each.height, label=name)
         below.plot(seconds, np.degrees(each.turn))
     above.set_ylabel("box above the grip [mm]")

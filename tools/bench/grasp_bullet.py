@@ -5,43 +5,22 @@ Their contact has Bullet's spinning friction, and the stiffness of the fingertip
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 
-from softfinger.config.errors import ConfigError
-from softfinger.tools.bench.grasp_case import (
-    BESIDE_M,
-    DAMPING,
-    DT,
-    FRICTION,
-    GRAVITY,
-    GRIP_N,
-    HALF_M,
-    MASS_KG,
-    RADIUS_M,
-    SPIN_LENGTH_M,
-    STIFFNESS,
-    Held,
-    Peer,
-    hold,
-)
+from softfinger.tools.bench import grasp_case as case
+from softfinger.tools.bench.grasp_case import Held, Peer
 from softfinger.tools.measure import Array
 
-SIDES: Final = {"thumb": -1.0, "index": 1.0}
-FINGER_KG: Final = 0.05
 SERVO_N: Final = 1e3
 """The most that a constraint pulls with: far above the grip."""
 
 
 def imported() -> Any:
     """The package pybullet; ConfigError where it is not installed."""
-    try:
-        return importlib.import_module("pybullet")
-    except ImportError as error:
-        raise ConfigError(f"--peer bullet: pybullet cannot be imported ({error}): pip install pybullet") from None
+    return case.peer_module("bullet", "pybullet", "pybullet")
 
 
 class Bullet(Peer):
@@ -50,38 +29,42 @@ class Bullet(Peer):
     def __init__(self) -> None:
         self._bullet: Final = imported()
         self._world: Final = self._bullet.connect(self._bullet.DIRECT)
-        self._bullet.setTimeStep(DT, self._world)
-        self._box: Final = self._body(MASS_KG, [0.0, 0.0, 0.0], self._bullet.GEOM_BOX, halfExtents=[HALF_M] * 3)
-        self._fingers: Final = {name: self._finger(side) for name, side in SIDES.items()}
+        self._bullet.setTimeStep(case.DT, self._world)
+        self._box: Final = self._body(
+            case.MASS_KG, [0.0, 0.0, 0.0], self._bullet.GEOM_BOX, halfExtents=[case.HALF_M] * 3
+        )
+        self._fingers: Final = {name: self._finger(side) for name, side in case.SIDES.items()}
         self._weight = 0.0
 
     def _body(self, mass: float, place: list[float], kind: int, **size: Any) -> int:
         shape = self._bullet.createCollisionShape(kind, **size, physicsClientId=self._world)
         body: int = self._bullet.createMultiBody(mass, shape, basePosition=place, physicsClientId=self._world)
         self._bullet.changeDynamics(
-            body, -1, lateralFriction=FRICTION, spinningFriction=SPIN_LENGTH_M, linearDamping=0.0, angularDamping=0.0,
-            physicsClientId=self._world,
+            body, -1, lateralFriction=case.FRICTION, spinningFriction=case.SPIN_LENGTH_M,
+            linearDamping=0.0, angularDamping=0.0, physicsClientId=self._world,
         )  # fmt: skip
         return body
 
     def _finger(self, side: float) -> tuple[int, int]:
         """A sphere, and the constraint that leads it."""
-        bullet, place = self._bullet, [side * (HALF_M + RADIUS_M + 0.001), BESIDE_M, 0.0]
-        body = self._body(FINGER_KG, place, bullet.GEOM_SPHERE, radius=RADIUS_M)
-        bullet.changeDynamics(body, -1, contactStiffness=STIFFNESS, contactDamping=DAMPING, physicsClientId=self._world)
+        bullet, place = self._bullet, [case.x_of(side, -case.APART_M), case.BESIDE_M, 0.0]
+        body = self._body(case.FINGER_KG, place, bullet.GEOM_SPHERE, radius=case.RADIUS_M)
+        bullet.changeDynamics(
+            body, -1, contactStiffness=case.STIFFNESS, contactDamping=case.DAMPING, physicsClientId=self._world
+        )
         led = bullet.createConstraint(
             body, -1, -1, -1, bullet.JOINT_FIXED, [0.0] * 3, [0.0] * 3, place, physicsClientId=self._world
         )
         return body, led
 
     def lead(self, depth: float, height: float) -> None:
-        for name, side in SIDES.items():
-            place = [side * (HALF_M + RADIUS_M - depth), BESIDE_M, height]
+        for name, side in case.SIDES.items():
+            place = [case.x_of(side, depth), case.BESIDE_M, height]
             led = self._fingers[name][1]
             self._bullet.changeConstraint(led, place, maxForce=SERVO_N, physicsClientId=self._world)
 
     def weigh(self) -> None:
-        self._weight = MASS_KG * GRAVITY
+        self._weight = case.MASS_KG * case.GRAVITY
 
     def step(self) -> None:
         place = self._bullet.getBasePositionAndOrientation(self._box, self._world)[0]
@@ -107,6 +90,6 @@ def contacts(seconds: float) -> Iterator[tuple[str, Held]]:
     """How it held the box."""
     peer = Bullet()
     try:
-        yield "Bullet", hold(peer, GRIP_N / STIFFNESS, seconds)
+        yield "Bullet", case.hold(peer, case.GRIP_N / case.STIFFNESS, seconds)
     finally:
         peer.close()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 from abc import ABC, abstractmethod
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from softfinger.config.errors import ConfigError
 from softfinger.tools.measure import Array
 
 GRIP_N: Final = 3.0
@@ -30,6 +32,12 @@ LIFT_M: Final = 0.1
 LOADED_S: Final = 1.8
 """After it was lifted the swing has died away; what moves then is creep."""
 DT: Final = 1e-3
+SIDES: Final = {"thumb": -1.0, "index": 1.0}
+"""Of the box along x."""
+FINGER_KG: Final = 0.05
+"""Of a sphere of a peer's."""
+APART_M: Final = 0.001
+"""They begin so far off the box."""
 
 
 class Held(NamedTuple):
@@ -78,10 +86,24 @@ class Peer(ABC):
         """Sum of the contacts' forces on the thumb (3,) N, world."""
 
 
+def x_of(side: float, depth: Any) -> Any:
+    """Place along x (m) of a sphere so deep (m) in a side of the box."""
+    return side * (HALF_M + RADIUS_M - depth)
+
+
+def peer_module(peer: str, module: str, wheel: str) -> Any:
+    """A module of a peer's package; ConfigError where it is not installed, with what to install."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise ConfigError(f"--peer {peer}: {package} cannot be imported ({error}): pip install {wheel}") from None
+
+
 def take(peer: Peer, squeeze: float) -> Peer:
     """The box taken, without weight, with a squeeze (m) beyond touch."""
     for tick in range(round(SETTLE_S / DT)):
-        peer.lead(-0.001 + (0.001 + squeeze) * min(tick * DT / (0.5 * SETTLE_S), 1.0), 0.0)
+        peer.lead(-APART_M + (APART_M + squeeze) * min(tick * DT / (0.5 * SETTLE_S), 1.0), 0.0)
         peer.step()
     return peer
 

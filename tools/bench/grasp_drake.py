@@ -6,31 +6,15 @@ Both are as stiff as the fingertips here, with the settings that Drake has by it
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 
-from softfinger.config.errors import ConfigError
-from softfinger.tools.bench.grasp_case import (
-    BESIDE_M,
-    DT,
-    FRICTION,
-    GRAVITY,
-    GRIP_N,
-    HALF_M,
-    MASS_KG,
-    RADIUS_M,
-    STIFFNESS,
-    Held,
-    Peer,
-    hold,
-)
+from softfinger.tools.bench import grasp_case as case
+from softfinger.tools.bench.grasp_case import Held, Peer
 from softfinger.tools.measure import Array
 
-SIDES: Final = {"thumb": -1.0, "index": 1.0}
-FINGER_KG: Final = 0.05
 RAIL_KG: Final = 0.001
 SERVO_N_PER_M: Final = 1e5
 """A hundred times the contact's: it gives way by 0.03 mm under the grip."""
@@ -44,10 +28,7 @@ CONTACTS: Final = {"Drake, point contact": "point", "Drake, hydroelastic": "hydr
 
 def drake(module: str) -> Any:
     """A module of pydrake; ConfigError where it is not installed."""
-    try:
-        return importlib.import_module(f"pydrake.{module}")
-    except ImportError as error:
-        raise ConfigError(f"--peer drake: pydrake cannot be imported ({error}): pip install drake") from None
+    return case.peer_module("drake", f"pydrake.{module}", "drake")
 
 
 def imported() -> Any:
@@ -61,35 +42,35 @@ class Drake(Peer):
     def __init__(self, contact: str) -> None:
         self._tree, self._math, self._geometry = (drake(name) for name in ("multibody.tree", "math", "geometry"))
         plants, builder = imported(), drake("systems.framework").DiagramBuilder()
-        config = plants.MultibodyPlantConfig(time_step=DT, contact_model=contact)
+        config = plants.MultibodyPlantConfig(time_step=case.DT, contact_model=contact)
         self._plant, self._scene = plants.AddMultibodyPlant(config, builder)
-        self._friction: Final = plants.CoulombFriction(FRICTION, FRICTION)
+        self._friction: Final = plants.CoulombFriction(case.FRICTION, case.FRICTION)
         self._hydroelastic: Final = contact == "hydroelastic"
         self._add_box()
-        self._fingers = {name: self._add_finger(name) for name in SIDES}
+        self._fingers = {name: self._add_finger(name) for name in case.SIDES}
         self._plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
         self._plant.Finalize()
         diagram = builder.Build()
         root = diagram.CreateDefaultContext()
         self._context: Final = self._plant.GetMyMutableContextFromRoot(root)
-        for name, side in SIDES.items():
-            self._plant.SetPositions(self._context, self._fingers[name], [side * (HALF_M + RADIUS_M + 0.001), 0.0])
+        for name, side in case.SIDES.items():
+            self._plant.SetPositions(self._context, self._fingers[name], [case.x_of(side, -case.APART_M), 0.0])
         self._pushed([])
-        self.lead(-0.001, 0.0)
+        self.lead(-case.APART_M, 0.0)
         self._simulator, self._ticks = drake("systems.analysis").Simulator(diagram, root), 0
 
     def _add_box(self) -> None:
-        size = (2.0 * HALF_M,) * 3
-        self._box = self._plant.AddRigidBody("box", self._tree.SpatialInertia.SolidBoxWithMass(MASS_KG, *size))
+        size = (2.0 * case.HALF_M,) * 3
+        self._box = self._plant.AddRigidBody("box", self._tree.SpatialInertia.SolidBoxWithMass(case.MASS_KG, *size))
         self._register(self._box, self._geometry.Box(*size))
 
     def _add_finger(self, name: str) -> Any:
         """A sphere without weight that a servo moves along x and one along z."""
         instance, tree = self._plant.AddModelInstance(name), self._tree
         inertia = tree.SpatialInertia.SolidSphereWithMass
-        rail = self._plant.AddRigidBody(f"{name}-rail", instance, inertia(RAIL_KG, RADIUS_M))
-        finger = self._plant.AddRigidBody(name, instance, inertia(FINGER_KG, RADIUS_M))
-        place = self._math.RigidTransform([0.0, BESIDE_M, 0.0])
+        rail = self._plant.AddRigidBody(f"{name}-rail", instance, inertia(RAIL_KG, case.RADIUS_M))
+        finger = self._plant.AddRigidBody(name, instance, inertia(case.FINGER_KG, case.RADIUS_M))
+        place = self._math.RigidTransform([0.0, case.BESIDE_M, 0.0])
         base = self._plant.AddFrame(tree.FixedOffsetFrame(f"{name}-base", self._plant.world_frame(), place))
         for axis, parent, child in (
             ((1.0, 0.0, 0.0), base, rail.body_frame()),
@@ -98,16 +79,16 @@ class Drake(Peer):
             joint = self._plant.AddJoint(tree.PrismaticJoint(f"{name}-{child.name()}", parent, child, axis))
             servo = self._plant.AddJointActuator(joint.name(), joint)
             servo.set_controller_gains(tree.PdControllerGains(p=SERVO_N_PER_M, d=SERVO_NS_PER_M))
-        self._register(finger, self._geometry.Sphere(RADIUS_M))
+        self._register(finger, self._geometry.Sphere(case.RADIUS_M))
         return instance
 
     def _register(self, body: Any, shape: Any) -> None:
         """A body's shape, with what its contact is like. Of two bodies in series each has twice the stiffness."""
         properties, geometry = self._geometry.ProximityProperties(), self._geometry
-        stiffness = {} if self._hydroelastic else {"point_stiffness": 2.0 * STIFFNESS}
+        stiffness = {} if self._hydroelastic else {"point_stiffness": 2.0 * case.STIFFNESS}
         geometry.AddContactMaterial(friction=self._friction, properties=properties, **stiffness)
         if self._hydroelastic and body is self._box:
-            geometry.AddRigidHydroelasticProperties(HALF_M, properties)
+            geometry.AddRigidHydroelasticProperties(case.HALF_M, properties)
         elif self._hydroelastic:
             geometry.AddCompliantHydroelasticProperties(RESOLUTION_M, MODULUS_PA, properties)
         self._plant.RegisterCollisionGeometry(
@@ -118,20 +99,22 @@ class Drake(Peer):
         self._plant.get_applied_spatial_force_input_port().FixValue(self._context, forces)
 
     def lead(self, depth: float, height: float) -> None:
-        for name, side in SIDES.items():
+        for name, side in case.SIDES.items():
             port = self._plant.get_desired_state_input_port(self._fingers[name])
-            port.FixValue(self._context, [side * (HALF_M + RADIUS_M - depth), height, 0.0, 0.0])
+            port.FixValue(self._context, [case.x_of(side, depth), height, 0.0, 0.0])
 
     def weigh(self) -> None:
         weight = imported().ExternallyAppliedSpatialForce()
         weight.body_index = self._box.index()
         weight.p_BoBq_B = np.zeros(3)
-        weight.F_Bq_W = drake("multibody.math").SpatialForce(np.zeros(3), np.array([0.0, 0.0, -MASS_KG * GRAVITY]))
+        weight.F_Bq_W = drake("multibody.math").SpatialForce(
+            np.zeros(3), np.array([0.0, 0.0, -case.MASS_KG * case.GRAVITY])
+        )
         self._pushed([weight])
 
     def step(self) -> None:
         self._ticks += 1
-        self._simulator.AdvanceTo(self._ticks * DT)
+        self._simulator.AdvanceTo(self._ticks * case.DT)
 
     def box(self) -> Array:
         pose = self._plant.EvalBodyPoseInWorld(self._context, self._box)
@@ -161,4 +144,4 @@ class Drake(Peer):
 def contacts(seconds: float) -> Iterator[tuple[str, Held]]:
     """Each of CONTACTS, and how it held the box."""
     for name, contact in CONTACTS.items():
-        yield name, hold(Drake(contact), GRIP_N / STIFFNESS, seconds)
+        yield name, case.hold(Drake(contact), case.GRIP_N / case.STIFFNESS, seconds)

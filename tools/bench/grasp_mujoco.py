@@ -12,28 +12,15 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.mjcf import mujoco_module
-from softfinger.tools.bench.grasp_case import (
-    BESIDE_M,
-    DT,
-    FRICTION,
-    GRAVITY,
-    GRIP_N,
-    HALF_M,
-    MASS_KG,
-    RADIUS_M,
-    SPIN_LENGTH_M,
-    Held,
-    Peer,
-    hold,
-    take,
-)
+from softfinger.tools.bench import grasp_case as case
+from softfinger.tools.bench.grasp_case import Held, Peer
 from softfinger.tools.measure import Array
 
 THEIRS: Final = f"""
 <mujoco>
-  <option timestep="{DT}" integrator="implicitfast" gravity="0 0 0" cone="elliptic" impratio="10" {{option}}/>
+  <option timestep="{case.DT}" integrator="implicitfast" gravity="0 0 0" cone="elliptic" impratio="10" {{option}}/>
   <worldbody><body name="box"><freejoint/>
-    <geom name="box" type="box" size="{HALF_M} {HALF_M} {HALF_M}" mass="{MASS_KG}" {{contact}}/>
+    <geom name="box" type="box" size="{case.HALF_M} {case.HALF_M} {case.HALF_M}" mass="{case.MASS_KG}" {{contact}}/>
   </body>
     {{fingers}}
   </worldbody>
@@ -42,11 +29,11 @@ THEIRS: Final = f"""
   </equality>
 </mujoco>"""
 FINGER: Final = f"""
-    <body name="{{name}}-mocap" mocap="true" pos="{{x}} {BESIDE_M} 0"/>
-    <body name="{{name}}" pos="{{x}} {BESIDE_M} 0" gravcomp="1"><freejoint/>
-      <geom name="{{name}}" type="sphere" size="{RADIUS_M}" mass="0.05" {{contact}}/>
+    <body name="{{name}}-mocap" mocap="true" pos="{{x}} {case.BESIDE_M} 0"/>
+    <body name="{{name}}" pos="{{x}} {case.BESIDE_M} 0" gravcomp="1"><freejoint/>
+      <geom name="{{name}}" type="sphere" size="{case.RADIUS_M}" mass="{case.FINGER_KG}" {{contact}}/>
     </body>"""
-FRICTIONS: Final = f'friction="{FRICTION} {SPIN_LENGTH_M} 0.0001"'
+FRICTIONS: Final = f'friction="{case.FRICTION} {case.SPIN_LENGTH_M} 0.0001"'
 CONTACTS: Final = {
     "MuJoCo, condim 4": (f'condim="4" {FRICTIONS}', ""),
     "MuJoCo, condim 6": (f'condim="6" {FRICTIONS}', ""),
@@ -62,7 +49,8 @@ class MuJoCo(Peer):
 
     def __init__(self, contact: str, option: str) -> None:
         fingers = "".join(
-            FINGER.format(name=name, x=x, contact=contact) for name, x in (("thumb", -0.031), ("index", 0.031))
+            FINGER.format(name=name, x=case.x_of(side, -case.APART_M), contact=contact)
+            for name, side in case.SIDES.items()
         )
         self._package: Final = imported()
         text = THEIRS.format(contact=contact, option=option, fingers=fingers)
@@ -71,11 +59,11 @@ class MuJoCo(Peer):
         self._thumb: Final = self._model.geom("thumb").id
 
     def lead(self, depth: float, height: float) -> None:
-        self._data.mocap_pos[:, 0] = np.array([-1.0, 1.0]) * (HALF_M + RADIUS_M - depth)
+        self._data.mocap_pos[:, 0] = [case.x_of(side, depth) for side in case.SIDES.values()]
         self._data.mocap_pos[:, 2] = height
 
     def weigh(self) -> None:
-        self._model.opt.gravity[2] = -GRAVITY
+        self._model.opt.gravity[2] = -case.GRAVITY
 
     def step(self) -> None:
         self._package.mj_step(self._model, self._data)
@@ -101,6 +89,6 @@ def contacts(seconds: float) -> Iterator[tuple[str, Held]]:
         low, high = 0.0, 0.02
         for _ in range(20):
             middle = 0.5 * (low + high)
-            grip = abs(float(take(MuJoCo(*given), middle).force()[0]))
-            low, high = (middle, high) if grip < GRIP_N else (low, middle)
-        yield name, hold(MuJoCo(*given), 0.5 * (low + high), seconds)
+            grip = abs(float(case.take(MuJoCo(*given), middle).force()[0]))
+            low, high = (middle, high) if grip < case.GRIP_N else (low, middle)
+        yield name, case.hold(MuJoCo(*given), 0.5 * (low + high), seconds)
