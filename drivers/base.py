@@ -63,8 +63,14 @@ class Led(Protocol):
     def lead(self, position_m: Vec3, orientation: Quaternion | None = None) -> None:
         """Have it want to be at `position_m`, turned so (unit quaternion; None: as it is), and stay."""
 
+    def hold(self) -> None:
+        """Have it want to stay where it wants to be now, and so turned, whatever it is on the way to."""
+
     def release(self) -> None:
         """Have it go back to what it does by itself."""
+
+    def intends(self) -> tuple[Vec3, Quaternion]:
+        """Where it wants to be by now, (3,) m, and how turned, device's frame: up to a tick old."""
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.drivers.wrench_log import LOG, ROW_BYTES, WrenchLog, Written
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
-from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack, unpack_at
+from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack, unpack_at
 from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Vec3
 
@@ -165,10 +165,11 @@ class Simulated(Device):
         self._block = block = Block(LOG, AT)
         self._log = WrenchLog(block, int(intention.length), rate_hz, options.forces)
         block.numbers(AT.plant, _PLANT_SIZE)[:] = flatten(plant)
-        block.numbers(AT.state, _STATE_SIZE)[:] = flatten(state)
+        kept = block.numbers(AT.state, _STATE_SIZE)
+        kept[:] = flatten(state)
         block.numbers(AT.intention, _INTENTION_SIZE)[:] = flatten(intention)
         block.point(AT.poses, poses)
-        self._hand = led.Hand(state.orientation)
+        self._hand = led.Hand(state.orientation, lambda: unflatten(_STATE_LIKE, kept).goal)
         block.word[AT.hand] = self._hand.handle
         self._puck: Puck | None = None
         self._led_by = ""

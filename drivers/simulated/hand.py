@@ -6,6 +6,7 @@ it to be. However far or seldom it asks, the hand goes there smoothly and no fas
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import exp
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -24,7 +25,11 @@ SMOOTHING_S: Final = 0.03
 """Time constant on the way to where it is asked to be: a mouse tells its place some 20 times a second."""
 
 ASKED: Final = 8
-"""Numbers of a request: 1 if the hand is led, position (3,) m, orientation (4,), all 0 to leave it as it is."""
+"""Numbers of a request: what is asked, position (3,) m, orientation (4,), all 0 to leave it as it is."""
+OWN: Final = 0.0
+LED: Final = 1.0
+HELD: Final = 2.0
+"""What is asked: to do what it does by itself, to go there, or to stay where it wants to be."""
 COUNTERS: Final = 8
 """Words of a seqlock's counter: a line of the cache."""
 
@@ -68,7 +73,9 @@ def intended(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float)
     if at[AT.seen] > 0:
         before = (turn[0], turn[1], turn[2], turn[3])
         share = 1.0  # on the way back nothing is smoothed, so that it arrives
-        if heard[0] != 0.0:
+        if heard[0] == HELD:
+            position, orientation = now, before
+        elif heard[0] == LED:
             share = 1.0 - exp(-dt / SMOOTHING_S)
             position = (heard[1], heard[2], heard[3])
             orientation = before
@@ -95,10 +102,11 @@ def shortened(way: Vec3, share: float, most: float) -> Vec3:
 class Hand:
     """The writer's side. One thread only."""
 
-    def __init__(self, orientation: Quaternion) -> None:
-        """`orientation`: what the hand intends at first."""
-        self._block = Block(AT)
-        self._block.numbers(AT.turn, 4)[:] = orientation
+    def __init__(self, orientation: Quaternion, goal: Callable[[], Vec3]) -> None:
+        """`orientation`: what the hand intends at first; `goal` (3,) m what it intends now."""
+        self._block, self._goal = Block(AT), goal
+        self._turn = self._block.numbers(AT.turn, 4)
+        self._turn[:] = orientation
         self.handle: Final = self._block.handle
         """For `intended`, as long as this object."""
         self._sequence = self._block.word[AT.sequence : AT.sequence + COUNTERS]
@@ -110,12 +118,21 @@ class Hand:
 
         orientation  unit quaternion, handle to world
         """
-        self._ask(1.0, position_m, orientation or (0.0, 0.0, 0.0, 0.0))
+        self._ask(LED, position_m, orientation or (0.0, 0.0, 0.0, 0.0))
+
+    def hold(self) -> None:
+        """Have the hand stay where it wants to be when this is heard: what it grips it goes on gripping."""
+        self._ask(HELD, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
     def release(self) -> None:
         """Have the hand go back to what it intends by itself."""
-        self._ask(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+        self._ask(OWN, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
-    def _ask(self, led: float, position: Vec3, orientation: Quaternion) -> None:
-        self._request[:] = led, *position, *orientation
+    def intends(self) -> tuple[Vec3, Quaternion]:
+        """Where the hand wants to be, (3,) m, and how turned; components may be of two ticks."""
+        w, x, y, z = self._turn.tolist()
+        return self._goal(), (w, x, y, z)
+
+    def _ask(self, what: float, position: Vec3, orientation: Quaternion) -> None:
+        self._request[:] = what, *position, *orientation
         publish(Slot(self._sequence, self._values), self._request)

@@ -8,7 +8,7 @@ from softfinger.config.errors import ConfigError, HapticError
 from softfinger.drivers.base import Device, Led
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics.rotations import normalize
-from softfinger.proxy.kernels.numerics.tool import Tool, handle_of
+from softfinger.proxy.kernels.numerics.tool import Tool, handle_of, tip_of
 
 
 class NoHand(HapticError):
@@ -37,6 +37,21 @@ def hand_of(device: Device) -> Led:
             "--rig simulated-hand has one"
         )
     return hand
+
+
+def hold(device: Device, tool: Tool | None, offset: Vec3) -> Pose:
+    """Have the hand on `device`, which holds `tool`, stay where it wants to be; returns where it holds the fingertip
+    then, in the world. Of a grip that is deeper than the fingertip comes, since what it grips resists.
+
+    offset  (3,) m  what is added to the position that the device says
+
+    Raises NoHand where none is computed.
+    """
+    hand = hand_of(device)
+    hand.hold()
+    tip: Pose = tip_of(tool, Pose(*hand.intends()))
+    x, y, z = (p + o for p, o in zip(tip.position, offset, strict=True))
+    return Pose((x, y, z), tip.orientation)
 
 
 def lead(device: Device, tool: Tool | None, offset: Vec3, wanted: Wanted | None) -> None:

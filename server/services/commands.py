@@ -268,11 +268,21 @@ class Commands:
             hand_of(self._rendering.servo.devices[place])  # that there is none is said, tick or no tick
             wanted = Wanted(asked.position_m, turn, self._turned(place))
         self._rendering.lead(place, wanted)
-        if (place in self._led) == asked.release:  # where it is meanwhile is in every tick
-            (self._led.discard if asked.release else self._led.add)(place)
-            name = self._rendering.scene.fingers[place].name
-            self._tell("hand", request.command_id, {"finger": name, "led": not asked.release})
+        self._leads(place, not asked.release, request)
         return wire.Applied(self._rendering.servo.ticks)
+
+    def _hold(self, request: Request) -> wire.Held:
+        place = self._finger(request.params.finger)
+        goal = self._rendering.hold(place)
+        self._leads(place, True, request)
+        return wire.Held(goal.position, goal.orientation, self._rendering.servo.ticks)
+
+    def _leads(self, place: int, led: bool, request: Request) -> None:
+        """Tell that a program begins to lead a hand, or ends; where it is meanwhile is in every tick."""
+        if (place in self._led) != led:
+            (self._led.add if led else self._led.discard)(place)
+            name = self._rendering.scene.fingers[place].name
+            self._tell(request.method, request.command_id, {"finger": name, "led": led})
 
     def _turned(self, place: int) -> wire.Quaternion:
         """How a finger is turned."""

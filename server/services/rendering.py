@@ -17,8 +17,8 @@ from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import overridden
 from softfinger.config.schema.pairing import pair
 from softfinger.drivers.base import Device
-from softfinger.drivers.simulated.lead import Wanted, lead
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.drivers.simulated.lead import Wanted, hold, lead
+from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
 from softfinger.server.loop import shutdown
@@ -213,6 +213,11 @@ class Rendering:
         """
         with self._change():
             lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], wanted)
+
+    def hold(self, finger: int) -> Pose:
+        """Have a finger's hand, which is computed, stay where it wants to be, and say where; raises as `lead`."""
+        with self._change():
+            return hold(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger])
 
     def disarm(self, why: str) -> None:
         """Take the force off along the slew limit, and keep it off; never waits."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from math import degrees, radians
 from typing import Any, Final, NamedTuple
 
@@ -21,6 +23,8 @@ Array = NDArray[np.float64]
 
 FOLLOWS_S: Final = 0.2
 """How often the sliders follow a finger that something else leads."""
+FRESH_S: Final = 1.0
+"""For so long after this page has led them hands want what it told them; later a recording or a program may lead."""
 HELP: Final = (
     "Take the white ball with the mouse: **drag** moves it, with **shift** up and down, which presses, with **ctrl** "
     "it rolls like a ball. Drag anywhere else to look around. Keys: **I J K L** level, **O** presses, **U** lifts, "
@@ -53,11 +57,26 @@ class Led(NamedTuple):
     high: Array
 
 
-class Hand:
-    """What leads the hands of all fingers that may be led; `send(finger, target or None)` asks the daemon."""
+class Ask(NamedTuple):
+    """What is asked of the daemon: `lead` a finger to a target, None: back to what its hand does by itself; and `hold`
+    it where its hand wants to be, with what is called with that target, and what is called when it is refused."""
 
-    def __init__(self, gui: Any, api: Any, send: Callable[[str, Target | None], None]) -> None:
-        self._send = send
+    lead: Callable[[str, Target | None], None]
+    hold: Callable[[str, Callable[[Target], None], Callable[[], None]], None]
+
+
+class Hand:
+    """What leads the hands of all fingers that may be led."""
+
+    def __init__(self, gui: Any, api: Any, ask: Ask) -> None:
+        self._ask = ask
+        self._taking = threading.Lock()
+        self._asked: set[str] = set()
+        """Fingers that are asked where they are held; until all are known, what is to be done then waits."""
+        self._then: list[Callable[[], None]] = []
+        self._led_at = 0.0
+        self._beyond: dict[str, Array] = {}
+        """How far (3,) m the target of the chosen finger, once taken, is from what `sliders` and `handles` show."""
         self._fingers: dict[str, Led] = {}
         self._targets: dict[str, Target] = {}
         self._seen: dict[str, Target] = {}
@@ -86,8 +105,10 @@ class Hand:
     def change(self, fingers: list[Led]) -> None:
         """Other fingers, or none, may be led."""
         self._fingers = {finger.name: finger for finger in fingers}
-        self._targets.clear()
-        self._seen.clear()
+        for kept in (self._targets, self._seen, self._begun, self._beyond):
+            kept.clear()
+        with self._taking:
+            self._asked, self._then, self._led_at = set(), [], 0.0
         self._sides = ()
         several = len(fingers) > 1
         self._help.content = TWO_HANDS if several else HELP if fingers else NO_HAND
@@ -103,7 +124,9 @@ class Hand:
         for modifier, how in ((None, None), ("shift", "press"), ("cmd/ctrl", "roll")):
 
             async def dragged(event: Any, how: str | None = how) -> None:  # in order: viser waits for one after another
-                self._dragged(finger, event, how or self._plain())
+                if event.phase == "start":
+                    self.interrupted()
+                self.take_over(partial(self._dragged, finger, event, how or self._plain()))
 
             ball.on_drag("left", modifier=modifier)(dragged)
 
@@ -118,16 +141,53 @@ class Hand:
             self._show()
             self._placed = now
 
+    def take_over(self, then: Callable[[], None]) -> None:
+        """Do `then` once it is known where every hand wants to be, and each stays there: a grip goes on gripping."""
+        with self._taking:
+            self._then.append(then)
+            stale = not self._asked and time.monotonic() - self._led_at > FRESH_S
+            if stale:
+                self._asked = set(self._fingers)
+        if stale:
+            for finger in tuple(self._fingers):
+                self._ask.hold(finger, partial(self._is_held, finger), self._not_held)
+        self._go_on()
+
+    def _is_held(self, finger: str, target: Target) -> None:
+        with self._taking:
+            if finger not in self._asked:  # of a scene before
+                return
+            shown = self._target(finger)
+            if shown is not None and finger == self._chosen():
+                self._beyond = dict.fromkeys(("sliders", "handles"), target.position - shown.position)
+            self._targets[finger], self._led_at = target, time.monotonic()
+            self._asked.discard(finger)
+        self._go_on()
+
+    def _not_held(self) -> None:
+        with self._taking:
+            self._asked, self._then = set(), []
+
+    def _go_on(self) -> None:
+        with self._taking:
+            if self._asked:
+                return
+            now, self._then = self._then, []
+        for each in now:
+            each()
+
     def nudge(self, nudge: Nudge) -> None:
         """Go a piece of a way further with the finger that is chosen, or with all."""
         self.interrupted()
-        self._nudge(dict.fromkeys(self._led(), nudge._replace(close=0.0)), nudge.close)
+        nudges = dict.fromkeys(self._led(), nudge._replace(close=0.0))
+        self.take_over(partial(self._nudge, nudges, nudge.close))
 
     def nudge_each(self, left: Nudge, right: Nudge, close: float) -> None:
         """Go a piece of a way further with the finger on the left and with that on the right, and both so far (m)
         towards each other."""
         self.interrupted()
-        self._nudge(dict(zip(self.sides(), (left, right), strict=False)), close)
+        nudges = dict(zip(self.sides(), (left, right), strict=False))
+        self.take_over(partial(self._nudge, nudges, close))
 
     def sides(self) -> tuple[str, ...]:
         """The finger that was on the left at first, and that on the right; none until both have been seen."""
@@ -179,29 +239,22 @@ class Hand:
         return self._chosen() if self._fingers else None
 
     def go(self, finger: str, target: Target) -> None:
-        """Lead a finger as far as it reaches; the others, which may follow a recording, stay where they are."""
-        if finger not in self._targets:
-            for other, seen in self._seen.items():
-                if other not in self._targets and other in self._fingers and other != finger:
-                    self._lead(other, seen)
-        self._lead(finger, target)
-
-    def _lead(self, finger: str, target: Target) -> None:
+        """Lead a finger as far as it reaches."""
         if not np.isfinite((*target.position, *target.orientation)).all():
             return
         led = self._fingers[finger]
         self._targets[finger] = Target(np.clip(target.position, led.low, led.high), target.orientation)
-        self._send(finger, self._targets[finger])
+        self._led_at = time.monotonic()
+        self._ask.lead(finger, self._targets[finger])
 
     def _dragged(self, finger: str, event: Any, how: str) -> None:
         if event.phase == "start":
-            self.interrupted()
             targets = self._targets_of({finger, *self._led()} if finger in self._led() else {finger})
             if finger in targets:
                 self._begun[finger] = (targets, np.array(event.start_position) / CM)
         if finger not in self._begun or finger not in self._fingers:
             if event.phase == "start":
-                self._send(finger, self._target(finger))  # which the daemon declines, with the reason
+                self._ask.lead(finger, self._target(finger))  # which the daemon declines, with the reason
             return
         starts, grabbed = self._begun[finger]
         start = starts[finger]
@@ -229,21 +282,26 @@ class Hand:
             return
         x, y, z, *angles = (slider.value for slider in self._sliders)
         turn = from_angles(*(radians(angle) for angle in angles))
-        self.go(self._chosen(), Target(np.array([x, y, z]) / 1000.0, turn))
-        self._place_handles()
+        self.take_over(partial(self._put, "sliders", Target(np.array([x, y, z]) / 1000.0, turn), self._place_handles))
+
+    def _put(self, what: str, shown: Target, others: Callable[[], None]) -> None:
+        """Lead the chosen finger to what sliders or handles show, and place the others."""
+        self.go(self._chosen(), Target(shown.position + self._beyond.get(what, 0.0), shown.orientation))
+        others()
 
     def _turned(self, event: Any) -> None:
         if event.client is not None and self._fingers:
             self.interrupted()
             w, x, y, z = (float(part) for part in self._gizmo.wxyz)
-            self.go(self._chosen(), Target(np.array(self._gizmo.position) / CM, (w, x, y, z)))
-            self._place_sliders()
+            shown = Target(np.array(self._gizmo.position) / CM, (w, x, y, z))
+            self.take_over(partial(self._put, "handles", shown, self._place_sliders))
 
     def _release(self) -> None:
         self.interrupted()
+        self._led_at = 0.0
         for finger in self._fingers:
             self._targets.pop(finger, None)
-            self._send(finger, None)
+            self._ask.lead(finger, None)
 
     def _show(self) -> None:
         self._gizmo.visible = bool(self._fingers) and self._handles.value
@@ -251,6 +309,7 @@ class Hand:
         self._place_handles()
 
     def _place_sliders(self) -> None:
+        self._beyond.pop("sliders", None)
         target = self._target(self._chosen())
         if target is not None:
             angles = (degrees(angle) for angle in to_angles(target.orientation))
@@ -260,6 +319,7 @@ class Hand:
                     slider.value = shown
 
     def _place_handles(self) -> None:
+        self._beyond.pop("handles", None)
         target = self._target(self._chosen())
         if target is not None:
             self._gizmo.position, self._gizmo.wxyz = CM * target.position, target.orientation

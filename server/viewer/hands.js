@@ -16,6 +16,7 @@ const totals = [0, 0, 0, 0, 0, 0, 0];
 const held = new Map(); // key: since when
 const session = page.Math.random().toString(36).slice(2);
 let changed = false;
+let pressed = 0; // buttons of the mouse
 let last = page.performance.now();
 
 const two = () => page.document.querySelector("[data-two-hands]") !== null;
@@ -42,8 +43,11 @@ page.addEventListener("keydown", (event) => {
 }, true);
 page.addEventListener("keyup", (event) => held.delete(event.code), true);
 page.addEventListener("blur", () => held.clear());
+for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel"]) {
+  page.addEventListener(kind, (event) => { pressed = event.buttons; }, true);
+}
 page.addEventListener("wheel", (event) => {
-  const dragged = event.buttons & 1 || event.altKey;
+  const dragged = (event.buttons | pressed) & 1 || event.altKey; // not every browser says the buttons of a wheel
   if (!dragged || !two() || event.target.tagName !== "CANVAS") return;
   mine(event);
   lead(CLOSED, (STEP_MM * event.deltaY * (event.deltaMode ? NOTCH / 3 : 1)) / NOTCH);

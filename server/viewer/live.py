@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
@@ -18,6 +19,7 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.displayed import handles
 from softfinger.server.viewer.driven import Handles, drive_of, resting
+from softfinger.server.viewer.hand import Ask as AskHand
 from softfinger.server.viewer.hand import Hand, Led
 from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
 from softfinger.server.viewer.nodes import meshes
@@ -29,7 +31,7 @@ from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.target import Target
 from softfinger.server.viewer.tuning import Tuning
 from softfinger.server.viewer.wire import Asker, Live, Request
-from softfinger.server.wire.commands import Triangles
+from softfinger.server.wire.commands import Held, Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
 COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one goes on meanwhile"
@@ -52,15 +54,16 @@ class LivePage:
         self._described: dict[str, Any] | None = None
         self._fresh = threading.Event()
         self._sent = deque[tuple[int, int, Triangles]]()
-        """Triangles of objects that are made of a file: of the scene that began with which tick, of which object."""
+        """Triangles of objects that are made of a file: of which scene that was drawn, of which object."""
         self._scene: schema.Scene | None = None
         self._first = -1
+        self._drawn = 0
         self._since = 0.0
         gui = page.server.gui
         self._prompt = PromptPanel(gui, self._asker, self._refused, answers=may is None)
         changing = page.tabs if may is None else gui.add_tab_group(visible=False)
         with changing.add_tab("Hand"):
-            self._hand = Hand(gui, page.server.scene, self._send)
+            self._hand = Hand(gui, page.server.scene, AskHand(self._send, self._hold))
             ask = Ask(page.say, self._put_back, lambda name: self._set_scene("scene", {"scene": name}))
             self._play = Play(gui, self._hand, ask)
             add_keys(gui, self._hand.nudge)
@@ -122,19 +125,17 @@ class LivePage:
             return
         if self._scene is None:
             self._page.say("")
-        elif described["since"] == self._first and _form(scene) == _form(self._scene):
-            self._scene = scene
-            for nodes in self._page.fingers.values():
-                nodes.change(scene)
-            self._tuning.change(scene, described["scene_name"])
+        elif described["since"] >= self._first and _form(scene) == _form(self._scene):
+            self._go_on(scene, described)
             return
         self._scene, self._first = scene, int(described["since"])
+        self._drawn += 1
         self._page.change(scene, began_of(described), handles(described))
         self._handles.change(resting(scene))
         self._tuning.change(scene, described["scene_name"])
         for number, thing in enumerate(scene.object):
             if isinstance(thing, Filed):
-                came = partial(self._keep, self._first, number)
+                came = partial(self._keep, self._drawn, number)
                 self._asker.ask(f"mesh {number}", Request("mesh", {"object": number}, came, self._page.say))
         parts = {finger.name: finger for finger in scene.fingers}
         self._hand.change([_led(each, parts[each["name"]]) for each in described["fingers"] if each["led"]])
@@ -142,12 +143,27 @@ class LivePage:
         for name, nodes in self._page.fingers.items():
             self._hand.take(name, nodes.ball)
 
-    def _keep(self, first: int, number: int, triangles: Triangles) -> None:
-        self._sent.append((first, number, triangles))
+    def _go_on(self, scene: schema.Scene, described: dict[str, Any]) -> None:
+        """Show other parameters of the scene, or its world put back: what a mouse holds is not drawn anew."""
+        self._scene = scene
+        for nodes in self._page.fingers.values():
+            nodes.change(scene)
+        self._tuning.change(scene, described["scene_name"])
+        if described["since"] != self._first:
+            self._first = int(described["since"])
+            self._page.begin_again(began_of(described))
+            for number in resting(scene):
+                thing = scene.object[number]
+                self._page.drive(number, thing.position_m, thing.orientation_wxyz)
+            self._handles.change(resting(scene))
+            self._play.change(scene, self._page.bodies, described)
 
-    def _draw(self, first: int, number: int, sent: Triangles) -> None:
+    def _keep(self, drawn: int, number: int, triangles: Triangles) -> None:
+        self._sent.append((drawn, number, triangles))
+
+    def _draw(self, drawn: int, number: int, sent: Triangles) -> None:
         """Show the triangles of an object, if it is still there."""
-        if first != self._first:
+        if drawn != self._drawn:
             return
         try:
             self._page.draw(number, meshes.sent(sent.vertices, sent.triangles))
@@ -169,6 +185,16 @@ class LivePage:
             params["position_m"] = [float(x) for x in target.position]
             params["orientation_wxyz"] = list(target.orientation)
         self._asker.ask(f"hand {finger}", Request("hand", params, lambda result: None, self._refused))
+
+    def _hold(self, finger: str, done: Callable[[Target], None], failed: Callable[[], None]) -> None:
+        def held(answer: Held) -> None:
+            done(Target(np.array(answer.position_m), answer.orientation_wxyz))
+
+        def refused(text: str) -> None:
+            failed()
+            self._refused(text)
+
+        self._asker.ask(f"hold {finger}", Request("hold", {"finger": finger} if finger else {}, held, refused))
 
     def _drive(self, number: int, place: Place) -> None:
         params = {"object": number, "position_m": list(place[0]), "orientation_wxyz": list(place[1])}
@@ -207,7 +233,8 @@ def _form(scene: schema.Scene) -> dict[str, Any]:
         {key: value for key, value in each.items() if key not in (POSE if number in driven else ()) + ("material",)}
         for number, each in enumerate(plain["object"])
     ]
-    return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects}
+    model = None if scene.world is None else scene.world.model
+    return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects, "model": model}
 
 
 def _led(described: dict[str, Any], finger: schema.FingerParts) -> Led:

@@ -126,6 +126,12 @@ class Page:
         self._drawn.clear()
         self._look()
 
+    def begin_again(self, began: Began) -> None:
+        """The same scene begins anew."""
+        if self.bodies is not None:
+            self.bodies.began = began
+        self.forget()
+
     def _look(self) -> None:
         """Set the camera for pages that will be opened, and in each that is open, where the scene wants another."""
         if self._scene is None or self.bodies is None:

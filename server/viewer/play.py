@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -58,7 +59,9 @@ class Play:
         self._scene, self._bodies = scene, bodies
         self._senses = {each["name"]: each["device"]["sensed_dof"] for each in described["fingers"]}
         self._forces = dict.fromkeys(self._senses, 0.0) if self._gesture else {}
-        self._wanted = after
+        self._wanted = ""
+        if after:
+            self._want(after)
 
     def see(self, finger: str, row: Array) -> None:
         """The newest tick (RECORD_SIZE,) of a finger."""
@@ -91,7 +94,11 @@ class Play:
     def _clicked(self, event: Any) -> None:
         if event.client is not None and event.target.value in (*ONE_FINGER, LIFT):
             self.stop()
-            self._wanted = event.target.value
+            self._want(event.target.value)
+
+    def _want(self, name: str) -> None:
+        """Begin a gesture once the hands are this page's."""
+        self._hand.take_over(partial(setattr, self, "_wanted", name))
 
     def _begin(self, name: str) -> str:
         """Begin a gesture; why not, where it cannot be."""

@@ -15,7 +15,7 @@ from softfinger.config.errors import CommandRefused, ConfigError, HapticError
 from softfinger.config.schema import Telemetry, commands_beside, runtime_folder
 from softfinger.server.keys import ClientKeys
 from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
-from softfinger.server.wire.commands import Drive, Hand, Quaternion, SetScene, Vector, Zero
+from softfinger.server.wire.commands import Drive, Hand, Hold, Quaternion, SetScene, Vector, Zero
 from softfinger.server.wire.endpoint import check_runtime_folder
 from softfinger.server.wire.envelope import expiry
 
@@ -129,6 +129,10 @@ def hand_of(
         msgspec.UNSET if finger is None else finger,
         release,
     )
+
+
+def hold_of(finger: str | int | None) -> Hold:
+    return Hold(msgspec.UNSET if finger is None else finger)
 
 
 def zero_of(position_m: Vector, finger: str | int | None, reset: bool) -> Zero:

@@ -119,6 +119,20 @@ class Hand(Struct, frozen=True, forbid_unknown_fields=True):
     release: bool = False
 
 
+class Hold(Struct, frozen=True, forbid_unknown_fields=True):
+    """`finger` is a name or an index."""
+
+    finger: Name | Annotated[int, Meta(ge=0)] | msgspec.UnsetType = msgspec.UNSET
+
+
+class Held(Struct, frozen=True):
+    """The goal pose in the world that the hand keeps. In a grip it is deeper than the fingertip comes."""
+
+    position_m: Vector
+    orientation_wxyz: Quaternion
+    tick: int
+
+
 class Applied(Struct, frozen=True):
     """At least `tick` ticks had begun without the change; the second tick after it has the change."""
 
@@ -255,6 +269,7 @@ METHODS: Final = {
     "reset_world": Method(Empty, Applied, "Put the bodies of [world] back where they began, at zero force."),
     "drive": Method(Drive, Applied, "Set the pose of a driven object."),
     "hand": Method(Hand, Applied, "Set the goal of the hand on a simulated device."),
+    "hold": Method(Hold, Held, "Keep the present goal of the hand on a simulated device, and return it."),
     "arm": Method(Empty, Armed, "Fade the force in."),
     "disarm": Method(Empty, Armed, "Fade the force out and keep it off."),
     "zero": Method(Zero, Zeroed, "Define the present position of the probe; only while disarmed."),

@@ -29,6 +29,7 @@ from softfinger.server.wire.asking import (
     connected,
     default_commands,
     hand_of,
+    hold_of,
     no_answer,
     pose_of,
     result_of,
@@ -44,6 +45,7 @@ from softfinger.server.wire.commands import (
     Armed,
     Changed,
     Empty,
+    Held,
     Mark,
     OfObject,
     Prompt,
@@ -145,6 +147,10 @@ class Control(Closing):
         do again what its rig says. Refused for any other device, and for a hand that a puck leads.
         """
         return self._ask("hand", hand_of(position_m, orientation_wxyz, finger, release), Applied)
+
+    def hold(self, finger: str | int | None = None) -> Held:
+        """The hand on a simulated device stays where it wants to be, with the force that it grips with; says where."""
+        return self._ask("hold", hold_of(finger), Held)
 
     def arm(self) -> Armed:
         """Let the force fade in along the guard's ramp."""
@@ -275,6 +281,9 @@ class AsyncControl:
         release: bool = False,
     ) -> Applied:
         return await self._ask("hand", hand_of(position_m, orientation_wxyz, finger, release), Applied)
+
+    async def hold(self, finger: str | int | None = None) -> Held:
+        return await self._ask("hold", hold_of(finger), Held)
 
     async def arm(self) -> Armed:
         return await self._ask("arm", Empty(), Armed)

@@ -14,7 +14,7 @@ from softfinger.config.schema import Rig
 from softfinger.drivers import registry
 from softfinger.drivers.simulated.device import Options, Simulated, open_device
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
-from softfinger.drivers.simulated.lead import NoHand, Wanted, lead
+from softfinger.drivers.simulated.lead import NoHand, Wanted, hold, lead
 from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.server.driver_contract import Servo
 
@@ -118,3 +118,21 @@ def test_the_shipped_rig_waits_above_the_scenes() -> None:
         assert device.hand() is not None
         samples = read(Servo(device), 100)
     np.testing.assert_allclose(samples, [[*AT, *UPRIGHT]] * 100, atol=1e-12)
+
+
+def test_a_hand_that_is_held_keeps_what_it_wants_and_so_its_grip() -> None:
+    """In the middle of a recording, against a push of 2 N: the goal stays, and so does the push; led on from there it
+    does not jump; a tool and a tare are in what it says."""
+    soft = {"hand": {"mass_kg": 0.1, "damping_ns_per_m": 20.0, "stiffness_n_per_m": 1000.0}, **BARE}
+    tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
+    with opened(recording="tap", loop=True, **soft) as device:
+        servo = Servo(device)
+        servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0)
+        read(servo, 700)
+        goal, tip = device.hand().intends()[0], hold(device, tool, (0.01, 0.0, 0.0))
+        rested = read(servo, 1000)[-1]
+        assert device.hand().intends()[0] == goal
+        assert rested[:3] == pytest.approx(np.add(goal, (0.0, 0.0, 2.0 / 1000.0)), abs=1e-9)  # 100 time constants
+        assert tip.position == pytest.approx(np.add(goal, (0.01, 0.0, -0.05)))
+        lead(device, tool, (0.01, 0.0, 0.0), Wanted(tip.position, tip.orientation, UPRIGHT))
+        np.testing.assert_allclose(read(servo, 200)[:, :3], [rested[:3]] * 200, atol=1e-9)

@@ -252,6 +252,7 @@ def test_what_every_command_tells_is_recorded(rig, tmp_path):
             "reset_world": lambda: refused(control.reset_world),
             "mesh": lambda: refused(lambda: control.mesh(7)),
             "hand": lambda: refused(lambda: control.hand((0.0, 0.0, 0.1))),
+            "hold": lambda: refused(control.hold),
         }
         for ask in asked.values():
             ask()

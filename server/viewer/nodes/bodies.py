@@ -54,7 +54,7 @@ class Bodies:
     """Nodes `/objects/N`, a frame each with its surface below; `began` counts for those that move by themselves."""
 
     def __init__(self, api: Any, scene: schema.Scene, began: Began) -> None:
-        self._began = began
+        self.began = began
         self._api, self._scene = api, scene
         self._root = api.add_frame("/objects", show_axes=False)
         self._frames: list[Any] = []
@@ -90,7 +90,7 @@ class Bodies:
 
     def show(self, row: NDArray[np.float64]) -> None:
         """Put those that move by themselves where they are in a tick (RECORD_SIZE,)."""
-        time = self._began.time(row)
+        time = self.began.time(row)
         for number, (motion, rest) in self._moving.items():
             pose = pose_at(motion, rest, time)
             self.places[number] = (pose.position, pose.orientation)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.viewer.hand import Hand, Led
+from softfinger.server.viewer.hand import BOTH, Ask, Hand, Led
 from softfinger.server.viewer.inputs import JUMP_M, Nudge, TwoHands
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.target import Target, closed, mirrored
@@ -18,16 +19,22 @@ from softfinger.server.viewer.target import Target, closed, mirrored
 viser = pytest.importorskip("viser")
 pytestmark = pytest.mark.plain
 
+GRIP = 0.002
 PLACES = {"thumb": (-0.04, 0.0, 0.02), "index": (0.04, 0.0, 0.02)}
 
 
 @pytest.fixture
 def led() -> Iterator[tuple[Hand, dict[str, Target | None]]]:
-    """A hand with two fingers on a page that nobody looks at, and where each was sent last."""
+    """A hand with two fingers on a page that nobody looks at, and where each was sent last; held, each wants to be
+    GRIP m lower than it is."""
     server = viser.ViserServer(port=0, verbose=False)
     sent: dict[str, Target | None] = {}
     try:
-        hand = Hand(server.gui, server.scene, sent.__setitem__)
+
+        def hold(finger: str, done: Callable[[Target], None], failed: Callable[[], None]) -> None:
+            done(Target(np.subtract(PLACES[finger], (0.0, 0.0, GRIP)), (1.0, 0.0, 0.0, 0.0)))
+
+        hand = Hand(server.gui, server.scene, Ask(sent.__setitem__, hold))
         reach = np.full(3, 0.2)
         hand.change([Led(name, 0.01, -reach, reach) for name in PLACES])
         for name, place in PLACES.items():
@@ -55,12 +62,12 @@ def test_keys_close_two_fingers_and_lead_both(led: tuple[Hand, dict[str, Target 
     """Both come nearer; a way up leads both, or the one that is chosen."""
     hand, sent = led
     hand.nudge(Nudge(close=0.001))
-    assert places(sent) == {"thumb": [-0.039, 0.0, 0.02], "index": [0.039, 0.0, 0.02]}
+    assert places(sent) == {"thumb": [-0.039, 0.0, 0.018], "index": [0.039, 0.0, 0.018]}
     hand.nudge(Nudge(z=0.001))
-    assert places(sent) == {"thumb": [-0.039, 0.0, 0.021], "index": [0.039, 0.0, 0.021]}
+    assert places(sent) == {"thumb": [-0.039, 0.0, 0.019], "index": [0.039, 0.0, 0.019]}
     hand._finger.value = "thumb"
     hand.nudge(Nudge(z=0.001))
-    assert places(sent) == {"thumb": [-0.039, 0.0, 0.022], "index": [0.039, 0.0, 0.021]}
+    assert places(sent) == {"thumb": [-0.039, 0.0, 0.02], "index": [0.039, 0.0, 0.019]}
 
 
 def test_each_hand_has_a_finger_of_its_own(led: tuple[Hand, dict[str, Target | None]]) -> None:
@@ -68,25 +75,58 @@ def test_each_hand_has_a_finger_of_its_own(led: tuple[Hand, dict[str, Target | N
     hand, sent = led
     hand._finger.value = "index"
     hand.nudge_each(Nudge(x=0.001), Nudge(y=0.002), 0.0)
-    assert places(sent) == {"thumb": [-0.039, 0.0, 0.02], "index": [0.04, 0.002, 0.02]}
+    assert places(sent) == {"thumb": [-0.039, 0.0, 0.018], "index": [0.04, 0.002, 0.018]}
     hand.nudge_each(Nudge(), Nudge(y=-0.002), 0.001)
     assert places(sent)["thumb"][0] == pytest.approx(-0.038, abs=2e-6)  # towards a middle 1 mm beside: cos of 1/40
     assert places(sent)["index"][0] == pytest.approx(0.039, abs=2e-6)
 
 
 def test_who_leads_one_finger_holds_the_other(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """A rig whose hands follow recordings would go on with that of the other finger."""
+    """A rig whose hands follow recordings would go on with that of the other finger; both begin where they want to be,
+    which in a grip is deeper than where they are."""
     hand, sent = led
     hand._finger.value = "index"
     hand.nudge(Nudge(z=0.001))
-    assert places(sent) == {"thumb": [-0.04, 0.0, 0.02], "index": [0.04, 0.0, 0.021]}
+    assert places(sent) == {"index": [0.04, 0.0, 0.019]}
+    assert hand.target("thumb").position == pytest.approx([-0.04, 0.0, 0.018])
+
+
+def test_a_slider_leads_on_from_where_the_hand_wants_to_be(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """It shows where the finger is; pulled by 5 mm to the right, the target goes so far from where it was."""
+    hand, sent = led
+    assert hand._finger.value == BOTH and hand._sliders[2].value == pytest.approx(20.0)
+    for x in (-38.0, -35.0):
+        for slider, value in zip(hand._sliders, (x, 0.0, 20.0, 0.0, 0.0, 0.0), strict=True):
+            slider.value = value
+        hand._slid(SimpleNamespace(client=1))
+    assert places(sent) == {"thumb": [-0.035, 0.0, 0.018]}
+
+
+def test_what_is_done_before_the_hands_are_held_waits(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """Strokes of a key while the daemon answers, late, are all led; refused, none is, and the next asks again."""
+    hand, sent = led
+    answers: list[tuple[str, Callable[[Target], None], Callable[[], None]]] = []
+    hand._ask = hand._ask._replace(hold=lambda *asked: answers.append(asked))
+    for _ in range(3):
+        hand.nudge(Nudge(z=0.001))
+    assert [finger for finger, _, _ in answers] == list(PLACES) and not sent
+    for finger, done, _ in answers:
+        done(Target(np.array(PLACES[finger]), (1.0, 0.0, 0.0, 0.0)))
+    assert places(sent) == {"thumb": [-0.04, 0.0, 0.023], "index": [0.04, 0.0, 0.023]}
+    hand._release()
+    hand.nudge(Nudge(z=0.001))
+    assert len(answers) == 4 and list(sent.values()) == [None, None]
+    answers[-1][2]()
+    answers[-2][1](Target(np.array(PLACES["thumb"]), (1.0, 0.0, 0.0, 0.0)))
+    assert list(sent.values()) == [None, None]
 
 
 def drag(hand: Hand, phase: str, end: np.ndarray, how: str) -> None:
     """The thumb is dragged, seen from above."""
     eye = SimpleNamespace(camera=SimpleNamespace(position=CM * np.array([0.0, 0.0, 10.0])))
     ball = CM * np.array(PLACES["thumb"])
-    hand._dragged("thumb", SimpleNamespace(phase=phase, client=eye, start_position=ball, end_position=end), how)
+    event = SimpleNamespace(phase=phase, client=eye, start_position=ball, end_position=end)
+    hand.take_over(partial(hand._dragged, "thumb", event, how))
 
 
 def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(led: tuple[Hand, dict[str, Target | None]]) -> None:
@@ -95,12 +135,12 @@ def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(led: tuple[Hand, di
     ball = CM * np.array(PLACES["thumb"])
     drag(hand, "start", ball, "move")
     drag(hand, "update", ball + CM * np.array([0.01, 0.005, 0.0]), "move")
-    assert places(sent)["thumb"] == pytest.approx([-0.03, 0.005, 0.02])
-    assert places(sent)["index"] == pytest.approx([0.05, 0.005, 0.02])
+    assert places(sent)["thumb"] == pytest.approx([-0.03, 0.005, 0.018])
+    assert places(sent)["index"] == pytest.approx([0.05, 0.005, 0.018])
     hand.nudge_each(Nudge(), Nudge(), 0.004)
     drag(hand, "end", ball + CM * np.array([0.0, 0.005, 0.0]), "move")
-    assert places(sent)["thumb"] == pytest.approx([-0.036, 0.005, 0.02])
-    assert places(sent)["index"] == pytest.approx([0.036, 0.005, 0.02])
+    assert places(sent)["thumb"] == pytest.approx([-0.036, 0.005, 0.018])
+    assert places(sent)["index"] == pytest.approx([0.036, 0.005, 0.018])
 
 
 def test_a_drag_of_one_finger_pinches_with_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
@@ -109,8 +149,8 @@ def test_a_drag_of_one_finger_pinches_with_both(led: tuple[Hand, dict[str, Targe
     ball = CM * np.array(PLACES["thumb"])
     for phase, end in (("start", ball), ("end", ball + CM * np.array([0.01, 0.005, 0.0]))):
         drag(hand, phase, end, "pinch")
-    assert places(sent)["thumb"] == pytest.approx([-0.03, 0.005, 0.02])
-    assert places(sent)["index"] == pytest.approx([0.03, 0.005, 0.02])
+    assert places(sent)["thumb"] == pytest.approx([-0.03, 0.005, 0.018])
+    assert places(sent)["index"] == pytest.approx([0.03, 0.005, 0.018])
 
 
 def test_what_hands_tell_is_led_once_and_no_farther_than_a_hand() -> None:

@@ -16,6 +16,7 @@ from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.gestures import PRESS_N, ROLL_M
+from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.wire.client import record_of, subscribe
 
 pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
@@ -126,6 +127,30 @@ def test_a_box_is_not_lifted_by_one_finger(screen: Screen) -> None:
     screen.page.get_by_role("button", name="lift a box", exact=True).click()
     assert eventually(lambda: screen.shows("it takes two fingers and a box"))
     assert screen.shows("run --scene lift-a-box --view")
+
+
+def test_height_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
+    """The figure is the telemetry's; straight below the ball it is dark; the scale grows with the force."""
+    client.hand((0.01, 0.0, 0.03), (1.0, 0.0, 0.0, 0.0))
+    assert eventually(lambda: abs(client.get_state().position[2] - 0.03) < 1e-4)
+    assert eventually(lambda: screen.shows("height 20.0 mm"))
+    assert eventually(lambda: screen.shows("arrow: 0.3 N per 10 mm"))
+    x, y = screen.at((CM * 0.01, 0.0, 0.0))
+    box = screen.page.locator("canvas").first.bounding_box()
+
+    def shaded() -> bool:
+        """A shadow has some 1000 pixels here; lines, which have its colour, some hundred."""
+        row, column = round(y - box["y"]), round(x - box["x"])
+        part = screen.picture()[max(row - 40, 0) : row + 40, max(column - 40, 0) : column + 40]
+        return int(((part.max(axis=2) < 150) & (np.ptp(part, axis=2) < 40)).sum()) > 300
+
+    assert eventually(shaded)
+    client.hand((0.0, 0.0, 0.006), (1.0, 0.0, 0.0, 0.0))
+    assert eventually(lambda: screen.shows("height 0.0 mm"))
+    client.hand((0.0, 0.0, -0.05), (1.0, 0.0, 0.0, 0.0))  # as hard as the guard lets it: 12 N, 60 mm with 2 N per 10 mm
+    assert eventually(lambda: client.get_state().force[2] > 10.1)
+    assert eventually(lambda: screen.shows("arrow: 5 N per 10 mm"))
+    client.hand((0.0, 0.0, 0.02), (1.0, 0.0, 0.0, 0.0))
 
 
 def brightness(screen: Screen) -> float:

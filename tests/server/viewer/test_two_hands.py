@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, why_none
 
@@ -14,12 +15,15 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.gestures import LIFT_M
+from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.protocol import WORLD
 
 pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
+GRIP_N, NOTCHES = 2.0, 20
+"""Of the wheel, or strokes of a key, 1 mm each: 10 to the box, and 10 into it, against 3 mm/N of contact and hand."""
 RESTS_M = 0.02
 """Height of the middle of the box on the floor."""
 
@@ -49,11 +53,10 @@ def heights(daemon: Daemon) -> Iterator[object]:
 @pytest.fixture(autouse=True)
 def beside(client: Client, screen: Screen) -> None:
     """Each begins with the box on the floor and the hands beside it, and the camera where it was."""
-    client.reset_world()  # first: the page draws anew
+    client.reset_world()
     for name, x in (("thumb", -0.04), ("index", 0.04)):
         client.hand((x, 0.0, 0.02), (1.0, 0.0, 0.0, 0.0), finger=name)
     assert eventually(lambda: abs(client.get_state().position[0] + 0.04) < 5e-4)
-    screen.page.wait_for_timeout(3000.0)  # the page draws anew, and what it drew before takes no drag
     screen.tab("Hand")
 
 
@@ -62,3 +65,64 @@ def test_the_button_lifts_it(screen: Screen, heights) -> None:  # type: ignore[n
     screen.page.get_by_role("button", name="lift a box", exact=True).click()
     assert eventually(lambda: heights() > RESTS_M + 0.8 * LIFT_M)
     assert eventually(lambda: heights() < RESTS_M + 1e-3)
+
+
+def test_a_pinch_on_the_wheel_lifts_it(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
+    """A ball is held with shift, the wheel closes both fingers, the mouse goes up, and the camera stays where it is."""
+    mouse, keyboard = screen.page.mouse, screen.page.keyboard
+    x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
+    corner = screen.at((0.0, 0.0, 0.0))
+    keyboard.down("Shift")
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x, y - 4)
+    for _ in range(NOTCHES):
+        mouse.wheel(0, 100)
+        screen.page.wait_for_timeout(100.0)
+    assert eventually(lambda: client.get_state().force[0] < -GRIP_N)
+    assert screen.at((0.0, 0.0, 0.0)) == pytest.approx(corner, abs=0.5)
+    for way in range(8, 90, 4):
+        mouse.move(x, y - way)
+    assert eventually(lambda: heights() > RESTS_M + 0.015)
+    for _ in range(NOTCHES):
+        mouse.wheel(0, -100)
+    assert eventually(lambda: heights() < RESTS_M + 1e-3)
+    mouse.up()
+    keyboard.up("Shift")
+
+
+def test_a_drag_goes_on_while_the_world_is_put_back(screen: Screen, client: Client) -> None:
+    """What the mouse holds is not drawn anew: the finger goes on with it."""
+    mouse = screen.page.mouse
+    x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
+    mouse.move(x, y)
+    mouse.down()
+    for way in (4, 8, 12):
+        mouse.move(x - way, y)
+    assert eventually(lambda: client.get_state().position[0] < -0.042)
+    began = client.describe()["since"]
+    client.reset_world()
+    assert eventually(lambda: client.describe()["since"] > began)
+    screen.page.wait_for_timeout(1000.0)  # in which it would be
+    for way in (16, 20, 24):
+        mouse.move(x - way, y)
+    assert eventually(lambda: client.get_state().position[0] < -0.046)
+    mouse.up()
+
+
+def test_two_hands_on_keys_lift_it(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
+    """D and J squeeze, E and U held together lift; none of them moves the camera."""
+    keyboard = screen.page.keyboard
+    corner = screen.at((0.0, 0.0, 0.0))
+    for _ in range(NOTCHES):
+        keyboard.press("d")
+        keyboard.press("j")
+    assert eventually(lambda: client.get_state().force[0] < -GRIP_N)
+    keyboard.down("e")
+    keyboard.down("u")
+    lifted = eventually(lambda: heights() > RESTS_M + 0.02, every_s=0.02)
+    keyboard.up("e")
+    keyboard.up("u")
+    assert lifted
+    assert screen.at((0.0, 0.0, 0.0)) == pytest.approx(corner, abs=0.5)
+    assert all(screen.shows(word) for word in ("left hand", "right hand", "wheel"))

@@ -1,0 +1,60 @@
+"""A finger taken, in a browser, from a rig whose hands lift a box by themselves: the box stays in the air."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from helpers.browser import Screen, eventually, why_none
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.app import Daemon
+from softfinger.server.remote import Client
+from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.protocol import WORLD
+
+pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+
+RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
+HIGH_M = 0.06
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    """The shipped hands, which lift the box and put it down again and again."""
+    with Daemon(load_rig("simulated-lift-a-box", RIG), load_scene("lift-a-box"), scene_name="lift-a-box") as running:
+        running.start()
+        yield running
+
+
+def test_who_takes_one_finger_holds_the_box(daemon: Daemon, screen: Screen, client: Client) -> None:
+    """A stroke of a key for the left finger, up in the air: seconds later the box hangs where it hung."""
+    screen.tab("Hand")
+    with subscribe(daemon.publisher.endpoint, (WORLD,)) as samples:
+
+        def height() -> float:
+            newest = samples.receive(5.0)
+            while (more := samples.receive(0.0)) is not None:
+                newest = more
+            return float(newest.data.bodies[0].position[2])
+
+        def pass_ticks(count: int) -> None:
+            begin = client.get_state().sequence
+            assert eventually(lambda: client.get_state().sequence > begin + count)
+
+        def taken() -> bool:
+            """Whether the page was as fast as the hands, which put the box down soon."""
+            if height() < HIGH_M:
+                return False
+            screen.page.keyboard.press("w")
+            pass_ticks(2000)
+            if height() < HIGH_M:
+                screen.page.get_by_role("button", name="let go", exact=True).click()
+                return False
+            return True
+
+        assert eventually(taken, every_s=0.0)
+        hangs = height()
+        assert client.get_state().force[0] < -1.0
+        pass_ticks(3000)  # in which the hands by themselves put it down
+        assert height() == pytest.approx(hangs, abs=2e-4)
