@@ -66,6 +66,20 @@ def test_it_presses_and_stays_after_the_client_has_gone(daemon: Daemon, client: 
         assert other.get_state().force[2] > 0.5
 
 
+def test_held_it_goes_on_pressing(client: Client) -> None:
+    """Its goal is the one that it was led to, deeper than the contact lets it come; led to that it stays."""
+    client.hand((0.0, 0.0, 0.005), (1.0, 0.0, 0.0, 0.0))
+    assert eventually(lambda: client.get_state().force[2] > 1.0)
+    before = client.get_state()
+    assert eventually(lambda: client.get_state().sequence > before.sequence + 500)  # 16 time constants of its way
+    rests = client.get_state()
+    held = client.hold()
+    assert held.position_m == pytest.approx((0.0, 0.0, 0.005), abs=1e-6) and rests.position[2] > 0.0055
+    client.hand(held.position_m, held.orientation_wxyz)
+    assert eventually(lambda: client.get_state().sequence > rests.sequence + 500)
+    assert client.get_state().force[2] == pytest.approx(rests.force[2], abs=1e-3)
+
+
 def test_it_is_told_when_it_begins_and_ends_and_not_between(daemon: Daemon, client: Client) -> None:
     """A stroke of thirty requests is two events."""
     client.hand(release=True)
