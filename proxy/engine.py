@@ -335,17 +335,13 @@ def check_poses(poses: Array) -> Array:
     """Poses (n, 7), contiguous; raises PoseError naming the first row that cannot be used."""
     if poses.ndim != 2 or poses.shape[1] != 7:
         raise PoseError(f"poses of shape {poses.shape}: expected (n, 7), rows x, y, z, qw, qx, qy, qz")
-    bad = ~np.isfinite(poses).all(axis=1)
-    if bad.any():
-        row = int(bad.argmax())
-        raise PoseError(f"pose {row} is {poses[row].tolist()}: every number must be finite")
-    bad = (np.abs(poses[:, :3]) > POSITION_MAX_M).any(axis=1)
-    if bad.any():
-        row = int(bad.argmax())
-        raise PoseError(f"pose {row} is at {poses[row, :3].tolist()} m: a coordinate is at most {POSITION_MAX_M:g} m")
     norms = np.linalg.norm(poses[:, 3:], axis=1)
-    bad = ~((norms >= 1e-6) & (norms <= 1e6))
-    if bad.any():
-        row = int(bad.argmax())
-        raise PoseError(f"pose {row} has the quaternion {poses[row, 3:].tolist()}: its norm must be from 1e-6 to 1e6")
+    for usable, why in (
+        (np.isfinite(poses).all(axis=1), "every number must be finite"),
+        ((np.abs(poses[:, :3]) <= POSITION_MAX_M).all(axis=1), f"a coordinate is at most {POSITION_MAX_M:g} m"),
+        ((norms >= 1e-6) & (norms <= 1e6), "the last four are its quaternion, and its norm must be from 1e-6 to 1e6"),
+    ):
+        if not usable.all():
+            row = int(usable.argmin())
+            raise PoseError(f"pose {row} is {poses[row].tolist()}: {why}")
     return np.ascontiguousarray(poses)

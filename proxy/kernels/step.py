@@ -15,7 +15,7 @@ from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.among import settle_among_several
 from softfinger.proxy.kernels.contact.several_objects import find_candidates, outcome_among_several
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.dispatch import by_count, by_type_of
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.model import (
     NONE,
@@ -37,8 +37,8 @@ from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
 
-@jit
-def step(scene: Scene, state: State, poses: Any, dt: float) -> tuple[State, Any]:
+@by_type_of("bodies")
+def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """Advance the world by one tick, and every finger over it; the reaction of each contact is put on its body.
 
     scene     Scene   what is modelled, with its parameters
@@ -47,15 +47,9 @@ def step(scene: Scene, state: State, poses: Any, dt: float) -> tuple[State, Any]
     dt        s       time since the last tick; 0 freezes velocity and damping
     returns   State, and a Contact for each finger
     """
-    return step_with(scene.bodies, scene, state, poses, dt)
 
 
-@by_type
-def step_with(bodies: Any, scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """`step`, by whether bodies move by themselves."""
-
-
-@jit
+@step.of(None)
 def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """The contact step of all fingers, with every object where the world has it now."""
     world = advance(scene.objects, state.world, dt)
@@ -64,17 +58,13 @@ def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     return State(world=world, fingers=fingers), contacts
 
 
-@step_with.of(None)
-def step_without_bodies(bodies: None, scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    return step_once(scene, state, poses, dt)
-
-
-@step_with.of(Bodies)
-def step_with_bodies(bodies: Bodies, scene: Scene, state: State, poses: Any, dt: float) -> Any:
+@step.of(Bodies)
+def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """In substeps of equal length, the fingers going straight from their last poses to these.
 
     While the bodies have a fault nothing is touched: where they are is not known.
     """
+    bodies = scene.bodies
     if faulty(bodies):
         return let_go(scene, state.world, state.fingers, poses, dt)
     count = bodies.block[SUBSTEPS]
@@ -199,7 +189,7 @@ def contact_with_one_object(
     rest = rest_alone(finger, objects, shapes, state, probe, candidate, friction.result, dt)
     effects = effects_of_tick(scene, finger, objects, state, rest.active, probe, dt)
     outcome = outcome_alone(finger, shapes, state, probe, candidate, friction, rest, effects)
-    return remember(probe, outcome), report(shapes, finger, probe, outcome)
+    return remember(probe, outcome), report(finger, probe, outcome)
 
 
 @update_contact.of(2)
@@ -216,7 +206,7 @@ def contact_with_several_objects(
         shapes, radius, position, candidates.start, candidates.center, candidates.active, candidates.budget
     )
     outcome = outcome_among_several(scene, finger, objects, shapes, probe, candidates, rest, dt)
-    return remember(probe, outcome), report(shapes, finger, probe, outcome)
+    return remember(probe, outcome), report(finger, probe, outcome)
 
 
 @jit

@@ -79,15 +79,15 @@ class Scratch(NamedTuple):
 
 @jit
 def newest_parameters(
-    slot: Slot, seen: int, scratch: Scratch, tuning_like: Tuning, tuning: Tuning
+    slot: Slot, seen: int, values: NDArray[np.float64], way: Way, tuning: Tuning
 ) -> tuple[int, Tuning]:
     """The parameters of this tick, on their way to the newest that are wanted, and the version of those."""
-    newest = refresh(slot, seen, scratch.values)
+    newest = refresh(slot, seen, values)
     if newest != seen:
-        head_for(scratch.way, scratch.values)
-    if scratch.way.left[0] > 0:
-        advance(scratch.way)
-        tuning = unpack(tuning_like, scratch.way.now)
+        head_for(way, values)
+    if way.left[0] > 0:
+        advance(way)
+        tuning = unpack(tuning, way.now)
     return newest, tuning
 
 
@@ -136,7 +136,7 @@ def servo_loop(
         sleep_until(pace.deadline, timespec)
         woke = now_ns(timespec)
 
-        seen, tuning = newest_parameters(shared.tuning, seen, scratch, tuning_like, tuning)
+        seen, tuning = newest_parameters(shared.tuning, seen, scratch.values, scratch.way, tuning)
         befores, statuses = read_all(ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
         place, status = ended(statuses)
         if place >= 0:

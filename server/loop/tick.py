@@ -138,12 +138,12 @@ def usable(sample: Any) -> bool:
 
 
 @jit
-def pose_of(tool: Any, hand: FingerMemory, sample: Any) -> Pose:
+def pose_of(tool: Any, last: Probe, sample: Any) -> Pose:
     """The fingertip's pose by a sample of the handle; the last one where it holds none."""
     if usable(sample):
         position = (sample[0], sample[1], sample[2])
         return tip_of(tool, Pose(position, as_unit((sample[3], sample[4], sample[5], sample[6]))))
-    return Pose(hand.contact.probe.position, hand.contact.probe.orientation)
+    return Pose(last.position, last.orientation)
 
 
 @jit
@@ -163,8 +163,9 @@ def arrive(hands: Any, tools: Any, world: World, samples: Any) -> Any:
 
 @arrive.of(1)
 def arrive_with_one(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    pose = pose_of(tools[0], hands[0], samples[0])
-    return (entered(world, hands[0].contact, pose),), (pose,)
+    finger = hands[0].contact
+    pose = pose_of(tools[0], finger.probe, samples[0])
+    return (entered(world, finger, pose),), (pose,)
 
 
 @arrive.of(2)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from numba import literal_unroll
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_of
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, pose_values, turn_into, turn_out_of
@@ -18,7 +18,7 @@ STILL = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
 
 class Carry(NamedTuple):
-    """How an object moved since the last tick; `moves` is 0 for one that cannot."""
+    """How an object moved since the last tick; `moves` is 0 for one that cannot. None, too, stands for such a one."""
 
     moves: float
     was: Pose
@@ -38,6 +38,21 @@ def cannot_move(motion: None) -> float:
 @can_move.otherwise
 def moves(motion: Any) -> float:
     return 1.0
+
+
+@by_type_of("motion")
+def carry_of(body: Any) -> Any:
+    """Motion of an object in this tick: a Carry, None of one that cannot move."""
+
+
+@carry_of.of(None)
+def carry_of_fixed(body: Any) -> None:
+    return None
+
+
+@carry_of.otherwise
+def carry_of_moving(body: Any) -> Carry:
+    return Carry(1.0, pose_values(body.was), pose_values(body.pose))
 
 
 @jit
@@ -62,33 +77,69 @@ def any_moves(objects: Any) -> bool:
     return found > 0.0
 
 
-@jit
-def carried_point(carried: Carry, x: Vec3) -> Vec3:
+@by_type
+def carried_point(carried: Any, x: Vec3) -> Any:
     """A point of the object, (3,) m world, where it is now."""
+
+
+@by_type
+def carried_direction(carried: Any, v: Vec3) -> Any:
+    """A direction of the object, world, as it points now."""
+
+
+@by_type
+def relative_velocity(carried: Any, velocity: Vec3, position: Vec3, dt: float) -> Any:
+    """`velocity` (3,) m/s less that of the object there; `position` (3,) m at the last tick. dt = 0 has no velocity."""
+
+
+@by_type
+def relative_rotation(carried: Any, turn: Quaternion) -> Any:
+    """The fingertip's rotation `turn` less the object's own, w >= 0: what it turned against the object."""
+
+
+@carried_point.of(None)
+def same_point(carried: None, x: Vec3) -> Vec3:
+    return x
+
+
+@carried_direction.of(None)
+def same_direction(carried: None, v: Vec3) -> Vec3:
+    return v
+
+
+@relative_velocity.of(None)
+def same_velocity(carried: None, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
+    return velocity
+
+
+@relative_rotation.of(None)
+def same_rotation(carried: None, turn: Quaternion) -> Quaternion:
+    return turn
+
+
+@carried_point.of(Carry)
+def point_carried_along(carried: Carry, x: Vec3) -> Vec3:
     if carried.moves == 0.0:
         return x
     return out_of(carried.now, into(carried.was, x))
 
 
-@jit
-def relative_velocity(carried: Carry, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
-    """`velocity` (3,) m/s less that of the object there; `position` (3,) m at the last tick. dt = 0 has no velocity."""
+@relative_velocity.of(Carry)
+def velocity_against_object(carried: Carry, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
     if carried.moves == 0.0 or dt <= 0.0:
         return velocity
     return vec3.add_scaled(velocity, -1.0 / dt, vec3.sub(carried_point(carried, position), position))
 
 
-@jit
-def carried_direction(carried: Carry, v: Vec3) -> Vec3:
-    """A direction of the object, world, as it points now."""
+@carried_direction.of(Carry)
+def direction_carried_along(carried: Carry, v: Vec3) -> Vec3:
     if carried.moves == 0.0:
         return v
     return turn_out_of(carried.now, turn_into(carried.was, v))
 
 
-@jit
-def relative_rotation(carried: Carry, turn: Quaternion) -> Quaternion:
-    """The fingertip's rotation `turn` less the object's own, w >= 0: what it turned against the object."""
+@relative_rotation.of(Carry)
+def rotation_against_object(carried: Carry, turn: Quaternion) -> Quaternion:
     if carried.moves == 0.0:
         return turn
     objects_turn = rotations.relative(carried.now.orientation, carried.was.orientation)

@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.contact.carry import (
     any_moves,
     carried_direction,
     carried_point,
-    carry,
+    carry_of,
     relative_rotation,
     relative_velocity,
 )
@@ -36,12 +36,10 @@ from softfinger.proxy.kernels.query.objects import (
     NOBODY,
     closest_to_within,
     deepest,
-    is_inside,
-    raised_clear_of,
     slides_round_hollow,
-    transport_on,
 )
 from softfinger.proxy.kernels.query.sweep import first_hit
+from softfinger.proxy.kernels.shapes import is_hollow, transport
 from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM, SPENT
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ROLLING
@@ -96,9 +94,9 @@ def rest_of(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec
 def rest_over_the_probe(
     contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
 ) -> Vec3:
-    index, normal, depth = active[0]
+    _, normal, depth = active[0]
     over = vec3.add(position, vec3.scale(depth, normal))
-    return over if follows_on(objects, index, radius, OffsetPoint(met, normal), over) else met
+    return over if follows_on(objects[0], radius, OffsetPoint(met, normal), over) else met
 
 
 @rest_of.of(2)
@@ -163,12 +161,10 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
         ):  # the gap is a bound, of a map that was not searched to the end; or another triangle is as near
             if state.started != 0.0:
                 center = met
-            elif any_mesh(objects) and not any_creases(objects):
-                center, known = raised(objects, radius, center, normal)
+            else:
+                center, known = raised(objects, index, radius, center, normal)
                 if not known:
                     return Meeting(start, position, nothing, SPENT)
-            else:
-                center = raised_clear_of(objects, index, center, radius)
         depth = max(vec3.dot(vec3.sub(center, position), normal), 0.0)
         active = one_constraint(index, normal, depth)
         ended = state.mode != FREE and depth <= INSIDE * radius
@@ -189,11 +185,11 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
     zero, against = (0.0, 0.0, 0.0), probe.velocity
     met = detect_among_several(finger, objects, state, probe.position)
     center, active = met.center, met.active
-    if active[0].body >= 0.0 and is_inside(objects, active[0].body):
+    if active[0].body >= 0.0 and is_hollow(objects[0].shape):
         # The wall may be far along the normal of where it was met. Nothing is wound yet: the nearest place is right.
-        center, active, _ = settle_on_one(objects, finger.radius, probe.position, center, zero, active, True)
+        center, active, _ = settle_on_one(objects[0], finger.radius, probe.position, center, zero, active[0].normal)
     if met.active[0].body >= 0.0:
-        against = relative_velocity(carry(objects, met.active[0].body), probe.velocity, state.probe.position, dt)
+        against = relative_velocity(carry_of(objects[0]), probe.velocity, state.probe.position, dt)
     return Approach(
         mode=float(ROLLING),
         cause=float(CAUSE_TOUCH),
@@ -214,8 +210,7 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
 @by_type
 def in_hollow(
     method: Any,
-    objects: Any,
-    index: float,
+    body: Any,
     radius: float,
     position: Vec3,
     start: OffsetPoint,
@@ -231,8 +226,7 @@ def in_hollow(
 @in_hollow.of(None)
 def no_roll_in_hollow(
     method: None,
-    objects: Any,
-    index: float,
+    body: Any,
     radius: float,
     position: Vec3,
     start: OffsetPoint,
@@ -240,7 +234,7 @@ def no_roll_in_hollow(
     rolled: Roll,
 ) -> tuple[Roll, Vec3, bool]:
     nothing = (-0.0, -0.0, -0.0)
-    if follows_on(objects, index, radius, start, rolled.center):
+    if follows_on(body, radius, start, rolled.center):
         return rolled, nothing, False
     return Roll(start.center, start.normal, (0.0, 0.0, 0.0), 0.0, rolled.spin, True), nothing, True
 
@@ -248,8 +242,7 @@ def no_roll_in_hollow(
 @in_hollow.otherwise
 def roll_in_hollow(
     method: Any,
-    objects: Any,
-    index: float,
+    body: Any,
     radius: float,
     position: Vec3,
     start: OffsetPoint,
@@ -258,38 +251,36 @@ def roll_in_hollow(
 ) -> tuple[Roll, Vec3, bool]:
     center, normal = start
     beyond = (-0.0, -0.0, -0.0)
-    strays = not rolled.whole or slides_round_hollow(objects, index, radius, center, normal, rolled.theta)
-    strays = strays or not follows_on(objects, index, radius, start, rolled.center)
+    strays = not rolled.whole or slides_round_hollow(body, radius, center, normal, rolled.theta)
+    strays = strays or not follows_on(body, radius, start, rolled.center)
     if strays:  # the roll winds the coupling in the tangent plane, and the centre goes where friction lets it
         theta, axis = rotations.tilt(turn, normal)
         beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
         rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.whole)
-    elif is_inside(objects, index):
+    elif is_hollow(body.shape):
         # The normal that turns makes a tangent part of the depth: u (1 + depth / (R - r)) in a round hollow.
         begun = vec3.reject(vec3.sub(center, position), normal)
         ended = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
-        wound = vec3.sub(ended, transport_on(objects, index, begun, normal, rolled.normal))
+        wound = vec3.sub(ended, transport(body.shape, begun, normal, rolled.normal))
         rolled = Roll(rolled.center, rolled.normal, wound, rolled.theta, rolled.spin, True)
     return rolled, beyond, strays
 
 
 @jit
-def continue_contact(
-    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
-) -> Approach:
+def continue_contact(scene: Scene, finger: Finger, body: Any, state: FingerState, probe: Probe, dt: float) -> Approach:
     """The contact goes with its object and rolls by what the fingertip turned against it."""
-    radius, position, index, last = finger.radius, probe.position, 0.0, state.contacts[0]
-    carried = carry(objects, index)
+    radius, position, last = finger.radius, probe.position, state.contacts[0]
+    carried = carry_of(body)
     old_normal, moved = carried_direction(carried, last.normal), carried_point(carried, state.center)
     against = relative_velocity(carried, probe.velocity, state.probe.position, dt)
     turn = relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
-    rolled = roll_on(scene.rolling, objects, index, radius, moved, old_normal, turn)
+    rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
     begun = OffsetPoint(moved, old_normal)
     whole = rolled.whole
-    rolled, beyond, strays = in_hollow(scene.rolling, objects, index, radius, position, begun, turn, rolled)
+    rolled, beyond, strays = in_hollow(scene.rolling, body, radius, position, begun, turn, rolled)
     center, normal = rolled.center, rolled.normal
-    rolled_part = transport_on(objects, index, carried_direction(carried, last.rolled_part), old_normal, normal)
-    before = transport_on(objects, index, carried_direction(carried, last.deflection), old_normal, normal)
+    rolled_part = transport(body.shape, carried_direction(carried, last.rolled_part), old_normal, normal)
+    before = transport(body.shape, carried_direction(carried, last.deflection), old_normal, normal)
     behind = vec3.sub(center, position)
     active = pressed(normal, behind)
     deflection = vec3.add(vec3.sub(behind, vec3.scale(active[0].depth, normal)), beyond)
@@ -317,7 +308,7 @@ def detect_or_continue(
     """The contact with the only object goes on; where it has ended, what is met in the same tick is another one. The
     state returned is without the contact that has ended."""
     if state.mode != FREE:
-        candidate = continue_contact(scene, finger, objects, state, probe, dt)
+        candidate = continue_contact(scene, finger, objects[0], state, probe, dt)
         if not has_ended(candidate.active):
             return state, candidate
     state = separated(state)

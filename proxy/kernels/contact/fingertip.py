@@ -6,7 +6,7 @@ geometry.surfaces.grown; then it meets, rests, slides and leaves as a ball of th
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.carry import Carry, relative_rotation
+from softfinger.proxy.kernels.contact.carry import relative_rotation
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -45,7 +45,7 @@ def torque_of(
 
 @by_type
 def velocity_at(
-    form: Any, velocity: Vec3, carried: Carry, probe: Probe, last: Probe, normal: Vec3, dt: float
+    form: Any, velocity: Vec3, carried: Any, probe: Probe, last: Probe, normal: Vec3, dt: float
 ) -> Any:  # fmt: skip
     """Velocity (3,) m/s along the normal of the fingertip at the contact, whose centre has `velocity`, both against
     the object; `last` is the probe before dt, s, or dt is 0 where it has not turned."""
@@ -83,7 +83,7 @@ def torque_of_ball(
 
 @velocity_at.of(None)
 def velocity_of_ball(
-    form: None, velocity: Vec3, carried: Carry, probe: Probe, last: Probe, normal: Vec3, dt: float
+    form: None, velocity: Vec3, carried: Any, probe: Probe, last: Probe, normal: Vec3, dt: float
 ) -> Vec3:
     return velocity
 
@@ -160,7 +160,7 @@ def torque_of_ellipsoid(
 
 @velocity_at.of(EllipsoidTip)
 def velocity_of_ellipsoid(
-    form: EllipsoidTip, velocity: Vec3, carried: Carry, probe: Probe, last: Probe, normal: Vec3, dt: float
+    form: EllipsoidTip, velocity: Vec3, carried: Any, probe: Probe, last: Probe, normal: Vec3, dt: float
 ) -> Vec3:
     """v - w x arm: an ellipsoid that turns presses deeper or less deep, and the damping has to see it, or it gives."""
     if dt <= 0.0:

@@ -7,11 +7,17 @@ not known then is said, and the next tick's pose is the first again.
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.rest.active_set import INSIDE
-from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import NONE, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, has_creases_at
-from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest
+from softfinger.proxy.kernels.query.kinds import (
+    SINGLE_POINT,
+    WITH_MESH,
+    any_creases,
+    any_mesh,
+    by_multipoint,
+    has_creases_at,
+)
+from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest, raised_clear_of
 from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 
@@ -33,10 +39,20 @@ class Touched(NamedTuple):
     budget: int
 
 
-@jit
-def touched_at_first(objects: Any, radius: float, position: Vec3, budget: int) -> Touched:
+@by_multipoint
+def touched_at_first(objects: Any, radius: float, position: Vec3, budget: int) -> Any:
     """What a fingertip touches that begins at `position` (3,) m; with the `budget` for height maps, and for meshes
     beside them."""
+
+
+@touched_at_first.of(SINGLE_POINT)
+def touched_in_one_point(objects: Any, radius: float, position: Vec3, budget: int) -> Touched:
+    gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
+    return Touched(index if gap < radius else NONE, True, budget)
+
+
+@touched_at_first.otherwise
+def touched_in_many_points(objects: Any, radius: float, position: Vec3, budget: int) -> Touched:
     if any_creases(objects):  # a height map tells its side from near by
         gap, index, budget = deepest(objects, position, radius, NOBODY, budget)
         if any_mesh(objects) and gap >= radius:
@@ -56,10 +72,20 @@ def touched_at_first(objects: Any, radius: float, position: Vec3, budget: int) -
     return Touched(index if gap < radius else NONE, True, budget)
 
 
-@jit
-def raised(objects: Any, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
-    """The first place (3,) m found along the normal from `center`, which is inside, where a fingertip is outside of
-    everything; and whether there is one."""
+@by_multipoint
+def raised(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> Any:
+    """A place (3,) m outside for a fingertip at `center`, which is inside, on the object with that place where it has
+    that normal; and whether there is one."""
+
+
+@raised.otherwise
+def raised_off_object(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
+    return raised_clear_of(objects, index, center, radius), True
+
+
+@raised.of(WITH_MESH)
+def raised_off_facets(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
+    """The first place found along the normal that is outside of everything."""
     height, step, left = 0.0, RISE * radius, ROOM
     for _ in range(RISES):
         place = vec3.add_scaled(center, height, normal)

@@ -6,7 +6,7 @@ more (`query.world.all_bare`).
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.carry import carried_direction, carry
+from softfinger.proxy.kernels.contact.carry import carried_direction, carry_of
 from softfinger.proxy.kernels.contact.detection import Approach
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of, velocity_at
@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.objects import number_of, pose_of
+from softfinger.proxy.kernels.numerics.frames import pose_values
 from softfinger.proxy.record import CAUSE_NONE, SLIDING
 
 
@@ -64,14 +64,14 @@ def friction_alone(
     active, last = candidate.active, state.contacts[0]
     material = with_texture_friction(objects, active, candidate.center)[0].material
     felt = textured(objects, active, probe.position)
-    moves, since = carry(shapes, 0.0), 0.0 if candidate.began else dt
+    moves, since = carry_of(shapes[0]), 0.0 if candidate.began else dt
     against = velocity_at(finger.form, candidate.against, moves, probe, state.probe, active[0].normal, since)
     normal_force = normal_force_of(material.normal, felt[0].depth, vec3.dot(against, felt[0].normal))
     round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, active[0].normal)
     area = contact_patch(finger.patch, round_by, material.compliance, normal_force)
     unit = winding_unit(material.torsion, area, 1.0)
     result = stick_slip(
-        turned(material.friction, pose_of(shapes, 0.0).orientation),
+        turned(material.friction, pose_values(shapes[0].pose).orientation),
         torsion_under(material.torsion, area),
         finger.coupling,
         finger.torque_stiffness,
@@ -108,12 +108,13 @@ def rest_alone(
     dt: float,
 ) -> RestAlone:
     """Where friction lets go the proxy follows, and the normal force is that at its new place."""
-    position = probe.position
+    position, center, active, bounded = probe.position, candidate.center, candidate.active, 0.0
     slips = result.mode == SLIDING or result.deflection != candidate.deflection or candidate.strays
-    center, active, bounded = settle_on_one(
-        shapes, finger.radius, position, candidate.center, result.deflection, candidate.active, slips
-    )
-    felt, moves = textured(objects, active, position), carry(shapes, 0.0)
+    if slips:
+        center, active, bounded = settle_on_one(
+            shapes[0], finger.radius, position, center, result.deflection, active[0].normal
+        )
+    felt, moves = textured(objects, active, position), carry_of(shapes[0])
     since = 0.0 if candidate.began else dt
     against = velocity_at(finger.form, candidate.against, moves, probe, state.probe, active[0].normal, since)
     normal_force = normal_force_of(shapes[0].material.normal, felt[0].depth, vec3.dot(against, felt[0].normal))
@@ -156,7 +157,7 @@ def outcome_alone(
     """Forces of the only contact, and what becomes of it."""
     kept, normal, load = friction.result, rest.active[0].normal, rest.normal_force
     tangential, moment = vec3.reject(kept.force, normal), kept.moment
-    last_bend = carried_direction(carry(shapes, 0.0), state.contacts[0].bend)
+    last_bend = carried_direction(carry_of(shapes[0]), state.contacts[0].bend)
     bent = ResistanceInput(0.0, candidate.active[0].normal, 1.0, last_bend, candidate.began)
     bend, bending = resist(finger.patch, shapes, bent, probe, state.probe, friction.area)
     if friction.normal_force > load:
@@ -168,7 +169,7 @@ def outcome_alone(
     torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
     reported = ContactOutcome(
-        object=number_of(shapes, 0.0),
+        object=shapes[0].number,
         point=point_under(finger.form, finger.radius, probe.orientation, rest.center, normal),
         normal=normal,
         force=vec3.add(pressing, tangential),
@@ -180,7 +181,7 @@ def outcome_alone(
     return Outcome(
         mode=kept.mode,
         cause=cause,
-        place=0.0,
+        object=reported.object,
         normal=normal,
         center=rest.center,
         shown=rest.center,

@@ -19,7 +19,6 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.objects import number_of
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, FREE
 
 
@@ -27,7 +26,7 @@ class Outcome(NamedTuple):
     """A contact at the end of a tick.
 
     mode, cause         of the first contact, and of its change in this tick
-    place               of the object that bears the first contact, in the scene's tuple
+    object              number in the scene file of what bears the first contact, -1 for none
     normal              (3,)      of that object
     center              (3,) m    proxy without friction's displacement where there are several objects
     shown               (3,) m    proxy as it is reported
@@ -47,7 +46,7 @@ class Outcome(NamedTuple):
 
     mode: float
     cause: float
-    place: float
+    object: float
     normal: Vec3
     center: Vec3
     shown: Vec3
@@ -83,13 +82,13 @@ def remember(probe: Probe, outcome: Outcome) -> FingerState:
 
 
 @jit
-def report(objects: Any, finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
+def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
     """What telemetry says of this tick, and the wrench."""
     to_fingertip, normal = rotations.conjugate(probe.orientation), outcome.normal
     inward = rotations.rotate(to_fingertip, normal)
     return Contact(
         mode=outcome.mode,
-        object=number_of(objects, outcome.place),
+        object=outcome.object,
         cause=outcome.cause,
         velocity=probe.velocity,
         center=outcome.shown,

@@ -23,7 +23,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import ActiveSet, Finger, FingerState, Probe, Scene, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import any_multipoint
-from softfinger.proxy.kernels.query.objects import closest_to_within, deepest
+from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, number_of
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ON_ITS_WAY, UNSEARCHED
 
@@ -157,7 +157,7 @@ def outcome_among_several(
     return Outcome(
         mode=one.after.mode,
         cause=cause,
-        place=active[0].body,
+        object=number_of(shapes, active[0].body),
         normal=active[0].normal,
         center=rest.center,
         shown=shown,

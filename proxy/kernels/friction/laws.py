@@ -66,7 +66,6 @@ def coulomb_cone(law: Friction, normal_force: float, slip_speed: float) -> tuple
     return law.static * normal_force, law.kinetic * normal_force
 
 
-@jit
 def isotropic_scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales:
     length = vec3.norm(v)
     if length > 0.0:
@@ -74,7 +73,6 @@ def isotropic_scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales
     return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 1.0
 
 
-@jit
 def isotropic_cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
     """Radial return to a circle, which is its nearest point; never extended, so friction only resists."""
     length = vec3.norm(deflection)
@@ -85,34 +83,20 @@ def isotropic_cut(law: Any, normal: Vec3, longest: float, breaking: float, defle
     return deflection, slip, length
 
 
-@scales.of(Friction)
-def coulomb_scales(law: Friction, normal: Vec3, v: Vec3, breaking: float) -> Scales:
-    return isotropic_scales(law, normal, v, breaking)
-
-
-@load_size.of(Friction)
-def coulomb_load_size(law: Friction, normal: Vec3, load: Vec3) -> float:
+def isotropic_load_size(law: Any, normal: Vec3, load: Vec3) -> float:
     return vec3.norm(load)
 
 
-@cut.of(Friction)
-def coulomb_cut(law: Friction, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
-    return isotropic_cut(law, normal, longest, breaking, deflection)
-
-
-@turned.of(None)
-def unturned_nothing(law: None, rotation: Quaternion) -> None:
+def unturned(law: Any, rotation: Quaternion) -> Any:
     return law
 
 
-@turned.of(Friction)
-def coulomb_turned(law: Friction, rotation: Quaternion) -> Friction:
-    return law
-
-
-@turned.of(PaperFriction)
-def paper_turned(law: PaperFriction, rotation: Quaternion) -> PaperFriction:
-    return law
+for _isotropic in (Friction, SpeedFriction):
+    scales.of(_isotropic)(isotropic_scales)
+    load_size.of(_isotropic)(isotropic_load_size)
+    cut.of(_isotropic)(isotropic_cut)
+for _without_directions in (None, Friction, SpeedFriction, PaperFriction):
+    turned.of(_without_directions)(unturned)
 
 
 @scaled.of(None)
@@ -159,26 +143,6 @@ def speed_cone(law: SpeedFriction, normal_force: float, slip_speed: float) -> tu
     """
     drop = (law.static - law.kinetic) * remaining(law.stribeck, slip_speed)
     return law.static * normal_force, (law.kinetic + drop + law.viscous * slip_speed) * normal_force
-
-
-@scales.of(SpeedFriction)
-def speed_scales(law: SpeedFriction, normal: Vec3, v: Vec3, breaking: float) -> Scales:
-    return isotropic_scales(law, normal, v, breaking)
-
-
-@load_size.of(SpeedFriction)
-def speed_load_size(law: SpeedFriction, normal: Vec3, load: Vec3) -> float:
-    return vec3.norm(load)
-
-
-@cut.of(SpeedFriction)
-def speed_cut(law: SpeedFriction, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
-    return isotropic_cut(law, normal, longest, breaking, deflection)
-
-
-@turned.of(SpeedFriction)
-def speed_turned(law: SpeedFriction, rotation: Quaternion) -> SpeedFriction:
-    return law
 
 
 @scaled.of(SpeedFriction)

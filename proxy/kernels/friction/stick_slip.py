@@ -128,7 +128,6 @@ def end_of_sliding(
     return float(CAUSE_STOP) if stopped else float(CAUSE_REVERSE)
 
 
-@jit
 def stick_slip_by_law(
     law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
@@ -192,25 +191,8 @@ def stick_slip_by_law(
     )  # fmt: skip
 
 
-@stick_slip.of(Friction)
-def stick_slip_coulomb(
-    law: Friction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
-) -> FrictionResult:
-    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, given)
-
-
-@stick_slip.of(SpeedFriction)
-def stick_slip_with_speed(
-    law: SpeedFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
-) -> FrictionResult:
-    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, given)
-
-
-@stick_slip.of(Anisotropic)
-def stick_slip_anisotropic(
-    law: Anisotropic, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
-) -> FrictionResult:
-    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, given)
+for _law in (Friction, SpeedFriction, Anisotropic):
+    stick_slip.of(_law)(stick_slip_by_law)
 
 
 @stick_slip.of(PaperFriction)

@@ -26,12 +26,26 @@ def _kind_of(numba_type: types.Type) -> type | None:
     return getattr(numba_type, "instance_class", None) or type(numba_type)
 
 
+def _kind_of_class(kind: type) -> type | None:
+    return None if kind is type(None) else kind
+
+
 def by_type(declaration: Callable[..., Any]) -> Any:
     """Declare a kernel that each kind of node implements with `.of(Kind)`, or all others with `.otherwise`.
 
     A kind is known by its class, wherever that is defined: a package of its own adds kinds by `.of(Kind)` alone.
     """
-    return chosen_by(declaration, type, lambda kind: None if kind is type(None) else kind, _kind_of)
+    return chosen_by(declaration, type, _kind_of_class, _kind_of)
+
+
+def by_type_of(field: str) -> Callable[[Callable[..., Any]], Any]:
+    """`by_type`, by a field of the first argument, a named tuple."""
+    return lambda declaration: chosen_by(
+        declaration,
+        lambda node: type(getattr(node, field)),
+        _kind_of_class,
+        lambda node: _kind_of(node[node.fields.index(field)]),
+    )
 
 
 def by_count(declaration: Callable[..., Any]) -> Any:

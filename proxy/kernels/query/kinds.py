@@ -64,22 +64,37 @@ def shape_of_first(entry: Any) -> Any:
     return entry[0].shape
 
 
-@jit
-def any_mesh(objects: Any) -> bool:
+@by_multipoint
+def any_mesh(objects: Any) -> Any:
     """Whether there is a mesh among them."""
+
+
+@any_mesh.of(SINGLE_POINT)
+def no_mesh(objects: Any) -> bool:
+    return False
+
+
+@any_mesh.otherwise
+def some_mesh(objects: Any) -> bool:
     found = 0.0
     for entry in literal_unroll(objects):
         found += is_mesh_shape(shape_in(entry))
     return found > 0.0
 
 
-@jit
-def any_creases(objects: Any) -> bool:
+@by_multipoint
+def any_creases(objects: Any) -> Any:
     """Whether there is a height map among them."""
-    found = 0.0
-    for entry in literal_unroll(objects):
-        found += has_creases(shape_in(entry))
-    return found > 0.0
+
+
+@any_creases.of(WITH_HEIGHTMAP)
+def some_creases(objects: Any) -> bool:
+    return True
+
+
+@any_creases.otherwise
+def no_creases(objects: Any) -> bool:
+    return False
 
 
 @jit

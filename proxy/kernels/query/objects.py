@@ -132,21 +132,14 @@ def is_inside(objects: Any, index: float) -> bool:
 
 
 @jit
-def slides_round_hollow(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3, theta: float) -> bool:
+def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, theta: float) -> bool:
     """Whether a roll by `theta` rad takes the contact round a hollow so far that its way cannot be followed.
 
     The contact turns by k r theta, k the curvature of the surface that the centre moves on: any number of times the
     roll in a hollow that the fingertip nearly fills.
     """
-    swings = False
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            point = into(body.pose, vec3.add_scaled(center, -radius, normal))
-            swings = bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > SWING
-        at += count(entry)
-    return swings
+    point = into(body.pose, vec3.add_scaled(center, -radius, normal))
+    return bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > SWING
 
 
 @jit

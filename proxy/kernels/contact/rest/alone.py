@@ -22,17 +22,15 @@ SETTLED = 1e-13
 
 @jit
 def settle_on_one(
-    objects: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, active: ActiveSet, slips: bool
+    body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, float]:
     """Bring the proxy to rest on the only object; and 1 if its search had to stop before that was found.
 
     center      (3,) m  where its roll has brought it
     deflection  (3,) m  what friction keeps between proxy and probe, tangent
-    slips               False where friction holds it
+    normal      (3,)    of the object there
     """
-    if not slips:
-        return center, active, 0.0
-    center, normal, bounded = rest_on(objects[0].shape, objects[0], radius, probe, center, deflection, active[0].normal)
+    center, normal, bounded = rest_on(body.shape, body, radius, probe, center, deflection, normal)
     return center, pressed(normal, vec3.sub(center, probe)), bounded
 
 

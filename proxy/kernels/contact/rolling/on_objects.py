@@ -1,4 +1,4 @@
-"""A roll over one of the objects of a scene, in the world: each object is rolled over in its own frame."""
+"""A roll over an object, in the world: each is rolled over in its own frame."""
 
 from typing import Any
 
@@ -14,35 +14,20 @@ from softfinger.proxy.kernels.shapes import follows, tangent_plane
 
 
 @jit
-def roll_on(
-    method: Any, objects: Any, index: float, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
-) -> Roll:
-    """`roll` over the object with that place, in the world."""
-    found = Roll(center, normal, (0.0, 0.0, 0.0), 0.0, 0.0, True)
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            pose = body.pose
-            axis = turn_into(pose, (turn[1], turn[2], turn[3]))
-            local = roll(
-                method,
-                body.shape,
-                radius,
-                into(pose, center),
-                turn_into(pose, normal),
-                (turn[0], axis[0], axis[1], axis[2]),
-            )
-            found = Roll(
-                out_of(pose, local.center),
-                turn_out_of(pose, local.normal),
-                turn_out_of(pose, local.motion),
-                local.theta,
-                local.spin,
-                local.whole,
-            )
-        at += count(entry)
-    return found
+def roll_on(method: Any, body: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
+    """`roll` over an object, in the world."""
+    pose = body.pose
+    axis = turn_into(pose, (turn[1], turn[2], turn[3]))
+    turned = (turn[0], axis[0], axis[1], axis[2])
+    local = roll(method, body.shape, radius, into(pose, center), turn_into(pose, normal), turned)
+    return Roll(
+        out_of(pose, local.center),
+        turn_out_of(pose, local.normal),
+        turn_out_of(pose, local.motion),
+        local.theta,
+        local.spin,
+        local.whole,
+    )
 
 
 @jit
@@ -63,14 +48,7 @@ def roll_flat_on(method: Any, objects: Any, index: float, radius: float, normal:
 
 
 @jit
-def follows_on(objects: Any, index: float, radius: float, start: OffsetPoint, end: Vec3) -> bool:
-    """`follows` of the object with that place, in the world."""
-    leads = True
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            begun = into(body.pose, start.center)
-            leads = follows(body.shape, radius, begun, turn_into(body.pose, start.normal), into(body.pose, end))
-        at += count(entry)
-    return leads
+def follows_on(body: Any, radius: float, start: OffsetPoint, end: Vec3) -> bool:
+    """`follows` of an object, in the world."""
+    begun = into(body.pose, start.center)
+    return follows(body.shape, radius, begun, turn_into(body.pose, start.normal), into(body.pose, end))
