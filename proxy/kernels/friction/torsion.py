@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
     FrictionInput,
     LimitSurface,
@@ -84,13 +85,7 @@ def stiffness_in_winding_units(torsion: PatchTorsion) -> float:
     return 1.0
 
 
-@torsional_stiffness.of(LimitSurface)
-def limit_surface_stiffness(torsion: LimitSurface) -> float:
-    return torsional_stiffness(torsion.law)
-
-
-@torsional_stiffness.of(SoftFingerProxy)
-def soft_finger_stiffness(torsion: SoftFingerProxy) -> float:
+def stiffness_of_law(torsion: Any) -> float:
     return torsional_stiffness(torsion.law)
 
 
@@ -104,14 +99,8 @@ def grip_none(torsion: None, factor: float) -> None:
     return torsion
 
 
-@with_scaled_friction.of(Torsion)
-def grip_linear(torsion: Torsion, factor: float) -> Torsion:
-    return Torsion(torsion.stiffness, factor * torsion.friction_length)
-
-
-@with_scaled_friction.of(PowerTorsion)
-def grip_power(torsion: PowerTorsion, factor: float) -> PowerTorsion:
-    return PowerTorsion(torsion.stiffness, factor * torsion.friction_length, torsion.exponent)
+def grip_spring(torsion: Any, factor: float) -> Any:
+    return replace(torsion, "friction_length", factor * torsion.friction_length)
 
 
 @with_scaled_friction.of(PatchTorsion)
@@ -119,14 +108,8 @@ def grip_patch(torsion: PatchTorsion, factor: float) -> PatchTorsion:
     return PatchTorsion(factor * torsion.friction)
 
 
-@with_scaled_friction.of(LimitSurface)
-def grip_limit_surface(torsion: LimitSurface, factor: float) -> LimitSurface:
-    return LimitSurface(with_scaled_friction(torsion.law, factor))
-
-
-@with_scaled_friction.of(SoftFingerProxy)
-def grip_soft_finger(torsion: SoftFingerProxy, factor: float) -> SoftFingerProxy:
-    return SoftFingerProxy(with_scaled_friction(torsion.law, factor), torsion.kinetic_share)
+def grip_law(torsion: Any, factor: float) -> Any:
+    return replace(torsion, "law", with_scaled_friction(torsion.law, factor))
 
 
 @by_type
@@ -139,14 +122,8 @@ def share_of_none(torsion: None, share: float) -> None:
     return torsion
 
 
-@share_of.of(Torsion)
-def share_of_linear(torsion: Torsion, share: float) -> Torsion:
-    return Torsion(share * torsion.stiffness, torsion.friction_length)
-
-
-@share_of.of(PowerTorsion)
-def share_of_power(torsion: PowerTorsion, share: float) -> PowerTorsion:
-    return PowerTorsion(share * torsion.stiffness, torsion.friction_length, torsion.exponent)
+def share_of_spring(torsion: Any, share: float) -> Any:
+    return replace(torsion, "stiffness", share * torsion.stiffness)
 
 
 @share_of.of(PatchTorsion)
@@ -155,14 +132,17 @@ def share_of_patch(torsion: PatchTorsion, share: float) -> PatchTorsion:
     return torsion
 
 
-@share_of.of(LimitSurface)
-def share_of_limit_surface(torsion: LimitSurface, share: float) -> LimitSurface:
-    return LimitSurface(share_of(torsion.law, share))
+def share_of_law(torsion: Any, share: float) -> Any:
+    return replace(torsion, "law", share_of(torsion.law, share))
 
 
-@share_of.of(SoftFingerProxy)
-def share_of_soft_finger(torsion: SoftFingerProxy, share: float) -> SoftFingerProxy:
-    return SoftFingerProxy(share_of(torsion.law, share), torsion.kinetic_share)
+for _spring in (Torsion, PowerTorsion):
+    with_scaled_friction.of(_spring)(grip_spring)
+    share_of.of(_spring)(share_of_spring)
+for _around in (LimitSurface, SoftFingerProxy):  # of another law
+    torsional_stiffness.of(_around)(stiffness_of_law)
+    with_scaled_friction.of(_around)(grip_law)
+    share_of.of(_around)(share_of_law)
 
 
 @by_type
