@@ -1,4 +1,5 @@
-"""The soft wall of a rig and the objects of a scene, seen from the front and from the right: as text, as a figure."""
+"""The soft wall of a rig, the arc or plane of a device that moves in no more, and the objects of a scene, seen from the
+front and from the right: as text, as a figure."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.schema import Object, Plane, Scene, Workspace
+from softfinger.drivers.kinematics.freedom import Freedom
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.viewer.nodes.meshes import mesh_of, plane
@@ -24,6 +26,9 @@ AROUND: Final = 1.25
 """How much of the surroundings is shown, times the workspace."""
 NUMBERS: Final = "123456789abcdefghijklmnopqrstuvwxyz"
 WALL: Final = "·"
+WAY: Final = "="
+DIRECTIONS: Final = 720
+"""In which the edge of a plane's part inside of the wall is looked for; on an arc the places that are tried."""
 
 
 class Drawn(NamedTuple):
@@ -76,17 +81,42 @@ def rows(wall: Workspace, objects: list[Drawn]) -> list[tuple[str, str]]:
     return told
 
 
-def text(wall: Workspace, objects: list[Drawn]) -> list[str]:
+def way(wall: Workspace, freedom: Freedom) -> Array:
+    """Points (n, 3) m inside of the wall: of the arc on which a device moves, or of the edge of its plane there."""
+    turn = np.linspace(-np.pi, np.pi, DIRECTIONS)[:, None]
+    normal, half = freedom.axis, float(half_sizes(wall).max())
+    if freedom.degrees == 1:
+        arm = freedom.middle - freedom.origin
+        points = freedom.origin + np.cos(turn) * arm + np.sin(turn) * np.cross(normal, arm)
+        return np.asarray(points[beyond(wall, points) <= 0.0])
+    centre = np.array(wall.center_m)
+    centre = centre - (centre - freedom.origin) @ normal * normal
+    one = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    one /= np.linalg.norm(one)
+    rays = np.cos(turn) * one + np.sin(turn) * np.cross(normal, one)
+    reach = np.linspace(0.0, 2.0 * half, DIRECTIONS)
+    points = centre + reach[None, :, None] * rays[:, None, :]
+    inside = beyond(wall, points.reshape(-1, 3)).reshape(points.shape[:2]) <= 0.0
+    if not inside[0, 0]:  # the plane passes by
+        return np.zeros((0, 3))
+    return np.asarray(points[np.arange(DIRECTIONS), inside.sum(axis=1) - 1])
+
+
+def text(wall: Workspace, objects: list[Drawn], freedom: Freedom | None = None) -> list[str]:
     """Lines of both views, beside each other."""
-    views = [_view(wall, objects, axis) for _, axis, _ in VIEWS]
+    views = [_view(wall, objects, axis, freedom) for _, axis, _ in VIEWS]
     half = 1e3 * AROUND * float(half_sizes(wall).max())
     heads = [f"{name}: {letter} to the right, z up; {2 * half:.0f} mm wide" for name, _, letter in VIEWS]
     lines = ["   ".join(head.ljust(COLUMNS) for head in heads).rstrip()]
     lines += ["   ".join(pair).rstrip() for pair in zip(*views, strict=True)]
-    return [*lines, f"{WALL} inside of the wall, + its centre, numbers: objects"]
+    lines.append(f"{WALL} inside of the wall, + its centre, numbers: objects")
+    if freedom is not None:
+        what = "the arc" if freedom.degrees == 1 else "the edge of the plane"
+        lines.append(f"{WAY} {what} in which the handle moves; other forces are shown, not displayed")
+    return lines
 
 
-def plot(wall: Workspace, objects: list[Drawn], path: Path) -> None:
+def plot(wall: Workspace, objects: list[Drawn], path: Path, freedom: Freedom | None = None) -> None:
     """Both views as a figure, .png or .svg, axes in mm."""
     from matplotlib.collections import PolyCollection
 
@@ -104,25 +134,33 @@ def plot(wall: Workspace, objects: list[Drawn], path: Path) -> None:
         u, v = np.meshgrid(*(np.linspace(m - half, m + half, 201) for m in middle))
         away = beyond(wall, 1e-3 * _in_plane(1e3 * np.array(wall.center_m), axis, u, v)).reshape(u.shape)
         axes.contour(u, v, away, [0.0], colors="black", linestyles="dashed")
+        if freedom is not None:
+            line = 1e3 * way(wall, freedom)
+            axes.plot(line[:, axis], line[:, 2], "r-", linewidth=1.5)
         axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal", title=name)
         axes.set_xlabel(f"{letter} [mm]")
         axes.set_ylabel("z [mm]")
     axes.plot([], [], "k--", label="soft wall")
+    if freedom is not None:
+        axes.plot([], [], "r-", label="the handle's arc" if freedom.degrees == 1 else "edge of the handle's plane")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
     save(drawing, path)
 
 
-def _view(wall: Workspace, objects: list[Drawn], axis: int) -> list[str]:
+def _view(wall: Workspace, objects: list[Drawn], axis: int, freedom: Freedom | None) -> list[str]:
     """A view as ROWS lines of COLUMNS characters."""
     center, half = np.array(wall.center_m), AROUND * float(half_sizes(wall).max())
     right, up = np.meshgrid(np.linspace(-half, half, COLUMNS), np.linspace(half, -half, ROWS))
     inside = beyond(wall, _in_plane(center, axis, center[axis] + right, center[2] + up)).reshape(right.shape) <= 0.0
     cells = np.where(inside, WALL, " ")
-    for number, thing in zip(NUMBERS, objects, strict=False):
-        column = np.rint((thing.points[:, axis] - center[axis] + half) / (2.0 * half) * (COLUMNS - 1))
-        row = np.rint((half - thing.points[:, 2] + center[2]) / (2.0 * half) * (ROWS - 1))
+    marks = [(number, thing.points) for number, thing in zip(NUMBERS, objects, strict=False)]
+    if freedom is not None:
+        marks.append((WAY, way(wall, freedom)))
+    for mark, points in marks:
+        column = np.rint((points[:, axis] - center[axis] + half) / (2.0 * half) * (COLUMNS - 1))
+        row = np.rint((half - points[:, 2] + center[2]) / (2.0 * half) * (ROWS - 1))
         seen = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
-        cells[row[seen].astype(int), column[seen].astype(int)] = number
+        cells[row[seen].astype(int), column[seen].astype(int)] = mark
     cells[ROWS // 2, COLUMNS // 2] = "+"
     return ["".join(line) for line in cells]
 

@@ -51,7 +51,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--explain", action="store_true", help="compile each scene and measure what a tick and each part of it cost"
     )
     parser.add_argument(
-        "--plot", type=plot_file, metavar="FILE.png", help="draw the soft wall of a rig about the objects of a scene"
+        "--plot",
+        type=plot_file,
+        metavar="FILE.png",
+        help="draw the soft wall of a rig about the objects of a scene, and the arc or plane of its device",
     )
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 
@@ -76,8 +79,8 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
     Raises ConfigError for a plot of none, or of several.
     """
     usable = [finding for finding in findings if not finding.errors]
-    rigs = [(each.file, load_rig(_locate(each.file)).guard.workspace) for each in usable if each.kind == "rig"]
-    walls = [(name, wall) for name, wall in rigs if wall is not None]
+    rigs = [(each.file, load_rig(_locate(each.file))) for each in usable if each.kind == "rig"]
+    walls = [(name, rig, rig.guard.workspace) for name, rig in rigs if rig.guard.workspace is not None]
     scenes = [each.file for each in usable if each.kind == "scene"]
     if plot is not None and len(walls) * len(scenes) != 1:
         raise ConfigError(
@@ -86,17 +89,19 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
         )
     if not walls or not scenes or (quiet and plot is None):
         return
+    from softfinger.drivers.kinematics.freedom import freedom_of_table
     from softfinger.server.offline import workspace
 
-    for name, wall in walls:
+    for name, rig, wall in walls:
+        freedom = None if rig.device is None else freedom_of_table(rig.device)
         for scene in scenes:
             objects = workspace.drawn(wall, load_scene(_locate(scene)))
             if plot is not None:
-                workspace.plot(wall, objects, plot)
+                workspace.plot(wall, objects, plot, freedom)
             if not quiet:
                 print(f"the soft wall of {name} in {scene}")
                 _print_rows(workspace.rows(wall, objects))
-                print("\n".join(f"  {line}" for line in workspace.text(wall, objects)))
+                print("\n".join(f"  {line}" for line in workspace.text(wall, objects, freedom)))
 
 
 def examine_file(file: str) -> Finding:

@@ -12,6 +12,7 @@ from helpers.called import called
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene, Workspace
+from softfinger.drivers.kinematics.freedom import Freedom
 from softfinger.server.offline import workspace
 
 pytestmark = pytest.mark.plain
@@ -78,6 +79,38 @@ def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path) -> None:
     drawing = picture.read_text()
     assert "soft wall" in drawing and "table" in drawing and "from the right" in drawing
     assert "the soft wall of" not in called("check", "falcon").stdout
+
+
+def test_the_way_of_a_handle_is_where_its_arc_or_plane_meets_the_inside() -> None:
+    """Of a plane the circle in which it cuts a sphere, by Pythagoras, and none where it passes by; of an arc places at
+    the handle's length from its joint."""
+    normal, up = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    for away, radius in ((0.0, 0.04), (0.024, 0.032), (0.05, None)):
+        point = np.array([0.3, away, -0.2])  # anywhere in the plane
+        points = workspace.way(SPHERE, Freedom(2, normal, point, point))
+        if radius is None:
+            assert len(points) == 0
+            continue
+        np.testing.assert_allclose(points[:, 1], away, atol=1e-15)
+        sizes = np.linalg.norm(points - (0.01, away, 0.02), axis=1)
+        np.testing.assert_allclose(sizes, radius, atol=0.08 / (workspace.DIRECTIONS - 1))  # steps of the search
+    middle = np.array([0.01, 0.0, 0.02])
+    points = workspace.way(SPHERE, Freedom(1, normal, middle - 0.09 * up, middle))
+    np.testing.assert_allclose(np.linalg.norm(points - middle + 0.09 * up, axis=1), 0.09, atol=1e-15)
+    # the end of a chord of 40 mm from the middle: 2 asin(20 / 90)
+    assert points[:, 0].max() - 0.01 == pytest.approx(0.09 * np.sin(2.0 * np.arcsin(0.02 / 0.09)), abs=STEP_M)
+
+
+def test_the_plane_of_a_device_is_drawn() -> None:
+    """That of a 2DIY is a circle from the front and a line from the right, through the middle of its workspace."""
+    done = called("check", "haply-2diy", "paper-plane")
+    assert "edge of the plane in which the handle moves; other forces are shown, not displayed" in done.stdout
+    begins = 2 + workspace.COLUMNS + 3
+    drawn = done.stdout.partition("the soft wall of")[2].splitlines()
+    views = [line for line in drawn if workspace.WAY in line and "handle" not in line]
+    assert views
+    assert {k for line in views for k, c in enumerate(line[begins:]) if c == workspace.WAY} == {workspace.COLUMNS // 2}
+    assert all(line[:begins].count(workspace.WAY) >= 2 for line in views)
 
 
 def test_a_plot_of_nothing_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
