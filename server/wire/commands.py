@@ -42,8 +42,8 @@ Quaternion = tuple[float, float, float, float]
 
 
 class State(Struct, frozen=True):
-    """The newest tick of the first finger. `timestamp` is in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and
-    force (N) are in the world frame; `field_state` has `mode`, `object` and `penetration`."""
+    """`timestamp` in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and force (N) in the world; `field_state` has
+    `mode`, `object` and `penetration`."""
 
     timestamp: float
     sequence: int
@@ -61,9 +61,8 @@ class Alive(Struct, frozen=True):
 
 
 VALUES: Final = (
-    "New values by dotted key, as in the scene file: `object.0.material.friction.static`. An object or finger is "
-    "named by "
-    "its index or its name: `object.table.material.friction.static`, `finger.thumb.radius_m`."
+    "Keys are those of the scene file, with the index or the name of an object or finger: "
+    "`object.0.material.friction.static`, `object.table.material.friction.static`, `finger.thumb.radius_m`."
 )
 Values = Annotated[dict[Name, Any], Meta(min_length=1, max_length=1024, description=VALUES)]
 
@@ -101,8 +100,8 @@ class SceneSet(Struct, frozen=True):
 
 
 class Drive(Struct, frozen=True, forbid_unknown_fields=True):
-    """`object` is the name or index of an object with `motion = { kind = "driven" }`; the pose is in the world. Without
-    `orientation_wxyz` the orientation stays."""
+    """Pose in the world of an object with `motion = { kind = "driven" }`; without `orientation_wxyz` the orientation
+    stays."""
 
     object: Name | Annotated[int, Meta(ge=0)]
     position_m: Vector
@@ -110,8 +109,8 @@ class Drive(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Hand(Struct, frozen=True, forbid_unknown_fields=True):
-    """Goal pose of the fingertip in the world; without `orientation_wxyz` the orientation stays. `finger` is a name or
-    an index. `release` returns the hand to the motion of its rig."""
+    """Goal pose of the fingertip in the world; without `orientation_wxyz` the orientation stays. `release` returns the
+    hand to the motion of its rig."""
 
     position_m: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType = msgspec.UNSET
     orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
@@ -146,8 +145,7 @@ class Armed(Struct, frozen=True):
 
 
 class Zero(Struct, frozen=True, forbid_unknown_fields=True):
-    """`position_m` is the new position of the probe in the world; `reset` removes the offset. `finger` is a name or an
-    index."""
+    """`position_m` is the new position of the probe in the world; `reset` removes the offset."""
 
     position_m: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
     finger: Name | Annotated[int, Meta(ge=0)] | msgspec.UnsetType = msgspec.UNSET
@@ -195,8 +193,8 @@ class Prompted(Struct, frozen=True):
 
 
 class Answer(Struct, frozen=True, forbid_unknown_fields=True):
-    """`value` is one of the prompt's `choices`, or a number. `prompt` is the number of the prompt that is answered;
-    without it, the one of now."""
+    """`value` is one of the prompt's `choices`, or a number; `prompt` the number of the prompt, by default the one of
+    now."""
 
     value: Choice | float
     prompt: Annotated[int, Meta(ge=0)] | None = None
@@ -217,9 +215,8 @@ class RecordStarted(Struct, frozen=True):
 
 
 class RecordStopped(Struct, frozen=True):
-    """`ticks` are written; `dropped` ticks and `events_dropped` events were lost because the disk was too slow. `error`
-    says why the recording ended early. `whole` is false while the disk is still being waited for. `worst_write_s` is
-    the longest write."""
+    """`ticks` are written; `dropped` ticks and `events_dropped` events were lost to a slow disk. `error` says why the
+    recording ended early. `whole` is false while the disk is still waited for. `worst_write_s` is the longest write."""
 
     file: str
     ticks: int
@@ -232,7 +229,7 @@ class RecordStopped(Struct, frozen=True):
 
 
 class OfObject(Struct, frozen=True, forbid_unknown_fields=True):
-    """Name or index of an object of shape `mesh` or `heightmap`."""
+    """An object of shape `mesh` or `heightmap`."""
 
     object: Name | Annotated[int, Meta(ge=0)]
 

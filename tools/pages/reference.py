@@ -131,7 +131,7 @@ def commands_page() -> str:
 # Commands: every method
 
 [Commands to a running daemon](../operate/commands.md) shows their use, [the protocol](../protocol.md#commands) the
-messages. Units are SI. A key in brackets may be left out."""
+messages. Units are SI. A key in brackets may be left out. `object` and `finger` are a name or an index."""
     results = Counter(method.result for method in commands.METHODS.values())
     shared = [kind for kind, times in results.items() if times > 1]
     parts = []
