@@ -52,7 +52,8 @@ PARTS: Final = {
     "states": Part(("server/states.py",), ("server/test_states",)),
     "arming": Part(("server/services/arming.py",), ("server/test_arming_by_record",)),
     "conversation": Part(
-        ("drivers/conversation.py",), ("drivers/test_serial_device", "drivers/test_hid_device", "drivers/test_withheld")
+        ("drivers/conversation.py",),
+        ("drivers/test_conversation", "drivers/test_serial_device", "drivers/test_hid_device", "drivers/test_withheld"),
     ),
     "serial": Part(("drivers/serial/exchange.py",), ("drivers/test_serial_device", "drivers/test_serial_boards")),
     "hid": Part(("drivers/hid/exchange.py",), ("drivers/test_hid_device", "drivers/test_hid_threads")),

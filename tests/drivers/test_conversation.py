@@ -8,7 +8,8 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator
 from math import inf, nan
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
@@ -46,6 +47,7 @@ class Board:
 
     def __init__(self) -> None:
         self.block = Block(TALK, TALK)
+        self._functions = talk.c_functions(Scripted())
         self.now = OPENED
         self.done: list[Any] = []
         self.comes: list[int] = []
@@ -55,7 +57,6 @@ class Board:
         self.wake_ends_a_force = False
         self.sample = np.zeros(SAMPLE_SIZE)
         talk.begin(self.block, FD, TIMES, answer=8)
-        self.word[TALK.opened_at] = OPENED
         self.now = START
 
     @property
@@ -65,15 +66,15 @@ class Board:
     def read(self) -> int:
         """The status of a read; the calls that it made are in `done`."""
         self.done = []
-        return int(talk.read_once(Scripted(), self.block.handle, self.sample))
+        return int(self._functions.read(self.block.handle, self.sample))
 
     def write(self, wrench: tuple[float, ...]) -> int:
         self.done = []
-        return int(talk.write_once(Scripted(), self.block.handle, wrench))
+        return int(self._functions.write(self.block.handle, wrench))
 
     def silence(self) -> int:
         self.done = []
-        return int(talk.silence_once(Scripted(), self.block.handle))
+        return int(self._functions.silence(self.block.handle))
 
     def heard(self) -> None:
         """A first sample, as of a board that has been talked to for long."""
@@ -91,10 +92,14 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
     made: list[Board] = []
 
     def clock(timespec: int) -> int:
-        return made[0].now if made else OPENED
+        assert timespec == made[0].block.handle + 8 * TALK.timespec
+        return made[0].now
 
     def poll(fds: Any, count: int, wait_ms: int) -> int:
-        assert (fds[0], count) == (FD | 1 << 32, 1)  # POLLIN is 1, in the upper half of a struct pollfd
+        assert (fds[0], count) == (
+            made[0].word[TALK.fd] | 1 << 32,
+            1,
+        )  # POLLIN is 1, in the upper half of a struct pollfd
         said(f"wait {wait_ms}")
         made[0].now += wait_ms * MS
         return 0
@@ -104,6 +109,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
         before, word.value = word.value, value
         return before
 
+    monkeypatch.setattr(talk.time, "monotonic_ns", lambda: OPENED)
     monkeypatch.setattr(talk, "monotonic_ns", clock)
     monkeypatch.setattr(talk, "poll_fd", poll)
     monkeypatch.setattr(talk, "exchange_int64", exchange)
@@ -196,12 +202,15 @@ def test_a_device_that_is_closed_is_lost(board: Board) -> None:
     assert board.silence() == 1 and board.done == []
     board.word[TALK.fd] = 0
     assert board.write(ZERO) == OK and board.done == ["busy? deaf", "zero"]
+    assert board.silence() == 1 and board.done == ["zero"]
+    board.heard()
 
 
 def test_what_waited_is_thrown_away_and_a_first_sample_awaited(board: Board) -> None:
     """Both reads before the first wait are of before; then the board is woken at once and every AWAITING ns. A sample
     of now is told with the time of its reading since the opening."""
     board.comes, board.arrives = [3, 2], [START + 62 * MS]
+    board.word[TALK.kicked_at] = START - 1
     assert board.read() == OK
     waits = ["wait 10", "drain"]
     expected: list[Any] = ["drain", "wait 0", "drain", ("wake", START)]
@@ -293,6 +302,15 @@ def test_a_tick_takes_the_newest_and_waits_for_nothing(board: Board) -> None:
     assert board.sample.tolist() == kept.tolist()
 
 
+def test_ticks_that_come_slowly_are_no_pause(board: Board) -> None:
+    """Each counts from the one before."""
+    board.heard()
+    for _ in range(3):
+        board.now += RESUME_NS
+        board.comes = [1]
+        assert board.read() == OK and board.done == ["drain"]
+
+
 def test_a_sample_without_a_pose_is_not_in_the_protocol(board: Board) -> None:
     """And so is what the driver says of a device that has gone."""
     board.heard()
@@ -344,7 +362,9 @@ def test_who_stops_the_device_is_not_written_over(board: Board) -> None:
     board.comes = [1]
     assert board.read() == OK
     assert board.write(FORCE) == WITHHELD and board.write(ZERO) == WITHHELD and board.done == []
+    assert board.word[TALK.lock] == 1
     assert board.silence() == 0 and board.done == [] and board.word[TALK.armed] == 0
+    assert board.word[TALK.lock] == 1
     board.word[TALK.lock] = 0
 
 
@@ -437,3 +457,15 @@ def test_silence_is_done_once_the_zero_is_gone(status: int, left: int, done: int
     assert board.word[TALK.armed] == 0 and board.word[TALK.lock] == 0
     board.zero = OK
     assert board.write(FORCE) == WITHHELD
+
+
+def test_what_a_board_can_do_is_about_its_origin() -> None:
+    """A box of its radius to each side, its limits as the rig has them."""
+    rig = SimpleNamespace(
+        mounting=SimpleNamespace(position_m=(1.0, 2.0, 3.0)), workspace_radius_m=0.25, force_max_n=5.0,
+        stiffness_max_n_per_m=700.0, damping_max_ns_per_m=3.0,
+    )  # fmt: skip
+    info = talk.info_of(cast(Any, rig), "board", sensed_dof=5, actuated_dof=2)
+    assert (info.workspace_min_m, info.workspace_max_m) == ((0.75, 1.75, 2.75), (1.25, 2.25, 3.25))
+    assert (info.name, info.sensed_dof, info.actuated_dof, info.force_max_n) == ("board", 5, 2, 5.0)
+    assert (info.stiffness_max_n_per_m, info.damping_max_ns_per_m) == (700.0, 3.0)
