@@ -23,7 +23,7 @@ from test_packaging import dist, installed, wheel  # noqa: F401 - fixtures: a cl
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-PAGES = ("tutorial.md", "experiment.md", "experiments.md")
+PAGES = ("tutorial.md", "run-an-experiment.md")
 FENCE = re.compile(r'^( *)```(\w+)(?: title="([^"]+)")?\n(.*?)^\1```$', re.MULTILINE | re.DOTALL)
 STOP_S = 60.0
 
@@ -112,8 +112,7 @@ def terminals(folder: Path, interpreter: Path) -> Iterator[Terminals]:
     [
         pytest.param("tutorial.md", "clone", marks=pytest.mark.exhaustive),
         pytest.param("tutorial.md", "wheel", marks=pytest.mark.exhaustive),
-        pytest.param("experiment.md", "clone", marks=pytest.mark.exhaustive),
-        pytest.param("experiments.md", "clone", marks=pytest.mark.exhaustive),
+        pytest.param("run-an-experiment.md", "clone", marks=pytest.mark.exhaustive),
     ],
 )
 def test_a_page_works_as_printed(page: str, where: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:

@@ -1,6 +1,6 @@
 """How well experiments recover what they measure: bias of the estimate, and how often its interval holds the truth.
 
-    python -m softfinger.tools.experiment_recovery --seeds 50 docs/measured/experiments.md
+    python -m softfinger.tools.experiment_recovery docs/measured/experiments.md
 
 Each shipped experiment is answered by its simulated observer, whose threshold or exponent is the truth, over seeds. The
 table of the page, between its two comments, is replaced.
@@ -23,9 +23,8 @@ from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.observer import observer_in
 
 BLOCK: Final = re.compile(r"(<!-- recovery -->\n).*?(<!-- end -->)", re.S)
-
-
-STAIRCASE: Final = "stiffness-discrimination"
+PROCEDURES: Final = ("stiffness-discrimination", "texture-roughness", "weight-of-a-box")
+"""A staircase, QUEST+, constant stimuli."""
 OTHER_SLOPES: Final = (1.0, 3.0)
 """Of observers who differ from what the fit thinks of slopes."""
 
@@ -97,11 +96,11 @@ def table(rows: Sequence[Recovery]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description="How well the shipped experiments recover a simulated observer.")
     parser.add_argument("page", nargs="?", type=Path, help="page whose table is replaced (default: print it)")
-    parser.add_argument("--seeds", type=int, default=50, help="how many (default: %(default)s)")
+    parser.add_argument("--seeds", type=int, default=200, help="how many (default: %(default)s)")
     args = parser.parse_args()
     seeds = range(args.seeds)
     rows = [row for name in shipped() for row in recovery(name, seeds)]
-    rows += [row for slope in OTHER_SLOPES for row in recovery(STAIRCASE, seeds, slope)]
+    rows += [row for name in PROCEDURES for slope in OTHER_SLOPES for row in recovery(name, seeds, slope)]
     text = table(rows)
     if args.page is None:
         print(text)

@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.errors import ConfigError
+from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import Fit, fit
 from softfinger.server.experiment.schema import ExperimentFile
@@ -21,12 +22,16 @@ FELT: Final = ("peak_force_n", "mean_force_n", "path_m", "duration_s")
 class PowerLaw(NamedTuple):
     """answer = scale level^exponent, fitted to the logarithms by least squares (Stevens 1957), with 95 % intervals.
 
-    noise  standard deviation of the logarithm of an answer about the line
+    middle  geometric mean of the levels, and `answer` the line's there: how large the answers of a condition are
+    noise   standard deviation of the logarithm of an answer about the line
     """
 
     scale: float
     exponent: float
     exponent_95: tuple[float, float]
+    middle: float
+    answer: float
+    answer_95: tuple[float, float]
     noise: float
 
 
@@ -45,7 +50,7 @@ class Group(NamedTuple):
 
 
 def analysed(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]:
-    """Fits by condition, of each participant and, of several, of all together; practice left out.
+    """Fits by condition in the design's order, of each participant and, of several, of all together; without practice.
 
     All together are fitted as one, which has an observer's meaning where participants differ little. ConfigError
     without an answer.
@@ -56,7 +61,7 @@ def analysed(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]:
     people = sorted({row["participant"] for row in counted})
     groups = []
     for person in [*people, *([ALL] if len(people) > 1 else [])]:
-        for condition in dict.fromkeys(row["condition"] for row in counted):
+        for condition in (each.name for each in conditions(experiment)):
             some = [row for row in counted if row["condition"] == condition and person in (ALL, row["participant"])]
             if some:
                 groups.append(Group(person, condition, len(some), fitted(experiment, some), some, felt(some)))
@@ -74,18 +79,26 @@ def fitted(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | PowerLaw:
 def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
     """The line through the logarithms of answers (n,) over levels (n,), both above 0.
 
-    The interval of the exponent is Student's, nan with fewer than three answers or a single level.
+    Intervals are Student's. What the answers do not say is nan: the exponent of a single level, the interval of few.
     """
     x, y = np.log(levels), np.log(answers)
-    centred = x - x.mean()
+    middle, answer, centred = float(x.mean()), float(y.mean()), x - x.mean()
     spread = float(centred @ centred)
-    if len(x) < 3 or spread == 0.0:
-        return PowerLaw(math.exp(y.mean()), math.nan, (math.nan, math.nan), float(y.std()))
-    exponent = float(centred @ y) / spread
-    left = y - y.mean() - exponent * centred
-    noise = math.sqrt(float(left @ left) / (len(x) - 2))
-    half = student_975(len(x) - 2) * noise / math.sqrt(spread)
-    return PowerLaw(math.exp(y.mean() - exponent * x.mean()), exponent, (exponent - half, exponent + half), noise)
+    lines = 2 if len(set(levels)) > 1 else 1  # what is fitted: the line, or the mean alone
+    exponent = float(centred @ y) / spread if lines == 2 else 0.0
+    left, freedom = y - answer - exponent * centred, len(x) - lines
+    noise = math.sqrt(float(left @ left) / freedom) if freedom > 0 else math.nan
+    wide = student_975(freedom) * noise if freedom > 0 else math.nan
+    half, around = wide / math.sqrt(spread) if lines == 2 else math.nan, wide / math.sqrt(len(x))
+    return PowerLaw(
+        scale=math.exp(answer - exponent * middle),
+        exponent=exponent if lines == 2 else math.nan,
+        exponent_95=(exponent - half, exponent + half),
+        middle=math.exp(middle),
+        answer=math.exp(answer),
+        answer_95=(math.exp(answer - around), math.exp(answer + around)),
+        noise=noise,
+    )
 
 
 def student_975(freedom: int) -> float:
@@ -117,6 +130,20 @@ def felt(rows: Sequence[Entry]) -> dict[str, tuple[float, float]]:
     """Mean and standard deviation of what was felt, of the columns that the rows have."""
     columns = {name: np.array([row[name] for row in rows if name in row]) for name in FELT}
     return {name: (float(each.mean()), float(each.std())) for name, each in columns.items() if len(each)}
+
+
+def said(found: Fit | PowerLaw) -> str:
+    """What was found, with its 95 % intervals."""
+    if isinstance(found, Fit):
+        unbounded = ", not bounded by the answers: take other levels or more trials" if found.bounded else ""
+        return f"threshold {_ranged(found.threshold, found.threshold_95)}{unbounded}"
+    answer = f"answer {_ranged(found.answer, found.answer_95)} at {found.middle:.3g}"
+    return answer if math.isnan(found.exponent) else f"exponent {_ranged(found.exponent, found.exponent_95)}, {answer}"
+
+
+def _ranged(value: float, interval: tuple[float, float]) -> str:
+    low, high = interval
+    return f"{value:.3g}" if math.isnan(low) else f"{value:.3g} ({low:.3g} to {high:.3g})"
 
 
 def table(groups: Sequence[Group]) -> list[dict[str, Any]]:

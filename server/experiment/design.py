@@ -91,6 +91,20 @@ def planned(experiment: ExperimentFile, participant: int) -> list[Planned]:
     return [Planned(k + 1, early, *trial, bool(first[k])) for k, (early, trial) in enumerate(both)]
 
 
+def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
+    """What a participant meets, in rows of a name and a text."""
+    trials, trial = planned(experiment, 1), experiment.trial
+    touches = 1 + (experiment.task.kind == "compare")
+    minutes = len(trials) * touches * (trial.touch_s + trial.gap_s) / 60.0
+    every = experiment.design.break_every
+    return [
+        ("scene, rig", f"{experiment.scene}, {experiment.rig}"),
+        ("conditions", "; ".join(condition.name for condition in conditions(experiment))),
+        ("trials", f"{len(trials)}, {experiment.design.practice} of them practice; {experiment.procedure.kind}"),
+        ("lasts", f"{minutes:.0f} min and the answers" + (f", a break after each {every} trials" if every else "")),
+    ]
+
+
 def _block(experiment: ExperimentFile, condition: int, rng: np.random.Generator) -> list[tuple[int, float | None]]:
     """Trials of a condition: its number, and the level where that is known."""
     procedure = experiment.procedure

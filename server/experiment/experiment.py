@@ -16,6 +16,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
+from softfinger.config.words import shown
 from softfinger.server import signals
 from softfinger.server.experiment import files, rigs
 from softfinger.server.experiment.answers import DryRun, Person
@@ -91,10 +92,11 @@ class Experiment:
         The daemon runs in this process, on the experiment's rig. Raises what ends a daemon; Stopped where a signal
         asked for the end; ConfigError for a folder of another experiment.
         """
-        own = Folder(Path(folder), self.file, _checked(participant))
-        session = Session(self.file, participant, log.info)
+        own = Folder(Path(folder), self.file, _checked(participant), files.hashes(self.file, self._folder))
+        session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
         session.begin(own)
         with Journal(own.journal) as journal:
+            own.check_same(running.dry_run)
             if not journal.of("finished"):
                 self._go_on(session, journal, own, running)
             own.tables()
@@ -198,6 +200,6 @@ def _check(ended: Callable[[float], bool], looks: Iterable[Callable[[], None]]) 
 
 
 def _checked(participant: int) -> int:
-    if not 1 <= participant <= PARTICIPANT_MAX:
-        raise ConfigError(f"participant = {participant}: must be a whole number from 1 to {PARTICIPANT_MAX}")
+    if type(participant) is not int or not 1 <= participant <= PARTICIPANT_MAX:
+        raise ConfigError(f"participant = {shown(participant)}: must be a whole number from 1 to {PARTICIPANT_MAX}")
     return participant

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from softfinger.config.files import new_file
-from softfinger.server.experiment.analysis import analysed, table
+from softfinger.server.experiment.analysis import analysed, said, table
 from softfinger.server.experiment.figures import draw
 from softfinger.server.experiment.folder import load, write_csv
 
@@ -41,12 +41,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(text)
         return 0
-    for row in numbers:
-        what = "threshold" if "threshold" in row else "exponent"
-        print(
-            f"{row['participant']}, {row['condition']}: {what} {row[what]:.3g} "
-            f"({row[f'{what}_95_low']:.3g} to {row[f'{what}_95_high']:.3g}), {row['trials']} trials"
-        )
+    for group in groups:
+        print(f"{group.participant}, {group.condition}: {said(group.fit)}; {group.trials} trials")
     print(f"drawn: {', '.join(str(path) for path in drawn)}")
     return 0
 

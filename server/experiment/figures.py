@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.analysis import ALL, FELT, Group, PowerLaw
+from softfinger.server.experiment.analysis import ALL, FELT, Group, PowerLaw, said
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
 
@@ -41,11 +41,12 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     for group in groups:
         (_power if isinstance(group.fit, PowerLaw) else _psychometric)(axes, group, faint=group.participant != shown)
-    axes.set(xscale="log", title=f"{experiment.title}: {shown}", xlabel=_level(experiment))
+    axes.set(xscale="log", title=f"{experiment.title} ({shown})", xlabel=_level(experiment))
     if experiment.task.kind == "compare":
         axes.set(ylabel="share of right answers", ylim=(0.0, 1.02))
     else:
         axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
+    _plain_ticks(axes)
     axes.legend(fontsize="small")
     drawn += _saved(figure, out / "fit")
     main = [group for group in groups if group.participant == shown]
@@ -56,6 +57,22 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         drawn += _saved(figure, out / "felt")
     plt.close("all")
     return drawn
+
+
+def _plain_ticks(axes: Axes) -> None:
+    """Numbers as people write them on axes that are logarithmic; matplotlib's own are powers of ten."""
+    from matplotlib.ticker import LogFormatter
+
+    class Plain(LogFormatter):
+        """Says which ticks have a number, as its base does, and that number in full."""
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    for axis, scale in ((axes.xaxis, axes.get_xscale()), (axes.yaxis, axes.get_yscale())):
+        if scale == "log":
+            axis.set_major_formatter(Plain())
+            axis.set_minor_formatter(Plain(minor_thresholds=(2.0, 0.4)))
 
 
 def _level(experiment: ExperimentFile) -> str:
@@ -69,25 +86,28 @@ def _psychometric(axes: Axes, group: Group, faint: bool) -> None:
     if faint:
         axes.plot(x, chance, color="0.75", lw=0.8)
         return
-    name = "" if group.condition == "all" else f"{group.condition}: "
-    said = f"{name}threshold {fit.threshold:.3g} ({fit.threshold_95[0]:.3g} to {fit.threshold_95[1]:.3g})"
-    (line,) = axes.plot(x, chance, label=said)
+    (line,) = axes.plot(x, chance, label=_label(group))
     axes.fill_between(x, low, high, color=line.get_color(), alpha=0.2, lw=0)
     levels, place = np.unique([row["level"] for row in group.rows], return_inverse=True)
     right, count = np.bincount(place, [row["right"] for row in group.rows]), np.bincount(place)
     axes.scatter(levels, right / count, 8.0 * np.sqrt(count), color=line.get_color())
 
 
+def _label(group: Group) -> str:
+    return said(group.fit) if group.condition == "all" else f"{group.condition}: {said(group.fit)}"
+
+
 def _power(axes: Axes, group: Group, faint: bool) -> None:
     fit: Any = group.fit
     levels = np.array([row["level"] for row in group.rows])
     x = np.geomspace(levels.min(), levels.max(), 50)
+    y = fit.scale * x ** np.nan_to_num(fit.exponent)
     if faint:
-        axes.plot(x, fit.scale * x**fit.exponent, color="0.75", lw=0.8)
+        axes.plot(x, y, color="0.75", lw=0.8)
         return
-    name = "" if group.condition == "all" else f"{group.condition}: "
-    said = f"{name}exponent {fit.exponent:.3g} ({fit.exponent_95[0]:.3g} to {fit.exponent_95[1]:.3g})"
-    (line,) = axes.plot(x, fit.scale * x**fit.exponent, label=said)
+    (line,) = axes.plot(x, y, label=_label(group))
+    around = np.abs(np.subtract(fit.answer_95, fit.answer))[:, None]
+    axes.errorbar(fit.middle, fit.answer, around, color=line.get_color(), capsize=4)
     axes.scatter(levels, [row["answer"] for row in group.rows], 10.0, color=line.get_color(), alpha=0.4)
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from softfinger.config.errors import ConfigError
 from softfinger.config.load import EXPERIMENTS, build, find_in, load_rig, names_in, overridden, read_toml
+from softfinger.config.words import near, shown
 from softfinger.server.experiment import rigs
 from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.masses import scene_with
-from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.schema import ONE, ExperimentFile
 from softfinger.server.experiment.session import parameters
 
 
@@ -37,24 +40,52 @@ def beside(folder: Path, name: str) -> str | Path:
     return folder / name if name.endswith(".toml") else name
 
 
+def hashes(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
+    """SHA-256 of each scene and of the rig that is a file beside the experiment."""
+    named = {
+        experiment.scene,
+        experiment.rig,
+        *(name for factor in experiment.factor for name in factor.scenes.values()),
+    }
+    own = {name: folder / name for name in sorted(named) if name.endswith(".toml")}
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in own.items()}
+
+
 def check(experiment: ExperimentFile, folder: Path) -> None:
     """Raise ConfigError where a scene, a parameter or the rig cannot be used, before a participant finds out."""
     rig = beside(folder, experiment.rig)
     guard = load_rig(rig).guard
-    for where, scene, values in ends(experiment):
+    fingers = set[str]()
+    for where, name, values in ends(experiment):
         of_rig, of_scene = rigs.split(values, where)
         rigs.check_motors(guard, of_rig, where)
         load_rig(rig, of_rig)
-        scene_with(beside(folder, scene), of_scene, where)
+        scene = scene_with(beside(folder, name), of_scene, where)
+        fingers |= {finger.name for finger in scene.finger} or {ONE}
+    for finger in sorted(experiment.motion.keys() - fingers):
+        raise ConfigError(f"motion.{finger}: no scene has this finger; there are {', '.join(sorted(fingers))}")
+    _check_observer(experiment)
 
 
 def ends(experiment: ExperimentFile) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Where in the design, scene and parameters of each condition, at both ends of its levels and at the reference."""
     task, procedure = experiment.task, experiment.procedure
-    levels = procedure.levels or (procedure.smallest, procedure.largest)
+    levels = procedure.levels if procedure.kind != "staircase" else (procedure.smallest, procedure.largest)
     touches = [(f"level {level:g}", task.value(level)) for level in (min(levels), max(levels))]
     touches += [] if task.reference is None else [("reference", task.reference)]
     for condition in conditions(experiment):
         for name, value in touches:
             values = experiment.overrides | condition.changes | parameters(experiment, value)
             yield f"condition {condition.name}, {name}", condition.scene or experiment.scene, values
+
+
+def _check_observer(experiment: ExperimentFile) -> None:
+    """Raise ConfigError for an observer's value that is none, or of a condition that there is not."""
+    names = [condition.name for condition in conditions(experiment)]
+    for name, values in experiment.observer.by.items():
+        if name not in names:
+            raise ConfigError(
+                f"observer.by: no condition is called {shown(name)}{near(name, names)}; there are "
+                f"{'; '.join(names)}: the levels of all factors, with a comma between them"
+            )
+        overridden(experiment.observer, values, f"observer.by.{name}")

@@ -2,6 +2,7 @@
 
 FOLDER/
     dataset_description.json, experiment.json     what it is, the same for all participants
+    files.json                                    hashes of scenes and rig beside the experiment, where there are any
     participants.tsv, trials.csv                  tables of all, made from the journals
     sub-01/
         sub-01_journal.jsonl                      what happened, a line each: the source of every table
@@ -24,8 +25,9 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.files import new_file, open_recording
-from softfinger.config.load import describe
+from softfinger.config.files import new_file
+from softfinger.config.load import build, describe
+from softfinger.config.materials import flat
 from softfinger.server.experiment.design import Condition, Planned
 from softfinger.server.experiment.journal import Entry, read
 from softfinger.server.experiment.schema import ExperimentFile
@@ -37,15 +39,19 @@ BIDS_VERSION: Final = "1.10.0"
 class Folder:
     """What one participant's sessions write.
 
+    files  hashes of the scenes and the rig beside the experiment, by name
+
     Raises ConfigError where the folder is of another experiment.
     """
 
-    def __init__(self, root: Path, experiment: ExperimentFile, participant: int) -> None:
+    def __init__(self, root: Path, experiment: ExperimentFile, participant: int, files: Mapping[str, str]) -> None:
         self.root, self.participant = root, participant
         self.label: Final = f"sub-{participant:02d}"
         self.own: Final = root / self.label
         (self.own / "trials").mkdir(parents=True, exist_ok=True)
         self._same("experiment.json", describe(experiment), root)
+        if files:
+            self._same("files.json", files, root)
         about = {"Name": experiment.title, "BIDSVersion": BIDS_VERSION, "DatasetType": "raw"}
         self._same("dataset_description.json", about, root)
         self.journal: Final = self.own / f"{self.label}_journal.jsonl"
@@ -59,6 +65,13 @@ class Folder:
         if not order.exists():
             write_csv(order, rows)
 
+    def check_same(self, dry_run: bool) -> None:
+        """Raise ConfigError where the folder has answers of the other kind: of participants, or of a dry run."""
+        for journal in sorted(self.root.glob(JOURNAL)):
+            if any(entry["kind"] == "started" and entry["dry_run"] != dry_run for entry in read(journal)):
+                kind = "participants" if dry_run else "the simulated observer (--dry-run)"
+                raise ConfigError(f"{journal}: has answers of {kind}: give another folder, --out FOLDER")
+
     def run(self) -> int:
         """The number of the next start, from 1."""
         return 1 + len(list(self.own.glob(f"{self.label}_run-*_about.json")))
@@ -69,33 +82,41 @@ class Folder:
 
     def keep(self, name: str, values: Any) -> None:
         """A new JSON file of this participant."""
-        with open_recording(self.own / name) as file:
-            file.write(msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
+        _new(self.own / name, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
 
     def ticks(self, number: int, attempt: int, rows: Iterable[Mapping[str, Any]]) -> None:
         """A new table of the ticks of a trial."""
         again = f"_attempt-{attempt}" if attempt > 1 else ""
-        with open_recording(self.own / "trials" / f"{self.label}_trial-{number:04d}{again}.csv") as file:
-            file.write(csv_text(list(rows)).encode())
+        _new(self.own / "trials" / f"{self.label}_trial-{number:04d}{again}.csv", csv_text(list(rows)).encode())
 
     def tables(self) -> None:
         """Make the tables anew from the journals."""
         write_csv(self.own / f"{self.label}_trials.csv", trials_in([self.journal]))
         journals = sorted(self.root.glob(JOURNAL))
         write_csv(self.root / "trials.csv", trials_in(journals))
-        with new_file(self.root / "participants.tsv") as file:
-            file.write(b"participant_id\n" + b"".join(f"{each.parent.name}\n".encode() for each in journals))
+        names = b"".join(f"{each.parent.name}\n".encode() for each in journals)
+        _write(self.root / "participants.tsv", b"participant_id\n" + names)
 
     def _same(self, name: str, values: Any, where: Path) -> None:
         """A JSON file that has these values, now or already."""
         path, text = where / name, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n"
         if not path.exists():
-            with new_file(path) as file:
-                file.write(text)
+            _write(path, text)
         elif path.read_bytes() != text:
             raise ConfigError(
-                f"{path}: is of an experiment with other values: name another folder, or run the experiment as it was"
+                f"{path}: is of an experiment with other values{_other(path, text)}: name another folder "
+                "(--out), or run the experiment as it was"
             )
+
+
+def _other(path: Path, text: bytes) -> str:
+    """Which keys of a JSON file have other values than in `text`."""
+    try:
+        there, here = (dict(flat(msgspec.json.decode(each))) for each in (path.read_bytes(), text))
+    except (msgspec.DecodeError, AttributeError):
+        return ""
+    keys = [key for key in here | there if here.get(key, msgspec.UNSET) != there.get(key, msgspec.UNSET)]
+    return f" ({', '.join(keys[:4])}{', ...' if len(keys) > 4 else ''})"
 
 
 def trials_in(journals: Iterable[Path]) -> list[Entry]:
@@ -111,8 +132,25 @@ def trials_in(journals: Iterable[Path]) -> list[Entry]:
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """A table in place of the one that is there, whole or not at all."""
-    with new_file(path) as file:
-        file.write(csv_text(rows).encode())
+    _write(path, csv_text(rows).encode())
+
+
+def _new(path: Path, data: bytes) -> None:
+    """A file that was not there before, whole or not at all."""
+    if path.exists():
+        raise ConfigError(f"{path}: is there already, and nothing of a participant is overwritten: move it away")
+    _write(path, data)
+
+
+def _write(path: Path, data: bytes) -> None:
+    """A file, in place of one that is there, whole or not at all."""
+    try:
+        with new_file(path) as file:
+            file.write(data)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the command"
+        ) from error
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -127,8 +165,6 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
     """The experiment of a folder, and its trials; ConfigError where it is no such folder."""
-    from softfinger.config.load import build
-
     path = root / "experiment.json"
     try:
         values = msgspec.json.decode(path.read_bytes())

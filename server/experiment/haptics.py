@@ -15,7 +15,7 @@ from softfinger.config.load import describe, load_scene, numbered, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment import rigs
 from softfinger.server.experiment.masses import scene_with, split
-from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.schema import ONE, ExperimentFile
 from softfinger.server.experiment.session import Felt, Stimulus
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample, Subscription
@@ -29,8 +29,6 @@ BACK_S: Final = 2.0
 BACK_M: Final = 0.002
 """How long a touch waits for a hand that is led back, and how near that comes: a hand is held by a spring, and sags."""
 HEARTBEAT_S: Final = 0.1
-ONE: Final = "fingertip"
-"""How an experiment calls the finger of a scene that has one."""
 
 
 class Haptics:

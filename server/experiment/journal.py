@@ -52,10 +52,20 @@ class Journal(Memory, Closing):
             raise
 
     def write(self, kind: str, **values: Any) -> None:
-        """Add an entry; it is on the disk when this returns."""
+        """Add an entry; it is on the disk when this returns. Of one that does not fit there, nothing stays."""
+        line, descriptor = msgspec.json.encode({"kind": kind, **values}) + b"\n", self._file.fileno()
+        before = os.fstat(descriptor).st_size
+        try:
+            while line:  # a disk that is nearly full takes a part, and refuses the next
+                line = line[os.write(descriptor, line) :]
+            os.fsync(descriptor)
+        except OSError as error:
+            os.ftruncate(descriptor, before)
+            raise ConfigError(
+                f"{self.path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the "
+                "command"
+            ) from error
         super().write(kind, **values)
-        self._file.write(msgspec.json.encode(self.entries[-1]) + b"\n")
-        os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Any number of times."""

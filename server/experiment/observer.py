@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 
 from softfinger.server.experiment.design import TRIAL, Condition, Planned
@@ -13,8 +14,6 @@ from softfinger.server.experiment.schema import ExperimentFile, Observer
 
 def observer_in(experiment: ExperimentFile, condition: Condition) -> Observer:
     """The observer in a condition: its own values there in place of those for all."""
-    import msgspec
-
     return msgspec.structs.replace(experiment.observer, **experiment.observer.by.get(condition.name, {}))
 
 

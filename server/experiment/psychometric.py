@@ -1,8 +1,8 @@
-"""The psychometric function of a comparison, and what answers say of it: maximum likelihood with profile intervals."""
+"""The psychometric function of a comparison, and what answers say of it: the posterior of its threshold and slope."""
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +14,14 @@ GUESS: Final = 0.5
 SLOPES: Final = np.geomspace(0.5, 12.0, 40)
 """Slopes that are looked at: flatter nobody answers, steeper is a step."""
 SLOPE: Final = 1.8
-SLOPE_SD: Final = 0.5
+SLOPE_SD: Final = 0.7
 """What a slope is thought to be before the answers: its logarithm normal about that of SLOPE."""
 THRESHOLDS: Final = 300
 LIKELY: Final = 1.920729410347062
-"""Half of the 95 % quantile of chi squared with one degree of freedom."""
+"""Half of the 95 % quantile of chi squared with one degree of freedom: less likely ends of the grid are ruled out."""
+QUANTILES: Final = (0.025, 0.5, 0.975)
+UNLIKELY: Final = 1e-7
+"""Points of the grid with so little of the weight of the best one are left out of the curve."""
 MARGIN: Final = 4.0
 """Thresholds are sought from the least level over this to the largest level times this."""
 
@@ -36,11 +39,11 @@ def probability(
 
 
 class Fit(NamedTuple):
-    """Threshold and slope with 95 % intervals (low, high), and the function with its band.
+    """Threshold and slope, medians with 95 % intervals (low, high), and the function with its band.
 
-    log_likelihood  the highest, penalised
+    log_likelihood  the highest, with the prior of the slope
     curve   (n, 4): level, probability, and the 95 % interval of the probability
-    bounded  the threshold's interval reaches an end of what was looked at: the answers do not bound it
+    bounded  the answers do not rule out an end of the thresholds that were looked at
     """
 
     threshold: float
@@ -51,22 +54,16 @@ class Fit(NamedTuple):
     bounded: bool
     curve: Array
 
-    def as_map(self) -> dict[str, Any]:
-        """Plain values, without the curve."""
-        return {key: value for key, value in self._asdict().items() if key != "curve"}
-
 
 def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> Fit:
     """Fit the Weibull function to answers (n,) at levels (n,), the lapse rate being given.
 
-    The likelihood is penalised by what slopes are thought to be: answers of an adaptive procedure stand close together
-    and say little of the slope, and maximum likelihood alone takes it too steep and the threshold too low (Kaernbach,
-    Perception and Psychophysics 63 (2001) 1389-1398). Intervals are those of the profile likelihood: what some pair of
-    threshold and slope has within 1.92 of the highest. So is the band of the curve, point by point. Both come from one
-    grid of 300 thresholds by 40 slopes.
+    Estimates are medians, intervals the central 95 % of the posterior on a grid of 300 thresholds by 40 slopes, whose
+    prior is even in the threshold's logarithm and normal in the slope's. Answers of an adaptive procedure stand close
+    together and say little of the slope: with the most likely slope alone the interval of the threshold is too short,
+    and without a prior the threshold too low (Kaernbach, Perception and Psychophysics 63 (2001) 1389-1398).
 
-    Source: Wichmann and Hill, Perception and Psychophysics 63 (2001) 1293-1313, for the model; Venzon and Moolgavkar,
-    Applied Statistics 37 (1988) 87-94, for the intervals. ValueError without answers.
+    Source: Kuss, Jaekel and Wichmann, Journal of Vision 5 (2005) 478-492. ValueError without answers.
     """
     each, place = np.unique(np.asarray(levels, np.float64), return_inverse=True)
     if not len(each):
@@ -78,18 +75,28 @@ def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> 
     chance = np.clip(probability(each, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9)
     likelihood = np.log(chance) @ correct + np.log1p(-chance) @ wrong
     likelihood -= 0.5 * (np.log(slope / SLOPE) / SLOPE_SD) ** 2
-    best = np.unravel_index(np.argmax(likelihood), likelihood.shape)
-    likely = likelihood >= likelihood[best] - LIKELY
+    best = likelihood.max()
+    weight = np.exp(likelihood - best)
+    low, middle, high = np.exp(_quantiles(np.log(thresholds), weight.sum(axis=1)))
+    flat, slope_middle, steep = np.exp(_quantiles(np.log(SLOPES), weight.sum(axis=0)))
+    some = weight > UNLIKELY
     x = np.geomspace(each[0], each[-1], points) if len(each) > 1 else each
-    curves = probability(x, threshold[likely][:, None], slope[likely][:, None], GUESS, lapse)
-    curve = probability(x, threshold[best], slope[best], GUESS, lapse)
-    low, high = float(threshold[likely].min()), float(threshold[likely].max())
+    curves = probability(x[:, None], threshold[some], slope[some], GUESS, lapse)
+    band = np.array([_quantiles(row, weight[some]) for row in curves])
     return Fit(
-        float(threshold[best]),
-        (low, high),
-        float(slope[best]),
-        (float(slope[likely].min()), float(slope[likely].max())),
-        float(likelihood[best]),
-        bool(low <= thresholds[0] or high >= thresholds[-1]),
-        np.column_stack([x, curve, curves.min(axis=0), curves.max(axis=0)]),
+        float(middle),
+        (float(low), float(high)),
+        float(slope_middle),
+        (float(flat), float(steep)),
+        float(best),
+        bool(likelihood[[0, -1]].max() >= best - LIKELY),
+        np.column_stack([x, band[:, 1], band[:, 0], band[:, 2]]),
     )
+
+
+def _quantiles(values: Array, weights: Array) -> Array:
+    """The QUANTILES of values (n,) with weights (n,)."""
+    order = np.argsort(values)
+    share = np.cumsum(weights[order]) - 0.5 * weights[order]
+    quantiles: Array = np.interp(QUANTILES, share / weights.sum(), values[order])
+    return quantiles

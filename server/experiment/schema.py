@@ -20,6 +20,8 @@ SHARE: Final = Range(0.0, 0.5, "half of the answers at random is no observer")
 POSITIVE: Final = Range(1e-9, 1e9, "a level above 0")
 TEXT: Final = Range(0, 4000, "a screen")
 MARKS_MAX: Final = 20
+ONE: Final = "fingertip"
+"""How an experiment calls the finger of a scene that has one."""
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
 
 Seconds = Annotated[float, Meta(ge=SECONDS.low, le=SECONDS.high)]
@@ -32,16 +34,22 @@ Label = Annotated[str, Meta(min_length=1, max_length=int(NAME_LENGTH.high), patt
 
 
 class Task(Table, frozen=True, kw_only=True):
-    """What a trial asks. `level` is the number that changes from trial to trial.
+    """What a trial asks. The level is the number that changes from trial to trial."""
 
-    compare  two touches in random order, one of them the reference; the answer is which had more
-    rate     one touch; the answer is a number
-    trace    one movement to a target; what counts is how long it took
-    """
-
-    kind: Literal["compare", "rate", "trace"]
+    kind: Annotated[
+        Literal["compare", "rate", "trace"],
+        said(
+            "compare: two touches in random order, one of them the reference, which had more; rate: a touch, a number; "
+            "trace: a movement to a target, timed"
+        ),
+    ]
     parameter: Annotated[
-        str, sized(Range(1, 200, ""), "parameter that the level sets", "object.table.material.stiffness_n_per_m")
+        str,
+        sized(
+            Range(1, 200, ""),
+            "parameter that the level sets, or mass.BODY of a [world]",
+            "object.table.material.stiffness_n_per_m",
+        ),
     ]
     also: Annotated[
         dict[str, float],
@@ -49,7 +57,10 @@ class Task(Table, frozen=True, kw_only=True):
     ] = msgspec.field(default_factory=dict)
     reference: Annotated[Positive | None, said("compare: value of the reference", 500.0)] = None
     more: Annotated[
-        Literal["up", "down"], said("compare: whether the value rises or falls with the level; 'less' answers fall")
+        Literal["up", "down"],
+        said(
+            "compare: whether more is a larger value, reference (1 + level), or a smaller one, reference / (1 + level)"
+        ),
     ] = "up"
     question: Annotated[str, sized(TEXT, "what the participant is asked", "Which was stiffer?")]
     scale: Annotated[
@@ -87,14 +98,16 @@ class Task(Table, frozen=True, kw_only=True):
 
 
 class Procedure(Table, frozen=True, kw_only=True):
-    """How the level of a trial is chosen.
+    """How the level of a trial is chosen."""
 
-    constant   every level as often, in random order
-    staircase  `down` right answers in a row make it smaller, a wrong one larger (Levitt 1971)
-    questplus  the level that is expected to tell most (Kontsevich and Tyler 1999; Watson 2017)
-    """
-
-    kind: Literal["constant", "staircase", "questplus"]
+    kind: Annotated[
+        Literal["constant", "staircase", "questplus"],
+        said(
+            "constant: every level as often, in random order; staircase: `down` right answers in a row make it "
+            "smaller, a wrong one larger (Levitt 1971); questplus: the level whose answer is expected to tell most "
+            "(Watson 2017)"
+        ),
+    ]
     levels: Annotated[
         tuple[Positive, ...], sized(Range(0, 200, ""), "constant, questplus: the levels", [0.05, 0.1, 0.2])
     ] = ()
@@ -113,6 +126,8 @@ class Procedure(Table, frozen=True, kw_only=True):
             return
         if self.kind != "staircase" and not self.levels:
             yield "levels", msgspec.UNSET, f"{self.kind} needs levels"
+        if len(set(self.levels)) < len(self.levels):
+            yield "levels", list(self.levels), "has a level twice"
         if self.kind == "staircase" and not self.smallest <= self.start <= self.largest:
             yield "start", self.start, f"must be from smallest = {self.smallest:g} to largest = {self.largest:g}"
 
@@ -120,9 +135,14 @@ class Procedure(Table, frozen=True, kw_only=True):
 class Factor(Table, frozen=True, kw_only=True):
     """A factor of the design: a parameter with values, whole scenes, or sets of parameters by name."""
 
-    name: Label
+    name: Annotated[Label, said("name; a column of the table of trials")]
     parameter: Annotated[
-        str, sized(TEXT, "parameter of the scene that takes the levels", "coupling.damping_ns_per_m")
+        str,
+        sized(
+            TEXT,
+            "parameter of the scene that takes the levels, or rig.guard.KEY; object.NAME.material takes names",
+            "coupling.damping_ns_per_m",
+        ),
     ] = ""
     levels: Annotated[tuple[float | Label, ...], sized(LEVELS, "its levels", [0.3, 0.6])]
     scenes: Annotated[dict[str, str], said("scene of each level, in place of a parameter")] = msgspec.field(
@@ -146,14 +166,15 @@ class Factor(Table, frozen=True, kw_only=True):
 
 
 class Design(Table, frozen=True, kw_only=True):
-    """Conditions are all combinations of the factors' levels.
+    """Conditions are all combinations of the factors' levels."""
 
-    random        trials of all conditions mixed
-    latin-square  a block for each condition, in an order balanced over participants (Williams 1949)
-    given         a block for each condition, in the order of the file
-    """
-
-    order: Literal["random", "latin-square", "given"] = "random"
+    order: Annotated[
+        Literal["random", "latin-square", "given"],
+        said(
+            "random: trials of all conditions mixed; latin-square: a block for each condition, in an order balanced "
+            "over participants (Williams 1949); given: a block for each condition, in the order of the file"
+        ),
+    ] = "random"
     seed: Annotated[int, within(Range(0, 2**32 - 1, "32 bits"), "seed of every random choice", 1)]
     practice: Annotated[int, within(Range(0, 100, ""), "trials before the first one that counts", 2)] = 0
     break_every: Annotated[int, within(Range(0, 2000, ""), "trials between breaks; 0: none", 40)] = 0
@@ -175,8 +196,8 @@ class Trial(Table, frozen=True, kw_only=True):
 class Observer(Table, frozen=True, kw_only=True):
     """The simulated observer of a dry run: what a real one is thought to be like.
 
-    compare      right with probability 1/2 + (1/2 - lapse) (1 - exp(-(level / threshold)^slope))  (Weibull)
-    rate, trace  answer = scale level^exponent exp(noise n), n standard normal  (Stevens 1957)
+    A comparison is right with probability 1/2 + (1/2 - lapse) (1 - exp(-(level / threshold)^slope)) (Weibull); a number
+    or a duration is scale level^exponent exp(noise n), n standard normal (Stevens 1957).
     """
 
     threshold: Annotated[Positive, said("compare: level at which 82 % are right, but for lapses", 0.15)] = 0.15
@@ -185,22 +206,26 @@ class Observer(Table, frozen=True, kw_only=True):
     scale: Annotated[Positive, said("rate, trace: answer at level 1", 10.0)] = 10.0
     exponent: Annotated[float, within(Range(-5.0, 5.0, ""), "rate, trace: exponent", 0.8)] = 1.0
     noise: Annotated[float, within(Range(1e-3, 2.0, ""), "rate, trace: standard deviation of the logarithm", 0.2)] = 0.2
-    by: Annotated[dict[str, dict[str, float]], said("other values in a condition, by its name", {"rolling": {}})] = (
-        msgspec.field(default_factory=dict)
-    )
+    by: Annotated[
+        dict[str, dict[str, float]],
+        said(
+            "other values in a condition, by its name: the levels of all factors, with a comma between them",
+            {"rolling": {}},
+        ),
+    ] = msgspec.field(default_factory=dict)
 
 
 class ExperimentFile(Table, frozen=True, kw_only=True):
-    """An experiment: title, scene, rig and the tables above."""
+    """What all trials share."""
 
-    title: Annotated[str, sized(Range(1, 200, ""), "title", "Stiffness discrimination")]
+    title: Annotated[str, sized(Range(1, 200, ""), "title of the page and of the figures", "Stiffness discrimination")]
     scene: Annotated[str, sized(Range(1, 4096, ""), "scene: a shipped name, or a file beside this one", "paper-plane")]
     rig: Annotated[str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file beside this one", "omega-6")] = (
         "simulated-hand"
     )
     instructions: Annotated[str, sized(TEXT, "what the participant reads first")] = ""
-    overrides: Annotated[dict[str, Any], said("parameters of the scene that hold throughout")] = msgspec.field(
-        default_factory=dict
+    overrides: Annotated[dict[str, Any], said("parameters of the scene, or rig.guard.KEY, that hold throughout")] = (
+        msgspec.field(default_factory=dict)
     )
     task: Task
     procedure: Procedure
@@ -227,6 +252,11 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
                     msgspec.UNSET,
                     "turns a hand that [motion] does not move: give the finger a path",
                 )
+        if known(self.motion, self.turn, self.trial) and known(self.trial.touch_s):
+            for key, ways in (("motion", self.motion), ("turn", self.turn)):
+                for finger, way in ways.items():
+                    if way and way[-1][0] > self.trial.touch_s:
+                        yield f"{key}.{finger}", msgspec.UNSET, f"ends at {way[-1][0]:g} s: make trial.touch_s as long"
         if known(self.factor):
             names = [factor.name for factor in self.factor if known(factor)]
             if len(set(names)) < len(names):

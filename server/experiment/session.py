@@ -162,7 +162,7 @@ class Session:
         felt = []
         for touch, value in enumerate(values, 1):
             place = self._place(trial, touch, len(values))
-            self._tell(f"{place.title} {place.text}")
+            self._tell(f"{place.title}{f': {place.text}' if place.text else ''}")
             answering.follow(place)
             changes = condition.changes | parameters(self.experiment, value)
             felt.append(apparatus.touch(Stimulus(trial.number, touch, condition.scene, changes)))

@@ -1,4 +1,4 @@
-"""`softfinger check`: are these scene and rig files usable, and what do they model?"""
+"""`softfinger check`: are these scenes, rigs and experiments usable, and what do they model?"""
 
 from __future__ import annotations
 
@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import msgspec
 
 from softfinger.config.errors import ConfigError, DeviceError, HapticError, RecordingError
-from softfinger.config.load import FaultyConfig, build, describe, find, load_rig, load_scene, read_toml, shipped
+from softfinger.config.load import (
+    EXPERIMENTS,
+    FaultyConfig,
+    build,
+    describe,
+    find,
+    find_in,
+    load_rig,
+    load_scene,
+    names_in,
+    read_toml,
+    shipped,
+)
 from softfinger.config.schema import (
     DeviceConfig,
     Guard,
@@ -30,10 +42,11 @@ if TYPE_CHECKING:  # with the kernels behind it, which no rig needs
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
+_EXPERIMENT_KEYS: Final = frozenset(("task", "procedure"))
 
 
 class Finding(NamedTuple):
-    """What one file is: kind (scene, rig, or empty), summary rows, errors, its content as read; by object its mesh."""
+    """What one file is: kind (scene, rig, experiment, or empty), summary rows, errors, content, meshes by object."""
 
     file: str
     kind: str
@@ -45,8 +58,8 @@ class Finding(NamedTuple):
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.description = "Check scene and rig files. Exit code 0: all are usable; 2: at least one is not."
-    parser.add_argument("files", nargs="+", metavar="FILE", help="scene or rig, as a file or a shipped name")
+    parser.description = "Check scenes, rigs and experiments. Exit code 0: all are usable; 2: at least one is not."
+    parser.add_argument("files", nargs="+", metavar="FILE", help="one of these, as a file or a shipped name")
     parser.add_argument(
         "--explain", action="store_true", help="compile each scene and measure what a tick and each part of it cost"
     )
@@ -110,6 +123,8 @@ def examine_file(file: str) -> Finding:
     try:
         path = _locate(file)
         kind = kind_of(read_toml(path, file), file)
+        if kind == "experiment":
+            return _experiment(file, path)
         config = load_scene(path) if kind == "scene" else load_rig(path)
         if isinstance(config, Scene):
             summary = scene_summary(config)
@@ -127,6 +142,14 @@ def examine_file(file: str) -> Finding:
     except (ConfigError, DeviceError) as error:
         return Finding(file, kind, [], [str(error)], {}, {})
     return Finding(file, kind, summary, [], describe(config), _reports(config))
+
+
+def _experiment(file: str, path: Path) -> Finding:
+    from softfinger.server.experiment.design import summary
+    from softfinger.server.experiment.experiment import Experiment
+
+    experiment = Experiment(path).file
+    return Finding(file, "experiment", summary(experiment), [], describe(experiment), {})
 
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:
@@ -171,7 +194,9 @@ def _stability_row(item: Object) -> tuple[str, str]:
 
 
 def kind_of(mapping: dict[str, Any], where: str) -> str:
-    """`scene` or `rig`, by the tables a file has. Raises ConfigError when it is neither, or both."""
+    """`scene`, `rig` or `experiment`, by the tables a file has. Raises ConfigError when it is none, or two."""
+    if mapping.keys() >= _EXPERIMENT_KEYS:
+        return "experiment"
     scene, rig = _SCENE_KEYS & mapping.keys(), _RIG_KEYS & mapping.keys()
     if scene and not rig:
         return "scene"
@@ -184,19 +209,21 @@ def kind_of(mapping: dict[str, Any], where: str) -> str:
         )
     raise ConfigError(
         f"{where}: neither scene nor rig: a scene has [fingertip] or [[finger]], and [[object]], a rig has [device] or "
-        f"[devices.NAME]; "
+        f"[devices.NAME], an experiment [task] and [procedure]; "
         f"this has {', '.join(repr(key) for key in list(mapping)[:8]) or 'nothing'}"
     )
 
 
 def _locate(file: str) -> Path:
-    """Path of a file or of a shipped scene or rig."""
-    names = [*shipped(Scene), *shipped(Rig)]
+    """Path of a file or of a shipped scene, rig or experiment."""
+    names = [*shipped(Scene), *shipped(Rig), *names_in(EXPERIMENTS)]
     if file not in names and "." not in file and "/" not in file and not _exists(file):
         raise ConfigError(
-            f"no scene or rig is called {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
+            f"no scene, rig or experiment is called {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
             "a file of your own is named with its ending .toml"
         )
+    if file in names_in(EXPERIMENTS):
+        return find_in(EXPERIMENTS, "experiment", file)
     return find(file, Rig if file in shipped(Rig) else Scene)
 
 

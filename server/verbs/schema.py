@@ -1,4 +1,4 @@
-"""`softfinger schema`: what scenes, rigs, telemetry records and commands consist of, for programs and for editors."""
+"""`softfinger schema`: what files, telemetry records and commands consist of, for programs and for editors."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from softfinger.config.schema import DeviceConfig, Rig, Scene, unit
 from softfinger.config.typeinfo import described, options, unwrapped
 from softfinger.config.words import expected, toml
 from softfinger.proxy.record import FIELDS
+from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.wire import commands
 
-KINDS: Final = ("scene", "rig", "telemetry", "commands")
-_STRUCTS: Final[dict[str, type[msgspec.Struct]]] = {"scene": Scene, "rig": Rig}
+KINDS: Final = ("scene", "rig", "experiment", "telemetry", "commands")
+_STRUCTS: Final[dict[str, type[msgspec.Struct]]] = {"scene": Scene, "rig": Rig, "experiment": ExperimentFile}
 _EITHER: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
 """Keys of which a file has exactly one."""
 _NAMED: Final = {"Material": MATERIALS, "Fingertip": FINGERTIPS}
@@ -54,7 +55,7 @@ class TableRows(NamedTuple):
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.description = (
-        "Print the JSON Schema of scene and rig files and of the commands, and the fields of a telemetry record."
+        "Print the JSON Schema of scenes, rigs, experiments and commands, and the fields of a telemetry record."
     )
     parser.add_argument("kind", nargs="?", choices=KINDS, help="which schema (default: all, in one object)")
     parser.add_argument("--markdown", action="store_true", help="print tables of the keys instead, for people")
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """JSON Schema of a scene, a rig or every command, or the fields of a telemetry record in their order."""
+    """JSON Schema of a kind of file or of every command, or the fields of a telemetry record in their order."""
     if kind == "commands":
         return commands.schema()
     if kind == "telemetry":
@@ -136,7 +137,9 @@ def key_tables(struct_type: type[msgspec.Struct], name: str = "") -> str:
         else:
             body = _added(whole, same[0].rows)
             whole[at] = same[0].rows
-        listed.setdefault(body, {}).setdefault("" if len(same) > 1 else same[0].meaning, []).append(f"`{at}`")
+        listed.setdefault(body, {}).setdefault("" if len(same) > 1 else same[0].meaning, []).append(
+            f"`{at}`" if at else "Top of the file"
+        )
     return "\n\n".join(_section(body, meanings) for body, meanings in listed.items())
 
 
@@ -235,7 +238,7 @@ def _row(field: inspect.Field) -> Row:
     allowed = re.sub(r"^a (whole )?number from", lambda found: "integer," if found[1] else "", allowed).strip()
     allowed = re.sub(r"^text of (.*) characters( like .*)?", r"text, \1", allowed)  # the meaning says which characters
     allowed = f"{allowed} {unit(field.encode_name)}".strip()
-    if field.required or field.default is None:
+    if field.required or field.default in (None, msgspec.NODEFAULT):  # no default: an empty table
         default = _REQUIRED if field.required else _OPTIONAL
     else:
         default = f"`{toml(field.default)}`"

@@ -72,9 +72,41 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
         "driver.toml: device.driver = 'replya'",
         "both.toml: both scene (fingertip) and rig (device)",
         "neither.toml: neither scene nor rig",
-        "no scene or rig is called 'repaly' (did you mean 'replay'?)",
+        "no scene, rig or experiment is called 'repaly' (did you mean 'replay'?)",
     ]:
         assert part in err
+
+
+@pytest.mark.plain
+def test_check_tells_what_a_participant_meets(tmp_path: Path) -> None:
+    """Conditions, trials and time of an experiment; each of its faults, and those of its scenes."""
+    done = called("check", "curvature-by-rolling", "stiffness-discrimination")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"conditions +rolls; slides\n +trials +102, 2 of them practice; questplus", done.stdout)
+    # 82 trials of two touches, each of 2 s behind a gap of 0.3 s.
+    assert re.search(r"lasts +6 min and the answers, a break after each 40 trials", done.stdout)
+    file = tmp_path / "mine.toml"
+    file.write_text("""
+        title = "mine"
+        scene = "paper-plane"
+        [task]
+        kind = "rate"
+        parameter = "object.table.material.stifness_n_per_m"
+        question = "?"
+        [procedure]
+        kind = "constant"
+        levels = [1.0]
+        [design]
+        seed = 1
+    """)
+    done = called("check", str(file))
+    assert done.returncode == 2 and "did you mean 'stiffness_n_per_m'" in done.stderr
+    file.write_text(file.read_text().replace("stifness", "stiffness").replace("seed = 1", "sed = 1"))
+    done = called("check", str(file))
+    assert "2 faults" not in done.stderr and done.stderr.count("\n") == 3
+    assert (
+        "design.sed is not a key here (did you mean 'seed'?)" in done.stderr and "design.seed is missing" in done.stderr
+    )
 
 
 @pytest.mark.plain
@@ -86,7 +118,7 @@ def test_check_as_json() -> None:
     assert good["kind"] == "scene"
     assert good["errors"] == []
     assert good["content"]["object"][0]["position_m"] == [0.0, 0.0, 0.06]
-    assert bad["errors"][0].startswith("no scene or rig is called 'nothing-like-it'")
+    assert bad["errors"][0].startswith("no scene, rig or experiment is called 'nothing-like-it'")
 
 
 def test_a_scene_is_explained_by_measured_costs() -> None:

@@ -60,6 +60,35 @@ rig](../operate/scenes.md#write-a-rig). `softfinger schema rig` prints these tab
     )  # fmt: skip
 
 
+def experiments() -> str:
+    """Every key of an experiment, and the files of its folder."""
+    head = f"""\
+# Experiments: every key
+
+An experiment file (TOML) describes trials and answers: [run an experiment](../run-an-experiment.md).
+`softfinger schema experiment` prints these tables as JSON Schema. {_KEYS}"""
+    kept = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _KEPT.items()])
+    return _page(
+        head, "## Shipped experiments", _listed("experiments"), "## Keys", schema.markdown("experiment"),
+        "## Files of the folder", "No file of a participant is overwritten.", kept,
+    )  # fmt: skip
+
+
+_KEPT: Final = {
+    "experiment.json": "the experiment; the folder refuses another one",
+    "files.json": "hashes of the scenes and the rig beside the experiment; the folder refuses other ones",
+    "dataset_description.json": "title and version of BIDS, whose names the files follow",
+    "trials.csv, participants.tsv": "a row per trial of all participants, made from the journals",
+    "sub-01/sub-01_journal.jsonl": "every event, a line each: the source of all tables",
+    "sub-01/sub-01_design.json, sub-01_order.csv": "seed, conditions, the order of trials",
+    "sub-01/sub-01_trials.csv": "a row per trial",
+    "sub-01/sub-01_run-01_ticks.mcap": "every tick and marker of a start: [recordings](../operate/recordings.md)",
+    "sub-01/sub-01_run-01_about.json": "versions, rig, scene, device of a start",
+    "sub-01/sub-01_run-01_doctor.json": "what [doctor](../operate/doctor.md) found",
+    "sub-01/trials/sub-01_trial-0001.csv": "every tick of the touches of a trial",
+}
+
+
 def record() -> str:
     """The record of a tick."""
     head = """\
@@ -261,6 +290,7 @@ and the models beside what was published; `softfinger materials NAME` prints one
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "scenes.md": scenes,
     "rigs.md": rigs,
+    "experiments.md": experiments,
     "record.md": record,
     "telemetry.md": telemetry,
     "commands.md": commands_page,

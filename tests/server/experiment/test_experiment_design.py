@@ -116,6 +116,12 @@ def test_practice_comes_first() -> None:
         ({"factor.0.levels": [-1.0, 0.0]}, "damping_ns_per_m = -1.0"),
         ({"factor.0.scenes": {"a": "sphere"}}, "give one of parameter, scenes and values"),
         ({"rig": "omega-66"}, "did you mean"),
+        ({"procedure.levels": [0.1, 0.2, 0.1]}, "has a level twice"),
+        ({"observer.by": {"3.0": {"threshold": 0.1}}}, "no condition is called '3.0'.*; there are 0.0; 1.0; 2.0"),
+        ({"observer.by": {"2.0": {"treshold": 0.1}}}, "did you mean 'threshold'"),
+        ({"observer.by": {"2.0": {"threshold": -0.1}}}, "observer.by.2.0: threshold = -0.1: must be"),
+        ({"motion": {"thumb": [[0.0, 0.0, 0.0, 0.0]]}}, "motion.thumb: no scene has this finger; there are fingertip"),
+        ({"motion": {"fingertip": [[3.0, 0.0, 0.0, 0.0]]}}, "ends at 3 s: make trial.touch_s as long"),
         ({"design.seed": -1}, "design.seed = -1"),
     ],
 )

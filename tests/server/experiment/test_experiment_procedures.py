@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import optimize, stats
+from scipy import stats
 
-from softfinger.server.experiment.analysis import power_law, student_975
+from softfinger.server.experiment.analysis import power_law, said, student_975
 from softfinger.server.experiment.procedures import GRID, QuestPlus, Staircase
-from softfinger.server.experiment.psychometric import SLOPE, SLOPE_SD, SLOPES, fit, probability
+from softfinger.server.experiment.psychometric import QUANTILES, SLOPE, SLOPE_SD, SLOPES, fit, probability
 from softfinger.server.experiment.schema import Procedure
 
 pytestmark = pytest.mark.plain
@@ -68,37 +68,52 @@ def test_quest_plus_chooses_what_leaves_least_uncertainty() -> None:
         chosen.answered(best, right)
 
 
-def test_the_fit_is_the_maximum_of_the_likelihood() -> None:
-    """SciPy finds the same maximum, to the grid's step, and the same ends of the profile interval."""
+def test_the_fit_is_the_posterior() -> None:
+    """Medians and the ends of 95 % intervals are its quantiles, integrated here by Gauss and Legendre."""
     rng = np.random.default_rng(3)
     levels = np.repeat([0.05, 0.1, 0.2, 0.4, 0.8], 40)
     right = rng.random(len(levels)) < probability(levels, 0.2, 1.8, lapse=0.02)
+    nodes, weights = np.polynomial.legendre.leggauss(120)
 
-    def loss(pair: np.ndarray) -> float:
-        chance = probability(levels, np.exp(pair[0]), np.exp(pair[1]), lapse=0.02)
-        penalty = 0.5 * ((pair[1] - np.log(SLOPE)) / SLOPE_SD) ** 2
-        return penalty - float(np.log(np.where(right, chance, 1.0 - chance)).sum())
+    def weight(thresholds: tuple[float, float], slopes: tuple[float, float]) -> float:
+        """Of a rectangle of the logarithms, up to a factor."""
+        (low, high), (flat, steep) = np.log(thresholds), np.log(slopes)
+        a = low + (high - low) * (nodes + 1.0) / 2.0
+        b = flat + (steep - flat) * (nodes + 1.0) / 2.0
+        chance = probability(levels, np.exp(a)[:, None, None], np.exp(b)[None, :, None], lapse=0.02)
+        likelihood = np.exp(np.log(np.where(right, chance, 1.0 - chance)).sum(axis=-1) + 80.0)  # of some e^-80
+        prior = stats.norm.pdf(b, np.log(SLOPE), SLOPE_SD)
+        return float((high - low) * (steep - flat) * (weights @ (likelihood * prior) @ weights))
 
-    best = optimize.minimize(loss, np.log([0.2, 2.0]), method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-10})
-
-    def beyond(threshold: float) -> float:
-        other = optimize.minimize_scalar(lambda slope: loss(np.array([np.log(threshold), slope])), bracket=(0.0, 1.0))
-        return float(other.fun - best.fun - stats.chi2.ppf(0.95, 1) / 2.0)
-
-    found, (low, high) = fit(levels, right, 0.02), np.exp(best.x[0]) * np.array([0.4, 2.5])
-    # A step of the grid is 1.9 % of the threshold and 8 % of the slope.
-    assert found.threshold == pytest.approx(np.exp(best.x[0]), rel=0.03)
-    assert found.slope == pytest.approx(np.exp(best.x[1]), rel=0.09)
-    assert found.log_likelihood == pytest.approx(-best.fun, abs=0.05)
-    assert found.threshold_95[0] == pytest.approx(optimize.brentq(beyond, low, np.exp(best.x[0])), rel=0.03)
-    assert found.threshold_95[1] == pytest.approx(optimize.brentq(beyond, np.exp(best.x[0]), high), rel=0.03)
+    found, widest, all_slopes = fit(levels, right, 0.02), (0.02, 2.0), (SLOPES[0], SLOPES[-1])
+    whole = weight(widest, all_slopes)
+    for share, threshold, slope in zip(
+        QUANTILES,
+        (found.threshold_95[0], found.threshold, found.threshold_95[1]),
+        (found.slope_95[0], found.slope, found.slope_95[1]),
+        strict=True,
+    ):
+        # A step of the grid, 1.9 % of the threshold and 8 % of the slope, has some hundredths of the weight.
+        assert weight((widest[0], threshold), all_slopes) / whole == pytest.approx(share, abs=0.01)
+        assert weight(widest, (SLOPES[0], slope)) / whole == pytest.approx(share, abs=0.02)
     x, curve, below, above = found.curve.T
     assert (below <= curve).all() and (curve <= above).all() and len(x) == 60 and not found.bounded
+    middle = probability(x, found.threshold, found.slope, lapse=0.02)
+    assert curve == pytest.approx(middle, abs=0.02)  # a median of functions is nearly that of the medians
 
 
 def test_answers_that_say_little_bound_little() -> None:
-    """All right answers leave the threshold without a lower bound, and the fit says so."""
-    assert fit([0.2] * 20, [True] * 20, 0.02).bounded
+    """All right, all wrong: a staircase that never turns. The threshold has one bound, and the fit says so in words."""
+    for answers in (True, False):
+        stairs = Staircase(Procedure(kind="staircase"))
+        levels = []
+        for _ in range(40):
+            levels.append(stairs.level())
+            stairs.answered(levels[-1], answers)
+        assert stairs.turns == 0
+        found = fit(levels, [answers] * 40, 0.02)
+        assert found.bounded and "not bounded by the answers" in said(found)
+        assert (found.threshold < min(levels)) if answers else (found.threshold > max(levels))
 
 
 def test_students_quantile_is_scipys() -> None:
@@ -116,3 +131,19 @@ def test_a_power_law_is_a_line_of_logarithms() -> None:
     half = line.stderr * stats.t.ppf(0.975, 13)
     assert found.exponent == pytest.approx(line.slope) and found.scale == pytest.approx(np.exp(line.intercept))
     assert found.exponent_95 == pytest.approx((line.slope - half, line.slope + half))
+    # Where the levels balance, the line's interval is that of a mean with two numbers fitted.
+    middle = np.log(answers).mean()
+    around = np.sqrt(((np.log(answers) - line.intercept - line.slope * np.log(levels)) ** 2).sum() / 13 / 15)
+    around *= stats.t.ppf(0.975, 13)
+    assert found.middle == pytest.approx(0.3) and found.answer == pytest.approx(np.exp(middle))
+    assert found.answer_95 == pytest.approx(np.exp([middle - around, middle + around]))
+
+
+def test_a_single_level_has_no_exponent() -> None:
+    """The answer has its interval, SciPy's of a mean; one answer alone has none."""
+    answers = np.array([9.0, 11.0, 14.0])
+    found = power_law([0.5] * 3, answers)
+    mean = stats.t.interval(0.95, 2, np.log(answers).mean(), stats.sem(np.log(answers)))
+    assert np.isnan(found.exponent) and found.answer_95 == pytest.approx(np.exp(mean))
+    assert said(found) == f"answer 11.1 ({found.answer_95[0]:.3g} to {found.answer_95[1]:.3g}) at 0.5"
+    assert said(power_law([0.5], [9.0])) == "answer 9 at 0.5"

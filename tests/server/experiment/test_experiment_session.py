@@ -5,12 +5,15 @@ from __future__ import annotations
 import csv
 import json
 import random
+import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,11 +21,13 @@ from PIL import Image
 from test_experiment_design import small
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.load import EXPERIMENTS, FOLDERS
+from softfinger.config.schema import Scene
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import analysed
 from softfinger.server.experiment.experiment import Experiment, Running, results
 from softfinger.server.experiment.files import shipped
-from softfinger.server.experiment.folder import load
+from softfinger.server.experiment.folder import Folder, load
 from softfinger.server.experiment.journal import Journal, read
 
 pytestmark = pytest.mark.plain
@@ -126,10 +131,78 @@ def test_a_finished_session_is_not_run_again(tmp_path: Path) -> None:
 
 
 def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
-    """Another value in the file is refused for the next participant."""
+    """Another value in the file is refused by its key, for the next participant and where a session goes on."""
     Experiment(small()).run(tmp_path, 1, OFFLINE)
-    with pytest.raises(ConfigError, match="is of an experiment with other values"):
-        Experiment(small(), {"task.reference": 600.0}).run(tmp_path, 2, OFFLINE)
+    for participant in (1, 2):
+        with pytest.raises(ConfigError, match=r"is of an experiment with other values \(task.reference, design.seed\)"):
+            Experiment(small(), {"task.reference": 600.0, "design.seed": 6}).run(tmp_path, participant, OFFLINE)
+
+
+def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> None:
+    """Answers of the simulated observer are never taken for those of a person, whoever's number it is."""
+    Experiment(small()).run(tmp_path, 1, OFFLINE)
+    for participant in (1, 2):
+        with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): give another folder"):
+            Experiment(small()).run(tmp_path, participant)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    journal.write_bytes(journal.read_bytes().replace(b'"dry_run":true', b'"dry_run":false'))
+    with pytest.raises(ConfigError, match="answers of participants: give another folder"):
+        Experiment(small()).run(tmp_path, 1, OFFLINE)
+
+
+@contextmanager
+def nearly_full(bytes_left: int, path: Path) -> Iterator[None]:
+    """No file of this process may grow further than this one by so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_left, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_an_entry_that_the_disk_takes_half_of_is_not_there(tmp_path: Path) -> None:
+    """The session ends with the reason, what was written before stays, and with room it goes on as if nothing was."""
+    path = tmp_path / "j.jsonl"
+    with Journal(path) as journal:
+        journal.write("begun", trial=1)
+        with (
+            nearly_full(5, path),
+            pytest.raises(ConfigError, match="cannot be written: File too large: no answer before is lost"),
+        ):
+            journal.write("done", trial=1)
+        assert read(path) == journal.entries == [{"kind": "begun", "trial": 1}]
+        journal.write("done", trial=1)
+    assert [entry["kind"] for entry in read(path)] == ["begun", "done"]
+
+
+def test_ticks_that_the_disk_takes_half_of_are_not_there(tmp_path: Path) -> None:
+    """The table of a trial is whole or missing, and its trial has no answer then."""
+    folder = Folder(tmp_path, Experiment(small()).file, 1, {})
+    table = tmp_path / "sub-01" / "trials" / "sub-01_trial-0001.csv"
+    rows = [{"tick": tick} for tick in range(1000)]
+    with (
+        nearly_full(100, tmp_path / "experiment.json"),
+        pytest.raises(ConfigError, match="cannot be written: File too"),
+    ):
+        folder.ticks(1, 1, rows)
+    assert not list(table.parent.iterdir())
+    folder.ticks(1, 1, rows)
+    assert len(table.read_text().splitlines()) == 1001
+    with pytest.raises(ConfigError, match="is there already, and nothing of a participant is overwritten"):
+        folder.ticks(1, 1, rows)
+
+
+def test_sessions_at_once_in_one_folder_leave_one_table(tmp_path: Path) -> None:
+    """Three participants of one experiment, each by a process of its own, started together."""
+    words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
+    words += ["--no-daemon", "--out", str(tmp_path / "out"), "--participant"]
+    processes = [subprocess.Popen([*words, str(number)], stdout=subprocess.DEVNULL) for number in (1, 2, 3)]
+    assert [process.wait(100.0) for process in processes] == [0, 0, 0]
+    Experiment("friction-magnitude").run(tmp_path / "out", 1, OFFLINE)  # which makes the tables anew
+    with (tmp_path / "out" / "trials.csv").open() as file:
+        assert {row["participant"] for row in csv.DictReader(file)} == {"sub-01", "sub-02", "sub-03"}
+    assert not list((tmp_path / "out").rglob("*.part"))
 
 
 def test_one_session_of_a_participant_at_a_time(tmp_path: Path) -> None:
@@ -156,6 +229,32 @@ def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path)
     assert (tmp_path / "participants.tsv").read_text() == "participant_id\nsub-01\nsub-02\n"
 
 
+def test_a_participant_is_a_number(tmp_path: Path) -> None:
+    """What would lead out of the folder is none, nor is what only looks like one."""
+    for name in ("../x", "Zoë", True, 1.0):
+        with pytest.raises(ConfigError, match="must be a whole number from 1 to 9999"):
+            Experiment(small()).run(tmp_path / "out", name, OFFLINE)  # type: ignore[arg-type]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_that_is_gone_or_another_is_told_and_takes_nothing(tmp_path: Path) -> None:
+    """A session whose scene was moved away or changed says so; with the scene back it goes on."""
+    scene, file, out = tmp_path / "mine.toml", tmp_path / "e.toml", tmp_path / "out"
+    shutil.copy(FOLDERS[Scene] / "paper-plane.toml", scene)
+    file.write_text((EXPERIMENTS / "friction-magnitude.toml").read_text().replace('"paper-plane"', '"mine.toml"'))
+    rows = Experiment(file).run(out, 1, OFFLINE)
+    journal = out / "sub-01" / "sub-01_journal.jsonl"
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:21]))
+    scene.rename(tmp_path / "moved.toml")
+    with pytest.raises(ConfigError, match=r"mine\.toml: no such file"):
+        Experiment(file).run(out, 1, OFFLINE)
+    scene.write_text((tmp_path / "moved.toml").read_text() + "# another\n")
+    with pytest.raises(ConfigError, match=r"files\.json: is of an experiment with other values \(mine\.toml\)"):
+        Experiment(file).run(out, 1, OFFLINE)
+    (tmp_path / "moved.toml").rename(scene)
+    assert Experiment(file).run(out, 1, OFFLINE) == rows
+
+
 def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`experiments` names each shipped experiment; no daemon without a dry run; no such experiment; no such folder."""
     assert cli.main(["experiments"]) == 0
@@ -165,6 +264,7 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["experiment", "friction-magnitude", "--no-daemon"], "give --dry-run too"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
         (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
+        (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be a whole number from 1"),
         (["figure", str(tmp_path)], "is this a folder that `softfinger experiment` made"),
     ):
         assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2
