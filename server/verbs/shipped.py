@@ -13,6 +13,7 @@ from typing import Any, Final
 from softfinger.config.load import EXPERIMENTS, FOLDERS
 from softfinger.config.schema import Faults, Rig, Scene
 from softfinger.drivers.poses import SHIPPED
+from softfinger.server.offline.feels import entries
 
 FOLDER_OF: Final = {
     "scenes": FOLDERS[Scene],
@@ -30,6 +31,8 @@ OPTIONS: Final = {
     "--inject": "faults",
 }
 """Options that take a name of those that a verb lists, or a file."""
+WORDS: Final = {("experiment", "file"): "experiments", ("materials", "name"): "materials"}
+"""The same of a verb's word that is no option."""
 
 _SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")
 
@@ -76,16 +79,19 @@ def _seconds(recording: Path) -> float:
 
 
 def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    """Have shtab complete the options of every verb that take a shipped name; returns the parser."""
+    """Have shtab complete what takes a shipped name in every verb; returns the parser."""
     for verbs in parser._actions:
         if isinstance(verbs, argparse._SubParsersAction):
-            for action in (action for verb in verbs.choices.values() for action in verb._actions):
+            for verb, action in ((name, each) for name, its in verbs.choices.items() for each in its._actions):
                 for option in OPTIONS.keys() & set(action.option_strings):
                     action.complete = _completion(OPTIONS[option])
+                if (verb, action.dest) in WORDS:
+                    action.complete = _completion(WORDS[verb, action.dest])
     return parser
 
 
 def _completion(verb: str) -> dict[str, Any]:
-    names, function = " ".join(each["name"] for each in shipped_in(verb)), f"_softfinger_{verb}"
+    listed = list(entries()) if verb == "materials" else [each["name"] for each in shipped_in(verb)]
+    names, function = " ".join(listed), f"_softfinger_{verb}"
     body = f'{function}() {{ compgen -W "{names}" -- $1; compgen -f -- $1; }}'
     return {"bash": function, "zsh": f"({names})", "tcsh": f"({names})", "preamble": {"bash": body}}

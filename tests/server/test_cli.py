@@ -109,14 +109,21 @@ def test_completion_knows_every_verb(shell):
 
 
 def test_completion_offers_what_is_shipped(tmp_path):
-    """bash completes `--scene sph` to the shipped scene, and a file beside."""
+    """bash completes the names of scenes, and a file beside, of materials and of experiments."""
     (tmp_path / "spherical.toml").touch()
     script = called("--print-completion", "bash").stdout
-    ask = "COMP_WORDS=(softfinger run --scene sph); COMP_CWORD=3; _shtab_softfinger; echo ${COMPREPLY[@]}"
-    done = subprocess.run(
-        ["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True
-    )
-    assert done.stdout.split() == ["sphere", "spherical.toml"]
+    asked = {
+        "run --scene sph": ["sphere", "spherical.toml"],
+        "materials sili": ["silicone", "silicone-tip"],
+        "experiment weight": ["weight-of-a-box"],
+    }
+    for words, wanted in asked.items():
+        at = len(words.split())
+        ask = f"COMP_WORDS=(softfinger {words}); COMP_CWORD={at}; _shtab_softfinger; echo ${{COMPREPLY[@]}}"
+        done = subprocess.run(
+            ["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True
+        )
+        assert done.stdout.split() == wanted
 
 
 def test_parser_without_a_verb_imports_no_verb():
