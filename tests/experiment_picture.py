@@ -11,13 +11,16 @@ from PIL import Image
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "experiment-page.png"
 SIZE = {"width": 620, "height": 300}
+PANEL = 500
+"""Of that, pixels on the right: the page's panel; left of it there is nothing."""
 GAP = 8
 COLOURS = 32
 """Text and lines need no more, and the file is small."""
 
 
 def seen(run: Session) -> Image.Image:
-    return Image.open(io.BytesIO(run.page.screenshot())).convert("RGB")
+    whole = Image.open(io.BytesIO(run.page.screenshot())).convert("RGB")
+    return whole.crop((whole.width - PANEL, 0, whole.width, whole.height))
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ def draw(name: str, path: Path) -> None:
         tip = whole(kind, name)
         patch(axes[0], {name: (entry, tip)})
         torsion(axes[1], {name: tip})
-    drawing.suptitle(f"{name}: {entry.about}", fontsize="small")
+    drawing.suptitle(f"{name}: {entry.about}\nholds for {entry.holds}", fontsize="x-small")
     for each in axes:
         each.legend(frameon=False, fontsize="x-small")
     save(drawing, path)
@@ -90,14 +90,25 @@ def overview(axes: Any) -> None:
 
 
 def depth(axes: Any, entry: Entry, material: Material) -> None:
-    """The normal force over the depth, and that of an elastic sphere over the range of the moduli measured."""
+    """The normal force over the depth, and that of an elastic sphere over the range of the moduli measured.
+
+    Published points of a force over a depth there are none of: no table of them could be opened.
+    """
     force = np.linspace(0.0, 3.0, 61)
-    axes.plot([1e3 * material.depth_under(each) if each else 0.0 for each in force], force, color="C0", label="model")
+    told = "chosen for rendering, not measured" if material.normal is None else "computed, by Hertz"
+    line = [1e3 * material.depth_under(each) if each else 0.0 for each in force]
+    axes.plot(line, force, color="C0", label=f"model: {told}")
     for each in entry.measured:
         if each.youngs_modulus_pa is not None:
             low, high = (1e3 * hertz_depth(force, young, RADIUS_M) for young in each.youngs_modulus_pa)
-            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=f"{each.of} ({each.paper})")
+            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=banded(each))
     axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
+
+
+def banded(each: Measured) -> str:
+    """What a band is made of: a published range and a law, no points."""
+    what = "modulus, by Hertz" if each.youngs_modulus_pa is not None else "exponent"
+    return f"range of the {what}: {each.of} ({each.paper})"
 
 
 RADIUS_M: Final = 0.01
@@ -120,10 +131,10 @@ def patch(axes: Any, drawn: dict[str, tuple[Entry, Fingertip]]) -> None:
     load = np.linspace(0.0, 10.0, 31)
     told: set[str] = set()
     for name, (entry, tip) in drawn.items():
-        axes.plot(load, 1e3 * patch_radius(tip, load), label=name)
+        axes.plot(load, 1e3 * patch_radius(tip, load), label=f"{name}, computed")
         for each in entry.measured:
             band = patch_band(each, tip)
-            if band is not None and (text := f"{each.of} ({each.paper})") not in told:
+            if band is not None and (text := banded(each)) not in told:
                 told.add(text)
                 at, low, high = band
                 axes.fill_between(at, 1e3 * low, 1e3 * high, alpha=0.2, lw=1.0, label=text)
@@ -169,7 +180,7 @@ def torsion(axes: Any, drawn: dict[str, Fingertip]) -> None:
     for name, tip in drawn.items():
         assert tip.patch is not None
         arm = mean_distance(tip.patch.pressure_exponent or 2.0) * patch_radius(tip, load)
-        axes.plot(load, 1e3 * arm * load, label=name)
+        axes.plot(load, 1e3 * arm * load, label=f"{name}, computed")
     axes.set(xlabel="load [N]", ylabel="torsional limit over friction [N mm]")
 
 

@@ -155,7 +155,10 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     if held.any():
         left_out.append(Span(int(ticks[held][0]), int(ticks[held][-1]), "the force was withheld or disarmed meanwhile"))
     return Replayed(
-        columns, right, left_out + _span(ticks, _end(run, scene, ticks), len(ticks), "another scene was set"), bodies
+        columns,
+        right,
+        left_out + _span(ticks, _end(run, scene, ticks), len(ticks), "another scene or rig was set"),
+        bodies,
     )
 
 

@@ -89,7 +89,9 @@ def run(args: argparse.Namespace) -> int:
             f"{first.recorded!r} then, {first.now!r} now; {outcome.different} of {outcome.compared} ticks differ"
         )
     if not outcome.compared:
-        raise RecordingError(f"{path}: no tick of it can be compared: it begins in contact, or is too short")
+        raise RecordingError(
+            f"{path}: no tick of it can be compared: it begins in contact, is too short, or has a command in each touch"
+        )
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from helpers.recorded import EPOCH_S, about, event, printed, recorded, run
@@ -111,6 +112,26 @@ def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
     assert outcome.first is None and outcome.compared == part[-1, AT.tick] - span.last > 0
 
 
+OTHER = "another scene or rig was set"
+
+
+@pytest.mark.plain
+def test_behind_another_rig_nothing_is_compared(tmp_path: Path) -> None:
+    """A factor of an experiment lowers the guard's limit: the ticks before agree, those behind are told and left out;
+    without the event they would differ."""
+    tick, rig = touches()[1] - 100, load_rig("replay")
+    weak = msgspec.structs.replace(rig.guard, force_max_n=0.3)
+    poses, scene = resample(load_poses("tap"), 1000.0), load_scene("paper-plane")
+    records = np.vstack([run()[:tick], simulate(make_tuning(scene, weak), poses, 1000.0)[tick:]])
+    assert records[tick, AT.contact_mode] == FREE
+    quiet = replayed(recorded(tmp_path / "quiet.mcap", records))
+    assert quiet.first is not None and quiet.first.tick > tick
+    told = event("lifecycle", "replaced", tick, device="replay", first=tick)
+    outcome = replayed(recorded(tmp_path / "told.mcap", records, [told]))
+    assert outcome.first is None and 0 < outcome.compared < tick
+    assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, OTHER)
+
+
 def changed_at(tick: int, stiffness: float) -> np.ndarray:
     """A run whose stiffness changes with a tick, in the air."""
     poses = resample(load_poses("tap"), 1000.0)
@@ -141,7 +162,7 @@ def test_commands_are_done_again(tmp_path: Path) -> None:
     other = event("command", "set_scene", tick, command_id="a", what={"scene": "sphere", "tick": tick})
     outcome = replayed(recorded(tmp_path / "other.mcap", records, [other]))
     assert outcome.first is None
-    assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, "another scene was set")
+    assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, OTHER)
 
 
 @pytest.mark.plain
