@@ -25,7 +25,7 @@ from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
 from softfinger.server.viewer.nodes import meshes
 from softfinger.server.viewer.nodes.bodies import Place
 from softfinger.server.viewer.page import Page, began_of, scene_of
-from softfinger.server.viewer.play import Ask, Play
+from softfinger.server.viewer.play import SENSES, Ask, Play
 from softfinger.server.viewer.prompt import PromptPanel
 from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.target import Target
@@ -58,6 +58,8 @@ class LivePage:
         self._scene: schema.Scene | None = None
         self._first = -1
         self._drawn = 0
+        self._turning: set[str] = set()
+        """Fingers whose devices sense how they are turned."""
         self._since = 0.0
         gui = page.server.gui
         self._prompt = PromptPanel(gui, self._asker, self._refused, answers=may is None)
@@ -137,6 +139,7 @@ class LivePage:
             if isinstance(thing, Filed):
                 came = partial(self._keep, self._drawn, number)
                 self._asker.ask(f"mesh {number}", Request("mesh", {"object": number}, came, self._page.say))
+        self._turning = {each["name"] for each in described["fingers"] if each["device"]["sensed_dof"] >= SENSES}
         parts = {finger.name: finger for finger in scene.fingers}
         self._hand.change([_led(each, parts[each["name"]]) for each in described["fingers"] if each["led"]])
         self._play.change(scene, self._page.bodies, described)
@@ -183,7 +186,8 @@ class LivePage:
             params["release"] = True
         else:
             params["position_m"] = [float(x) for x in target.position]
-            params["orientation_wxyz"] = list(target.orientation)
+            if finger in self._turning:  # else the command refuses one
+                params["orientation_wxyz"] = list(target.orientation)
         self._asker.ask(f"hand {finger}", Request("hand", params, lambda result: None, self._refused))
 
     def _hold(self, finger: str, done: Callable[[Target], None], failed: Callable[[], None]) -> None:

@@ -8,6 +8,7 @@ import io
 import logging
 import time
 from collections.abc import Callable, Mapping
+from math import exp
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -40,8 +41,8 @@ READ: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
 NONE: Final[Mapping[str, Handle]] = MappingProxyType({})
 ARROW: Final = "arrow, N per 10 mm"
-FADES: Final = 0.995
-"""Of the largest force from picture to picture: the scale of arrows stays for some seconds after a push."""
+FADE_S: Final = 6.0
+"""Time constant of the largest force: the scale of arrows stays for some seconds after a push."""
 PANEL: Final = 380
 """Width of the controls, pixels."""
 WIDE: Final = 640
@@ -72,7 +73,7 @@ class Page:
         self.bodies: Bodies | None = None
         self._newest: dict[str, Array] = {}
         self._largest_n, self._newtons_per_cm = 0.0, self.looks.newtons_per_cm
-        self._told, self._plotted, self._closed = 0.0, 0.0, False
+        self._told, self._plotted, self._shown, self._closed = 0.0, 0.0, 0.0, False
         gui = self.server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL)
@@ -175,7 +176,9 @@ class Page:
             self._plots.add(known[first])
         if not self._paused.value and known:
             largest = max(float(np.linalg.norm(rows[-1, AT.force : AT.force + 3])) for rows in known.values())
-            self._largest_n = max(largest, FADES * self._largest_n)
+            now = time.monotonic()
+            self._largest_n = max(largest, exp((self._shown - now) / FADE_S) * self._largest_n)
+            self._shown = now
             self._newtons_per_cm = self.looks.arrow(self._largest_n)
             with self.server.atomic():
                 if self.bodies is not None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from softfinger.server import cli
+from softfinger.tools.bench import grasp_drake, grasp_mujoco
 
 pytestmark = pytest.mark.plain
 
@@ -44,3 +45,10 @@ def test_a_peer_that_is_not_installed_says_what_to_install(
     monkeypatch.setitem(sys.modules, package, None)
     assert cli.main(["bench", "grasp", "--peer", peer]) == 2
     assert re.search(rf"--peer {peer}: .*pip install {wheel}$", capsys.readouterr().err.strip())
+
+
+def test_the_picture_in_the_documentation_shows_every_peer() -> None:
+    """By the names in its legend."""
+    picture = (Path(__file__).parents[2] / "docs" / "figures" / "grasp.svg").read_text(encoding="utf-8")
+    for name in ("softfinger", *grasp_mujoco.CONTACTS, "Bullet", *grasp_drake.CONTACTS):
+        assert f">{name}<" in picture, name

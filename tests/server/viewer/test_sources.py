@@ -225,6 +225,24 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
             live.close()
 
 
+def test_a_hand_without_a_wrist_is_led_as_well(page: Page) -> None:
+    """Of an omega.3, which senses no rotation and is asked for none: 2 mm down by a key, and nothing is refused."""
+    ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
+    rig = load_rig("simulated-omega-3", ends | {"servo.realtime": "off"})
+    with Servant(rig, load_scene("paper-plane"), scene_name="plane") as running:
+        running.start()
+        live = LivePage(page, Addresses(running.publisher.endpoint, str(running.commands_endpoint)))
+        try:
+            assert fed(live, lambda: live._hand._seen)
+            live._hand.nudge(Nudge(z=-0.002))
+            assert fed(live, lambda: live._hand._targets)
+            asked = running.rendering.servo.ticks
+            assert fed(live, lambda: running.rendering.servo.ticks > asked + 1000)
+            assert "Not done:" not in page._said.content
+        finally:
+            live.close()
+
+
 def test_sliders_follow_a_finger_that_something_else_leads(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """Until the page leads it: then they show where it is asked to be, though the contact holds it elsewhere."""
     monkeypatch.setattr("softfinger.server.viewer.hand.FOLLOWS_S", -1.0)
