@@ -31,7 +31,7 @@ from softfinger.drivers.fields.table import (
     decode,
     encode,
 )
-from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, SINGULAR, WHOLE, Mechanism, drive, end_of
+from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, NONSENSE, SINGULAR, WHOLE, Mechanism, drive, end_of
 from softfinger.drivers.system.libc import EAGAIN, ETIMEDOUT, read_now, write_now
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
@@ -78,7 +78,9 @@ class Words(NamedTuple):
     written: Annotated[int, counter("reports sent, kicks included")]
     kicks: Annotated[int, counter("zero reports sent into a silence")]
     cut: Annotated[int, counter("wrenches that the motors could not give")]
-    singular: Annotated[int, counter("forces that were less, because the mechanism is singular there")]
+    singular: Annotated[
+        int, counter("forces that were less, and samples without a place, because the mechanism is singular there")
+    ]
     foreign: Annotated[int, counter("reports of another id, passed over")]
     held: Annotated[int, counter("forces not sent, because the pump still had others")]
     kind: Annotated[int, word("of the mechanism")]
@@ -138,9 +140,10 @@ def _pose(driver: Hid, handle: int) -> bool:
     if not decode(report, at[AT.in_table], at[AT.in_rows], handle + 8 * AT.scratch, values):
         return False
     place = float64_at(handle + 8 * AT.place)
-    position, turned, usable = end_of(at[AT.kind], model.mechanism, values, place)
-    if not usable:
+    position, turned, how = end_of(at[AT.kind], model.mechanism, values, place)
+    if how == NONSENSE:
         return False
+    at[AT.singular] += how == SINGULAR
     orientation = normalize(multiply(model.orientation, turned)) if at[AT.turns] != 0 else (1.0, 0.0, 0.0, 0.0)
     position = vec3.add(rotate(model.orientation, position), model.position)
     for k in range(3):
@@ -151,7 +154,7 @@ def _pose(driver: Hid, handle: int) -> bool:
     kept[SAMPLE_GRIPPER] = values[GRIPPER]
     usable = isfinite(kept[SAMPLE_BUTTONS]) and isfinite(kept[SAMPLE_GRIPPER])
     for k in range(7):
-        usable = usable and isfinite(kept[k])
+        usable = usable and (how == SINGULAR or isfinite(kept[k]))
     return usable
 
 

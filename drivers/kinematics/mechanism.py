@@ -6,7 +6,7 @@ Kernels are compiled once for all mechanisms; `kind` says which. Places of `valu
 
 from __future__ import annotations
 
-from math import cos, isfinite, radians, sin, sqrt
+from math import cos, isfinite, nan, radians, sin, sqrt
 from typing import Any, Final, NamedTuple
 
 from softfinger.drivers.fields.table import COUNTS, CURRENT, FORCE, POSITION, QUATERNION, TORQUE, WRIST
@@ -28,7 +28,10 @@ WHOLE: Final = 0
 LIMITED: Final = 1
 """More than the device gives: the force is smaller, in its direction."""
 SINGULAR: Final = 2
-"""The mechanism cannot hold the end in some direction here: a smaller force, or none."""
+"""The mechanism cannot hold the end in some direction here: a smaller force, or none. Of a delta's joint angles: legs
+are in line or do not meet, so there is no place for the end either."""
+NONSENSE: Final = 3
+"""What was sensed is no orientation."""
 
 SINGULAR_POSE: Final = (
     "the mechanism has been in a singular pose, where its motors cannot hold the handle: there it gives less force, or "
@@ -36,6 +39,7 @@ SINGULAR_POSE: Final = (
 )
 
 _ZERO: Final = (0.0, 0.0, 0.0)
+_NOWHERE: Final = (nan, nan, nan)
 _NO_TURN: Final = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -111,22 +115,24 @@ def _make_delta(given: options.Delta, origin: Vec3) -> delta.Delta:
 
 
 @jit
-def end_of(kind: int, m: Mechanism, values: Any, last: Any) -> tuple[Vec3, Quaternion, bool]:
-    """Position (3,) m and orientation of the end in the device's frame; False where there is none.
+def end_of(kind: int, m: Mechanism, values: Any, last: Any) -> tuple[Vec3, Quaternion, int]:
+    """Position (3,) m and orientation of the end in the device's frame; WHOLE, SINGULAR with a position of NaN, or
+    NONSENSE.
 
     last  (3,) m, kept from tick to tick: where a delta was
     """
     one, two, three = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
-    position, orientation, usable = _ZERO, _NO_TURN, True
+    position, orientation, how = _ZERO, _NO_TURN, WHOLE
     if kind == PADDLE:
         position = paddle.forward(m.length, one)
     elif kind == PANTOGRAPH:
         position = pantograph.forward(m.pantograph, one, two)
     elif kind == DELTA:
-        place, usable = delta.forward(m.delta, (one, two, three), (last[0], last[1], last[2]))
-        if usable:
-            last[0], last[1], last[2] = place
-        position = vec3.sub(place, m.delta.origin)
+        place, found = delta.forward(m.delta, (one, two, three), (last[0], last[1], last[2]))
+        if not found:
+            place, how = m.delta.home, SINGULAR
+        last[0], last[1], last[2] = place
+        position = vec3.sub(place, m.delta.origin) if found else _NOWHERE
     elif kind in (CHAIN, CHAIN_WITH_WRIST):
         angles = chain.angles_of(m.chain, (one, two, three))
         position = chain.forward(m.chain, angles)
@@ -139,10 +145,11 @@ def end_of(kind: int, m: Mechanism, values: Any, last: Any) -> tuple[Vec3, Quate
             q = (values[QUATERNION], values[QUATERNION + 1], values[QUATERNION + 2], values[QUATERNION + 3])
             # the square of a number that a float32 can hold fits a float64
             size = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-            usable = size > 0.0 and isfinite(size)
-            if usable:
+            if size > 0.0 and isfinite(size):
                 orientation = normalize(q)
-    return position, orientation, usable
+            else:
+                how = NONSENSE
+    return position, orientation, how
 
 
 @jit

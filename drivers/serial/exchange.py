@@ -21,7 +21,7 @@ from softfinger.drivers.fields.table import (
     SENSED_SIZE,
 )
 from softfinger.drivers.fields.table import encode as encode_fields
-from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, SINGULAR, WHOLE, Mechanism, drive, end_of
+from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, NONSENSE, SINGULAR, WHOLE, Mechanism, drive, end_of
 from softfinger.drivers.serial import packets
 from softfinger.drivers.serial.frames import (
     ANGLES,
@@ -89,7 +89,9 @@ class Words(NamedTuple):
     held: Annotated[int, counter("forces not sent, because the last frame had no answer")]
     kicks: Annotated[int, counter("newlines sent into a silence")]
     cut: Annotated[int, counter("forces past the largest")]
-    singular: Annotated[int, counter("forces that were less, because the mechanism is singular there")]
+    singular: Annotated[
+        int, counter("forces that were less, and samples without a place, because the mechanism is singular there")
+    ]
     kind: Annotated[int, word("of the mechanism, or TEXT")]
     turns: Annotated[int, word("whether an orientation is sensed")]
     answer: Annotated[int, word("bytes of an answer, whether they can be understood or not; 0: nothing is answered")]
@@ -184,10 +186,11 @@ def _pose(driver: Serial, handle: int) -> bool:
         buttons, gripper = float(int(values[INFO]) & 0xFFFF), 0.0
     else:
         place = float64_at(handle + 8 * AT.place)
-        position, turned, usable = end_of(at[AT.kind], model.mechanism, values, place)
+        position, turned, how = end_of(at[AT.kind], model.mechanism, values, place)
         buttons, gripper = values[BUTTONS], values[GRIPPER]
-        if not usable:
+        if how == NONSENSE:
             return False
+        at[AT.singular] += how == SINGULAR
     position = vec3.add(rotate(model.orientation, position), model.position)
     orientation = normalize(multiply(model.orientation, turned)) if at[AT.turns] != 0 else (1.0, 0.0, 0.0, 0.0)
     for k in range(3):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from math import acos, atan2, hypot, pi, radians, sqrt
+from math import acos, asin, atan2, hypot, pi, radians, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -68,8 +68,8 @@ class Ask:
 
     def end(self, joints: Any) -> np.ndarray:
         self.values[table.COUNTS : table.COUNTS + 3] = joints
-        position, orientation, usable = end_of(self.kind, self.mechanism, self.values, self.last)
-        assert usable
+        position, orientation, how = end_of(self.kind, self.mechanism, self.values, self.last)
+        assert how == WHOLE
         assert orientation == (1.0, 0.0, 0.0, 0.0)
         return np.array(position)
 
@@ -217,10 +217,60 @@ def test_links_in_line_give_no_force() -> None:
 
 
 def test_a_delta_out_of_reach_has_no_pose() -> None:
-    """Legs that cannot meet are no pose; where they are in line with the rods there is no force."""
-    ask = Ask(GIVEN["delta"])
-    ask.values[table.COUNTS : table.COUNTS + 3] = (0.0, 0.0, 3.0)
-    assert not end_of(ask.kind, ask.mechanism, ask.values, ask.last)[2]
+    """Legs that cannot meet, and legs that are in line with their rods, have no place for the end, which takes no
+    torque; angles of a pose that there is are found from there again."""
+    given = GIVEN["delta"]
+    assert isinstance(given, options.Delta)
+    ask = Ask(given)
+    home = ask.mechanism.delta.home
+    there = delta.inverse(ask.mechanism.delta, home)[0]
+    # legs and rods in one line, all alike: base + (arm + rod) cos a = end
+    in_line = acos((given.end_m - given.base_m) / (given.arm_m + given.rod_m))
+    for joints in ((0.0, 0.0, 3.0), (in_line,) * 3):
+        ask.values[table.COUNTS : table.COUNTS + 3] = joints
+        position, _, how = end_of(ask.kind, ask.mechanism, ask.values, ask.last)
+        assert how == SINGULAR and np.isnan(position).all()
+        np.testing.assert_allclose(ask.end(there), np.subtract(home, given.origin_m), **EXACT)
+
+
+def test_a_delta_gives_no_force_where_it_cannot_hold_the_end() -> None:
+    """As three rods come into one plane they no longer hold the end across it: from DET_MIN on there is no torque, and
+    it is told."""
+    d = make_mechanism(options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0).delta
+    seen = set()
+    # on the axis all rods lie flat where base + arm cos a = end + rod; the end is then as high as the elbows
+    flat = 0.1 * sqrt(1.0 - ((0.02 + 0.17 - 0.12) / 0.1) ** 2)
+    for height in np.linspace(d.home[2], flat, 1000):
+        torque, able = delta.torques_for(d, (0.0, 0.0, float(height)), (0.0, 0.0, 1.0))
+        _, rows = delta.inverse(d, (0.0, 0.0, float(height)))
+        det = abs(np.linalg.det(rows)) * d.arm**3
+        seen.add(able)
+        assert able == (det > delta.DET_MIN)
+        assert able or torque == (0.0, 0.0, 0.0)
+    assert seen == {True, False}
+
+
+@pytest.mark.parametrize("name", ["paddle", "chain"])
+def test_serial_joints_have_no_pose_that_takes_more_torque(name: str) -> None:
+    """tau = J^T f has no inverse in it: in a stretched arm, over the vertical axis and at any angle of a paddle the
+    torques are bounded by force and reach, and the force is taken whole."""
+    rng, ask = np.random.default_rng(35), Ask(GIVEN[name])
+    if name == "paddle":
+        poses, most = [(a, 0.0, 0.0) for a in np.linspace(-pi, pi, 101)], 0.07
+    else:
+        arm = ask.mechanism.chain
+        _, lb, lc = arm.link
+        # link c in line with b where C = pi - B, as C is counted from below
+        stretched = [(0.3, b, pi - b) for b in np.linspace(0.0, 1.5, 50)]
+        # the end on the axis that a turns about: lb sin B + lc sin C = 0
+        above = [(0.3, b, -asin(lb * sin(b) / lc)) for b in np.linspace(0.1, 1.0, 50)]
+        poses = [tuple(np.array(angles) / arm.per_count) for angles in (*stretched, *above)]
+        most = (lb + lc) * max(map(abs, arm.per_torque))
+    for joints in poses:
+        force = rng.normal(size=3) * 0.1
+        how, torque = ask.torques(joints, force)
+        assert how == WHOLE
+        assert np.abs(torque).max() <= most * np.linalg.norm(force) * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize(
