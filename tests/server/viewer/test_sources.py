@@ -233,7 +233,7 @@ def test_a_hand_without_a_wrist_is_led_as_well(page: Page) -> None:
         running.start()
         live = LivePage(page, Addresses(running.publisher.endpoint, str(running.commands_endpoint)))
         try:
-            assert fed(live, lambda: live._hand._seen)
+            assert fed(live, lambda: live._hand._fingers and live._hand._seen)
             live._hand.nudge(Nudge(z=-0.002))
             assert fed(live, lambda: live._hand._targets)
             asked = running.rendering.servo.ticks
