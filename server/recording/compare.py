@@ -2,7 +2,8 @@
 
 What a contact remembers is not in a recording. So a run is compared from where nothing is remembered: from the
 daemon's first tick, or, behind anything that breaks the chain (ticks that are missing, a command, a force that the
-driver withheld), from the first tick in free space on with no trace of the time before.
+driver withheld), from the first tick in free space on with no trace of the time before. Where the force was disarmed
+the guard's bit tells in which ticks; its ramp begins anew behind them, so it may still go on in that first tick.
 
 Running the code again and comparing stay in one file, since both go by the same parts of a run.
 """
@@ -26,7 +27,15 @@ from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.pack import Packed, flatten, packed
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
-from softfinger.server.loop.guard import DISARMED, POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
+from softfinger.server.loop.guard import (
+    DISARMED,
+    FORCE_CLAMPED,
+    POSE_FROZEN,
+    POSE_JUMPED,
+    POSE_REFUSED,
+    RAMPING,
+    TORQUE_CLAMPED,
+)
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import tick_many
@@ -56,7 +65,7 @@ _PLACES: Final[dict[str, slice]] = {
 _COLUMNS: Final = [NAMED[name].at + i for name in _KEPT for i in range(NAMED[name].size)]
 """Columns of a record that are kept of a replay, and where they are then."""
 
-_CHANGING: Final = {"set_params", "drive", "arm", "disarm", "heartbeat", "heartbeat_missed"}
+_CHANGING: Final = {"set_params", "drive", "heartbeat", "heartbeat_missed"}
 
 
 class Difference(NamedTuple):
@@ -121,10 +130,8 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     ticks = run.first["tick"].astype(np.int64)
     poses = np.stack([np.column_stack((f["probe.position"], f["probe.orientation"])) for f in run.fingers.values()], 1)
     poses[_bits(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # as the device gave them, whatever it was
-    recorded = _at_rest(
-        np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1),
-        np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1),
-    )
+    free = np.all(np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1) == FREE, axis=1)
+    given = np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1)
     devices, settle = _devices(run), _settle(scene, run.rate_hz)
     columns = np.empty((len(ticks), len(names), len(_COLUMNS)))
     bodies = np.full_like(run.bodies.poses, np.nan)
@@ -135,9 +142,9 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
         _simulate(run, part, make_tuning(part.scene, rig.guard, devices), poses[some], (columns[some], bodies))
         start = part.start
         if ticks[start] > 0:
-            rests = recorded[some] & _at_rest(
-                columns[some, :, _PLACES["contact.mode"]][..., 0], columns[some, :, _PLACES["servo.guard"]][..., 0]
-            )
+            modes, guards = (columns[some, :, _PLACES[name]][..., 0] for name in ("contact.mode", "servo.guard"))
+            rests = free[some] & np.all((modes == FREE) & (guards == given[some]), axis=1)
+            rests &= np.all((guards == 0.0) | (part.armed & (guards == RAMPING)), axis=1)
             rests[:settle] = False
             if part.scene.world is not None:  # where its bodies were is not recorded
                 rests[:] = False
@@ -200,12 +207,6 @@ def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[Spa
     return [Span(int(ticks[start]), int(ticks[stop - 1]), why)] if stop > start else []
 
 
-def _at_rest(modes: Array, guards: Array) -> Mask:
-    """Ticks (n,) in which no finger, of (n, fingers), touches anything, and no guard changes anything."""
-    rests: Mask = np.all((modes == FREE) & (guards == 0.0), axis=1)
-    return rests
-
-
 def _bits(run: Run, bit: int) -> Mask:
     """Whether the guard of each finger set this bit, (n, fingers)."""
     guards = np.stack([fields["servo.guard"] for fields in run.fingers.values()], axis=1)
@@ -217,6 +218,10 @@ def _held(run: Run) -> Mask:
     """Ticks (n,) in which a hand did not get the force of the step, for no reason that is in the poses."""
     device = np.stack([fields["servo.device"] for fields in run.fingers.values()], axis=1)
     held: Mask = np.any(np.isin(device, (WITHHELD, HELD)) | _bits(run, DISARMED), axis=1)
+    # A disarming that has begun: the limits are zero, and the guard has yet to hear of it.
+    for bit, key in ((FORCE_CLAMPED, "force"), (TORQUE_CLAMPED, "torque")):
+        none = np.stack([~fields[key].any(axis=1) for fields in run.fingers.values()], axis=1)
+        held |= np.any(_bits(run, bit) & none, axis=1)
     return held
 
 
@@ -297,12 +302,14 @@ def _bodies_apart(
 
 
 class _Part(NamedTuple):
-    """Ticks that follow each other: from row `start` to before `stop`, the scene they have, and why they begin anew."""
+    """Ticks that follow each other: from row `start` to before `stop`, the scene they have, and why they begin anew;
+    whether every hand is armed in the first of them."""
 
     start: int
     stop: int
     scene: schema.Scene
     why: str
+    armed: bool
 
 
 def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> Iterator[_Part]:
@@ -310,9 +317,9 @@ def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -
     breaks = {0: "the recording begins in the middle of a run"}
     for row in (np.flatnonzero(np.diff(ticks) != 1) + 1).tolist():
         breaks[row] = f"{ticks[row] - ticks[row - 1] - 1} ticks before it are missing"
-    held = _held(run)
-    for row in (np.flatnonzero(held[:-1] & ~held[1:]) + 1).tolist():
+    for row in _ends(_held(run)):
         breaks[row] = "the force was withheld or disarmed"
+    armed = set(_ends(np.any(_bits(run, DISARMED), axis=1)))
     changes = _commands(run, scene, ticks, ramp)
     breaks |= dict.fromkeys(changes, "a command came before")
     end = _end(run, scene, ticks)
@@ -320,7 +327,12 @@ def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -
     for start, stop in pairwise([*starts, end]):
         if changes.get(start):
             scene = overridden(scene, changes[start], "the recording's commands")
-        yield _Part(start, stop, scene, breaks[start])
+        yield _Part(start, stop, scene, breaks[start], start in armed)
+
+
+def _ends(mask: Mask) -> list[int]:
+    """The rows behind those where it holds."""
+    return (np.flatnonzero(mask[:-1] & ~mask[1:]) + 1).tolist()
 
 
 def _commands(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> dict[int, dict[str, Any]]:

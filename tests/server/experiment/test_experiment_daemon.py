@@ -23,6 +23,7 @@ from softfinger.server.experiment.experiment import Experiment, Running, results
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.haptics import BACK_M, along
 from softfinger.server.experiment.journal import read
+from softfinger.server.loop.guard import DISARMED
 from softfinger.server.recording.run import Run, load_run
 from softfinger.server.remote import Client
 
@@ -61,7 +62,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
     folder = tmp_path_factory.mktemp("session")
     Experiment(experiment()).run(folder / "out", 1, settings(folder))
     recording = folder / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
-    fields = ("force", "contact.normal_force", "contact.mode", "probe.position", "probe.orientation")
+    fields = ("force", "contact.normal_force", "contact.mode", "servo.guard", "probe.position", "probe.orientation")
     return folder / "out", load_run(recording, fields)
 
 
@@ -174,6 +175,17 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
         assert np.array_equal(run.first["force"][places], ticks[["fx_n", "fy_n", "fz_n"]])
         test = ticks[ticks["touch"] == (1 if row["test_first"] else 2)]
         assert row["lost_ticks"] == 0 and row["peak_force_n"] == pytest.approx(test["fz_n"].max())
+
+
+def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsys: pytest.CaptureFixture[str]) -> None:
+    """Each touch begins with a command and with `arm`: it is compared once the velocity's filter has settled, 40 time
+    constants of some milliseconds, so more than half of the ticks of the touches are, and all agree to the bit."""
+    folder, run = session
+    recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
+    assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    felt = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
+    assert found["different"] == 0 and felt / 2 < found["compared"] <= felt
 
 
 def test_what_was_felt_is_drawn_by_condition(session: tuple[Path, Run]) -> None:
