@@ -114,7 +114,7 @@ class SerialDevice(Device):
             if status == TIMEOUT:
                 raise DeviceTimeout(
                     f"{self.info.name} sends no frame within {self._options.wake_s:g} s: check its power and its "
-                    "firmware, or give it more time with wake_s"
+                    f"firmware, or give it more time with wake_s{self._asked()}"
                 )
             raise DeviceError(
                 f"{self.info.name} sends no frame of {self._expected()} ({self.reason()}): is it this device, "
@@ -124,6 +124,13 @@ class SerialDevice(Device):
     def _expected(self) -> str:
         spec = self._options.frames
         return "eight numbers in 64 bytes" if spec is None else f"{spec.input.bytes} bytes as the rig describes them"
+
+    def _asked(self) -> str:
+        spec = self._options.frames
+        if spec is None or spec.mode == "stream":
+            return ""
+        sent = _encoded(spec.output, spec).hex(" ")
+        return f"; it has not answered {sent}, the frame without force: compare marks and checksum with its firmware's"
 
     def _say(self, data: bytes) -> None:
         """Send bytes that no tick waits for; what the port does not take is lost."""
