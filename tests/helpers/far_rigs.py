@@ -1,0 +1,238 @@
+"""Rigs as a user has them, files that name a device, with the emulated device of every driver behind them.
+
+For programs that open a device by themselves; `far_ends` has open devices. What the far end was given is in N on the
+hand, with times. Simulated and replayed devices have no far end.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from emulators.hapkit import COMPILER as CXX
+from emulators.hapkit import HANDLE_M, PULLEY_M, SECTOR_M, Hapkit
+from emulators.hapkit import NO_COMPILER as NO_CXX
+from emulators.haply2diy import Port
+from emulators.serialboard import Board, Cable
+from numpy.typing import NDArray
+
+from helpers import haply_devices, usb_stub
+from helpers.c_stub import COMPILER, NO_COMPILER
+from helpers.described_boards import force_at
+from helpers.drd_stub import SOURCE as DRD
+from helpers.drd_stub import Stub
+from helpers.far_ends import Given, Timed, compiled, needs, rows, sketch_library
+from helpers.hd_stub import SOURCE as HD
+from helpers.hd_stub import HdStub
+from helpers.hid_devices import woody
+from softfinger.config.load import find
+from softfinger.config.schema import Rig
+
+Array = NDArray[np.float64]
+
+PATIENT = {"quiet_s": 0.2, "timeout_s": 1.0}
+"""A thread of a busy machine may answer late."""
+PRESS_TICKS = 200
+"""In which the hand of a board goes into the floor: slower than a pose may jump."""
+
+
+class Far(NamedTuple):
+    """What is behind a rig.
+
+    rig         file of the rig
+    device      what tests steer: stand-in, service, board or its port
+    given       forces from that number on (-1: the newest), in their order (n, 4): s of the monotonic clock, N
+    press       put the hand some millimetres into a floor at z = 0
+    unplug      pull the cable
+    resolution  N, of what the motors take
+    sees        the axes of the world along which it moves
+    powerless   without its cable it gives no force; others would keep the last, which is all that can be said here
+    """
+
+    rig: str
+    device: Any
+    given: Callable[[int], Array]
+    press: Callable[[], None]
+    unplug: Callable[[], None]
+    resolution: float = 1e-6
+    sees: str = "xyz"
+    powerless: bool = False
+
+    def newest(self) -> float:
+        """N, the size of the newest force; 0 before the first."""
+        given = self.given(-1)
+        return float(np.linalg.norm(given[-1, 1:])) if len(given) else 0.0
+
+
+def rig_file(folder: Path, name: str, **keys: object) -> str:
+    """A shipped rig with these keys of [device], without real-time settings, its force there after 50 ms."""
+    text = find(name, Rig).read_text()
+    for key in keys:
+        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
+    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
+    text = text.replace("[device]\n", f"[device]\n{lines}").replace('realtime = "auto"', 'realtime = "off"')
+    file = folder / f"my-{name}.toml"
+    file.write_text(re.sub(r"^ramp_s = \S+", "ramp_s = 0.05", text, flags=re.MULTILINE))
+    return str(file)
+
+
+def slowly(put: Callable[[float], None]) -> None:
+    """From 0 to 1, as a hand moves."""
+    for share in np.linspace(0.0, 1.0, PRESS_TICKS):
+        put(float(share))
+        time.sleep(0.002)
+
+
+@contextmanager
+def open_haptics(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
+    needs(COMPILER, NO_COMPILER)
+    stub = HdStub(compiled(HD, "libHD.so.3.4.0", "-pthread"))
+    stub.reset()
+
+    def given(first: int) -> Array:
+        journal = stub.journal()[first:]
+        return rows(journal["ns"] * 1e-9, journal["force"])
+
+    rig = rig_file(folder, "touch", library_file=str(stub.path), force_age_max_s=0.1)
+    yield Far(rig, stub, given, lambda: stub.update(y=8.0), lambda: stub.update(unplugged=1), powerless=True)
+    stub.reset()
+
+
+@contextmanager
+def force_dimension(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
+    needs(COMPILER, NO_COMPILER)
+    stub = Stub(compiled(DRD, "libdrd.so.3.17.5"))
+    stub.reset()
+    rig = rig_file(folder, "omega-3", library_file=str(stub.path), watchdog_s=0.0)
+    unplug = lambda: stub.update(unplugged=1)  # noqa: E731
+    yield Far(rig, stub, lambda first: stub.log()[first:], lambda: stub.update(z=0.008), unplug, powerless=True)
+    stub.reset()
+
+
+@contextmanager
+def falcon(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
+    needs(COMPILER, NO_COMPILER)
+    library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
+    stub = usb_stub.UsbStub(library)
+    stub.reset()
+    stub["logged"] = 0
+
+    def given(first: int) -> Array:
+        times = stub.times()
+        return rows(times[first:], stub.log()[: len(times)][first:, :3])
+
+    def unplug() -> None:
+        stub["unplugged"] = 1
+
+    def press() -> None:
+        stub["z"] = 0.008
+
+    rig = rig_file(folder, "falcon", counts_per_nm=10000.0, kick_s=0.15, timeout_s=2.0)
+    with usb_stub.in_place_of_libusb(library):
+        yield Far(rig, stub, given, press, unplug, usb_stub.FalconBench.force_step_n)
+    stub.reset()
+
+
+@contextmanager
+def hid(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
+    """The arm has no node: what opens a device gets it from here."""
+    place = [(0.01, 0.02, 0.03)]
+    with woody(intention=lambda _: place[0], timeout_s=2.0) as (device, arm, answering):
+        arm.sent = sent = Timed()
+        for opener in ("softfinger.tools.doctor.report.open_device", "softfinger.drivers.registry.open_device"):
+            patch.setattr(opener, lambda *_: device)
+
+        def given(first: int) -> Array:
+            amperes = np.array(list(sent)[first:], float).reshape(-1, 7)[:, :3] * 1e-3
+            forces = np.array([arm.arm.force(arm.place, tuple(row)) for row in amperes]).reshape(-1, 3)
+            return rows(sent.times[first:][: len(forces)], forces)
+
+        def press() -> None:
+            place[0] = (0.0, 0.0, 0.006)
+
+        # half a milliampere in each of three motors
+        rig = rig_file(folder, "woodenhaptics-2019", timeout_s=2.0)
+        yield Far(rig, answering, given, press, answering.unplug, 0.01)
+
+
+@contextmanager
+def haply(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
+    with haply_devices.Service() as service:
+        service.do("hand", id=haply_devices.ID, at=[0.0, 0.0, 0.03], press=0.0, drag=0.0)
+
+        def given(first: int) -> Array:
+            return np.array([[0.0, *service.force()]] if first == -1 else service.log()[first:]).reshape(-1, 4)
+
+        def press() -> None:
+            service.do("hand", id=haply_devices.ID, at=[0.0, 0.0, 0.008], press=0.0, drag=0.0)
+
+        def unplug() -> None:
+            service.do("vanish", id=haply_devices.ID)
+
+        rig = rig_file(folder, "haply-inverse3", port=service.port, stale_s=0.2, **PATIENT)
+        yield Far(rig, service, given, press, unplug, powerless=True)
+
+
+@contextmanager
+def serial(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
+    place = [(0.01, 0.02, 0.03)]
+    with Cable(Board(lambda _: place[0])) as cable:
+        cable.board.sent = sent = Timed()
+
+        def given(first: int) -> Array:
+            forces = np.array(list(sent)[first:], float).reshape(-1, 7)[:, :3] * 1e-3
+            return rows(sent.times[first:][: len(forces)], forces)
+
+        def press() -> None:
+            place[0] = (0.0, 0.0, 0.006)
+
+        rig = rig_file(folder, "woodenhaptics-v3", path=cable.path, **PATIENT)
+        yield Far(rig, cable, given, press, cable.pull, 1e-3)
+
+
+@contextmanager
+def two_diy(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
+    board = Given()
+    with Port(board) as port:
+
+        def given(first: int) -> Array:
+            forces = [force_at(board.angles, torques) for torques in list(board.given)[first:]]
+            return rows(board.given.times[first:][: len(forces)], np.array(forces).reshape(-1, 3))
+
+        def press() -> None:
+            slowly(lambda share: board.__setattr__("angles", [168.0 - 26.0 * share, 12.0 + 26.0 * share]))
+
+        rig = rig_file(folder, "haply-2diy", path=port.path, **PATIENT)
+        yield Far(rig, port, given, press, port.pull, 1e-6, "xz", powerless=True)
+
+
+@contextmanager
+def hapkit(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
+    needs(CXX, NO_CXX)
+    with Hapkit(sketch_library()) as board:
+        board.turn(0.3)
+
+        def given(first: int) -> Array:
+            changes = np.array(board.changes()[first:]).reshape(-1, 2)
+            per_torque = SECTOR_M / PULLEY_M / HANDLE_M
+            return np.column_stack([changes[:, 0], np.zeros((len(changes), 2)), changes[:, 1] * per_torque])
+
+        def press() -> None:  # counts begin where the board was when it was started
+            slowly(lambda share: board.turn(0.3 - 0.25 * share))
+
+        # a duty cycle of one in 255, whose torque is 0.03 N m duty^2: at 0.2 N duty is 0.2
+        yield Far(rig_file(folder, "hapkit", path=board.path, **PATIENT), board, given, press, board.pull, 0.01, "z")
+
+
+FAR_RIGS: dict[str, Callable[[Path, pytest.MonkeyPatch], Any]] = {
+    "openhaptics": open_haptics, "haply": haply, "haply-2diy": two_diy, "hapkit": hapkit, "serial": serial,
+    "forcedimension": force_dimension, "falcon": falcon, "hid": hid,
+}  # fmt: skip
+"""By driver; of boards that a rig describes, by rig."""
