@@ -72,7 +72,7 @@ class Timed(list[Any]):
 
 def rows(times: Any, forces: Any) -> NDArray[np.float64]:
     """`received` of times (n,) and forces (n, 1 to 3)."""
-    given = np.array(forces, float).reshape(len(times), -1)
+    given = np.array(forces, float).reshape(len(times), -1 if len(times) else 0)
     out = np.zeros((len(times), 4))
     out[:, 0] = times
     out[:, 1 : 1 + given.shape[1]] = given
