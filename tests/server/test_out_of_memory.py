@@ -1,0 +1,79 @@
+"""A process beside the daemon that gets no more memory: the daemon holds its force, and the process is started again.
+
+The limit is what the process has at that moment, so the next page that it asks the system for is refused. A recording
+and a black box are written by threads of the daemon, which has its own row of the fault model.
+"""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+import zmq
+from emulators.serialboard import Board
+from test_kills import gone, of_kind
+from test_process_faults import end, read
+from test_signals import START_S, ZERO, pressing, until
+
+from softfinger.server.wire.client import subscribe
+
+pytestmark = pytest.mark.real_time
+
+STALLED = 30
+"""Subscribers that read nothing: for each the publisher keeps 64 bytes of a message, and the message for all."""
+
+
+def take_memory(pid: int) -> None:
+    """Let a process have what it has, and no byte more."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[0])
+    most = pages * resource.getpagesize()
+    resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
+
+
+def process_of(process: subprocess.Popen[str], kind: str, other: int = 0) -> int:
+    """The daemon's publisher or page, once it is there; `other`: in the place of that one."""
+    found: list[int] = []
+
+    def there() -> bool:
+        found[:] = [each for each in [of_kind(kind, process.pid)] if each not in (None, other)]
+        return bool(found)
+
+    until(there, START_S, f"the {kind}")
+    return found[0]
+
+
+@contextmanager
+def felt(board: Board) -> Iterator[Callable[[], float]]:
+    """The least force that the board is given from here on, N."""
+    first = len(board.sent)
+    yield lambda: min(frame[2] for frame in board.sent[first:]) * 1e-3
+
+
+def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
+    """Subscribers that read nothing make it ask for more: it ends, which is an event, and another takes its place. The
+    board has a force all the while, and the recording every tick."""
+    recording = tmp_path / "on.mcap"
+    with pressing(tmp_path, "--record", str(recording)) as (board, process), felt(board) as least:
+        publisher = process_of(process, "publisher")
+        with zmq.Context() as context, ExitStack() as closing:
+            for _ in range(STALLED):
+                stalled = closing.enter_context(context.socket(zmq.SUB))
+                stalled.linger, stalled.rcvhwm, stalled.rcvbuf = 0, 1, 1024
+                stalled.subscribe(b"")
+                stalled.connect(f"ipc://{tmp_path}/t")
+            take_memory(publisher)
+            until(lambda: gone(publisher), START_S, "the end of the publisher")
+        process_of(process, "publisher", other=publisher)
+        with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
+            first = next(iter(telemetry)).tick
+            assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event waits for a second
+        assert least() > 0.0
+        said = end(process)
+        assert board.force == ZERO
+    assert "the publisher has ended with code" in said
+    ticks, events = read(recording)
+    assert ticks == list(range(len(ticks))) and "publisher" in [name for name, _ in events]
