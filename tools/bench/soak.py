@@ -118,8 +118,8 @@ def soak(rig: Rig, seconds: float) -> Soaked:
         shown = running.enter_context(source([*daemon, "--commands", commands], "ipc", folder))
         await_messages(shown.endpoint)
         page, address = running.enter_context(viewer("--endpoint", shown.endpoint, "--commands", commands))
-        running.enter_context(ended(words_of("--page", address)))
-        readers = [running.enter_context(ended(words_of(shown.endpoint))) for _ in range(SUBSCRIBERS)]
+        running.enter_context(helper("--page", address))
+        readers = [running.enter_context(helper(shown.endpoint)) for _ in range(SUBSCRIBERS)]
         running.enter_context(ended([sys.executable, "-c", BUSY]))
         client = running.enter_context(Client(shown.endpoint, commands, timeout_s=30.0))
         beside = running.enter_context(in_c(rig, folder))
@@ -204,9 +204,13 @@ def ended(words: list[str]) -> Iterator[subprocess.Popen[str]]:
             process.wait()
 
 
-def words_of(*words: str) -> list[str]:
-    """The command of a process that this file is."""
-    return [sys.executable, "-m", "softfinger.tools.bench.soak", *words]
+@contextmanager
+def helper(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """A process that this file is, once it is at work, until the block ends."""
+    with ended([sys.executable, "-m", "softfinger.tools.bench.soak", *words]) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        yield process
 
 
 @contextmanager
@@ -217,7 +221,7 @@ def in_c(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
         yield lambda: None
         return
     priority = "off" if rig.servo.realtime == "off" else "on"
-    with ended(words_of("--c", str(program), repr(rig.servo.rate_hz), priority, str(rig.servo.priority))) as process:
+    with helper("--c", str(program), repr(rig.servo.rate_hz), priority, str(rig.servo.priority)) as process:
 
         def missed() -> int:
             process.send_signal(signal.SIGTERM)
@@ -297,9 +301,10 @@ def draw(path: Path, soaked: Soaked) -> None:
 
 
 def until_asked() -> threading.Event:
-    """Is set by SIGTERM."""
+    """Is set by SIGTERM from now on, which is said."""
     stopped = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopped.set())
+    print("at work", flush=True)
     return stopped
 
 
@@ -326,6 +331,7 @@ def look_on(address: str) -> None:
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,
     ) as page:
+        print("at work", flush=True)
         for _ in page:
             pass
 
