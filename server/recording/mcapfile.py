@@ -7,9 +7,13 @@ themselves are the library's. Format: https://mcap.dev/spec.
 
 from __future__ import annotations
 
+import tempfile
 import time
+import weakref
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
 from struct import Struct
 from typing import IO, Any, Final
 
@@ -26,6 +30,8 @@ Times = NDArray[np.int64]
 
 CHUNK_BYTES: Final = 64 * 1024
 """Of messages, before they are compressed: what is lost with a chunk is small."""
+INDEX_KEPT: Final = 256 * 1024
+"""Bytes of the index of chunks that are in memory at most: that of two minutes."""
 ZSTD_LEVEL: Final = 1
 """Ticks shrink to a third at 1, to a few per cent less at 3, which takes twice as long."""
 
@@ -48,7 +54,11 @@ class McapFile:
         self._compressor = zstandard.ZstdCompressor(ZSTD_LEVEL)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
-        self._chunks, self._chunk_count = bytearray(), 0  # as they are written in the end: 9 MB of an hour
+        # As they are written in the end: 9 MB of an hour, in a file without a name beside the recording.
+        folder = str(Path(file.name).parent) if isinstance(file.name, str) else None
+        self._chunks: Final = tempfile.SpooledTemporaryFile(max_size=INDEX_KEPT, dir=folder)  # noqa: SIM115
+        weakref.finalize(self, self._chunks.close)  # a disk that is full ends a recording anywhere
+        self._chunk_count = 0
         self._metadata: list[records.MetadataIndex] = []
         self._pending: list[bytes | memoryview] = []
         self._pending_bytes = 0
@@ -157,7 +167,7 @@ class McapFile:
         added = {channel: sum(map(len, entries)) for channel, entries in self._index.items()}
         self._pending, self._pending_bytes, self._index = [], 0, {}
         self._write(chunk + b"".join(indices))
-        self._chunks += _record(index)
+        self._chunks.write(_record(index))
         self._chunk_count += 1
         for channel, count in added.items():
             self.counts[channel] = self.counts.get(channel, 0) + count
@@ -178,26 +188,30 @@ class McapFile:
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[Opcode, bytes]] = [
-            (Opcode.SCHEMA, b"".join(map(_record, self._schemas))),
-            (Opcode.CHANNEL, b"".join(map(_record, self._channels))),
-            (Opcode.STATISTICS, _record(statistics)),
-            (Opcode.CHUNK_INDEX, bytes(self._chunks)),
-            (Opcode.METADATA_INDEX, b"".join(map(_record, self._metadata))),
+        groups: list[tuple[Opcode, Iterable[bytes]]] = [
+            (Opcode.SCHEMA, map(_record, self._schemas)),
+            (Opcode.CHANNEL, map(_record, self._channels)),
+            (Opcode.STATISTICS, [_record(statistics)]),
+            (Opcode.CHUNK_INDEX, self._chunk_indices()),
+            (Opcode.METADATA_INDEX, map(_record, self._metadata)),
         ]
-        summary, offsets = b"", b""
-        for opcode, part in groups:
-            if part:
+        crc, offsets = 0, b""
+        for opcode, parts in groups:
+            begin = self._at
+            for part in parts:
+                crc = zlib.crc32(part, crc)
+                self._write(part)
+            if self._at > begin:
                 offsets += _record(
-                    records.SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(part))
+                    records.SummaryOffset(group_opcode=opcode, group_start=begin, group_length=self._at - begin)
                 )
-            summary += part
-        summary += offsets
-        footer = _record(
-            records.Footer(summary_start=start, summary_offset_start=start + len(summary) - len(offsets), summary_crc=0)
-        )
-        crc = zlib.crc32(summary + footer[:-4])
-        self._write(summary + footer[:-4] + crc.to_bytes(4, "little") + MCAP0_MAGIC)
+        footer = _record(records.Footer(summary_start=start, summary_offset_start=self._at, summary_crc=0))[:-4]
+        crc = zlib.crc32(offsets + footer, crc)
+        self._write(offsets + footer + crc.to_bytes(4, "little") + MCAP0_MAGIC)
+
+    def _chunk_indices(self) -> Iterator[bytes]:
+        self._chunks.seek(0)
+        yield from iter(partial(self._chunks.read, INDEX_KEPT), b"")
 
     def _add(self, data: bytes | memoryview) -> None:
         self._pending.append(data)

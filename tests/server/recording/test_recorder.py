@@ -174,6 +174,30 @@ def test_another_versions_ticks_are_read_by_name(tmp_path: Path) -> None:
         ticks.records()
 
 
+def test_an_index_that_memory_does_not_hold_is_whole(tmp_path: Path) -> None:
+    """As of hours: the library's reader finds every chunk and the checksum, and nothing is left beside the file."""
+    from mcap.reader import make_reader
+
+    from softfinger.server.recording.mcapfile import INDEX_KEPT, McapFile
+
+    chunk_index = 87  # bytes of one of a single channel, by the specification
+    count = 2 * INDEX_KEPT // chunk_index
+    path = tmp_path / "long.mcap"
+    with path.open("wb", buffering=0) as file:
+        mcap = McapFile(file)
+        channel = mcap.channel("contact", schemas.TICK, schemas.descriptor_set(schemas.TICK))
+        for number in range(count):
+            mcap.message(channel, number, b"")
+            mcap.flush()
+        mcap.finish()
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+        assert summary is not None and summary.statistics is not None
+        assert [each.message_start_time for each in summary.chunk_indexes] == list(range(count))
+        assert summary.statistics.message_count == summary.statistics.chunk_count == count
+    assert [each.name for each in tmp_path.iterdir()] == ["long.mcap"]
+
+
 def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
     """Each pose of an MCAP recording comes back in a tick of its own, though its times are the clock's; where ticks
     are missing, the others keep their time."""
@@ -299,7 +323,7 @@ class Slow:
         self.free = threading.Event()
         self.free.set()
         self.writing = threading.Event()
-        self.fileno, self.close = self._file.fileno, self._file.close
+        self.name, self.fileno, self.close = self._file.name, self._file.fileno, self._file.close
 
     @property
     def closed(self) -> bool:
