@@ -112,7 +112,11 @@ class BlackBox:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Keep an event, a map as the wire has it, that does not follow from ticks; from any thread."""
-        self._events.append(event)
+        since = now_s() - KEPT_S
+        with self._lock:
+            self._events.append(event)
+            while self._events[0]["timestamp"] < since and len(self._events) > 1:
+                self._events.popleft()
 
     def write(self, path: Path, about: Mapping[str, Any]) -> None:
         """Write all that is kept to a new file, whole or not at all. OSError where that fails.
