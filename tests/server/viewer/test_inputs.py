@@ -5,7 +5,7 @@ There is no gamepad here: a script in the page plays one, in place of the browse
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import get_args
 
 import numpy as np
@@ -13,7 +13,6 @@ import pytest
 from helpers.browser import Screen, eventually, why_none
 
 from softfinger.config.load import load_rig, load_scene
-from softfinger.config.materials import materials
 from softfinger.config.schema.contact import RollingMethod
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
@@ -128,31 +127,6 @@ def test_a_scene_arrives_and_one_that_cannot_be_is_refused(screen: Screen, clien
     assert client.describe()["scene_name"] == "frictionless-plane"
     scene = screen.page.locator("xpath=//label[normalize-space()='scene']/following::input[1]")
     assert eventually(lambda: scene.input_value() == "frictionless-plane")
-
-
-def test_two_plates_side_by_side_are_felt_apart(screen: Screen, client: Client) -> None:
-    """Chosen by its name, and pressed by keys: at rest each pushes back by its depth times the stiffness of its
-    material in the library, rubber more than three times as much as foam."""
-    screen.tab("Feel")
-    screen.choose("scene", "plates")
-    assert eventually(lambda: client.describe()["scene_name"] == "plates")
-    plates = load_scene("plates").object
-
-    def lead(key: str, until: Callable[[], bool]) -> bool:
-        return bool(eventually(lambda: until() or screen.page.keyboard.press(key), every_s=0.3))
-
-    for name in ("rubber", "foam"):
-        number = next(k for k, plate in enumerate(plates) if plate.name == name)
-        away = lambda x=plates[number].position_m[0]: place(client)[0] - x  # noqa: E731
-        assert lead("u", lambda: place(client)[2] > 0.012)
-        assert lead("l" if away() < 0.0 else "j", lambda away=away: abs(away()) < 0.004)
-        assert lead("o", lambda: client.get_state().force[2] > 0.3)
-        assert eventually(lambda: resting(client))
-        state = client.get_state()
-        assert state.field_state["object"] == number
-        # A damper of 1 N s/m adds 1e-4 N at what counts as rest, less than a thousandth of the force.
-        stiffness = state.force[2] / state.field_state["penetration"]
-        assert stiffness == pytest.approx(materials()[name].values["stiffness_n_per_m"], rel=1e-3)
 
 
 def test_what_is_no_gamepad_moves_nothing() -> None:
