@@ -66,6 +66,7 @@ def coulomb_cone(law: Friction, normal_force: float, slip_speed: float) -> tuple
     return law.static * normal_force, law.kinetic * normal_force
 
 
+@scales.of(Friction, SpeedFriction)
 def isotropic_scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales:
     length = vec3.norm(v)
     if length > 0.0:
@@ -73,6 +74,7 @@ def isotropic_scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales
     return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 1.0
 
 
+@cut.of(Friction, SpeedFriction)
 def isotropic_cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
     """Radial return to a circle, which is its nearest point; never extended, so friction only resists."""
     length = vec3.norm(deflection)
@@ -83,20 +85,14 @@ def isotropic_cut(law: Any, normal: Vec3, longest: float, breaking: float, defle
     return deflection, slip, length
 
 
+@load_size.of(Friction, SpeedFriction)
 def isotropic_load_size(law: Any, normal: Vec3, load: Vec3) -> float:
     return vec3.norm(load)
 
 
+@turned.of(None, Friction, SpeedFriction, PaperFriction)
 def unturned(law: Any, rotation: Quaternion) -> Any:
     return law
-
-
-for _isotropic in (Friction, SpeedFriction):
-    scales.of(_isotropic)(isotropic_scales)
-    load_size.of(_isotropic)(isotropic_load_size)
-    cut.of(_isotropic)(isotropic_cut)
-for _without_directions in (None, Friction, SpeedFriction, PaperFriction):
-    turned.of(_without_directions)(unturned)
 
 
 @scaled.of(None)

@@ -128,6 +128,7 @@ def end_of_sliding(
     return float(CAUSE_STOP) if stopped else float(CAUSE_REVERSE)
 
 
+@stick_slip.of(Friction, SpeedFriction, Anisotropic)
 def stick_slip_by_law(
     law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
@@ -189,10 +190,6 @@ def stick_slip_by_law(
         spin_slip_angle=now.slip_angle, force=force,
         moment=damped(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
     )  # fmt: skip
-
-
-for _law in (Friction, SpeedFriction, Anisotropic):
-    stick_slip.of(_law)(stick_slip_by_law)
 
 
 @stick_slip.of(PaperFriction)

@@ -85,6 +85,7 @@ def stiffness_in_winding_units(torsion: PatchTorsion) -> float:
     return 1.0
 
 
+@torsional_stiffness.of(LimitSurface, SoftFingerProxy)
 def stiffness_of_law(torsion: Any) -> float:
     return torsional_stiffness(torsion.law)
 
@@ -99,6 +100,7 @@ def grip_none(torsion: None, factor: float) -> None:
     return torsion
 
 
+@with_scaled_friction.of(Torsion, PowerTorsion)
 def grip_spring(torsion: Any, factor: float) -> Any:
     return replace(torsion, "friction_length", factor * torsion.friction_length)
 
@@ -108,6 +110,7 @@ def grip_patch(torsion: PatchTorsion, factor: float) -> PatchTorsion:
     return PatchTorsion(factor * torsion.friction)
 
 
+@with_scaled_friction.of(LimitSurface, SoftFingerProxy)
 def grip_law(torsion: Any, factor: float) -> Any:
     return replace(torsion, "law", with_scaled_friction(torsion.law, factor))
 
@@ -122,6 +125,7 @@ def share_of_none(torsion: None, share: float) -> None:
     return torsion
 
 
+@share_of.of(Torsion, PowerTorsion)
 def share_of_spring(torsion: Any, share: float) -> Any:
     return replace(torsion, "stiffness", share * torsion.stiffness)
 
@@ -132,17 +136,9 @@ def share_of_patch(torsion: PatchTorsion, share: float) -> PatchTorsion:
     return torsion
 
 
+@share_of.of(LimitSurface, SoftFingerProxy)
 def share_of_law(torsion: Any, share: float) -> Any:
     return replace(torsion, "law", share_of(torsion.law, share))
-
-
-for _spring in (Torsion, PowerTorsion):
-    with_scaled_friction.of(_spring)(grip_spring)
-    share_of.of(_spring)(share_of_spring)
-for _around in (LimitSurface, SoftFingerProxy):  # of another law
-    torsional_stiffness.of(_around)(stiffness_of_law)
-    with_scaled_friction.of(_around)(grip_law)
-    share_of.of(_around)(share_of_law)
 
 
 @by_type

@@ -1,7 +1,7 @@
 """Functions chosen by the type of their first argument, compiled or in plain Python.
 
-A scene is a tree of named tuples. `@by_type` declares what every kind of node can do, `.of(Kind)`
-says how one kind does it, `.otherwise` how all those do it that have no own way. `.of(None)` is the case
+A scene is a tree of named tuples. `@by_type` declares what every kind of node can do, `.of(Kind, ...)`
+says how some kinds do it, `.otherwise` how all those do it that have no own way. `.of(None)` is the case
 of a part the scene does not have; no default stands in for it. The choice is made while compiling, so a
 scene runs only the code of the parts it has.
 """
@@ -86,12 +86,13 @@ def chosen_by(
     def call(node: Any, *rest: Any) -> Any:
         return chosen[sort(node)](node, *rest)
 
-    def of(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    def of(*kinds: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
             compiled: Callable[..., Any] = jit(kernel)
-            kernels[kind] = compiled
+            for kind in kinds:
+                kernels[kind] = compiled
+                written_in(kind, kernel.__code__.co_filename)
             chosen.clear()
-            written_in(kind, kernel.__code__.co_filename)
             return compiled
 
         return register
