@@ -21,7 +21,7 @@ POSITIVE: Final = Range(1e-9, 1e9, "a level above 0")
 TEXT: Final = Range(0, 4000, "a screen")
 MARKS_MAX: Final = 20
 ONE: Final = "fingertip"
-"""How an experiment calls the finger of a scene that has one."""
+"""Name of the only finger of a scene, where an experiment names fingers."""
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
 
 Seconds = Annotated[float, Meta(ge=SECONDS.low, le=SECONDS.high)]

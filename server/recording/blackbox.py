@@ -114,9 +114,9 @@ class BlackBox:
         """Keep an event, a map as the wire has it, that does not follow from ticks; from any thread."""
         since = now_s() - KEPT_S
         with self._lock:
-            self._events.append(event)
-            while self._events[0]["timestamp"] < since and len(self._events) > 1:
+            while self._events and self._events[0]["timestamp"] < since:
                 self._events.popleft()
+            self._events.append(event)
 
     def write(self, path: Path, about: Mapping[str, Any]) -> None:
         """Write all that is kept to a new file, whole or not at all. OSError where that fails.

@@ -2,8 +2,9 @@
 
 What a contact remembers is not in a recording. So a run is compared from where nothing is remembered: from the
 daemon's first tick, or, behind anything that breaks the chain (ticks that are missing, a command, a force that the
-driver withheld), from the first tick in free space on with no trace of the time before. Where the force was disarmed
-the guard's bit tells in which ticks; its ramp begins anew behind them, so it may still go on in that first tick.
+driver withheld), from the first tick in free space on with no trace of the time before. After a disarmed stretch, of
+which a bit of the guard tells, the ramp starts from zero in the recording and in the replay alike: comparison need not
+wait until the ramp is over.
 
 Running the code again and comparing stay in one file, since both go by the same parts of a run.
 """
@@ -302,8 +303,13 @@ def _bodies_apart(
 
 
 class _Part(NamedTuple):
-    """Ticks that follow each other: from row `start` to before `stop`, the scene they have, and why they begin anew;
-    whether every hand is armed in the first of them."""
+    """Consecutive ticks that are simulated from a fresh state.
+
+    start, stop  rows of the recording, `stop` not included
+    scene        that they have
+    why          they do not continue the part before
+    armed        the part starts where a disarmed stretch ends
+    """
 
     start: int
     stop: int

@@ -31,7 +31,7 @@ Times = NDArray[np.int64]
 CHUNK_BYTES: Final = 64 * 1024
 """Of messages, before they are compressed: what is lost with a chunk is small."""
 INDEX_KEPT: Final = 256 * 1024
-"""Bytes of the index of chunks that are in memory at most: that of two minutes."""
+"""Bytes of the index of chunks that are in memory at once: that of two minutes."""
 ZSTD_LEVEL: Final = 1
 """Ticks shrink to a third at 1, to a few per cent less at 3, which takes twice as long."""
 
@@ -54,10 +54,10 @@ class McapFile:
         self._compressor = zstandard.ZstdCompressor(ZSTD_LEVEL)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
-        # As they are written in the end: 9 MB of an hour, in a file without a name beside the recording.
+        # The index of chunks grows by 9 MB an hour and is written last: until then it is in an unnamed file.
         folder = str(Path(file.name).parent) if isinstance(file.name, str) else None
         self._chunks: Final = tempfile.SpooledTemporaryFile(max_size=INDEX_KEPT, dir=folder)  # noqa: SIM115
-        weakref.finalize(self, self._chunks.close)  # a disk that is full ends a recording anywhere
+        weakref.finalize(self, self._chunks.close)  # `finish` is not reached where the disk is full
         self._chunk_count = 0
         self._metadata: list[records.MetadataIndex] = []
         self._pending: list[bytes | memoryview] = []

@@ -268,16 +268,16 @@ class Commands:
             hand_of(self._rendering.servo.devices[place])  # that there is none is said, tick or no tick
             wanted = Wanted(asked.position_m, turn, self._turned(place))
         self._rendering.lead(place, wanted)
-        self._leads(place, not asked.release, request)
+        self._tell_led(place, not asked.release, request)
         return wire.Applied(self._rendering.servo.ticks)
 
     def _hold(self, request: Request) -> wire.Held:
         place = self._finger(request.params.finger)
         goal = self._rendering.hold(place)
-        self._leads(place, True, request)
+        self._tell_led(place, True, request)
         return wire.Held(goal.position, goal.orientation, self._rendering.servo.ticks)
 
-    def _leads(self, place: int, led: bool, request: Request) -> None:
+    def _tell_led(self, place: int, led: bool, request: Request) -> None:
         """Tell that a program begins to lead a hand, or ends; where it is meanwhile is in every tick."""
         if (place in self._led) != led:
             (self._led.add if led else self._led.discard)(place)

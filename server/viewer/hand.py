@@ -57,9 +57,12 @@ class Led(NamedTuple):
     high: Array
 
 
-class Ask(NamedTuple):
-    """What is asked of the daemon: `lead` a finger to a target, None: back to what its hand does by itself; and `hold`
-    it where its hand wants to be, with what is called with that target, and what is called when it is refused."""
+class HandCommands(NamedTuple):
+    """Commands to the daemon.
+
+    lead  a finger to a target; None: back to what its hand does by itself
+    hold  a finger at the goal of its hand; the second argument is called with that goal, the third on a refusal
+    """
 
     lead: Callable[[str, Target | None], None]
     hold: Callable[[str, Callable[[Target], None], Callable[[], None]], None]
@@ -68,8 +71,8 @@ class Ask(NamedTuple):
 class Hand:
     """What leads the hands of all fingers that may be led."""
 
-    def __init__(self, gui: Any, api: Any, ask: Ask) -> None:
-        self._ask = ask
+    def __init__(self, gui: Any, api: Any, commands: HandCommands) -> None:
+        self._commands = commands
         self._taking = threading.Lock()
         self._asked: set[str] = set()
         """Fingers that are asked where they are held; until all are known, what is to be done then waits."""
@@ -150,7 +153,7 @@ class Hand:
                 self._asked = set(self._fingers)
         if stale:
             for finger in tuple(self._fingers):
-                self._ask.hold(finger, partial(self._is_held, finger), self._not_held)
+                self._commands.hold(finger, partial(self._is_held, finger), self._not_held)
         self._go_on()
 
     def _is_held(self, finger: str, target: Target) -> None:
@@ -245,7 +248,7 @@ class Hand:
         led = self._fingers[finger]
         self._targets[finger] = Target(np.clip(target.position, led.low, led.high), target.orientation)
         self._led_at = time.monotonic()
-        self._ask.lead(finger, self._targets[finger])
+        self._commands.lead(finger, self._targets[finger])
 
     def _dragged(self, finger: str, event: Any, how: str) -> None:
         if event.phase == "start":
@@ -254,7 +257,7 @@ class Hand:
                 self._begun[finger] = (targets, np.array(event.start_position) / CM)
         if finger not in self._begun or finger not in self._fingers:
             if event.phase == "start":
-                self._ask.lead(finger, self._target(finger))  # which the daemon declines, with the reason
+                self._commands.lead(finger, self._target(finger))  # which the daemon declines, with the reason
             return
         starts, grabbed = self._begun[finger]
         start = starts[finger]
@@ -301,7 +304,7 @@ class Hand:
         self._led_at = 0.0
         for finger in self._fingers:
             self._targets.pop(finger, None)
-            self._ask.lead(finger, None)
+            self._commands.lead(finger, None)
 
     def _show(self) -> None:
         self._gizmo.visible = bool(self._fingers) and self._handles.value

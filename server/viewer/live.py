@@ -19,8 +19,7 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.displayed import handles
 from softfinger.server.viewer.driven import Handles, drive_of, resting
-from softfinger.server.viewer.hand import Ask as AskHand
-from softfinger.server.viewer.hand import Hand, Led
+from softfinger.server.viewer.hand import Hand, HandCommands, Led
 from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
 from softfinger.server.viewer.nodes import meshes
 from softfinger.server.viewer.nodes.bodies import Place
@@ -65,7 +64,7 @@ class LivePage:
         self._prompt = PromptPanel(gui, self._asker, self._refused, answers=may is None)
         changing = page.tabs if may is None else gui.add_tab_group(visible=False)
         with changing.add_tab("Hand"):
-            self._hand = Hand(gui, page.server.scene, AskHand(self._send, self._hold))
+            self._hand = Hand(gui, page.server.scene, HandCommands(self._send, self._hold))
             ask = Ask(page.say, self._put_back, lambda name: self._set_scene("scene", {"scene": name}))
             self._play = Play(gui, self._hand, ask)
             add_keys(gui, self._hand.nudge)
@@ -147,7 +146,7 @@ class LivePage:
             self._hand.take(name, nodes.ball)
 
     def _go_on(self, scene: schema.Scene, described: dict[str, Any]) -> None:
-        """Show other parameters of the scene, or its world put back: what a mouse holds is not drawn anew."""
+        """Show new parameters, or a world that was reset, without drawing the objects again: a drag goes on."""
         self._scene = scene
         for nodes in self._page.fingers.values():
             nodes.change(scene)

@@ -11,15 +11,15 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from helpers.described_boards import settled
-from helpers.far_rigs import FAR_RIGS, Far, slowly
+from helpers.far_rigs import FAR_RIGS, Far, slowly, when_forced
 from helpers.haply_devices import ID
 
 from softfinger.server.cli import main
@@ -34,31 +34,15 @@ SIGNALS = {signal.SIGTERM: 0, signal.SIGINT: 0, signal.SIGHUP: 129, signal.SIGQU
 """Those that a terminal, a shell and systemd send, and the exit code of each."""
 
 
-@contextmanager
-def when_pressed(far: Far, act: Callable[[], object]) -> Iterator[list[float]]:
-    """Press once ticks come, and do something once the far end has a force; inside, what was done has its time in the
-    list."""
-    done: list[float] = []
-    over = threading.Event()
+def when_pressed(far: Far, act: Callable[[], object]) -> AbstractContextManager[list[float]]:
+    """Press once ticks come, and do something once the far end has a force."""
 
-    def wait() -> None:
-        while not over.wait(0.005):
-            if len(far.given(0)) > 50:
-                break
+    def begin(over: threading.Event) -> None:
+        while not over.wait(0.005) and len(far.given(0)) <= 50:
+            pass
         far.press()
-        while not over.wait(0.002):
-            if far.newest() > CONTACT_N:
-                done.append(time.monotonic())
-                act()
-                return
 
-    thread = threading.Thread(target=wait, daemon=True)
-    thread.start()
-    try:
-        yield done
-    finally:
-        over.set()
-        thread.join()
+    return when_forced(far, CONTACT_N, act, begin)
 
 
 def words(far: Far, folder: Path) -> list[str]:

@@ -10,12 +10,9 @@ A request that is damaged is not answered. What it would miss: everything of a r
 
 from __future__ import annotations
 
-import os
 import struct
-import threading
-import tty
-from contextlib import suppress
-from typing import Self
+
+from emulators.farterminal import FarTerminal
 
 
 def modbus(data: bytes) -> int:
@@ -38,20 +35,15 @@ def ccitt(data: bytes) -> int:
     return crc
 
 
-class AskedBoard:
-    """A thread at the far end of a pseudo terminal. `angles` (rad) are the joints', `torques` (N m) the motors'."""
+class AskedBoard(FarTerminal):
+    """`angles` (rad) are the joints', `torques` (N m) the motors'."""
 
     def __init__(self) -> None:
+        super().__init__(period_s=0.0002)
         self.angles, self.torques, self.buttons = (0.0, 0.0), (0.0, 0.0), 0
         self.refused: list[bytes] = []
         """Requests that were damaged."""
-        self._far, self._near = os.openpty()
-        tty.setraw(self._near)
-        os.set_blocking(self._far, False)
-        self.path = os.ttyname(self._near)
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        self._rest = b""
 
     def answer(self, request: bytes) -> bytes:
         """The answer to eight bytes; none to what is no request."""
@@ -64,21 +56,8 @@ class AskedBoard:
         head = struct.pack(">BBhh", 0x7E, self.buttons, *shown)
         return head + struct.pack(">H", ccitt(head))
 
-    def _run(self) -> None:
-        rest = b""
-        while not self._over.wait(0.0002):
-            with suppress(BlockingIOError):
-                rest += os.read(self._far, 4096)
-            while len(rest) >= 8:
-                reply, rest = self.answer(rest[:8]), rest[8:]
-                with suppress(BlockingIOError):
-                    os.write(self._far, reply)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-        os.close(self._near)
-        os.close(self._far)
+    def turn(self) -> None:
+        self._rest += self.read()
+        while len(self._rest) >= 8:
+            reply, self._rest = self.answer(self._rest[:8]), self._rest[8:]
+            self.write(reply)

@@ -5,13 +5,10 @@ Written from the page. What it would miss: everything of a real board but these 
 
 from __future__ import annotations
 
-import os
 import struct
-import threading
 import time
-import tty
-from contextlib import suppress
-from typing import Self
+
+from emulators.farterminal import FarTerminal
 
 SILENCE_S = 0.05
 
@@ -25,42 +22,25 @@ def crc8(data: bytes) -> int:
     return crc
 
 
-class GuideBoard:
-    """A thread at the far end of a pseudo terminal. `angle` (rad) is the joint's, `torque` (N m) the motor's."""
+class GuideBoard(FarTerminal):
+    """`angle` (rad) is the joint's, `torque` (N m) the motor's, `most` the largest torque so far."""
 
     def __init__(self) -> None:
+        super().__init__(period_s=0.001)
         self.angle, self.torque, self.most = 0.0, 0.0, 0.0
-        self._far, self._near = os.openpty()
-        tty.setraw(self._near)
-        os.set_blocking(self._far, False)
-        self.path = os.ttyname(self._near)
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        self._rest, self._heard = b"", time.monotonic()
 
-    def _run(self) -> None:
-        rest, heard = b"", time.monotonic()
-        while not self._over.wait(0.001):
-            frame = b"\xa5" + struct.pack("<h", round(self.angle / 0.001))
-            with suppress(BlockingIOError):
-                os.write(self._far, frame + bytes([crc8(frame)]))
-            with suppress(BlockingIOError):
-                rest += os.read(self._far, 4096)
-            while len(rest) >= 4:
-                if rest[0] == 0x5A and crc8(rest[:3]) == rest[3]:
-                    self.torque = struct.unpack("<h", rest[1:3])[0] * 1e-6
-                    self.most = max(self.most, self.torque)
-                    rest, heard = rest[4:], time.monotonic()
-                else:
-                    rest = rest[1:]
-            if time.monotonic() - heard > SILENCE_S:
-                self.torque = 0.0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-        os.close(self._near)
-        os.close(self._far)
+    def turn(self) -> None:
+        frame = b"\xa5" + struct.pack("<h", round(self.angle / 0.001))
+        self.write(frame + bytes([crc8(frame)]))
+        self._rest += self.read()
+        while len(self._rest) >= 4:
+            frame = self._rest[:4]
+            if frame[0] == 0x5A and crc8(frame[:3]) == frame[3]:
+                self.torque = struct.unpack("<h", frame[1:3])[0] * 1e-6
+                self.most = max(self.most, self.torque)
+                self._rest, self._heard = self._rest[4:], time.monotonic()
+            else:
+                self._rest = self._rest[1:]
+        if time.monotonic() - self._heard > SILENCE_S:
+            self.torque = 0.0

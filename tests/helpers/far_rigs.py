@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -69,6 +70,35 @@ class Far(NamedTuple):
         """N, the size of the newest force; 0 before the first."""
         given = self.given(-1)
         return float(np.linalg.norm(given[-1, 1:])) if len(given) else 0.0
+
+
+@contextmanager
+def when_forced(
+    far: Far, least_n: float, act: Callable[[], object], begin: Callable[[threading.Event], object] | None = None
+) -> Iterator[list[float]]:
+    """Do something, once, when the far end has more than so much force; inside, the list has its time once it was done.
+
+    begin  is called first, by the same thread, with what is set when the block ends
+    """
+    done: list[float] = []
+    over = threading.Event()
+
+    def wait() -> None:
+        if begin is not None:
+            begin(over)
+        while not over.wait(0.002):
+            if far.newest() > least_n and not over.is_set():
+                done.append(time.monotonic())
+                act()
+                return
+
+    thread = threading.Thread(target=wait, daemon=True)
+    thread.start()
+    try:
+        yield done
+    finally:
+        over.set()
+        thread.join()
 
 
 def rig_file(folder: Path, name: str, **keys: object) -> str:

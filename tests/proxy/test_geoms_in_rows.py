@@ -13,7 +13,10 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.jit.rows import Rows
 
-pytestmark = [pytest.mark.plain, pytest.mark.skipif(not PLAIN, reason="would compile two scenes of a minute each")]
+pytestmark = [
+    pytest.mark.plain,
+    pytest.mark.skipif(not PLAIN, reason="asked in plain Python: compiled, each of two scenes takes a minute"),
+]
 
 R, HALF, APART = 0.008, 0.02, 0.041
 MODEL = """

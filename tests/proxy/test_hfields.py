@@ -181,7 +181,7 @@ def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> No
         server.stop()
 
 
-@pytest.mark.skipif(not PLAIN, reason="would compile a minute for a scene")
+@pytest.mark.skipif(not PLAIN, reason="asked in plain Python: compiled, the scene takes a minute")
 def test_what_was_felt_of_it_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Pressed and dragged over the hills, on a body that gives way: the same forces in every tick."""
     written(tmp_path, joint="<freejoint/>")

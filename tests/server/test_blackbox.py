@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import time
+import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -52,6 +53,20 @@ def test_the_newest_ticks_are_kept_in_their_order(batches: tuple[int, ...], tmp_
         first += count
     box.write(tmp_path / "box.mcap", {})
     assert ticks_in(tmp_path / "box.mcap") == list(range(max(0, first - round(100.0 * KEPT_S)), first))
+
+
+@pytest.mark.plain
+def test_old_events_take_no_memory() -> None:
+    """Of a thousand events, each older than what is kept when the next one comes, one is left."""
+    box, old = BlackBox([""], [], 100.0), time.time() - KEPT_S - 60.0
+    tracemalloc.start()
+    try:
+        for number in range(1000):
+            box.event({"timestamp": old, "kind": "mark", "name": f"{number:010000d}"})
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held < 10 * 10_000  # bytes: of ten names, where a thousand would take a hundred times as much
 
 
 @pytest.mark.plain

@@ -8,15 +8,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.described_boards import settled
-from helpers.far_rigs import FAR_RIGS, Far
+from helpers.far_rigs import FAR_RIGS, when_forced
 from test_device_report import checked, environment, home
 
 from softfinger.server.cli import main
@@ -25,26 +22,6 @@ from softfinger.tools.doctor import probe
 __all__ = ["home"]  # a fixture
 
 pytestmark = pytest.mark.real_time
-
-
-@contextmanager
-def when_pushed(far: Far, act: Callable[[], object] | None) -> Iterator[None]:
-    """Do something, once, when the far end has more than half of a push."""
-    over = threading.Event()
-
-    def wait() -> None:
-        while act is not None and not over.wait(0.002):
-            if far.newest() > 0.5 * probe.PUSH_N and not over.is_set():
-                act()
-                return
-
-    thread = threading.Thread(target=wait, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
 
 
 BRIEFLY = ("openhaptics", "haply", "haply-2diy", "hapkit")
@@ -69,8 +46,8 @@ def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
     monkeypatch.setattr(probe, "PUSH_S", 0.4)
     with open(os.devnull) as nobody, FAR_RIGS[name](home, monkeypatch) as far:
         monkeypatch.setattr(sys, "stdin", nobody)
-        acts = {"whole": None, "Ctrl-C": lambda: os.kill(os.getpid(), signal.SIGINT), "unplugged": far.unplug}
-        with when_pushed(far, acts[way]):
+        acts = {"whole": lambda: None, "Ctrl-C": lambda: os.kill(os.getpid(), signal.SIGINT), "unplugged": far.unplug}
+        with when_forced(far, 0.5 * probe.PUSH_N, acts[way]):
             code = main(["devices", "--probe", "mine.json", "--push", "--rig", far.rig])
         ends = way != "unplugged" or far.powerless
         settled(far.newest, lambda size: size == 0.0 or not ends)

@@ -18,7 +18,8 @@ STILL = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
 
 class Carry(NamedTuple):
-    """How an object moved since the last tick; `moves` is 0 for one that cannot. None, too, stands for such a one."""
+    """How an object moved since the last tick; `moves` is 0 for one that cannot. The only object
+    of a scene, where it cannot move, has None in its place: then nothing of what follows is compiled."""
 
     moves: float
     was: Pose

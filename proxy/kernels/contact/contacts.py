@@ -177,7 +177,7 @@ def levers_of(objects: Any, contacts: Contacts, radius: float, center: Vec3) -> 
 @jit
 def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
     """The tangent `v` (3,) at the proxy as it is at the probe: v - depth dn/dp v."""
-    if lever.first == 0.0 and lever.second == 0.0:  # of flat objects alone nothing of this is compiled
+    if lever.first == 0.0 and lever.second == 0.0:  # known when a scene of flat objects is compiled
         return v
     across = vec3.cross(normal, lever.along)
     v = vec3.add_scaled(v, -lever.first * vec3.dot(v, lever.along), lever.along)

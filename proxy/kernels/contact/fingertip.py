@@ -1,7 +1,8 @@
 """What depends on the fingertip's form: where it is touched, and how forces there turn the hand.
 
-A form is None for a ball, whose radius says it all, or an EllipsoidTip. An ellipsoid sees the objects grown by it, see
-geometry.surfaces.grown; then it meets, rests, slides and leaves as a ball of the finger's radius does.
+A form is None for a ball, whose radius says it all, or an EllipsoidTip. To an ellipsoid each object is the Minkowski
+sum of both, less a ball of the finger's radius (`seen_by`): against that it meets, rests, slides and leaves as this
+ball does.
 """
 
 from typing import Any

@@ -7,8 +7,8 @@ nothing else, so no way back to where one was gains or loses; damping acts along
 
 Friction. The coefficients of the law at the contact point, and the torsional limit, times the texture's factor there.
 
-    embossed(objects, active, position) -> Constraints    for `press`: surface depths, and m in place of normals
-    roughened(objects, active, center)  -> objects        whose materials have the friction of the contact point
+    textured(objects, active, position)             -> ActiveSet  surface depths, and m in place of normals
+    with_texture_friction(objects, active, center)  -> objects    whose materials have the friction of the contact point
 """
 
 from math import floor

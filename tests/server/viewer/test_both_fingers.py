@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.viewer.hand import BOTH, Ask, Hand, Led
+from softfinger.server.viewer.hand import BOTH, Hand, HandCommands, Led
 from softfinger.server.viewer.inputs import JUMP_M, Nudge, TwoHands
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.target import Target, closed, mirrored
@@ -34,7 +34,7 @@ def led() -> Iterator[tuple[Hand, dict[str, Target | None]]]:
         def hold(finger: str, done: Callable[[Target], None], failed: Callable[[], None]) -> None:
             done(Target(np.subtract(PLACES[finger], (0.0, 0.0, GRIP)), (1.0, 0.0, 0.0, 0.0)))
 
-        hand = Hand(server.gui, server.scene, Ask(sent.__setitem__, hold))
+        hand = Hand(server.gui, server.scene, HandCommands(sent.__setitem__, hold))
         reach = np.full(3, 0.2)
         hand.change([Led(name, 0.01, -reach, reach) for name in PLACES])
         for name, place in PLACES.items():
@@ -106,7 +106,7 @@ def test_what_is_done_before_the_hands_are_held_waits(led: tuple[Hand, dict[str,
     """Strokes of a key while the daemon answers, late, are all led; refused, none is, and the next asks again."""
     hand, sent = led
     answers: list[tuple[str, Callable[[Target], None], Callable[[], None]]] = []
-    hand._ask = hand._ask._replace(hold=lambda *asked: answers.append(asked))
+    hand._commands = hand._commands._replace(hold=lambda *asked: answers.append(asked))
     for _ in range(3):
         hand.nudge(Nudge(z=0.001))
     assert [finger for finger, _, _ in answers] == list(PLACES) and not sent

@@ -23,7 +23,7 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.viewer.driven import Handles
-from softfinger.server.viewer.hand import Ask, Hand, Led
+from softfinger.server.viewer.hand import Hand, HandCommands, Led
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.nodes.bodies import Began
@@ -247,8 +247,9 @@ def test_sliders_follow_a_finger_that_something_else_leads(page: Page, monkeypat
     """Until the page leads it: then they show where it is asked to be, though the contact holds it elsewhere."""
     monkeypatch.setattr("softfinger.server.viewer.hand.FOLLOWS_S", -1.0)
     asked = []
-    ask = Ask(lambda finger, target: asked.append(target), lambda finger, done, failed: done(hand.target(finger)))
-    hand = Hand(page.server.gui, page.server.scene, ask)
+    hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731
+    commands = HandCommands(lambda finger, target: asked.append(target), hold)
+    hand = Hand(page.server.gui, page.server.scene, commands)
     hand.change([Led("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
     row = np.zeros(RECORD_SIZE)
     row[AT.probe_orientation] = 1.0
