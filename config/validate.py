@@ -133,7 +133,7 @@ def _number(
     high = kind.le is None or number <= kind.le
     if low and high and (kind.gt is None or number > kind.gt) and (kind.lt is None or number < kind.lt):
         return number
-    reason = f" ({extra['reason']})" if "reason" in extra else ""
+    reason = f" ({extra['reason']})" if extra.get("reason") else ""
     return report.add(key, wanted + reason)
 
 

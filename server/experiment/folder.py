@@ -29,7 +29,7 @@ from softfinger.config.files import new_file
 from softfinger.config.load import build, describe
 from softfinger.config.materials import flat
 from softfinger.server.experiment.design import Condition, Planned
-from softfinger.server.experiment.journal import Entry, read
+from softfinger.server.experiment.journal import Entry, not_written, read
 from softfinger.server.experiment.schema import ExperimentFile
 
 JOURNAL: Final = "sub-*/sub-*_journal.jsonl"
@@ -148,9 +148,7 @@ def _write(path: Path, data: bytes) -> None:
         with new_file(path) as file:
             file.write(data)
     except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the command"
-        ) from error
+        raise not_written(path, error) from error
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -61,10 +61,7 @@ class Journal(Memory, Closing):
             os.fsync(descriptor)
         except OSError as error:
             os.ftruncate(descriptor, before)
-            raise ConfigError(
-                f"{self.path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the "
-                "command"
-            ) from error
+            raise not_written(self.path, error) from error
         super().write(kind, **values)
 
     def close(self) -> None:
@@ -111,3 +108,10 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def not_written(path: Path, error: OSError) -> ConfigError:
+    """What to say of a file of a session that the disk did not take."""
+    return ConfigError(
+        f"{path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the command"
+    )
