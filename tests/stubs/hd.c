@@ -209,6 +209,7 @@ void stub_reset(void)
     pthread_mutex_lock(&guard);
     height = 0;
     pthread_mutex_unlock(&guard);
+    __atomic_store_n(&journal->count, 0, __ATOMIC_RELEASE);
     for (int d = 0; d < DEVICES; d++) {
         memset(&device[d], 0, sizeof device[d]);
         device[d].framed_tick = -1;
