@@ -41,6 +41,8 @@ _SIZE_MAX: Final = 1 << 20
 _BY_NAME: Final = {"material": MATERIALS.key, "fingertip": FINGERTIPS.key}
 """Tables that a text may stand for, and the key that it is the value of."""
 _ENTRY: Final = re.compile(r"\[(\d+)\]")
+_LISTED: Final = 12
+"""Faults that a message lists: a file with more has one mistake many times, and the first ones stay on the screen."""
 _NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
 
 
@@ -49,8 +51,10 @@ class FaultyConfig(ConfigError):
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(faults)
-        lines = [str(fault) for fault in faults]
-        super().__init__(lines[0] if len(lines) == 1 else "\n  ".join([f"{len(lines)} faults:", *lines]))
+        lines = [str(fault) for fault in faults[:_LISTED]]
+        if more := len(faults) - len(lines):
+            lines.append(f"and {more} more: mend these first")
+        super().__init__(lines[0] if len(faults) == 1 else "\n  ".join([f"{len(faults)} faults:", *lines]))
 
 
 def load_scene(

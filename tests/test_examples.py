@@ -124,12 +124,13 @@ def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
     for group in analysed(*load(tmp_path)):
         row, fit = printed(out, group.condition), group.fit
         assert isinstance(fit, Fit) and row["trials"] == group.trials
-        # Steps are 2.3 % of a threshold there (300 from a quarter of the least level to four times the largest) and
-        # 9 % here (80 of them), and 8 % of a slope there (40 from 0.5 to 12); a best value is off by half a step.
+        # Steps of a slope are 8 % there (40 from 0.5 to 12) and 2.6 % here (120 of them), those of a threshold finer: the
+        # levels over 16 times their span (300 steps and 120). A quantile between two points of a grid is off by less
+        # than a step of the coarser one.
         assert row["threshold"] == pytest.approx(fit.threshold, rel=0.04)
-        assert row["slope"] == pytest.approx(fit.slope, rel=0.06)
+        assert row["slope"] == pytest.approx(fit.slope, rel=0.08)
         low, high = fit.threshold_95
-        assert (row["threshold_low"], row["threshold_high"]) == pytest.approx((low, high), rel=0.12)
+        assert (row["threshold_low"], row["threshold_high"]) == pytest.approx((low, high), rel=0.06)
     assert number(r"(\d+) pictures", out) == 1
 
 

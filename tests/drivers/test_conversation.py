@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
+from numba import config
 from numpy.typing import NDArray
 
 from softfinger.drivers import conversation as talk
@@ -21,7 +22,10 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.conversation import TALK, WAIT_MS, Times
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS
 
-pytestmark = pytest.mark.plain
+pytestmark = [
+    pytest.mark.plain,
+    pytest.mark.skipif(not config.DISABLE_JIT, reason="a board by a script is Python, which no compiled kernel calls"),
+]
 
 MS = 1_000_000
 FD = 7
