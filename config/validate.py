@@ -20,8 +20,8 @@ from softfinger.config.materials import Library
 from softfinger.config.typeinfo import described, options, unwrapped
 from softfinger.config.words import either, expected, missing, near, shown
 
-UNKNOWN_SHOWN: Final = 50
-"""Keys without a meaning that a table's faults name: a file of them would take a minute and a page for each."""
+UNKNOWN_SHOWN: Final = 8
+"""Keys without a meaning that the faults of a table name: fewer than a message lists, which then has their number."""
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 

@@ -107,12 +107,14 @@ def toml(value: object) -> str:
 
 
 def near(given: object, allowed: Iterable[object]) -> str:
-    """` (did you mean 'plane'?)` where one of the allowed names is close."""
+    """` (did you mean 'plane'?)` where one of the allowed names is close, or up to three that begin so."""
     # An endless key would keep difflib busy, and nothing is close to it anyway.
     if not isinstance(given, str) or len(given) > 64:
         return ""
-    close = difflib.get_close_matches(given.lower(), [name for name in allowed if isinstance(name, str)], n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""
+    names = [name for name in allowed if isinstance(name, str)]
+    begun = [name for name in names if len(given) >= 3 and name.startswith(given.lower())]
+    close = begun[:3] or difflib.get_close_matches(given.lower(), names, n=1)
+    return f" (did you mean {' or '.join(map(repr, close))}?)" if close else ""
 
 
 def either(names: Iterable[object]) -> str:

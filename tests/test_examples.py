@@ -124,9 +124,8 @@ def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
     for group in analysed(*load(tmp_path)):
         row, fit = printed(out, group.condition), group.fit
         assert isinstance(fit, Fit) and row["trials"] == group.trials
-        # Steps of a slope are 8 % there (40 from 0.5 to 12) and 2.6 % here (120 of them), those of a threshold finer: the
-        # levels over 16 times their span (300 steps and 120). A quantile between two points of a grid is off by less
-        # than a step of the coarser one.
+        # A step of a slope is 8 % there (40 from 0.5 to 12) and 2.6 % here (120 of them); of a threshold 2.3 % and 6 %
+        # (300 and 120 from a quarter of the least level to four times the largest). Both interpolate between steps.
         assert row["threshold"] == pytest.approx(fit.threshold, rel=0.04)
         assert row["slope"] == pytest.approx(fit.slope, rel=0.08)
         low, high = fit.threshold_95

@@ -23,6 +23,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene, read_toml, shipped
 from softfinger.config.schema import Rig, Scene, commands_beside
 from softfinger.config.schema.pairing import pair, single_device
+from softfinger.config.words import near
+from softfinger.drivers.serial.options import CHECKS
 from softfinger.proxy.record import FIELDS
 from softfinger.proxy.scene import build_scene
 from softfinger.server.verbs import check
@@ -461,6 +463,11 @@ def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
     bad = tmp_path / "bad.toml"
     bad.write_text('[devices.thumb]\ndriver = "replay"\nrecording = "no-such"\n')
     assert "devices.thumb.recording" in check.examine_file(str(bad)).errors[0]
+
+
+def test_a_name_cut_short_means_those_that_begin_so() -> None:
+    """Of checksums crc8 has more letters in common with `crc16` than the two that were meant."""
+    assert near("crc16", CHECKS) == " (did you mean 'crc16-ccitt' or 'crc16-modbus'?)"
 
 
 def test_a_long_list_of_faults_begins_with_the_first() -> None:
