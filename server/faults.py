@@ -179,9 +179,16 @@ HAZARDS: Final = (
         ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
     ),
     Hazard(
-        "a publisher that is killed", "the daemon", "none", "as before", "it is started again",
+        "a publisher that is killed or gets no more memory", "the daemon", "none", "as before", "it is started again",
         ("fault publisher",),
-        ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",),
+        ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
+         "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_started_again"),
+    ),
+    Hazard(
+        "a page that is killed or gets no more memory", "the daemon", "none", "as before",
+        "it is started again at the same address, three times in a run", (),
+        ("tests/server/viewer/test_page_process.py::test_a_page_that_dies_is_started_again_at_the_same_address",
+         "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again"),
     ),
     Hazard(
         "a publisher that stands still, a network that is lost", "none needed: nobody waits for it", "none",

@@ -9,15 +9,21 @@ from __future__ import annotations
 import resource
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import pytest
+import viser
 import zmq
 from emulators.serialboard import Board
 from test_kills import gone, of_kind
 from test_process_faults import end, read
 from test_signals import START_S, ZERO, pressing, until
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
 
 from softfinger.server.wire.client import subscribe
 
@@ -32,6 +38,26 @@ def take_memory(pid: int) -> None:
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[0])
     most = pages * resource.getpagesize()
     resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
+
+
+def look_on(address: str, closing: ExitStack) -> None:
+    """One more browser that takes what the page sends; refused where the page has just ended."""
+    where = urlsplit(address)
+    with suppress(OSError, WebSocketException):
+        opened = connect(
+            f"ws://{where.netloc}{where.path}",
+            origin=Origin(f"http://{where.netloc}"),
+            subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+            max_size=None,
+        )
+        closing.enter_context(opened)
+
+
+def served(address: str) -> bool:
+    """Whether the page answers."""
+    with suppress(OSError), urlopen(address, timeout=START_S) as answer:
+        return bool(answer.status == 200)
+    return False
 
 
 def process_of(process: subprocess.Popen[str], kind: str, other: int = 0) -> int:
@@ -77,3 +103,25 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
     assert "the publisher has ended with code" in said
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and "publisher" in [name for name, _ in events]
+
+
+def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
+    """Browsers that come make it ask for more: it ends, and another takes its place at the same address. The board has
+    a force all the while, and the recording every tick."""
+    recording = tmp_path / "on.mcap"
+    with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process), felt(board) as least:
+        assert process.stderr is not None
+        address = next(line for line in process.stderr if "the page is " in line).split()[4].rstrip(";")
+        page = process_of(process, "page")
+        with ExitStack() as closing:
+            take_memory(page)
+            until(lambda: look_on(address, closing) or gone(page), START_S, "the end of the page")
+        ended = next(line for line in process.stderr if "the page has ended" in line)
+        assert "started again, 1 of 3 times" in ended
+        assert process_of(process, "page", other=page)
+        until(lambda: served(address), START_S, "the page's answer")
+        assert least() > 0.0
+        end(process)
+        assert board.force == ZERO
+    ticks, _ = read(recording)
+    assert ticks == list(range(len(ticks)))
