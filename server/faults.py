@@ -140,11 +140,13 @@ HAZARDS: Final = (
         f"{_ENDS}, exit code 6", _START, (FAILED,), ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",),
     ),
     Hazard(
-        "a machine that slept, a process that was stopped", "the time since the last tick", "0 ticks",
+        "a machine that slept, a process that was stopped", "the time since the last tick, and that of CLOCK_BOOTTIME",
+        "0 ticks",
         "the force begins at zero", "the ramp", ("guard ramping",),
         ("tests/server/test_servo.py::test_after_a_long_pause_the_force_fades_in",
          "tests/server/test_signals.py::test_no_force_while_the_process_is_stopped",
-         f"{_PROCESS}::test_processes_that_sleep_wake_with_zero_force"),
+         f"{_PROCESS}::test_processes_that_sleep_wake_with_zero_force",
+         f"{_PROCESS}::test_a_machine_that_was_suspended_wakes_with_zero_force"),
         within=1,
     ),
     Hazard(

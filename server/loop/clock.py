@@ -10,6 +10,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 
 CLOCK_MONOTONIC: Final = 1
 CLOCK_THREAD_CPUTIME_ID: Final = 3
+CLOCK_BOOTTIME: Final = 7
 TIMER_ABSTIME: Final = 1
 EINTR: Final = 4
 NS_PER_S: Final = 1_000_000_000
@@ -26,6 +27,14 @@ def now_ns(timespec: NDArray[np.int64]) -> int:
     """Monotonic time in ns; `timespec` (2,) int64 is scratch."""
     _clock_gettime(CLOCK_MONOTONIC, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1]
+
+
+@jit
+def suspended_ns(now: int, timespec: NDArray[np.int64]) -> int:
+    """How long the machine has been suspended since its start, in ns, as monotonic time does not show; `now` (ns) has
+    just been read, and what passed since then is in it."""
+    _clock_gettime(CLOCK_BOOTTIME, timespec.ctypes)
+    return timespec[0] * NS_PER_S + timespec[1] - now
 
 
 @jit

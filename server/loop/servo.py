@@ -6,7 +6,7 @@ ring of records and an eventfd that tells the reader a record is there. `servo_t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import types
@@ -31,13 +31,15 @@ from softfinger.server.loop.all_devices import (
     write_zeros,
 )
 from softfinger.server.loop.bodies import move_bodies
-from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until
+from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, suspended_ns
+from softfinger.server.loop.guard import PAUSE_MAX_S
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
 from softfinger.server.loop.shared.ring import Ring, push
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, tick
 
+SUSPENDED_MAX_S: Final = 1.0
 _eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
 
 
@@ -92,6 +94,14 @@ def newest_parameters(
 
 
 @jit
+def with_suspension(dt: float, slept_ns: int) -> float:
+    """The time since the last tick, s, where the machine was suspended for `slept_ns` meanwhile: a force is not carried
+    over that. Of a long one a second counts, which ends whatever a pause ends, and no filter has to bear an hour."""
+    slept = slept_ns / NS_PER_S
+    return dt + min(slept, SUSPENDED_MAX_S) if slept > PAUSE_MAX_S else dt
+
+
+@jit
 def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
     """The loop's part of a record: when it was due, began and was written, ns; `busy` is of the tick before."""
     return Stamp(
@@ -127,7 +137,9 @@ def servo_loop(
     nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
     health, dt = HEALTHY, nominal
-    pace = first_pace(now_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1))
+    now = now_ns(timespec)
+    suspended = suspended_ns(now, timespec)
+    pace = first_pace(now, schedule.period_ns, load_acquire(shared.progress, 1))
 
     while load_acquire(shared.stop, 0) == 0:
         if number == schedule.ticks:
@@ -135,6 +147,9 @@ def servo_loop(
             break
         sleep_until(pace.deadline, timespec)
         woke = now_ns(timespec)
+        before, suspended = suspended, suspended_ns(woke, timespec)
+        if not schedule.own_clock:
+            dt = with_suspension(dt, suspended - before)
 
         seen, tuning = newest_parameters(shared.tuning, seen, scratch.values, scratch.way, tuning)
         befores, statuses = read_all(ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)

@@ -20,6 +20,7 @@ from test_kills import children
 from test_signals import END_S, START_S, pressing, state, until
 
 from softfinger.proxy.record import AT
+from softfinger.server.loop.guard import RAMPING
 from softfinger.server.recording.reader import Event, Ticks, contents
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
@@ -108,22 +109,60 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
     record_property(SEEN, seen | {"state": "armed", "recovery": "none needed"})
 
 
+def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
+    """The environment of a program whose clocks are ours (tests/stubs/clock.c), and what sets them: seconds that the
+    time of day is ahead, seconds that the machine has been suspended."""
+    library, file = compile_stub(CLOCK, folder / "clock.so"), folder / "clocks"
+    file.write_bytes(bytes(16))
+
+    def put(ahead_s: int, suspended_s: int) -> None:
+        with file.open("r+b") as numbers:
+            numbers.write(struct.pack("=qq", ahead_s, suspended_s))
+
+    return {"LD_PRELOAD": str(library), "SET_CLOCK": str(file)}, put
+
+
+@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
+@pytest.mark.parametrize("slept_s", [1, 3600])
+def test_a_machine_that_was_suspended_wakes_with_zero_force(
+    slept_s: int, tmp_path: Path, record_property: Note
+) -> None:
+    """Monotonic time stands still meanwhile, and so do its deadlines: the loop sees no gap, and yet the force of before
+    is not carried over. It begins at zero in the tick that wakes, and fades in; no tick of the recording is missing."""
+    recording = tmp_path / "slept.mcap"
+    environment, put = clocks(tmp_path)
+    with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
+        time.sleep(RAMP_TICKS / 1000.0)  # the ramp of the start is over
+        count = len(board.sent)
+        before = max(frame[2] for frame in board.sent[count - RAMP_TICKS : count])  # some fade in after a stall
+        put(0, slept_s)
+        until(lambda: len(board.sent) > count + RAMP_TICKS // 5, END_S, "forces after it")
+        forces = [frame[2] for frame in board.sent[count:]]
+        first = next((place for place, force in enumerate(forces) if force <= before * 2 / RAMP_TICKS), None)
+        assert first is not None, "the force was carried over"
+        assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2  # as above
+        end(process)
+    rows = [row for part in contents(recording) if isinstance(part, Ticks) for row in part.records()]
+    assert [int(row[AT.tick]) for row in rows] == list(range(len(rows)))
+    long = [row for row in rows if row[AT.dt] > 0.9]
+    assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a second counts, however long it was
+    seen = {"driver": "serial", "fault": f"the machine is suspended for {slept_s} s", "ticks": 0}
+    record_property(SEEN, seen | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
+
+
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("jump_s", [-3600, 3600])
 def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Path, record_property: Note) -> None:
     """The time of day of every process of a daemon is set an hour back, or forth, while it presses: every frame has a
     force, and what is recorded before, at and after it stays in the order of its times, ticks and events alike."""
-    library = compile_stub(CLOCK, tmp_path / "clock.so")
-    clock, recording = tmp_path / "ahead", tmp_path / "set.mcap"
-    clock.write_bytes(struct.pack("=q", 0))
-    set_clock = {"LD_PRELOAD": str(library), "SET_CLOCK": str(clock)}
-    with pressing(tmp_path, "--record", str(recording), environment=set_clock) as (board, process):
+    recording = tmp_path / "set.mcap"
+    environment, put = clocks(tmp_path)
+    with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
         with Control(f"ipc://{tmp_path}/t.commands", START_S) as control:
             control.mark("before")
             count = len(board.sent)
-            with clock.open("r+b") as file:
-                file.write(struct.pack("=q", jump_s))
+            put(jump_s, 0)
             until(lambda: len(board.sent) > count + 500, END_S, "forces after it")
             control.mark("after")
         felt = [frame[2] for frame in board.sent[count : count + 500]]
