@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import load_rig
 from softfinger.config.words import shown
 from softfinger.server import signals
@@ -22,7 +22,7 @@ from softfinger.server.experiment import files, rigs
 from softfinger.server.experiment.answers import DryRun, Person
 from softfinger.server.experiment.design import Condition, conditions
 from softfinger.server.experiment.folder import Folder, load, trials_in
-from softfinger.server.experiment.haptics import Haptics
+from softfinger.server.experiment.haptics import AGAIN, Haptics
 from softfinger.server.experiment.journal import Entry, Journal, Memory
 from softfinger.server.experiment.masses import scene_with
 from softfinger.server.experiment.session import Nothing, Session, Stopped
@@ -94,32 +94,36 @@ class Experiment:
         """
         own = Folder(Path(folder), self.file, _checked(participant), files.hashes(self.file, self._folder))
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
-        session.begin(own)
-        with Journal(own.journal) as journal:
-            own.check_same(running.dry_run)
-            if not journal.of("finished"):
-                self._go_on(session, journal, own, running)
+        session.check(own)
+        own.check_same(running.dry_run)
+        with ExitStack() as opened:
+            # A journal that is there is locked before the device is opened, which another session may have.
+            journal = opened.enter_context(Journal(own.journal)) if own.journal.exists() else None
+            if journal is None or not journal.of("finished"):
+                self._go_on(session, opened, journal, own, running)
             own.tables()
             return trials_in([own.journal])
 
-    def _go_on(self, session: Session, journal: Journal, own: Folder, running: Running) -> None:
-        number = own.run()
+    def _go_on(
+        self, session: Session, opened: ExitStack, journal: Journal | None, own: Folder, running: Running
+    ) -> None:
+        """Run what has no answer. Nothing is written until the device ticks: before that, much can be refused."""
+        dry = DryRun(self.file, own.participant)
         if running.no_daemon:
-            own.keep(own.name(number, "about.json"), {"daemon": False})
-            journal.write("started", run=number, dry_run=True, time=time.time())
-            session.run(journal, Nothing(), DryRun(self.file, own.participant), own)
+            journal, _ = _begun(session, opened, journal, own, {"about.json": {"daemon": False}}, True)
+            session.run(journal, Nothing(), dry, own)
             return
         rig = files.beside(self._folder, self.file.rig)
-        if running.doctor:
-            own.keep(own.name(number, "doctor.json"), doctors_answer(str(rig)))
+        # The doctor looks at the device, so before that is opened.
+        kept = {"doctor.json": doctors_answer(str(rig))} if running.doctor else {}
         with self._rendered(own, rig, running) as (haptics, about):
-            own.keep(own.name(number, "about.json"), about)
-            journal.write("started", run=number, dry_run=running.dry_run, time=time.time())
+            kept |= {"about.json": about}
+            journal, number = _begun(session, opened, journal, own, kept, running.dry_run)
             person = None if running.dry_run else Person(self.file, haptics)
             if person is not None:
                 person.instruct()
             with recorded(haptics, f"{own.label}/{own.name(number, 'ticks.mcap')}"):
-                session.run(journal, haptics, person or DryRun(self.file, own.participant), own)
+                session.run(journal, haptics, person or dry, own)
             if person is not None:
                 person.end()
 
@@ -140,6 +144,13 @@ class Experiment:
                 raise ConfigError(
                     f"{rig}: takes no commands, and an experiment needs them: leave commands.endpoint out"
                 )
+            for where, name, parameters in files.ends(self.file):
+                rig_there, scene_there = rigs.split(parameters, where)
+                there = scene_with(self._scene(name), scene_there, where)
+                try:
+                    daemon.rendering.check(there, load_rig(rig, values | rig_there))
+                except ConfigError as error:
+                    raise ConfigError(f"{where}: {error}") from error
             asked = ((where, parameters) for where, _, parameters in files.ends(self.file))
             rigs.check_rated(asked, [device.info for device in daemon.devices])
             opened.enter_context(signals.asked(daemon.stop, daemon.pause))
@@ -156,11 +167,26 @@ class Experiment:
             haptics = Haptics(
                 client, self.file, self._scene, models, lambda: _check(daemon.wait, looks),
                 lambda changed: daemon.replace(rig=load_rig(rig, {**values, **changed})),
+                lambda: _kept_to(daemon.recordings.kept_to),
             )  # fmt: skip
             yield haptics, client.describe()
 
     def _scene(self, name: str) -> str | Path:
         return files.beside(self._folder, name)
+
+
+def _begun(
+    session: Session, opened: ExitStack, journal: Journal | None, own: Folder, kept: Mapping[str, Any], dry_run: bool
+) -> tuple[Journal, int]:
+    """The journal, with a start in it, and the number of the start; `kept` are files of the start, by name."""
+    session.begin(own)
+    number = own.run()
+    if journal is None:
+        journal = opened.enter_context(Journal(own.journal))
+    for name, values in kept.items():
+        own.keep(own.name(number, name), values)
+    journal.write("started", run=number, dry_run=dry_run, time=time.time())
+    return journal, number
 
 
 def results(folder: str | Path) -> list[Entry]:
@@ -197,6 +223,14 @@ def _check(ended: Callable[[float], bool], looks: Iterable[Callable[[], None]]) 
         look()
     if ended(ENDED_S):
         raise Stopped("stopped; the same command goes on at this trial")
+
+
+def _kept_to(ask: Callable[[], int]) -> int:
+    """The last tick that the recording has; of one that has ended, RecordingError says what to do."""
+    try:
+        return ask()
+    except RecordingError as error:
+        raise RecordingError(f"{error}{AGAIN}") from error
 
 
 def _checked(participant: int) -> int:

@@ -37,33 +37,51 @@ BIDS_VERSION: Final = "1.10.0"
 
 
 class Folder:
-    """What one participant's sessions write.
+    """What one participant's sessions write. Nothing is written before `begin`.
 
     files  hashes of the scenes and the rig beside the experiment, by name
 
-    Raises ConfigError where the folder is of another experiment.
+    Raises ConfigError where the folder is of another experiment, or cannot be one.
     """
 
     def __init__(self, root: Path, experiment: ExperimentFile, participant: int, files: Mapping[str, str]) -> None:
         self.root, self.participant = root, participant
         self.label: Final = f"sub-{participant:02d}"
         self.own: Final = root / self.label
-        (self.own / "trials").mkdir(parents=True, exist_ok=True)
-        self._same("experiment.json", describe(experiment), root)
-        if files:
-            self._same("files.json", files, root)
-        about = {"Name": experiment.title, "BIDSVersion": BIDS_VERSION, "DatasetType": "raw"}
-        self._same("dataset_description.json", about, root)
         self.journal: Final = self.own / f"{self.label}_journal.jsonl"
+        about = {"Name": experiment.title, "BIDSVersion": BIDS_VERSION, "DatasetType": "raw"}
+        shared = {"experiment.json": describe(experiment), "files.json": files, "dataset_description.json": about}
+        self._same = {root / name: _json(values) for name, values in shared.items() if values}
+        for path, text in self._same.items():
+            _check_same(path, text)
 
     def begin(self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[Planned]) -> None:
-        """Write the design and the order; ConfigError where those that are there differ."""
-        rows = [trial._asdict() | {"condition": conditions[trial.condition].name} for trial in trials]
-        design = {"seed": experiment.design.seed, "conditions": [each._asdict() for each in conditions]}
-        self._same(f"{self.label}_design.json", design | {"trials": rows}, self.own)
+        """Write what is not there yet: what the experiment is, the design and the order."""
+        rows = _rows(conditions, trials)
+        try:
+            (self.own / "trials").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise not_written(self.own / "trials", error) from error
+        for path, text in (self._same | self._design(experiment, conditions, rows)).items():
+            if not path.exists():
+                _write(path, text)
+            _check_same(path, text)
         order = self.own / f"{self.label}_order.csv"
         if not order.exists():
             write_csv(order, rows)
+
+    def check_design(
+        self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[Planned]
+    ) -> None:
+        """Raise ConfigError where another design of this participant is there."""
+        for path, text in self._design(experiment, conditions, _rows(conditions, trials)).items():
+            _check_same(path, text)
+
+    def _design(
+        self, experiment: ExperimentFile, conditions: Sequence[Condition], rows: Sequence[Entry]
+    ) -> dict[Path, bytes]:
+        design = {"seed": experiment.design.seed, "conditions": [each._asdict() for each in conditions]}
+        return {self.own / f"{self.label}_design.json": _json(design | {"trials": rows})}
 
     def check_same(self, dry_run: bool) -> None:
         """Raise ConfigError where the folder has answers of the other kind: of participants, or of a dry run."""
@@ -82,7 +100,7 @@ class Folder:
 
     def keep(self, name: str, values: Any) -> None:
         """A new JSON file of this participant."""
-        _new(self.own / name, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
+        _new(self.own / name, _json(values))
 
     def ticks(self, number: int, attempt: int, rows: Iterable[Mapping[str, Any]]) -> None:
         """A new table of the ticks of a trial."""
@@ -97,16 +115,23 @@ class Folder:
         names = b"".join(f"{each.parent.name}\n".encode() for each in journals)
         _write(self.root / "participants.tsv", b"participant_id\n" + names)
 
-    def _same(self, name: str, values: Any, where: Path) -> None:
-        """A JSON file that has these values, now or already."""
-        path, text = where / name, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n"
-        if not path.exists():
-            _write(path, text)
-        elif path.read_bytes() != text:
-            raise ConfigError(
-                f"{path}: is of an experiment with other values{_other(path, text)}: name another folder "
-                "(--out), or run the experiment as it was"
-            )
+
+def _rows(conditions: Sequence[Condition], trials: Sequence[Planned]) -> list[Entry]:
+    """The trials as designed, a row each."""
+    return [trial._asdict() | {"condition": conditions[trial.condition].name} for trial in trials]
+
+
+def _json(values: Any) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n"
+
+
+def _check_same(path: Path, text: bytes) -> None:
+    """Raise ConfigError where a file has another text than this; one that is not there has none."""
+    if path.exists() and path.read_bytes() != text:
+        raise ConfigError(
+            f"{path}: is of an experiment with other values{_other(path, text)}: name another folder "
+            "(--out), or run the experiment as it was"
+        )
 
 
 def _other(path: Path, text: bytes) -> str:

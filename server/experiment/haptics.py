@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from softfinger.config.errors import SafetyStop
+from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.config.load import describe, load_scene, numbered, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment import rigs
@@ -29,6 +29,13 @@ BACK_S: Final = 2.0
 BACK_M: Final = 0.002
 """How long a touch waits for a hand that is led back, and how near that comes: a hand is held by a spring, and sags."""
 HEARTBEAT_S: Final = 0.1
+DISK_S: Final = 30.0
+"""How long the ticks of a touch may take to the disk: less than what waits for it in memory."""
+AGAIN: Final = (
+    ": the force is off, and no answer before is lost: make room on the disk and repeat the command, which presents "
+    "this trial again"
+)
+"""What to do where a recording does not have the ticks of a trial."""
 
 
 class Haptics:
@@ -38,6 +45,7 @@ class Haptics:
     models    folder for models of bodies with other masses
     running   raises what ended the daemon, or Stopped where it was asked to end
     change_rig  has the daemon go on, from zero force, with these values of the rig and its own for all others
+    kept_to     the last tick that the recording has; raises RecordingError where that has ended on its own
     """
 
     def __init__(
@@ -48,10 +56,12 @@ class Haptics:
         models: Path,
         running: Callable[[], None],
         change_rig: Callable[[Mapping[str, Any]], Any],
+        kept_to: Callable[[], int],
     ) -> None:
         self.client: Final = client
         self._experiment, self._scene_of, self._models, self._running = experiment, scene_of, models, running
         self._change_rig: Final = change_rig
+        self._kept_to: Final = kept_to
         self._rig, self._set = rigs.split(experiment.overrides, "overrides")
         self._scene: str | None = None
         self.newest: dict[str, Sample] = {}
@@ -65,8 +75,12 @@ class Haptics:
     # --- a touch ----------------------------------------------------------------------------------------
 
     def touch(self, stimulus: Stimulus) -> Felt:
-        """Present a stimulus; the change is made at zero force, and without a compile where only values change."""
+        """Present a stimulus; the change is made at zero force, and without a compile where only values change.
+
+        Raises RecordingError where its ticks are not in the recording: a trial without them is not to be answered.
+        """
         client = self.client
+        self._kept_to()
         self.release()
         ramp_s = self._change(stimulus)
         self._lead_back(max(self._experiment.trial.gap_s, ramp_s))
@@ -80,6 +94,7 @@ class Haptics:
             self.release()
         finally:
             ticks, self._kept = self._kept, None
+        self._wait_for_disk(ticks)
         return Felt(summary(ticks, reached), ticks)
 
     def release(self) -> None:
@@ -92,6 +107,14 @@ class Haptics:
             ),
             "the force does not become zero",
         )
+
+    def _wait_for_disk(self, ticks: list[dict[str, Any]]) -> None:
+        """Return when the recording has these ticks; a disk that stalls is given some time."""
+        until = time.monotonic() + DISK_S
+        while ticks and self._kept_to() < ticks[-1]["tick"]:
+            if time.monotonic() > until:
+                raise RecordingError(f"the disk has not taken the ticks of the touch within {DISK_S:g} s{AGAIN}")
+            self.wait(SLICE_S)
 
     def _change(self, stimulus: Stimulus) -> float:
         """Have the scene and its parameters; returns how long they take to be there, s.
@@ -163,6 +186,7 @@ class Haptics:
         while (passed := time.monotonic() - begun) < experiment.trial.touch_s:
             for name in moved:
                 self._lead(name, passed)
+            self._kept_to()  # a long touch is not gone on with for nothing
             self.wait(SLICE_S)
             target = experiment.task.target_m
             if target is not None and self._near(target, experiment.task.target_radius_m):

@@ -119,6 +119,10 @@ class Session:
         self._blocks = blocks_of(self.trials, experiment.design.order == "random")
         self._procedures = [adaptive(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
+    def check(self, folder: Folder) -> None:
+        """Raise ConfigError where the participant's folder has another design; nothing is written."""
+        folder.check_design(self.experiment, self.conditions, self.trials)
+
     def begin(self, folder: Folder) -> None:
         """Write the design into the participant's folder."""
         folder.begin(self.experiment, self.conditions, self.trials)

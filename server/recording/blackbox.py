@@ -129,17 +129,17 @@ class BlackBox:
         part = path.with_suffix(PART)
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
-            file = open(descriptor, "wb", buffering=0)  # noqa: SIM115 - the recording closes it
-            recording = RecordingFile(file, self._fingers, about)
-            for event in self._put_ticks(recording, rows):
-                recording.event(event)
-            since = now_s() - KEPT_S
-            for event in list(self._events):
-                if event["timestamp"] >= since:
+            with open(descriptor, "wb", buffering=0) as file:  # closed, too, where the disk takes a part
+                recording = RecordingFile(file, self._fingers, about)
+                for event in self._put_ticks(recording, rows):
                     recording.event(event)
-            for line in self.log.lines(since):
-                recording.log(*line)
-            recording.close()
+                since = now_s() - KEPT_S
+                for event in list(self._events):
+                    if event["timestamp"] >= since:
+                        recording.event(event)
+                for line in self.log.lines(since):
+                    recording.log(*line)
+                recording.close()
             os.replace(part, path)
         finally:
             with contextlib.suppress(FileNotFoundError):

@@ -84,6 +84,7 @@ class Recorder:
         self._worst_write_s = 0.0
         self._came = self._gone = 0  # rows, each counted by one thread
         self._ticks = self._dropped = self._bytes = 0
+        self._newest, self._written_to = -1, -1
         self._told_dropped = 0
         self._dropping, self._dropped_from = False, -1
         self._error = ""
@@ -130,6 +131,11 @@ class Recorder:
             self._ticks, self._dropped, self._bytes, self._error, ended and not self._error,
             self._events_dropped, self._worst_write_s,
         )  # fmt: skip
+
+    @property
+    def written_to(self) -> int:
+        """The last tick that the system has taken, -1 for none."""
+        return self._written_to
 
     @property
     def failed(self) -> bool:
@@ -184,6 +190,8 @@ class Recorder:
             rows += len(records)
         for finger, each in batches.items():
             records = with_whole_numbers(np.concatenate(each))
+            if finger == len(self._fingers) - 1:  # whose ticks come last
+                self._newest = int(records[-1, AT.tick])
             told = self._told[finger]
             for first in range(0, len(records), BLOCK_ROWS):  # some at a time: other threads have their turn
                 some = records[first : first + BLOCK_ROWS]
@@ -200,6 +208,7 @@ class Recorder:
                 recording.event(event_or_note)
         recording.flush()
         self._count(recording)
+        self._written_to = self._newest
         # Behind the write: while the disk takes nothing, there is no room for more.
         self._gone += rows
         dropped = self._dropped

@@ -102,6 +102,22 @@ class Recordings:
             self._ending.append(recorder)
             return self._path, recorder.stop(STOP_S)
 
+    def kept_to(self) -> int:
+        """The last tick that is in the file of the recording of now, -1 for none.
+
+        Raises RecordingError where it has ended early, or there is none. Whoever asks tells it, so `stop` does not.
+        """
+        with self._changing:
+            recorder = self._recorder
+            if recorder is None:
+                raise RecordingError("nothing is being recorded")
+            if recorder.recorded.error and self._failure is not None:
+                failure, self._failure = self._failure, None
+                raise failure
+            if recorder.recorded.error:
+                raise RecordingError(f"{self._path}: the recording has ended: {recorder.recorded.error}")
+            return recorder.written_to
+
     def written(self) -> Written:
         """What became of all recordings of this run so far."""
         with self._changing:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
+import resource
 import signal
 import subprocess
 import sys
@@ -16,16 +18,18 @@ import pandas as pd
 import pytest
 from test_experiment_design import small
 
-from softfinger.config.errors import CommandRefused, ConfigError
+from softfinger.config.errors import CommandRefused, HapticError, RecordingError
 from softfinger.config.materials import materials
 from softfinger.server import cli
 from softfinger.server.experiment.experiment import Experiment, Running, results
 from softfinger.server.experiment.files import shipped
-from softfinger.server.experiment.haptics import BACK_M, along
+from softfinger.server.experiment.haptics import BACK_M, Haptics, along
 from softfinger.server.experiment.journal import read
+from softfinger.server.experiment.session import Felt, Stimulus
 from softfinger.server.loop.guard import DISARMED
 from softfinger.server.recording.run import Run, load_run
 from softfinger.server.remote import Client
+from softfinger.server.wire.client import Sample
 
 pytestmark = pytest.mark.real_time
 
@@ -146,24 +150,79 @@ def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
         assert run.first["tick"][at(run, tick)] == tick and not run.first["force"][at(run, tick)].any()
 
 
+def limited(limit: float) -> dict[str, Any]:
+    return {"factor": [{"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.5, limit]}]}
+
+
+SEVERAL = {"name": "hand", "levels": ["one", "two"], "scenes": {"one": "paper-plane", "two": "pinch"}}
+WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
+
+
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "rig", "said"),
     [
-        ({"factor": [{"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.5, 2.0]}]},
-         "condition 2.0, level 1: rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
-        ({"overrides": {"rig.guard.force_max_n": 2.0}}, "rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
+        (limited(2.0), WEAK, "condition 2.0, level 1: rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
+        ({"overrides": {"rig.guard.force_max_n": 2.0}}, WEAK,
+         "rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
+        ({"factor": [SEVERAL], "task": {"kind": "rate", "question": "?", "parameter": "coupling.damping_ns_per_m"}}, {},
+         r"condition two, level 1: the scene has \[\[finger\]\] 'thumb', 'index', and the rig \[device\]"),
+        ({}, {"commands.endpoint": "off"}, "takes no commands, and an experiment needs them"),
+        ({"rig": "falcon"}, {}, "no Falcon .* is attached"),
     ],
 )  # fmt: skip
-def test_what_the_device_does_not_display_is_refused_before_the_first_trial(
-    changes: dict[str, Any], said: str, tmp_path: Path
+def test_what_cannot_be_run_is_refused_before_anything_is_written(
+    changes: dict[str, Any], rig: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
-    """Above the rig's own limit, and above what the open device displays: the levels would feel alike. It has had no
-    tick then, and the journal no session."""
-    made, running = Experiment(experiment() | changes), settings(tmp_path)
-    weak = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
-    with pytest.raises(ConfigError, match=said):
-        made.run(tmp_path / "out", 1, running._replace(rig={**running.rig, **weak}))
-    assert read(tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl") == []
+    """More than the rig's own limit and than the open device displays, where levels would feel alike; a scene of one
+    condition that cannot take the place of another's; no commands; no such device. No folder is left, so that the
+    command is repeated as if nothing had been."""
+    running = settings(tmp_path)
+    with pytest.raises(HapticError, match=said):
+        Experiment(experiment() | changes).run(tmp_path / "out", 1, running._replace(rig={**running.rig, **rig}))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_session_ends_where_its_recording_does_and_runs_that_trial_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file may not grow any more while the second trial is felt: the force fades out, no trial follows, and one
+    sentence says what, where and what to do. With room the same command presents that trial again, and no other."""
+    out, force, before = tmp_path / "out", list[float](), resource.getrlimit(resource.RLIMIT_FSIZE)
+    own, take, touch = out / "sub-01", Haptics._take, Haptics.touch
+    presented = list[int]()
+
+    def presents(self: Haptics, stimulus: Stimulus) -> Felt:
+        presented.append(stimulus.trial)
+        return touch(self, stimulus)
+
+    def takes(self: Haptics, sample: Sample) -> None:
+        take(self, sample)
+        force.append(float(np.linalg.norm(self.newest[""].data.force)) if "" in self.newest else 0.0)
+        if presented and presented[-1] == 2 and force[-1] > 0.3:
+            size = (own / "sub-01_run-01_ticks.mcap").stat().st_size
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+
+    monkeypatch.setattr(Haptics, "touch", presents)
+    monkeypatch.setattr(Haptics, "_take", takes)
+    try:
+        with pytest.raises(RecordingError) as ended:
+            Experiment(experiment()).run(out, 1, settings(tmp_path))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    monkeypatch.undo()
+    what = re.escape(str(own / "sub-01_run-01_ticks.mcap")) + r": the recording ends after \d+ ticks: File too large: "
+    assert re.fullmatch(what + "the force is off, and no answer before is lost: make room .* this trial again",
+                        str(ended.value))  # fmt: skip
+    assert presented == [1, 1, 2]
+    assert force[-1] == 0.0 and max(force) > 0.3 and np.abs(np.diff(force)).max() <= SLEW_N
+    journal = own / "sub-01_journal.jsonl"
+    assert [entry["kind"] for entry in read(journal)] == ["started", "begun", "done", "begun"]
+    rows = Experiment(experiment()).run(out, 1, settings(tmp_path))
+    assert [(row["trial"], row["attempt"]) for row in rows] == [(1, 1), (2, 2)]
+    run = load_run(own / "sub-01_run-02_ticks.mcap", ("force",))
+    assert {event["data"]["trial"] for event in marks(run, "touch")} == {2}
+    ticks = pd.read_csv(own / "trials" / "sub-01_trial-0002_attempt-2.csv")
+    assert np.isin(ticks["tick"], run.first["tick"]).all() and len(ticks) > 1000
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:

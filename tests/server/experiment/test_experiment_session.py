@@ -29,6 +29,7 @@ from softfinger.server.experiment.experiment import Experiment, Running, results
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.folder import Folder, load
 from softfinger.server.experiment.journal import Journal, read
+from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
 
@@ -178,7 +179,9 @@ def test_an_entry_that_the_disk_takes_half_of_is_not_there(tmp_path: Path) -> No
 
 def test_ticks_that_the_disk_takes_half_of_are_not_there(tmp_path: Path) -> None:
     """The table of a trial is whole or missing, and its trial has no answer then."""
-    folder = Folder(tmp_path, Experiment(small()).file, 1, {})
+    file = Experiment(small()).file
+    folder = Folder(tmp_path, file, 1, {})
+    Session(file, 1).begin(folder)
     table = tmp_path / "sub-01" / "trials" / "sub-01_trial-0001.csv"
     rows = [{"tick": tick} for tick in range(1000)]
     with (
