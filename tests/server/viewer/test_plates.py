@@ -1,0 +1,77 @@
+"""Two plates side by side, felt apart in the browser: each drags as its friction in the library says.
+
+A file of its own, since the daemon begins with the plates: to choose them on the page would have them compiled beside a
+browser that is painted by a processor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from helpers.browser import Screen, eventually, why_none
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.config.materials import materials
+from softfinger.server.app import Daemon
+from softfinger.server.remote import Client
+
+pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+
+RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
+FELT = ("paper", "rubber")
+"""Neighbours in the scene, of which rubber has more than twice the kinetic friction."""
+SLIDING = 2
+STROKE_S = 0.05
+"""Between two keys: each leads the hand a millimetre on."""
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    """A hand above the near end of the first of the two: from the middle of the scene, keys would have a long way."""
+    scene = load_scene("plates")
+    x, y, _ = next(plate.position_m for plate in scene.object if plate.name == FELT[0])
+    rig = load_rig("simulated-hand", RIG | {"device.position_m": [x, y - 0.02, 0.01]})
+    with Daemon(rig, scene, scene_name="plates") as running:
+        running.start()
+        yield running
+
+
+def drags(screen: Screen, client: Client, number: int) -> list[float]:
+    """Drag by normal force in ticks in which a pressed plate slides, while keys stroke it away from the person."""
+    found = list[float]()
+    with client.subscribe(("contact",)) as ticks:
+
+        def stroked() -> bool:
+            screen.page.keyboard.press("i")
+            while (sample := ticks.receive(0.0)) is not None:
+                contact = sample.data.contact
+                if (contact.mode, contact.object) == (SLIDING, number) and contact.normal_force > 0.2:
+                    found.append(float(np.hypot(*sample.data.force[:2])) / contact.normal_force)
+            return len(found) > 50
+
+        assert eventually(stroked, every_s=STROKE_S)
+    return found
+
+
+def test_two_plates_side_by_side_are_felt_apart(screen: Screen, client: Client) -> None:
+    """Pressed and stroked by keys: where a plate slides, the drag is its kinetic friction times the normal force,
+    whatever the speed; rubber's is more than twice that of paper."""
+
+    def lead(key: str, until: Callable[[], bool]) -> None:
+        assert eventually(lambda: until() or screen.page.keyboard.press(key), every_s=STROKE_S)
+
+    def place() -> np.ndarray:
+        return np.array(client.get_state().position)
+
+    for number, plate in enumerate(load_scene("plates").object):
+        if plate.name not in FELT:
+            continue
+        lead("u", lambda: place()[2] > 0.008)
+        lead("l", lambda plate=plate: place()[0] > plate.position_m[0] - 0.002)
+        lead("k", lambda: place()[1] < -0.015)
+        lead("o", lambda: client.get_state().force[2] > 0.5)
+        friction = materials()[plate.name].values["friction"]["kinetic"]
+        # The coupling swings on for some ticks where sliding begins, hence the middle one of all.
+        assert np.median(drags(screen, client, number)) == pytest.approx(friction, rel=0.02)
