@@ -28,7 +28,15 @@ from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.all_devices import put_wrench
-from softfinger.server.loop.clock import NS_PER_S, first_pace, next_pace, now_ns, period_ns, sleep_until
+from softfinger.server.loop.clock import (
+    NS_PER_S,
+    first_pace,
+    next_pace,
+    now_ns,
+    period_ns,
+    sleep_until,
+    with_suspension,
+)
 from softfinger.server.loop.guard import DISENGAGED, Guard, Guarded, guard_wrench
 from softfinger.server.loop.health import STALL_POLL_S, Watchdog
 from softfinger.server.progress import progress
@@ -197,7 +205,7 @@ def exchange_loop(
     guarded, number, ending, status = DISENGAGED, 0, shutdown.FINISHED, 0
     ticks = load_acquire(words, _TICKS)
     begun = now_ns(timespec)
-    pace = first_pace(begun, span.period_ns, 0)
+    pace = first_pace(begun, span.period_ns, 0, timespec)
 
     while span.waiting == 1 or number < rows.shape[0]:
         if load_acquire(words, _ENOUGH) != 0 or (span.waiting == 1 and load_acquire(words, _NEXT) != 0):
@@ -206,6 +214,7 @@ def exchange_loop(
         if span.period_ns > 0:
             sleep_until(pace.deadline, timespec)
         woke = now_ns(timespec)
+        pace = with_suspension(pace, woke, timespec)
         if 0 <= span.limit_ns < woke - begun:
             break
         done = exchange_once(io, empty, guard, guarded, pushed(push, number * nominal), pace.dt, nominal, scratch)

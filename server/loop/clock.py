@@ -1,4 +1,8 @@
-"""The clock of a loop: two libc calls, made without the GIL, and the grid of deadlines that it keeps."""
+"""The clock of a loop: two libc calls, made without the GIL, and the grid of deadlines that it keeps.
+
+Monotonic time, and with it a sleep until a deadline, stands still while the machine is suspended: no deadline is missed
+by that. CLOCK_BOOTTIME goes on, and tells that a tick began later than its deadline says.
+"""
 
 from typing import Final, NamedTuple
 
@@ -14,6 +18,11 @@ CLOCK_BOOTTIME: Final = 7
 TIMER_ABSTIME: Final = 1
 EINTR: Final = 4
 NS_PER_S: Final = 1_000_000_000
+SUSPENSION_MIN_S: Final = 0.1
+"""A shorter one is none, but a thread that had to wait between its readings of two clocks; the guard carries a force
+over so long a pause."""
+SUSPENSION_MAX_S: Final = 1.0
+"""What counts of a longer one: enough for all that ends with a pause, and no filter has to bear an hour."""
 
 _timespec = types.CPointer(types.int64)
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, _timespec))
@@ -31,8 +40,7 @@ def now_ns(timespec: NDArray[np.int64]) -> int:
 
 @jit
 def suspended_ns(now: int, timespec: NDArray[np.int64]) -> int:
-    """How long the machine has been suspended since its start, in ns, as monotonic time does not show; `now` (ns) has
-    just been read, and what passed since then is in it."""
+    """How long the machine has been suspended since its start, ns, where monotonic time has just been `now` (ns)."""
     _clock_gettime(CLOCK_BOOTTIME, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1] - now
 
@@ -70,19 +78,30 @@ def sleep_until(deadline_ns: int, timespec: NDArray[np.int64]) -> None:
 
 
 class Pace(NamedTuple):
-    """Where a loop stands on its grid: the next deadline (ns), deadlines skipped before it, missed in all, and the
-    time (s) from one tick to the next, a period when none was skipped."""
+    """Where a loop stands on its grid: the next deadline (ns), deadlines skipped before it, missed in all, the time (s)
+    from one tick to the next, a period when none was skipped, and how long (ns) the machine has been suspended."""
 
     deadline: int
     skipped: int
     missed: int
     dt: float
+    suspended: int
 
 
 @jit
-def first_pace(now: int, period: int, missed: int) -> Pace:
-    """The pace before the first tick, due a period (ns) from `now` (ns); `missed` by the loops before this one."""
-    return Pace(now + period, 0, missed, period / NS_PER_S)
+def first_pace(now: int, period: int, missed: int, timespec: NDArray[np.int64]) -> Pace:
+    """The pace before the first tick, due a period (ns) from `now` (ns), which it is; `missed` by the loops before."""
+    return Pace(now + period, 0, missed, period / NS_PER_S, suspended_ns(now, timespec))
+
+
+@jit
+def with_suspension(pace: Pace, woke: int, timespec: NDArray[np.int64]) -> Pace:
+    """The pace of a tick that begins at `woke` (ns), which it is: with a suspension in the time since the last one."""
+    suspended = suspended_ns(woke, timespec)
+    dt, slept = pace.dt, (suspended - pace.suspended) / NS_PER_S
+    if slept > SUSPENSION_MIN_S:
+        dt += min(slept, SUSPENSION_MAX_S)
+    return Pace(pace.deadline, pace.skipped, pace.missed, dt, suspended)
 
 
 @jit
@@ -95,7 +114,7 @@ def next_pace(pace: Pace, now: int, period: int) -> Pace:
     if period > 0 and now > deadline:
         skipped = (now - deadline) // period + 1
         deadline += skipped * period
-    return Pace(deadline, skipped, pace.missed + skipped, period / NS_PER_S * (1 + skipped))
+    return Pace(deadline, skipped, pace.missed + skipped, period / NS_PER_S * (1 + skipped), pace.suspended)
 
 
 def period_ns(rate_hz: float) -> int:

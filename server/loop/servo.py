@@ -6,7 +6,7 @@ ring of records and an eventfd that tells the reader a record is there. `servo_t
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
@@ -31,15 +31,13 @@ from softfinger.server.loop.all_devices import (
     write_zeros,
 )
 from softfinger.server.loop.bodies import move_bodies
-from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, suspended_ns
-from softfinger.server.loop.guard import PAUSE_MAX_S
+from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, with_suspension
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
 from softfinger.server.loop.shared.ring import Ring, push
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, tick
 
-SUSPENDED_MAX_S: Final = 1.0
 _eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
 
 
@@ -94,14 +92,6 @@ def newest_parameters(
 
 
 @jit
-def with_suspension(dt: float, slept_ns: int) -> float:
-    """The time since the last tick, s, where the machine was suspended for `slept_ns` meanwhile: a force is not carried
-    over that. Of a long one a second counts, which ends whatever a pause ends, and no filter has to bear an hour."""
-    slept = slept_ns / NS_PER_S
-    return dt + min(slept, SUSPENDED_MAX_S) if slept > PAUSE_MAX_S else dt
-
-
-@jit
 def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
     """The loop's part of a record: when it was due, began and was written, ns; `busy` is of the tick before."""
     return Stamp(
@@ -133,13 +123,10 @@ def servo_loop(
     timespec, lines = scratch.timespec, scratch.lines
     seen = refresh(shared.tuning, -1, scratch.values)
     stay(scratch.way, scratch.values)
-    tuning, memory = unpack(tuning_like, scratch.way.now), start
+    tuning, memory, health = unpack(tuning_like, scratch.way.now), start, HEALTHY
     nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
-    health, dt = HEALTHY, nominal
-    now = now_ns(timespec)
-    suspended = suspended_ns(now, timespec)
-    pace = first_pace(now, schedule.period_ns, load_acquire(shared.progress, 1))
+    pace = first_pace(now_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1), timespec)
 
     while load_acquire(shared.stop, 0) == 0:
         if number == schedule.ticks:
@@ -147,9 +134,8 @@ def servo_loop(
             break
         sleep_until(pace.deadline, timespec)
         woke = now_ns(timespec)
-        before, suspended = suspended, suspended_ns(woke, timespec)
-        if not schedule.own_clock:
-            dt = with_suspension(dt, suspended - before)
+        pace = with_suspension(pace, woke, timespec)
+        dt = nominal if schedule.own_clock else pace.dt
 
         seen, tuning = newest_parameters(shared.tuning, seen, scratch.values, scratch.way, tuning)
         befores, statuses = read_all(ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
@@ -177,9 +163,8 @@ def servo_loop(
         busy = done - woke
         pace = next_pace(pace, done, schedule.period_ns)
         store_release(shared.progress, 1, pace.missed)
-        dt = nominal if schedule.own_clock else pace.dt
         bits, place = guarded_bits(lines)
-        health, fault = examine(health, bits, stamp.late, dt, nominal)
+        health, fault = examine(health, bits, stamp.late, nominal if schedule.own_clock else pace.dt, nominal)
         if fault != 0:
             ending, finger = fault, place
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
