@@ -111,11 +111,9 @@ class Recordings:
             recorder = self._recorder
             if recorder is None:
                 raise RecordingError("nothing is being recorded")
-            if recorder.recorded.error and self._failure is not None:
+            if error := recorder.recorded.error:
                 failure, self._failure = self._failure, None
-                raise failure
-            if recorder.recorded.error:
-                raise RecordingError(f"{self._path}: the recording has ended: {recorder.recorded.error}")
+                raise failure or RecordingError(f"{self._path}: the recording has ended: {error}")
             return recorder.written_to
 
     def written(self) -> Written:

@@ -470,19 +470,6 @@ def test_a_name_cut_short_means_those_that_begin_so() -> None:
     assert near("crc16", CHECKS) == " (did you mean 'crc16-ccitt' or 'crc16-modbus'?)"
 
 
-def test_a_long_list_of_faults_begins_with_the_first() -> None:
-    """A mistake that was pasted eighty times says so in a screen, and keeps all for those who list them."""
-    bad = scene()
-    bad["object"] += [{"name": f"box{number}", "shape": "plane", "oops": 1} for number in range(80)]
-    with pytest.raises(FaultyConfig) as caught:
-        build(Scene, bad, "bad.toml")
-    first, *lines = str(caught.value).splitlines()
-    count = len(caught.value.faults)
-    assert count >= 80 and first == f"{count} faults:"
-    assert lines[:-1] == [f"  {fault}" for fault in caught.value.faults[:12]]
-    assert lines[-1] == f"  and {count - 12} more: mend these first"
-
-
 def test_all_faults_are_reported_at_once() -> None:
     """Faults of syntax, of range and across tables come in one error, none hiding another."""
     bad = scene()

@@ -131,6 +131,19 @@ def test_keys_without_number_are_counted(tmp_path: Path) -> None:
     assert len(str(caught.value)) < 4000
 
 
+def test_a_long_list_of_faults_begins_with_the_first(tmp_path: Path) -> None:
+    """A mistake that was pasted eighty times says so in a screen, and keeps all for those who list them."""
+    path = tmp_path / "pasted.toml"
+    path.write_text("".join(f'[[object]]\nname = "o{number}"\nshape = "plane"\noops = 1\n' for number in range(80)))
+    with pytest.raises(FaultyConfig) as caught:
+        load_scene(path)
+    first, *lines = str(caught.value).splitlines()
+    faults = caught.value.faults
+    assert len(faults) >= 80 and first == f"{len(faults)} faults:"
+    assert lines[:-1] == [f"  {fault}" for fault in faults[: len(lines) - 1]]
+    assert lines[-1] == f"  and {len(faults) - len(lines) + 1} more: mend these first" and len(lines) < 25
+
+
 # --- overrides -------------------------------------------------------------------------------------
 
 

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+from urllib.error import URLError
+from urllib.request import urlopen
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,16 @@ def why_none() -> str:
     except ImportError:
         return "no playwright: make setup"
     return ""
+
+
+def answered(address: str) -> int:
+    """The status of a page's answer, once anything answers there."""
+    while True:
+        try:
+            with urlopen(address, timeout=60.0) as answer:
+                return int(answer.status)
+        except URLError:
+            time.sleep(0.02)
 
 
 def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:

@@ -11,21 +11,18 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from urllib.parse import urlsplit
-from urllib.request import urlopen
 
 import pytest
-import viser
 import zmq
 from emulators.serialboard import Board
+from helpers.browser import answered
 from test_kills import gone, of_kind
 from test_process_faults import end, read
 from test_signals import START_S, ZERO, pressing, until
 from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
-from websockets.typing import Origin, Subprotocol
 
 from softfinger.server.wire.client import subscribe
+from softfinger.tools.bench.soak import connect_to_page
 
 pytestmark = pytest.mark.real_time
 
@@ -42,22 +39,8 @@ def take_memory(pid: int) -> None:
 
 def look_on(address: str, closing: ExitStack) -> None:
     """One more browser that takes what the page sends; refused where the page has just ended."""
-    where = urlsplit(address)
     with suppress(OSError, WebSocketException):
-        opened = connect(
-            f"ws://{where.netloc}{where.path}",
-            origin=Origin(f"http://{where.netloc}"),
-            subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
-            max_size=None,
-        )
-        closing.enter_context(opened)
-
-
-def served(address: str) -> bool:
-    """Whether the page answers."""
-    with suppress(OSError), urlopen(address, timeout=START_S) as answer:
-        return bool(answer.status == 200)
-    return False
+        closing.enter_context(connect_to_page(address))
 
 
 def process_of(process: subprocess.Popen[str], kind: str, other: int = 0) -> int:
@@ -119,7 +102,7 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
         ended = next(line for line in process.stderr if "the page has ended" in line)
         assert "started again, 1 of 3 times" in ended
         assert process_of(process, "page", other=page)
-        until(lambda: served(address), START_S, "the page's answer")
+        assert answered(address) == 200
         assert least() > 0.0
         end(process)
         assert board.force == ZERO

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -37,6 +37,9 @@ from softfinger.tools.bench.loop import compile_reference, run_reference
 from softfinger.tools.bench.telemetry import await_messages, source
 from softfinger.tools.bench.view import viewer
 from softfinger.tools.measure import Array, add_output_options, show
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
 
 SUBSCRIBERS: Final = 4
 CHANGE_S: Final = 0.1
@@ -318,19 +321,24 @@ def receive(endpoint: str) -> None:
     print(lost)
 
 
-def look_on(address: str) -> None:
-    """A client of the page's socket: takes what a browser is sent, and answers nothing."""
+def connect_to_page(address: str) -> ClientConnection:
+    """The socket of the page at an address, as a browser opens it."""
     import viser
     from websockets.sync.client import connect
     from websockets.typing import Origin, Subprotocol
 
     where = urlsplit(address)
-    with connect(
+    return connect(
         f"ws://{where.netloc}{where.path}",
         origin=Origin(f"http://{where.netloc}"),
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,
-    ) as page:
+    )
+
+
+def look_on(address: str) -> None:
+    """A client of the page's socket: takes what a browser is sent, and answers nothing."""
+    with connect_to_page(address) as page:
         print("at work", flush=True)
         for _ in page:
             pass

@@ -14,12 +14,11 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from urllib.error import URLError
 from urllib.parse import urlsplit
-from urllib.request import url2pathname, urlopen
+from urllib.request import url2pathname
 
 import pytest
-from helpers.browser import browser, eventually, shown, why_none
+from helpers.browser import answered, browser, eventually, shown, why_none
 
 from softfinger.server.viewer.door.process import RESTARTS
 
@@ -64,23 +63,13 @@ def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
             os.kill(page, signal.SIGKILL)
             ended = next(line for line in process.stderr if "the page has ended" in line)
             assert f"exit code -9; the servo goes on; it is started again, {restart + 1} of {RESTARTS} times" in ended
-            assert served(address) == 200
+            assert answered(address) == 200
         os.kill(child_of(process), signal.SIGKILL)
         ended = next(line for line in process.stderr if "the page has ended" in line)
         assert "exit code -9" in ended and "softfinger view --endpoint tcp://127.0.0.1:" in ended
         process.send_signal(signal.SIGINT)
         rest = process.stderr.read()
         assert "force is zero" in rest and "the page has ended" not in rest
-
-
-def served(address: str) -> int:
-    """The status of a page's answer, once anything answers there."""
-    while True:
-        try:
-            with urlopen(address, timeout=60.0) as answer:
-                return int(answer.status)
-        except URLError:
-            time.sleep(0.02)
 
 
 def test_a_page_that_is_ended_stays_away() -> None:
