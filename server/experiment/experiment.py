@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.config.words import shown
 from softfinger.server import signals
@@ -22,7 +22,7 @@ from softfinger.server.experiment import files, rigs
 from softfinger.server.experiment.answers import DryRun, Person
 from softfinger.server.experiment.design import Condition, conditions
 from softfinger.server.experiment.folder import Folder, load, trials_in
-from softfinger.server.experiment.haptics import AGAIN, Haptics
+from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.journal import Entry, Journal, Memory
 from softfinger.server.experiment.masses import scene_with
 from softfinger.server.experiment.session import Nothing, Session, Stopped
@@ -167,7 +167,7 @@ class Experiment:
             haptics = Haptics(
                 client, self.file, self._scene, models, lambda: _check(daemon.wait, looks),
                 lambda changed: daemon.replace(rig=load_rig(rig, {**values, **changed})),
-                lambda: _kept_to(daemon.recordings.kept_to),
+                daemon.recordings.kept_to,
             )  # fmt: skip
             yield haptics, client.describe()
 
@@ -223,14 +223,6 @@ def _check(ended: Callable[[float], bool], looks: Iterable[Callable[[], None]]) 
         look()
     if ended(ENDED_S):
         raise Stopped("stopped; the same command goes on at this trial")
-
-
-def _kept_to(ask: Callable[[], int]) -> int:
-    """The last tick that the recording has; of one that has ended, RecordingError says what to do."""
-    try:
-        return ask()
-    except RecordingError as error:
-        raise RecordingError(f"{error}{AGAIN}") from error
 
 
 def _checked(participant: int) -> int:

@@ -80,7 +80,7 @@ class Haptics:
         Raises RecordingError where its ticks are not in the recording: a trial without them is not to be answered.
         """
         client = self.client
-        self._kept_to()
+        self._recorded_to()
         self.release()
         ramp_s = self._change(stimulus)
         self._lead_back(max(self._experiment.trial.gap_s, ramp_s))
@@ -108,10 +108,17 @@ class Haptics:
             "the force does not become zero",
         )
 
+    def _recorded_to(self) -> int:
+        """The last tick that the recording has; of one that has ended, RecordingError says what to do."""
+        try:
+            return self._kept_to()
+        except RecordingError as error:
+            raise RecordingError(f"{error}{AGAIN}") from error
+
     def _wait_for_disk(self, ticks: list[dict[str, Any]]) -> None:
         """Return when the recording has these ticks; a disk that stalls is given some time."""
         until = time.monotonic() + DISK_S
-        while ticks and self._kept_to() < ticks[-1]["tick"]:
+        while ticks and self._recorded_to() < ticks[-1]["tick"]:
             if time.monotonic() > until:
                 raise RecordingError(f"the disk has not taken the ticks of the touch within {DISK_S:g} s{AGAIN}")
             self.wait(SLICE_S)
@@ -186,7 +193,7 @@ class Haptics:
         while (passed := time.monotonic() - begun) < experiment.trial.touch_s:
             for name in moved:
                 self._lead(name, passed)
-            self._kept_to()  # a long touch is not gone on with for nothing
+            self._recorded_to()  # a long touch is not gone on with for nothing
             self.wait(SLICE_S)
             target = experiment.task.target_m
             if target is not None and self._near(target, experiment.task.target_radius_m):
