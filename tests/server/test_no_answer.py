@@ -39,7 +39,6 @@ def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
         yield address
 
 
-@pytest.mark.timeout(60)
 def test_a_command_without_an_answer_ends(endpoint: str) -> None:
     """Also where libzmq has hung up on the peer, as it does on the telemetry's address."""
     with Control(endpoint, WAIT_S) as control:
@@ -49,7 +48,6 @@ def test_a_command_without_an_answer_ends(endpoint: str) -> None:
             time.sleep(WAIT_S)
 
 
-@pytest.mark.timeout(60)
 def test_each_of_many_clients_of_a_publisher_ends(tmp_path: Path) -> None:
     """libzmq hangs up at any moment after `connect`: between a look whether it takes a request and the request, too."""
     with zmq.Context() as context, context.socket(zmq.PUB) as peer:
@@ -62,7 +60,6 @@ def test_each_of_many_clients_of_a_publisher_ends(tmp_path: Path) -> None:
                         control.get_state()
 
 
-@pytest.mark.timeout(60)
 def test_a_command_of_asyncio_without_an_answer_ends(endpoint: str) -> None:
     """The same, and the loop goes on meanwhile."""
 
@@ -76,7 +73,6 @@ def test_a_command_of_asyncio_without_an_answer_ends(endpoint: str) -> None:
     asyncio.run(ask())
 
 
-@pytest.mark.timeout(60)
 def test_more_requests_than_libzmq_keeps_end_each(tmp_path: Path) -> None:
     """It keeps a thousand for a peer that is not there."""
     with Control(f"ipc://{tmp_path}/nobody", 0.0) as control:

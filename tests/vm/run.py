@@ -127,9 +127,8 @@ def guest_environment() -> dict[str, str]:
         "LANG": "C.UTF-8",
         "NUMBA_CPU_NAME": "generic",
         "SOFTFINGER_CACHE_DIR": "/run/kernels",
-        # Not looked for, which takes seconds: the one that pyproject.toml has a setting of is named.
+        # Plugins are not looked for, which takes seconds.
         "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
-        "PYTEST_PLUGINS": "pytest_timeout",
         "SOFTFINGER_VM": "1",
     }
 
