@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import html
 import io
 import logging
@@ -36,6 +37,9 @@ Array = NDArray[np.float64]
 FRAME_S: Final = 1.0 / 30.0
 TEXT_S: Final = 0.2
 PLOT_S: Final = 0.33
+COLLECT_S: Final = 60.0
+"""CPython keeps 2000 freed tuples of each length, 4 MB in all, until it collects garbage among all objects: by itself
+so rarely that a page grew for the best part of an hour."""
 TITLE: Final = "softfinger"
 READ: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
@@ -261,11 +265,15 @@ def scene_of(described: dict[str, Any]) -> schema.Scene:
 def each_frame(work: Callable[[float], None], asked: list[bool], duration: float | None) -> None:
     """Call `work(dt)` some 30 times a second until asked to stop, once anything is in the list; never faster than the
     page is drawn. A signal may ask: an event's lock would be held by whom the signal holds up."""
-    began = last = time.monotonic()
+    gc.freeze()  # what is there by now stays, and makes no collection long
+    began = last = collected = time.monotonic()
     while not asked:
         time.sleep(max(0.0, last + FRAME_S - time.monotonic()))
         now = time.monotonic()
         work(now - last)
         last = now
+        if now - collected > COLLECT_S:
+            gc.collect()
+            collected = now
         if duration is not None and now - began >= duration:
             return
