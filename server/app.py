@@ -226,6 +226,10 @@ class Daemon:
             fields["blackbox"] = self.blackbox.due(name)
         self._send(kind, name, fields)
 
+    def page_ended(self, said: str) -> None:
+        """Publish that the page beside this daemon has ended, which nobody asked for."""
+        self._event("fault", "page", message=said)
+
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
         """An event of now: the same tick and time for everybody."""
         event = event_map(self.servo.moment(), kind, name, fields)

@@ -188,7 +188,7 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a page that is killed or gets no more memory", "the daemon", "none", "as before",
-        "it is started again at the same address, three times in a run", (),
+        "it is started again at the same address, three times in a run", ("fault page",),
         ("tests/server/viewer/test_page_process.py::test_a_page_that_dies_is_started_again_at_the_same_address",
          "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again"),
     ),

@@ -161,7 +161,8 @@ class Experiment:
             looks = list[Callable[[], None]]()
             if running.view:
                 loudness = [] if log.isEnabledFor(logging.INFO) else ["-q"]
-                page = Shown(daemon.publisher.endpoint, daemon.commands_endpoint, loudness, Role.PARTICIPANT)
+                ends = daemon.publisher.endpoint, daemon.commands_endpoint
+                page = Shown(*ends, loudness, daemon.page_ended, Role.PARTICIPANT)
                 opened.callback(page.close)
                 looks.append(page.look)
             haptics = Haptics(

@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         if args.view:
             loudness = ["-q"] if args.quiet else ["-v"] if args.verbose else []
-            page = Shown(daemon.publisher.endpoint, daemon.commands_endpoint, loudness)
+            page = Shown(daemon.publisher.endpoint, daemon.commands_endpoint, loudness, daemon.page_ended)
         if args.record is not None:
             daemon.recordings.record(args.record, args.scene)
         if args.watcher:

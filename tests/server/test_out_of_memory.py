@@ -106,5 +106,5 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
         assert least() > 0.0
         end(process)
         assert board.force == ZERO
-    ticks, _ = read(recording)
-    assert ticks == list(range(len(ticks)))
+    ticks, events = read(recording)
+    assert ticks == list(range(len(ticks))) and "page" in [name for name, _ in events]

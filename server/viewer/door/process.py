@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,6 +22,8 @@ from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
 
+START_S: Final = 60.0
+"""Time that the page has to say its address; by itself it takes a second, several on a busy machine."""
 END_S: Final = 10.0
 """Time that the page has to end; by itself it takes a tenth of a second."""
 RESTARTS: Final = 3
@@ -51,16 +54,23 @@ class Shown:
     """`softfinger view` of a daemon, a process of its own: nothing that goes wrong there stops the servo.
 
     Says where the page is, and waits for that; ConfigError where the daemon takes no commands (None). `loudness` is the
-    option for what it logs. A page that dies is started again at the same address, RESTARTS times, so that a browser
-    that shows it goes on.
+    option for what it logs. A page that says no address within START_S is ended. One that dies is started again at the
+    same address, RESTARTS times, so that a browser that shows it goes on; `tell` is called with what has happened.
     """
 
-    def __init__(self, telemetry: str, commands: str | None, loudness: list[str], role: Role = Role.OPERATOR) -> None:
+    def __init__(
+        self,
+        telemetry: str,
+        commands: str | None,
+        loudness: list[str],
+        tell: Callable[[str], None],
+        role: Role = Role.OPERATOR,
+    ) -> None:
         if commands is None:
             raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
         self._words = ["view", "--endpoint", telemetry, "--commands", commands]
         self._words += [] if role == Role.OPERATOR else ["--role", role.value]
-        self._loudness, self._restarts, self._over = loudness, 0, False
+        self._loudness, self._tell, self._restarts, self._over = loudness, tell, 0, False
         self._process = self._started("")
         try:
             self._address = self._said()
@@ -85,26 +95,35 @@ class Shown:
         return process
 
     def _said(self) -> str:
-        """The address that it says; empty where it ends before that."""
-        assert self._process.stdout is not None
-        with self._process.stdout as said:
-            return said.readline().strip()
+        """The address that it says; empty where it ends before that, or has to be ended, since it says nothing."""
+        process = self._process
+        assert process.stdout is not None
+        ender = threading.Timer(START_S, process.kill)
+        ender.daemon = True
+        ender.start()
+        try:
+            with process.stdout as said:
+                return said.readline().strip()
+        finally:
+            ender.cancel()
 
     def look(self) -> None:
         """Start a page again that has died, or say, once, that it has ended."""
         if self._over or (code := self._process.poll()) is None:
             return
-        if self._address and code not in ASKED and self._restarts < RESTARTS:
+        said = f"the page has ended, with exit code {code}; the servo goes on"
+        follows = bool(self._address) and code not in ASKED and self._restarts < RESTARTS
+        if follows:
             self._restarts += 1
-            log.warning(
-                "the page has ended, with exit code %d; the servo goes on; it is started again, %d of %d times, at the "
-                "same address", code, self._restarts, RESTARTS,
-            )  # fmt: skip
+            said += f"; it is started again, {self._restarts} of {RESTARTS} times, at the same address"
+        else:
+            said += f"; to see it again: {program()} {shlex.join(self._words)}"
+        log.warning("%s", said)
+        if code not in ASKED:
+            self._tell(said)
+        self._over = not follows
+        if follows:
             self._restart()
-            return
-        self._over = True
-        again = f"{program()} {shlex.join(self._words)}"
-        log.warning("the page has ended, with exit code %d; the servo goes on; to see it again: %s", code, again)
 
     def _restart(self) -> None:
         """At its old port, with its old token, and without another window of a browser."""

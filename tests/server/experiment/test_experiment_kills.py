@@ -75,8 +75,12 @@ def killed(words: list[str], journal: Path, rng: random.Random) -> None:
     size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     until = size() + (rng.randrange(1, 1500) if rng.random() < 0.8 else 0)
+    over = time.monotonic() + WAIT_S
     while size() < until and process.poll() is None:
         time.sleep(1e-3)
+        if time.monotonic() > over:
+            process.kill()
+            pytest.fail("the session does not go on")
     time.sleep(rng.random() * (0.1 if until else 2.0))
     if rng.random() < 0.3:
         for child in children(process.pid):

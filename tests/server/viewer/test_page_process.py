@@ -20,34 +20,42 @@ from urllib.request import url2pathname
 import pytest
 from helpers.browser import answered, browser, eventually, shown, why_none
 
+from softfinger.server.viewer.door import process as of_page
 from softfinger.server.viewer.door.process import RESTARTS
 
 pytestmark = pytest.mark.real_time
 
+WAIT_S = 120.0
+"""Of each test: a cold start compiles."""
+
 
 def child_of(process: subprocess.Popen[str]) -> int:
     """The page's process, once it is there; the publisher is another child, and threads have children of their own."""
-    while True:
+    while process.poll() is None:
         for children in Path(f"/proc/{process.pid}/task").glob("*/children"):
             for child in children.read_text().split():
                 with suppress(OSError):  # it has ended meanwhile
                     if b"\0view\0" in Path(f"/proc/{child}/cmdline").read_bytes():
                         return int(child)
         time.sleep(0.01)
+    raise AssertionError("the daemon has ended")
 
 
 @contextmanager
 def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """`run --view`, and the address of its page."""
+    """`run --view`, and the address of its page. It is ended, with all that it has started, when its time is over."""
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off", *ends, "--view", *more]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:
         assert process.stderr is not None
+        timer = threading.Timer(WAIT_S, os.killpg, (process.pid, signal.SIGKILL))
+        timer.start()
         try:
             first = next(line for line in process.stderr if "compiling kernel" not in line)
             assert "the page is http://localhost:" in first
             yield process, first.split()[4].rstrip(";")
         finally:
+            timer.cancel()
             process.kill()
 
 
@@ -81,13 +89,29 @@ def test_a_page_that_is_ended_stays_away() -> None:
         assert "to see it again: " in ended
 
 
+def test_a_page_that_says_nothing_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A daemon whose page hangs as it starts goes on without it, and tells."""
+    hangs = tmp_path / "python"
+    hangs.write_text("#!/bin/sh\nexec sleep 600\n")
+    hangs.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(hangs))
+    monkeypatch.setattr(of_page, "START_S", 0.2)
+    told: list[str] = []
+    shown = of_page.Shown(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], told.append)
+    shown.look()
+    shown.close()
+    assert len(told) == 1 and "the page has ended, with exit code -9" in told[0]
+
+
 def test_a_page_ends_with_its_daemon() -> None:
     """One that is killed takes no leave of it."""
     with run_with_page() as (process, _):
         page = Path(f"/proc/{child_of(process)}")
         process.kill()
+        until = time.monotonic() + WAIT_S
         with suppress(OSError):  # it is gone
             while "State:\tZ" not in (page / "status").read_text():  # a zombie, where nobody reaps
+                assert time.monotonic() < until
                 time.sleep(0.01)
 
 
@@ -111,6 +135,9 @@ def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, mo
         ExitStack() as failing,
     ):
         failing.callback(process.kill)
+        timer = threading.Timer(WAIT_S, process.kill)
+        timer.start()
+        failing.callback(timer.cancel)
         assert process.stdout is not None
         address = process.stdout.readline().strip()
         while not (tmp_path / "words").exists():
