@@ -93,7 +93,7 @@ def begin(block: Block, fd: int, times: Times, answer: int = 1) -> None:
 
 
 class Board(Protocol):
-    """What a rig says of any board."""
+    """Keys of a rig for any board."""
 
     @property
     def mounting(self) -> Mounting: ...

@@ -66,7 +66,7 @@ def load(name: str) -> ModuleType:
 
 
 def options(config: DeviceConfig, where: str = "[device]") -> Any:
-    """What a rig says of its device, as its driver's Options; ConfigError for what that does not know."""
+    """The [device] table of a rig as its driver's Options; ConfigError for a key or value that it refuses."""
     return build(load(config.driver).Options, config.options, where)
 
 

@@ -57,6 +57,7 @@ _UNITS: Final = {
     "_s_per_m": "s/m",
     "_hz": "Hz",
     "_pa": "Pa",
+    "_per_nm": "/(N m)",
     "_nm": "N m",
     "_rad": "rad",
     "_kg": "kg",

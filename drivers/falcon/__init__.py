@@ -1,6 +1,6 @@
 """The Novint Falcon, over libusb.
 
-What a rig may say is in `options`, the bytes in `packets`, the mechanism in `delta`, the serial chip and the bus in
+A rig's keys are in `options`, the bytes in `packets`, the mechanism in `delta`, the serial chip and the bus in
 `usb`, the start of the device's processor in `firmware`, the exchange of a tick in `exchange`; `device` puts them
 together.
 

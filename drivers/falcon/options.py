@@ -1,4 +1,4 @@
-"""What a rig's [device] table may say for `driver = "falcon"`."""
+"""Keys of a rig's [device] with `driver = "falcon"`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rig may say of numbers in the bytes of a device: where each is, its type, and what it means."""
+"""A rig's keys of numbers in the bytes of a device: where each is, its type, and what it means."""
 
 from __future__ import annotations
 

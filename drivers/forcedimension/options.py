@@ -1,4 +1,4 @@
-"""What a rig's [device] table may say for `driver = "forcedimension"`."""
+"""Keys of a rig's [device] with `driver = "forcedimension"`."""
 
 from __future__ import annotations
 
@@ -36,15 +36,22 @@ class Options(Table, frozen=True, kw_only=True):
     serial: Annotated[int, within(SERIAL, "serial number of the only device to accept")] | None = None
     number: Annotated[int, within(NUMBER, "which device, as the library counts them from 0", 0)] | None = None
     calibrate: Annotated[bool, said("let the device calibrate itself when it has to: IT MOVES BY ITSELF")] = False
-    gravity_compensation: Annotated[bool, said("let the library carry the handle's weight, on top of the force")] = (
-        False
-    )
+    gravity_compensation: Annotated[
+        bool, said("let the library carry the handle's weight, on top of the force; the guard does not see it")
+    ] = False
     brakes: Annotated[bool, said("the handle drags while the force is off; false: it is let go, and falls")] = True
-    watchdog_s: Annotated[float, within(WATCHDOG_S, "the device turns force off after so long without one", 0.03)] = (
-        0.03
-    )
+    watchdog_s: Annotated[
+        float,
+        within(WATCHDOG_S, "the device turns force off after so long without one, at least two ticks; 0: never", 0.03),
+    ] = 0.03
     velocity_threshold: (
-        Annotated[int, within(VELOCITY_THRESHOLD, "above it the device turns force off; absent: as it is")] | None
+        Annotated[
+            int,
+            within(
+                VELOCITY_THRESHOLD, "in the maker's own unit; above it the device turns force off; absent: as it is"
+            ),
+        ]
+        | None
     ) = None
     status_period_s: Annotated[
         float, within(STATUS_S, "how often the loop asks whether the device has turned its force off", 0.05)

@@ -1,4 +1,4 @@
-"""What a rig's [device] table may say for `driver = "haply"`."""
+"""Keys of a rig's [device] with `driver = "haply"`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rig may say of a HID device: which one, its reports byte by byte, its kinematics, its limits."""
+"""A rig's keys of a HID device: which one, its reports byte by byte, its kinematics, its limits."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class Reports(Table, frozen=True, kw_only=True):
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """What a rig's [device] table may say for `driver = "hid"`."""
+    """Keys of a rig's [device] with `driver = "hid"`."""
 
     vendor_id: Annotated[int, within(USB_ID, "USB vendor", 0x1234)]
     product_id: Annotated[int, within(USB_ID, "USB product", 0x0006)]

@@ -1,4 +1,4 @@
-"""What a rig may say of the mechanism between the joints of a device and its end."""
+"""A rig's keys of the mechanism between the joints of a device and its end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rig's [device] table may say for `driver = "openhaptics"`."""
+"""Keys of a rig's [device] with `driver = "openhaptics"`."""
 
 from __future__ import annotations
 

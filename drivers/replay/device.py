@@ -54,7 +54,7 @@ DAMPING_MAX_NS_PER_M: Final = 1e3
 
 
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a rig's [device] table may say for `driver = "replay"`."""
+    """Keys of a rig's [device] with `driver = "replay"`."""
 
     recording: Annotated[str, said("file (.csv, .npz, .mcap) or name of a shipped recording", "press-roll-spin-drag")]
     finger: Annotated[str, said("whose poses of a recording of several fingers; empty: of a single one", "thumb")] = ""

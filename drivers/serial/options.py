@@ -1,4 +1,4 @@
-"""What a rig may say of a device on a serial port: which one, its frames, its mechanism, limits and silences."""
+"""A rig's keys of a device on a serial port: which one, its frames, its mechanism, limits and silences."""
 
 from __future__ import annotations
 

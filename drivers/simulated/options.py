@@ -1,4 +1,4 @@
-"""What a rig may say of a simulated device, and the numbers that its plant and its hand come to.
+"""A rig's keys of a simulated device, and the numbers that its plant and its hand come to.
 
 Kept apart from the device itself: a study without a clock needs these and no C functions.
 """
@@ -48,7 +48,7 @@ class Hand(Table, frozen=True, kw_only=True):
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """What a rig's [device] table may say for `driver = "simulated"`; what is left out is the preset's."""
+    """Keys of a rig's [device] with `driver = "simulated"`; what is left out is the preset's."""
 
     preset: Annotated[Literal["omega.3", "omega.6", "falcon"], said("device whose numbers are taken", "omega.6")] = (
         "omega.6"

@@ -34,7 +34,7 @@ REPORT_MAX: Final = 64
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """What a rig may say of a puck: `[device]` of `driver = "spacemouse"`, or the `puck` of a simulated device."""
+    """Keys of a puck: `[device]` of `driver = "spacemouse"`, or the `puck` of a simulated device."""
 
     path: Annotated[str, said("node, in place of looking for one", "/dev/hidraw0")] | None = None
     serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None

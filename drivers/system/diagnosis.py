@@ -91,7 +91,7 @@ def makers_library(driver: str) -> Any:
 
 
 def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
-    """What a rig says of a device; another driver's rig has no say."""
+    """The keys of a rig for a device; a rig of another driver has none."""
     return rig.options if rig is not None and rig.driver == claim.driver else {}
 
 

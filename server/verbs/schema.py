@@ -125,7 +125,12 @@ def markdown(kind: str) -> str:
 
 
 def key_tables(struct_type: type[msgspec.Struct], name: str = "") -> str:
-    """The tables of a struct that stands at `name` in the file, as Markdown; equal ones are listed once."""
+    """The tables of a struct that stands at `name` in the file, as Markdown."""
+    return "\n\n".join(f"### {heading}\n\n{body}" for heading, body in sections(struct_type, name))
+
+
+def sections(struct_type: type[msgspec.Struct], name: str = "") -> list[tuple[str, str]]:
+    """Headings and bodies of the tables of a struct that stands at `name` in the file; equal ones are listed once."""
     kinds: dict[str, list[TableRows]] = {}
     for table in tables(struct_type, name):
         kinds.setdefault(table.name, []).append(table)
@@ -140,14 +145,14 @@ def key_tables(struct_type: type[msgspec.Struct], name: str = "") -> str:
         listed.setdefault(body, {}).setdefault("" if len(same) > 1 else same[0].meaning, []).append(
             f"`{at}`" if at else "Top of the file"
         )
-    return "\n\n".join(_section(body, meanings) for body, meanings in listed.items())
+    return [_section(body, meanings) for body, meanings in listed.items()]
 
 
-def _section(body: str, meanings: dict[str, list[str]]) -> str:
-    """Heading, meaning and keys; of tables that have the same keys, each with what it is."""
-    heading = f"### {', '.join(name for names in meanings.values() for name in names)}"
+def _section(body: str, meanings: dict[str, list[str]]) -> tuple[str, str]:
+    """Heading; meaning and keys; of tables that have the same keys, each with what it is."""
+    heading = ", ".join(name for names in meanings.values() for name in names)
     said = "\n".join(f"- {', '.join(names)}: {meaning}" for meaning, names in meanings.items())
-    return "\n\n".join(filter(None, [heading, next(iter(meanings)) if len(meanings) == 1 else said, body]))
+    return heading, "\n\n".join(filter(None, [next(iter(meanings)) if len(meanings) == 1 else said, body]))
 
 
 def _added(whole: dict[str, list[Row]], rows: list[Row]) -> str:
@@ -224,7 +229,7 @@ def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
 
 def _path(name: str, field: inspect.Field) -> tuple[str, bool]:
     bare = name.strip("[]")
-    kind, _ = _bare(field.type)
+    kind, _ = unwrapped(options(field.type)[0])  # of several tables each is in the same place
     path = f"{bare}.{field.encode_name}" if bare else field.encode_name
     if isinstance(kind, inspect.DictType):
         path += ".NAME"

@@ -612,10 +612,3 @@ def test_readings_of_garbage(stub: Stub, bench: StubBench, cases: Callable[[int,
         fuzz(io.read, io.write, io.handle, np.zeros(SAMPLE_SIZE), np.zeros(6), out, cases(20_000, 1_000_000))
         assert out[:2].tolist() == [0, 0]
         assert stub["peak"] <= 12.0 and math.isfinite(stub.norm())
-
-
-def test_page_lists_every_option() -> None:
-    """docs/devices/forcedimension.md has a row for each key of the rig, and no other."""
-    page = (Path(__file__).parents[2] / "docs" / "devices" / "forcedimension.md").read_text("utf-8")
-    part = page.split("## What a rig may say\n", 1)[1].split("\n## ", 1)[0]
-    assert re.findall(r"^\| `(\w+)` \|", part, re.M) == list(forcedimension.Options.__struct_fields__)

@@ -543,10 +543,3 @@ def test_the_same_device_twice_is_busy(hd: HdStub, bench: TouchBench) -> None:
             bench.open_unarmed()
         hd.after(3)
         assert Servo(first).read()[0] == OK
-
-
-def test_page_lists_every_option() -> None:
-    """docs/devices/touch.md has a row for each key of the rig, and no other."""
-    page = (Path(__file__).parents[2] / "docs" / "devices" / "touch.md").read_text("utf-8")
-    part = page.split("## What a rig may say\n", 1)[1].split("\n## ", 1)[0]
-    assert re.findall(r"^\| `(\w+)` \|", part, re.M) == list(openhaptics.Options.__struct_fields__)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.materials import flat, papers
-from softfinger.drivers.serial.options import Options
+from softfinger.drivers import registry
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
 from softfinger.server.faults import HAZARDS, SEEN_IN, Hazard
 from softfinger.server.loop.guard import GUARD_NAMES
@@ -50,14 +50,25 @@ def rigs() -> str:
 # Rigs: every key
 
 A rig file (TOML) names the device and sets the servo loop, the safety limits and the interfaces: [write a
-rig](../operate/scenes.md#write-a-rig). `softfinger schema rig` prints these tables as JSON Schema. {_KEYS}"""
-    serial = """\
-[A board on a serial port](../devices/serial.md) has these further keys. `kinematics` is the same for
-[`hid`](../devices/hid.md), and `field` for its reports."""
-    return _page(
-        head, "## Shipped rigs", _listed("rigs"), "## Keys", schema.markdown("rig"),
-        "## Keys of the driver `serial`", " ".join(serial.split()), schema.key_tables(Options, "[device]"),
-    )  # fmt: skip
+rig](../operate/scenes.md#write-a-rig). [Each driver](drivers.md) has further keys. `softfinger schema rig` prints these
+tables as JSON Schema. {_KEYS}"""
+    return _page(head, "## Shipped rigs", _listed("rigs"), "## Keys", schema.markdown("rig"))
+
+
+def drivers() -> str:
+    """Every key of every driver; tables that two drivers share stand once."""
+    head = """\
+# Drivers: every key
+
+Keys of a rig's `[device]` besides `driver`; several devices have a table `[devices.NAME]` each.
+[Devices](../devices/overview.md) shows their use."""
+    parts, seen = [], dict[str, str]()
+    for name in registry.BUILT_IN:
+        parts.append(f"## `{name}`")
+        for heading, body in schema.sections(registry.load(name).Options, "[device]"):
+            first = seen.setdefault(body, f"{heading} of `{name}`")
+            parts.append(f"### {heading}\n\n{body if first.endswith(f' of `{name}`') else f'As {first}.'}")
+    return _page(head, *parts)
 
 
 def experiments() -> str:
@@ -290,6 +301,7 @@ and the models beside what was published; `softfinger materials NAME` prints one
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "scenes.md": scenes,
     "rigs.md": rigs,
+    "drivers.md": drivers,
     "experiments.md": experiments,
     "record.md": record,
     "telemetry.md": telemetry,
