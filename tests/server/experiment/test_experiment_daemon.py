@@ -238,13 +238,15 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
 
 def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsys: pytest.CaptureFixture[str]) -> None:
     """Each touch begins with a command and with `arm`: it is compared once the velocity's filter has settled, 40 time
-    constants of some milliseconds, so more than half of the ticks of the touches are, and all agree to the bit."""
+    constants of some milliseconds, so more than half of the ticks of the touches are, and all agree to the bit. After a
+    tick that was late it has to settle again, so where a deadline was missed fewer are compared."""
     folder, run = session
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
     found = json.loads(capsys.readouterr().out)
     felt = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
-    assert found["different"] == 0 and felt / 2 < found["compared"] <= felt
+    late = run.first["servo.missed"][-1] > run.first["servo.missed"][0]
+    assert found["different"] == 0 and (0 if late else felt / 2) < found["compared"] <= felt
 
 
 def test_what_was_felt_is_drawn_by_condition(session: tuple[Path, Run]) -> None:
