@@ -55,6 +55,16 @@ def test_parameters_are_counted() -> None:
     assert isinstance(made, ast.FunctionDef) and parameters(made.args) == 5
 
 
+def test_no_failing_test_waits_for_its_program() -> None:
+    """The block of a Popen ends with its program, which may run for ever: tests have helpers.programs.Program."""
+    found = []
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.withitem) and ast.unparse(node.context_expr).startswith("subprocess.Popen("):
+                found.append(f"{name(path)}:{node.context_expr.lineno}")
+    assert found == []
+
+
 def test_the_map_is_true() -> None:
     """Every file and folder that CONTRIBUTING names is there."""
     page = (ROOT / "CONTRIBUTING.md").read_text("utf-8")

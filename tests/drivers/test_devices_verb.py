@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from emulators.boards import BOARDS
 from helpers.haply_devices import Service
+from helpers.programs import Program
 from test_hid_emulated import WHY_NOT, beside
 
 from softfinger.config.errors import DeviceNotFound
@@ -279,7 +280,7 @@ def test_a_holder_is_named(root: Path) -> None:
     node = root / "hidraw0"
     node.write_bytes(b"")
     code = "import sys; kept = open(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
-    with subprocess.Popen(
+    with Program(
         [sys.executable, "-c", code, str(node)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as other:
         assert other.stdout is not None and other.stdin is not None

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.drd_stub import Stub, StubBench, bench, plugged_in, stub, stub_library
+from helpers.programs import Program
 
 from softfinger.config.errors import (
     ConfigError,
@@ -445,7 +446,7 @@ def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
     with (
         plugged_in(0x0402, nodes=nodes, privileged=True),
         (nodes / "001" / "005").open() as node,
-        subprocess.Popen(["sleep", "60"], stdin=node) as holder,
+        Program(["sleep", "60"], stdin=node) as holder,
     ):
         with pytest.raises(DeviceBusy, match=rf"held by \w+ \({holder.pid}\)"):
             bench.open()

@@ -12,6 +12,8 @@ import termios
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from helpers.programs import Program
+
 _PART = re.compile(r"\x1b\[([0-9;?]*)([A-Za-z])|(\r)|(\n)|([^\x1b\r\n])", re.DOTALL)
 
 
@@ -64,10 +66,7 @@ def on_terminal(
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     kept = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
-    process = subprocess.Popen(
-        words, stdin=theirs, stdout=theirs, stderr=theirs, env=kept | {"TERM": "xterm-256color"} | variables
-    )
-    os.close(theirs)
+    environment = kept | {"TERM": "xterm-256color"} | variables
 
     def written() -> Iterator[str]:
         rest = b""
@@ -81,9 +80,10 @@ def on_terminal(
                 rest = b""
                 yield text
 
-    try:
-        yield process, written()
-    finally:
-        process.kill()
-        process.wait()
-        os.close(ours)
+    with Program(words, stdin=theirs, stdout=theirs, stderr=theirs, env=environment) as process:
+        os.close(theirs)
+        try:
+            yield process, written()
+        finally:
+            process.kill()
+    os.close(ours)

@@ -28,6 +28,7 @@ from helpers.called import Done, called
 from helpers.faulty_device import FaultyDevice, Options
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
+from helpers.programs import Program
 from helpers.two_fingers import pressed_by_two, two_devices
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
@@ -913,7 +914,7 @@ def test_raw_peers_take_neither_memory_nor_ticks(rig):
         first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), kept.megabytes
         # Another process: in this one they would take the time of the daemon's threads and of the clients.
         words = [sys.executable, raw_peers.__file__, daemon.commands_endpoint, str(RAW_S)]
-        with subprocess.Popen(words, stdout=subprocess.PIPE) as peers:
+        with Program(words, stdout=subprocess.PIPE) as peers:
             assert peers.stdout.readline() == b"at work\n"
             answered = 0
             while peers.poll() is None:
@@ -942,7 +943,7 @@ def test_a_daemon_of_its_own_ends_by_stop(tmp_path):
         "--realtime",
         "off",
     ]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as daemon:
+    with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         try:
             lines = []
             while not any(f"commands on ipc://{tmp_path}/c" in line for line in lines):

@@ -21,6 +21,7 @@ import pytest
 import zmq
 from helpers.called import called
 from helpers.encoder import contact_map
+from helpers.programs import Program
 from helpers.telemetry_records import synthetic
 from zmq.utils.monitor import recv_monitor_message
 
@@ -186,7 +187,7 @@ def test_keys_are_asked_for_by_the_next_publisher_too(ring: Ring) -> None:
 def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
     """SIGKILL of the daemon: the process beside it leaves by itself."""
     words = [*COMMAND, "run", "--rig", str(ring.rig)]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as daemon:
+    with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         try:
             assert next(line for line in daemon.stderr if "telemetry for other machines on" in line)
             children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
@@ -334,7 +335,7 @@ def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
         ticking(publisher),
-        subprocess.Popen([*words, "--from", publisher.endpoint], env=env, stdout=subprocess.PIPE) as process,
+        Program([*words, "--from", publisher.endpoint], env=env, stdout=subprocess.PIPE) as process,
     ):
         try:
             source = f"softfinger {publisher.endpoint}"

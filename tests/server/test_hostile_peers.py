@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.programs import Program
 
 from softfinger.proxy.record import AT
 from softfinger.server.publishing.front import FILES_MAX, MEMORY_MAX
@@ -211,7 +212,7 @@ def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subproce
     """A process that publishes ten ticks a period until it is told to end; its endpoint, its ticks in memory, and the
     process that sends them."""
     words = [sys.executable, "-W", "error", "-c", SERVER, endpoint, str(Path(__file__).parents[1]), str(period_s)]
-    with subprocess.Popen(
+    with Program(
         [*words, str(BACKLOG)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
         try:
@@ -417,8 +418,8 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
         words = [sys.executable, "-c", STOPPED, bound]
         never_read = [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"]
         with (
-            subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as stopped,
-            subprocess.Popen(never_read, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as silent,
+            Program(words, stdout=subprocess.PIPE, text=True) as stopped,
+            Program(never_read, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as silent,
             Subscription(bound, ("contact",)) as watching,
         ):
             try:
@@ -441,14 +442,14 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
 def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
     """SIGTERM ends `softfinger run` within 2 s though a subscriber is stopped and another never reads."""
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as daemon:
+    with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         assert daemon.stderr is not None
         bound = next(line for line in daemon.stderr if "telemetry on" in line).split("telemetry on ")[1].strip()
         rest = threading.Thread(target=daemon.stderr.read)  # it must not wait for this process either
         rest.start()
         with (
-            subprocess.Popen([sys.executable, "-c", STOPPED, bound], stdout=subprocess.PIPE, text=True) as stopped,
-            subprocess.Popen(
+            Program([sys.executable, "-c", STOPPED, bound], stdout=subprocess.PIPE, text=True) as stopped,
+            Program(
                 [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"],
                 stderr=subprocess.DEVNULL,
             ) as silent,

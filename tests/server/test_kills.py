@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 from emulators.serialboard import Board, Cable
+from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
 
 from softfinger.config.errors import RecordingError
@@ -126,7 +127,7 @@ def test_a_kill_at_any_moment_leaves_nothing_behind(kills: int, tmp_path: Path) 
         start_to_end(tmp_path, rig)  # with its kernels compiled a start comes to its ticks before most kills
         for number, kind in zip(range(kills), itertools.cycle(VICTIMS)):
             recording, told = tmp_path / f"{number}.mcap", tmp_path / f"{number}.log"
-            with told.open("wb") as log, subprocess.Popen(
+            with told.open("wb") as log, Program(
                 command(tmp_path, rig, "--record", str(recording)), stderr=log
             ) as process:  # fmt: skip
                 try:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.programs import Program
 from helpers.telemetry_records import synthetic
 
 from softfinger.config.errors import ConfigError
@@ -163,7 +164,7 @@ def test_a_reader_that_sleeps_is_woken_by_the_end_and_by_a_tick():
         "    print(rows.tolist(), flush=True)\n"
     )
     words = [sys.executable, "-c", code, made.name]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+    with Program(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "open\n"
         made.broadcast.slots[0] = 7.0
         made.broadcast.head[0] = 1
@@ -184,7 +185,7 @@ time.sleep(1000)
 def test_what_a_killed_daemon_leaves_is_known_to_be_dead_and_cleared_away():
     """Its readers see the end; the next daemon removes it, and not that of one that lives."""
     living = make_memory(16, 4)
-    with subprocess.Popen([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True) as process:
+    with Program([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True) as process:
         name = process.stdout.readline().strip()
         with Local(name) as ticks:
             assert not ticks.ended

@@ -16,6 +16,7 @@ import time
 
 import numpy as np
 import pytest
+from helpers.programs import Program
 from helpers.telemetry_records import put, synthetic
 from rich.console import Console
 
@@ -130,7 +131,7 @@ def test_not_a_number_becomes_null():
     """A nan in a message does not make the JSON unreadable."""
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
-        subprocess.Popen(
+        Program(
             command("--endpoint", publisher.endpoint, "--json", "--once"), stdout=subprocess.PIPE, text=True
         ) as process,
     ):
@@ -144,9 +145,7 @@ def test_not_a_number_becomes_null():
 
 def test_reader_that_has_enough_ends_it_quietly(endpoint):
     """A closed pipe (head) ends the monitor with code 0 and no traceback."""
-    with subprocess.Popen(
-        command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with Program(command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert "sliding" in process.stdout.readline()
         process.stdout.close()
         assert process.stderr.read() == ""
@@ -155,9 +154,7 @@ def test_reader_that_has_enough_ends_it_quietly(endpoint):
 
 def test_interrupt_ends_it_quietly(endpoint):
     """SIGINT is the usual way out: code 0, no traceback."""
-    with subprocess.Popen(
-        command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with Program(command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert "sliding" in process.stdout.readline()
         process.send_signal(signal.SIGINT)
         assert process.stderr.read() == ""
@@ -180,7 +177,7 @@ def test_stream_that_stops_is_said_and_waited_for():
     """After the server falls silent the lines say for how long, and the last tick stays."""
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
-        subprocess.Popen(
+        Program(
             command("--endpoint", publisher.endpoint, "--timeout", "30"), stdout=subprocess.PIPE, text=True
         ) as process,
     ):
@@ -208,7 +205,7 @@ def in_terminal(arguments, rows=40, columns=100):
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
-    with subprocess.Popen(
+    with Program(
         command(*arguments), stdin=theirs, stdout=theirs, stderr=theirs, env=environment | {"TERM": "xterm-256color"}
     ) as process:
         os.close(theirs)

@@ -14,6 +14,7 @@ import msgpack
 import numba
 import pytest
 import zmq
+from helpers.programs import Program
 from helpers.terminal import Screen, on_terminal
 from numba.core import event
 
@@ -144,7 +145,7 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
         daemon.rcvtimeo = 60_000  # ms: what ctl asks first is up to it
         daemon.bind(endpoint)
         words = ["ctl", "set_scene", "scene=sphere", "--endpoint", endpoint]
-        asking = subprocess.Popen(
+        asking = Program(
             [sys.executable, "-m", "softfinger.server.cli", *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -15,6 +15,7 @@ import zmq
 from helpers.encoder import contact_map, state_map
 from helpers.hapticore_client import Client, HapticState
 from helpers.plotjuggler import complaints, prefix_complaints
+from helpers.programs import Program
 from helpers.telemetry_records import join, put, synthetic
 
 from softfinger.config.errors import SafetyStop
@@ -275,9 +276,7 @@ with Daemon(rig, load_scene("paper-plane")) as daemon:
 
 def test_a_thread_that_keeps_the_interpreter_does_not_hold_up_ticks(sockets):
     """While one thread of the daemon holds the interpreter lock for 0.9 s, ticks and states go on arriving."""
-    with subprocess.Popen(
-        [sys.executable, "-c", HELD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
+    with Program([sys.executable, "-c", HELD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             socket = sockets(process.stdout.readline().strip(), b"contact", b"state")
             socket.rcvtimeo = 120_000  # kernels may have to be compiled

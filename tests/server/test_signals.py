@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 from emulators.serialboard import Board, Cable
+from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
 
 from softfinger.config.errors import DeviceError
@@ -400,7 +401,7 @@ print("left with", os.waitstatus_to_exitcode(status), flush=True)
 def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
     """A verb that holds a device and has no pause: zero before the process stops, and with `fg` it ends in order."""
     ours, theirs = pty.openpty()
-    with subprocess.Popen([sys.executable, "-c", SHELL, JOB], stdin=theirs, stdout=theirs, stderr=theirs) as shell:
+    with Program([sys.executable, "-c", SHELL, JOB], stdin=theirs, stdout=theirs, stderr=theirs) as shell:
         os.close(theirs)
         timer = threading.Timer(START_S, shell.kill)
         timer.start()

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from helpers.programs import Program
 
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.load import load_rig, load_scene
@@ -141,7 +142,7 @@ def test_the_page_and_the_gateway_find_commands_that_the_rig_names(folder: Path,
         page.close()
     there = f"ipc://{folder.parent}/there"
     words = ["forward", "--from", named.publisher.endpoint, "--commands-to", there]
-    with subprocess.Popen([sys.executable, "-m", "softfinger.server.cli", *words]) as gateway:
+    with Program([sys.executable, "-m", "softfinger.server.cli", *words]) as gateway:
         try:
             with Control(there, WAIT_S) as control:
                 assert control.describe()["endpoints"]["telemetry"] == named.publisher.endpoint

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.programs import Program
 from test_experiment_design import small
 
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
@@ -305,7 +306,7 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
     file.write_text(EXPERIMENT)
     ours, theirs = pty.openpty()
     try:
-        with subprocess.Popen(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
+        with Program(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             assert "Which?" in process.stdout.readline()
             os.write(ours, b"1")
@@ -318,7 +319,7 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
             assert "Which?" in process.stdout.readline()
             process.send_signal(signal.SIGINT)
             assert process.wait(WAIT_S) == 130 or process.returncode == 0
-        with subprocess.Popen(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
+        with Program(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             assert "Which?" in process.stdout.readline()
             with Client(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", timeout_s=WAIT_S) as client:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.programs import Program
 from helpers.recorded import about, event, recorded, run
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -457,7 +458,7 @@ def test_a_run_whose_recording_failed_says_so_in_its_exit_code(tmp_path: Path) -
     command = [*COMMAND, "run", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--record", str(path)]
     # So many kB are enough for the ticks in shared memory, and for a second of a recording.
     limited = ["bash", "-c", 'ulimit -f 7000; exec "$@"', "limited", *command, "--rate", "8000"]
-    with subprocess.Popen(limited, stderr=subprocess.PIPE, text=True) as process:
+    with Program(limited, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         said = []
         for line in process.stderr:

@@ -16,6 +16,7 @@ import msgpack
 import pytest
 import viser
 from helpers.fuzzing import mutated
+from helpers.programs import Program
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
@@ -74,7 +75,7 @@ def test_spoiled_messages_cost_a_browser_its_page_at_most(seconds: float, tmp_pa
     seeds = [msgpack.packb(each) for each in SAID]
     chance = random.Random(25 if seconds < 5.0 else None)
     log = tmp_path / "said"
-    with log.open("wb") as said, subprocess.Popen(
+    with log.open("wb") as said, Program(
         [sys.executable, "-c", PAGE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, text=True
     ) as page:  # fmt: skip
         assert page.stdout is not None

@@ -19,6 +19,7 @@ from urllib.request import url2pathname
 
 import pytest
 from helpers.browser import answered, browser, eventually, shown, why_none
+from helpers.programs import Program
 
 from softfinger.server.viewer.door import process as of_page
 from softfinger.server.viewer.door.process import RESTARTS
@@ -46,7 +47,7 @@ def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """`run --view`, and the address of its page. It is ended, with all that it has started, when its time is over."""
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off", *ends, "--view", *more]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:
+    with Program(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:
         assert process.stderr is not None
         timer = threading.Timer(WAIT_S, os.killpg, (process.pid, signal.SIGKILL))
         timer.start()
@@ -131,7 +132,7 @@ def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, mo
     monkeypatch.setenv("DISPLAY", ":0")
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "tap", "--port", "8320"]
     with (
-        subprocess.Popen([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process,
+        Program([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process,
         ExitStack() as failing,
     ):
         failing.callback(process.kill)

@@ -1,0 +1,33 @@
+"""Programs that a test starts."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+from types import TracebackType
+from typing import Any, Final
+
+LIMIT_S: Final = 300.0
+"""How long a program may run: a cold start on a busy machine takes one or two minutes."""
+
+
+class Program(subprocess.Popen[Any]):
+    """A program for the length of a block, which a test that fails does not wait for.
+
+    `Popen` waits at the end of its block until the program ends: one that runs for ever would hold up a test that has
+    failed, and so would a read of what a program says that says nothing.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._over = threading.Timer(LIMIT_S, self.kill)
+        self._over.daemon = True
+        self._over.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None:
+            self.kill()
+        super().__exit__(kind, error, trace)
+        self._over.cancel()
