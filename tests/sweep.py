@@ -5,8 +5,10 @@
 Everything is imported once, with kernels as plain Python and the drivers' exchanges too (helpers/plain_exchange.py).
 The tests are run once without a mistake, which tells what each of them calls, and which fail here, as those that look
 at machine code do: they count for nothing. Then each mistake has a process of its own, a fork, which runs the tests
-that call the function, the quickest first, until one fails. What needs the clock is asked again without the mistake: a
-test that fails then, too, has caught nothing. With --json a sweep goes on where it was ended.
+that call the function, the quickest first, until one fails: the mistake is caught. So it is where the process crashes
+or uses up its time of the processor. Where the wall clock ends the process, or it says nothing, the mistake is
+undecided: not caught, and not kept in the file of --json, with which a sweep goes on where it was ended. What needs the
+clock is asked again without the mistake: a test that fails then, too, has caught nothing.
 
 `[[equivalent]]` of mutants.toml lists what no test can tell, each with its reason.
 """
@@ -27,6 +29,7 @@ import time
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -67,7 +70,17 @@ COMPILED: Final = ("arming_is_the_last_act", "after_a_servo", "ends_with_a_faili
 CPU_S: Final = 60
 """Of the processor, for the tests of one mistake: it may make a loop endless, and a busy machine makes none."""
 WALL_S: Final = 600.0
-CAUGHT, SURVIVED, EQUIVALENT = "caught", "SURVIVED", "equivalent"
+CRASHES: Final = (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGXCPU)
+"""What a mistake can end its process by, the last at its limit of the processor. Other signals are from outside."""
+CAUGHT, SURVIVED, EQUIVALENT, UNDECIDED = "caught", "SURVIVED", "equivalent", "UNDECIDED"
+
+
+class Ended(Enum):
+    """How a fork ended that returned nothing."""
+
+    CRASHED = "by a signal of its own, or at its limit of the processor"
+    LATE = "ended by the wall clock, or from outside"
+    NOTHING = "without a word: what it was to do was not done to the end"
 
 
 class Seen(NamedTuple):
@@ -78,14 +91,14 @@ class Seen(NamedTuple):
 
 
 def in_fork(do: Callable[[], Any], limit_s: int = 0) -> Any:
-    """What `do` returns in a fork of this process, through JSON; None where the fork died or was ended."""
+    """What `do` returns in a fork of this process, through JSON; how the fork ended where it returned nothing."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         os.setpgid(0, 0)
         os.close(reading)
         if limit_s:
-            resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
+            resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 5))  # SIGXCPU, SIGKILL
         with contextlib.suppress(BaseException), open(os.devnull, "r+") as nowhere:
             for stream in (0, 1, 2):
                 os.dup2(nowhere.fileno(), stream)
@@ -95,12 +108,14 @@ def in_fork(do: Callable[[], Any], limit_s: int = 0) -> Any:
     ender = threading.Timer(WALL_S * (1 if limit_s else 10), os.kill, (child, signal.SIGKILL))
     ender.start()
     with open(reading, "rb") as pipe:
-        os.waitpid(child, 0)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         ender.cancel()
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)  # what a test of it has started
         said = pipe.read()
-    return json.loads(said) if said else None
+    if code < 0:
+        return Ended.CRASHED if -code in CRASHES else Ended.LATE
+    return json.loads(said) if said else Ended.NOTHING
 
 
 class Sweep:
@@ -144,7 +159,8 @@ class Sweep:
                     flush=True,
                 )
                 if self.args.json:
-                    self.args.json.write_text(json.dumps(self.results, indent=0), "utf-8")
+                    decided = {name: how for name, how in self.results.items() if not how.startswith(UNDECIDED)}
+                    self.args.json.write_text(json.dumps(decided, indent=0), "utf-8")
         return True
 
     def passes(self, item: Any) -> bool:
@@ -173,10 +189,12 @@ class Sweep:
         seen: dict[str, Seen] = {}
         for name, item in self.items.items():
             found = in_fork(lambda item=item: traced(item), CPU_S)
-            if found is None:
-                print(f"without a mistake it does not pass here: {name}", flush=True)
-            else:
+            if isinstance(found, list):
                 seen[name] = Seen(*found)
+            elif found is Ended.LATE:
+                print(f"without a mistake the wall clock ended it here: {name}", flush=True)
+            else:
+                print(f"without a mistake it does not pass here: {name}", flush=True)
         print(f"{len(seen)} of {len(self.items)} tests pass without a mistake", flush=True)
         return seen
 
@@ -194,32 +212,38 @@ class Sweep:
 
         while True:
             by = in_fork(planted, CPU_S) if tests else ""
-            if by is None:
+            if by is Ended.CRASHED:
                 return f"{CAUGHT} by a crash or an endless loop"
+            if isinstance(by, Ended):
+                return f"{UNDECIDED}: {by.value}"
             if not by:
                 return SURVIVED
             if not self.items[by].get_closest_marker("real_time"):
                 return f"{CAUGHT} by {by}"
-            if in_fork(lambda by=by: self.passes(self.items[by]), CPU_S):
+            passed = in_fork(lambda by=by: self.passes(self.items[by]), CPU_S)
+            if passed in (Ended.LATE, Ended.NOTHING):
+                return f"{UNDECIDED}: {by} without the mistake: {passed.value}"
+            if passed is True:
                 return f"{CAUGHT} by {by}"
             tests.remove(by)
 
 
 def tell(mistakes: Sequence[Any], results: dict[str, str], excused: set[tuple[str, str, str]]) -> int:
-    """A table by part; the survivors that are not listed. Returns how many those are."""
+    """A table by part; the survivors that are not listed, and the undecided. Returns how many those are."""
     rows, survivors = {name: Counter[str]() for name in PARTS}, []
     for mistake in mistakes:
         row = next(rows[name] for name, part in PARTS.items() if mistake.file in part.files)
-        word = results[mistake.name].partition(" ")[0]
+        word = results[mistake.name].partition(" ")[0].rstrip(":")
         if word == SURVIVED:
             word = EQUIVALENT if (mistake.file, mistake.line, mistake.wrong) in excused else SURVIVED
         row[word] += 1
-        if word == SURVIVED:
-            survivors.append(mistake.name)
-    print(f"\n{'part':<14}{'planted':>8}{'caught':>8}{'equivalent':>12}{'survived':>10}")
+        if word in (SURVIVED, UNDECIDED):
+            survivors.append(f"{word} {mistake.name}")
+    print(f"\n{'part':<14}{'planted':>8}{'caught':>8}{'equivalent':>12}{'undecided':>11}{'survived':>10}")
     for part, row in [*rows.items(), ("all", sum(rows.values(), Counter()))]:
         if row.total():
-            print(f"{part:<14}{row.total():>8}{row[CAUGHT]:>8}{row[EQUIVALENT]:>12}{row[SURVIVED]:>10}")
+            counts = f"{row[CAUGHT]:>8}{row[EQUIVALENT]:>12}{row[UNDECIDED]:>11}{row[SURVIVED]:>10}"
+            print(f"{part:<14}{row.total():>8}{counts}")
     print(*survivors, sep="\n")
     return len(survivors)
 
