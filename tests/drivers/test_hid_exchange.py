@@ -1,0 +1,308 @@
+"""The exchange with a HID device call by call: which reports go out, what a report is taken for, what is counted."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, matrix, turned
+from helpers.hid_devices import described
+
+from softfinger.config.load import build
+from softfinger.drivers import conversation as talk
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.conversation import TALK
+from softfinger.drivers.hid import device, exchange
+from softfinger.drivers.hid.device import HidDevice, Options
+from softfinger.drivers.hid.exchange import AT
+
+pytestmark = BY_CALL
+
+FD = 5
+HALF = np.sqrt(0.5)
+MOUNTING = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [HALF, 0.0, 0.0, HALF]}
+ABOUT_Z = turned(2, np.pi / 2)
+ZERO = (0.0,) * 6
+EIO, ETIMEDOUT = 5, 110
+
+
+class Board:
+    """A driver's block with a node by a script, in the middle of a conversation."""
+
+    block: GuardedBlock
+
+    def __init__(self, patch: pytest.MonkeyPatch, **changes: Any) -> None:
+        self.clock, self.node = by_call(patch, exchange, talk, device), File(FD, packets=True)
+        patch.setattr(exchange, "read_now", self._read)
+        patch.setattr(exchange, "write_now", self.node.write)
+        patch.setattr(talk, "poll_fd", lambda *_: 0)
+        given = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
+        self.block = HidDevice(build(Options, given, "rig"), FD)._block
+        self.word = self.block.word
+        self.word[TALK.sensed], self.word[TALK.heard_at] = 1, START_NS
+        self.word[TALK.opened_at] = START_NS - 2000 * MS
+        self.word[TALK.read_at] = self.word[TALK.kicked_at] = START_NS
+
+    def _read(self, fd: int, address: int, size: int) -> int:
+        """No report is read past its buffer."""
+        buffer = next(b for at in (AT.in_buffer, AT.newest) if (b := self.block._kept[at]).ctypes.data == address)
+        assert size == buffer.nbytes
+        return self.node.read(fd, address, size)
+
+    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
+        self.node.comes += comes
+        sample = np.full(SAMPLE_SIZE, np.nan)
+        return self.block.call(exchange.read, sample), sample
+
+    def write(self, *wrench: float) -> int:
+        return self.block.call(exchange.write, wrench)
+
+    def sent(self) -> list[bytes]:
+        """Reports that the board has got since it was last asked for them."""
+        out = self.node.sent[:]
+        self.node.sent.clear()
+        return out
+
+    def counts(self) -> dict[str, int]:
+        """The counters that are not 0."""
+        return {name: count for name, count in self.block.counts().items() if count}
+
+    def pumped(self) -> ctypes.c_int64:
+        """The reports go to a pump from now on, which has handed on so many."""
+        self.taken = ctypes.c_int64()
+        self.word[AT.taken] = ctypes.addressof(self.taken)
+        return self.taken
+
+
+@pytest.fixture
+def board(monkeypatch: pytest.MonkeyPatch) -> Board:
+    """A described device with an orientation, buttons and a gripper."""
+    return Board(monkeypatch)
+
+
+def report(x: float, y: float, z: float, *rest: float, buttons: int = 0, gripper: int = 0) -> bytes:
+    """A report of the device: mm, a quaternion, hundredths of a radian."""
+    return b"\x03" + struct.pack("<7fBB", x, y, z, *(rest or (1.0, 0.0, 0.0, 0.0)), buttons, gripper)
+
+
+def given(x: int, y: int, z: int) -> bytes:
+    """One to it, in mN."""
+    return b"\x04" + struct.pack("<3i", x, y, z)
+
+
+def test_a_report_is_a_pose_in_the_world(board: Board) -> None:
+    """Place and orientation as mounted, buttons and gripper as they are, time from the opening."""
+    q = (0.5, 0.1, -0.7, 0.5)
+    status, sample = board.read(report(250.0, 500.0, -125.0, *q, buttons=6, gripper=50))
+    assert status == OK
+    np.testing.assert_allclose(sample[:3], ABOUT_Z @ (0.25, 0.5, -0.125) + (0.1, 0.2, 0.3), atol=1e-12)
+    np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(q), atol=1e-7)  # a float32 of 0.7
+    assert sample[7:].tolist() == [2.0, 6.0, 0.5]
+    assert board.counts() == {"reports": 1}
+
+
+def test_reports_of_one_tick_are_counted_and_the_newest_is_taken(board: Board) -> None:
+    """Three at once, and one of another kind: two were passed over. The next tick has none."""
+    comes = [report(n, 0.0, 0.0) for n in (1.0, 2.0, 3.0)]
+    status, sample = board.read(comes[0], b"\x07not ours, and longer than ours is", comes[1], comes[2])
+    assert (status, sample[1]) == (OK, pytest.approx(0.203))
+    assert board.counts() == {"reports": 3, "drained": 2, "foreign": 1}
+    assert board.read()[0] == STALE
+    status, sample = board.read(report(4.0, 0.0, 0.0), b"\x07 one behind it")
+    assert (status, sample[1]) == (OK, pytest.approx(0.204))
+    assert board.counts() == {"reports": 4, "drained": 2, "foreign": 2}
+
+
+def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
+    """Of a device that sends without end a tick takes 256 reports, four times what the kernel keeps for a node."""
+    assert board.read(*[report(1.0, 0.0, 0.0)] * 600)[0] == OK
+    assert board.counts() == {"reports": 256, "drained": 255}
+
+
+@pytest.mark.parametrize("spoilt", [lambda r: r[:-1], lambda r: r + b"\0", lambda r: r[:1]])
+def test_a_report_of_another_length_is_a_fault(spoilt: Any, board: Board) -> None:
+    """One byte less and one more are not in the protocol."""
+    assert board.read(spoilt(report(1.0, 0.0, 0.0)))[0] == PROTOCOL
+    assert board.counts() == {}
+
+
+def test_a_node_that_fails_or_ends_is_lost(board: Board) -> None:
+    """An error of the system, and the end of the file."""
+    board.node.comes = [b""]
+    assert board.read()[0] == LOST
+    board.node.error = EIO
+    assert board.read()[0] == LOST
+
+
+@pytest.mark.parametrize(
+    "numbers", [(np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0), (1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0), (0, 0, 0, np.nan, 0, 0, 0)]
+)
+def test_a_report_that_is_no_pose_is_a_fault(numbers: tuple[float, ...], board: Board) -> None:
+    """A number that is none, and a quaternion of zeros; the last sample stays."""
+    _, before = board.read(report(1.0, 0.0, 0.0))
+    assert board.read(report(*numbers))[0] == PROTOCOL
+    assert board.read()[1].tolist() == before.tolist()
+    assert "singular" not in board.counts()
+
+
+def test_reports_without_an_id_begin_with_their_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And without an orientation none is turned."""
+    reports = described()["reports"]
+    fields = [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate("xyz")]
+    out = {**reports["output"], "id": 0}
+    board = Board(monkeypatch, reports={"input": {"bytes": 12, "field": fields}, "output": out})
+    status, sample = board.read(struct.pack("<3f", 0.25, 0.0, 0.0))
+    assert (status, sample[1]) == (OK, pytest.approx(0.45))
+    assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert board.sent() == [b"\0" + struct.pack("<3i", 0, 0, 1000)]
+
+
+def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
+    """In mN; past the largest it is cut, and said so; a zero is a report of zeros."""
+    assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
+    assert board.word[TALK.loaded] == 1
+    assert board.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
+    assert board.word[TALK.loaded] == 1
+    assert board.write(*ZERO) == OK
+    assert board.word[TALK.loaded] == 0
+    assert board.sent() == [given(-1000, -500, 2000), given(2400, 0, -3200), given(0, 0, 0)]
+    assert board.counts() == {"written": 3, "cut": 1}
+    assert board.write(*ZERO) == OK
+    assert board.sent() == [given(0, 0, 0)]  # each is answered, which a tick lives on
+
+
+def test_a_force_that_its_field_cannot_hold_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An int8 of hundredths of a newton ends at 1.27 N."""
+    reports = described()["reports"]
+    fields = [{"meaning": f"force_{k}", "offset": n, "type": "int8", "scale": 100.0} for n, k in enumerate("xyz")]
+    fields += [{"meaning": "constant", "offset": 3, "type": "int8", "scale": 9.0}]
+    reports["output"] = {"bytes": 4, "id": 4, "field": fields}
+    board = Board(monkeypatch, reports=reports, mounting={})
+    assert board.write(0.0, 0.0, 1.27, 0.0, 0.0, 0.0) == OK
+    assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == STALE
+    assert board.sent() == [b"\x04\0\0\x7f\x09"] * 2
+    assert board.counts() == {"written": 2, "cut": 1}
+
+
+def test_what_a_node_says_to_a_report(board: Board) -> None:
+    """Full: the force is held, and the device keeps the one before; a part of it, or an error: the run is over."""
+    for room, error, status in (
+        (0, 0, HELD), (-1, 0, PROTOCOL), (1, 0, PROTOCOL), (12, 0, PROTOCOL),
+        (None, ETIMEDOUT, TIMEOUT), (None, EIO, LOST), (None, 11, HELD),
+    ):  # fmt: skip
+        board.node.room, board.node.error = room, error
+        assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == status
+        assert board.word[TALK.loaded] == 0
+        board.word[TALK.loaded], board.node.room = 1, room
+        assert board.write(*ZERO) == status
+        assert board.word[TALK.loaded] == 1  # the zero has not gone out
+        board.word[TALK.loaded] = 0
+    assert "written" not in board.counts()
+    board.node.room = board.node.error = 0
+    assert board.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == HELD
+    assert board.counts() == {"cut": 1}
+
+
+def test_a_force_waits_for_the_pump(board: Board) -> None:
+    """With two reports that the pump has not handed on no force and no second zero follow; the zero after a force
+    does, and a kick is not sent where a zero waits already."""
+    taken = board.pumped()
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
+    assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
+    assert board.write(*ZERO) == OK
+    assert board.write(*ZERO) == OK
+    assert board.block.call(lambda handle: exchange._wake(exchange.Hid(), handle)) == OK
+    assert board.block.call(exchange.silence) == 1
+    assert board.sent() == [given(0, 0, 1000), given(0, 0, 2000), given(0, 0, 0)]
+    assert board.counts() == {"written": 3, "held": 1, "kicks": 1}
+    taken.value = 2
+    board.word[TALK.armed] = 1
+    assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == OK
+    assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
+    taken.value = 3
+    assert board.write(*ZERO) == OK
+    assert board.sent() == [given(0, 0, 3000), given(0, 0, 0)]
+
+
+def test_a_zero_does_not_wait_where_there_is_room(board: Board) -> None:
+    """With one report under way a second zero goes out."""
+    board.pumped()
+    assert board.write(*ZERO) == OK
+    assert board.write(*ZERO) == OK
+    assert board.write(*ZERO) == OK
+    assert board.sent() == [given(0, 0, 0)] * 2
+
+
+def test_silence_is_kicked_by_the_read(board: Board) -> None:
+    """A zero each `kick_s`, no force, and after `timeout_s` the device is given up."""
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    for _ in range(2):
+        board.clock.now += 11 * MS
+        board.word[TALK.read_at] = board.clock.now
+        assert board.read()[0] in (WITHHELD, STALE)
+        assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert board.sent() == [given(0, 0, 1000), *[given(0, 0, 0)] * 4]
+    assert board.counts() == {"written": 5, "kicks": 2}
+    board.clock.now += 100 * MS
+    board.word[TALK.read_at] = board.clock.now
+    assert board.read()[0] == TIMEOUT
+
+
+def mechanism(kind: dict[str, Any], names: str) -> dict[str, Any]:
+    """Changes of a rig whose device has joints with these names, and nothing else."""
+    fields = {way: [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)]
+              for way, m in (("input", ""), ("output", "torque_"))}  # fmt: skip
+    reports = {way: {"bytes": 4 * len(names), "field": each} for way, each in fields.items()}
+    return {"kinematics": kind, "reports": reports}
+
+
+def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the links of a pantograph are in line there is no torque; elsewhere a force past the motors is cut."""
+    links = {"kind": "pantograph", "base_m": 0.038, "inner_m": 0.07, "outer_m": 0.0875, "torque_max_nm": 0.01}
+    board = Board(monkeypatch, **mechanism(links, "ab"))
+    assert board.read(struct.pack("<2f", np.pi, 0.0))[0] == OK
+    assert board.write(0.0, 5.0, 0.0, 0.0, 0.0, 0.0) == STALE
+    assert board.sent() == [bytes(9)]
+    assert board.counts() == {"reports": 1, "written": 1, "singular": 1}
+    assert board.read(struct.pack("<2f", *np.radians((150.0, 30.0))))[0] == OK
+    assert board.write(0.0, 5.0, 0.0, 0.0, 0.0, 0.0) == STALE
+    assert np.abs(struct.unpack("<2f", board.sent()[0][1:])).max() == pytest.approx(0.01)
+    assert board.counts() == {"reports": 2, "written": 2, "singular": 1, "cut": 1}
+
+
+DELTA = mechanism(
+    {
+        "kind": "delta", "base_m": 0.06, "end_m": 0.03, "arm_m": 0.08, "rod_m": 0.17, "torque_max_nm": 0.2,
+        "origin_m": [0.0, 0.0, 0.2],
+    },
+    "abc",
+)  # fmt: skip
+
+
+def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Legs of a delta that do not meet: a place of NaN, which the guard answers with zero, and no fault."""
+    board = Board(monkeypatch, **DELTA, mounting={})
+    status, sample = board.read(struct.pack("<3f", 0.0, np.pi, 0.0))
+    assert status == OK and np.isnan(sample[:3]).all()
+    assert board.counts() == {"reports": 1, "singular": 1}
+    assert np.isfinite(board.read(struct.pack("<3f", 0.5, 0.5, 0.5))[1]).all()
+    assert board.counts() == {"reports": 2, "singular": 1}
+
+
+def test_torques_of_a_delta_do_the_work_of_the_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    """tau . d(angles) = f . d(place), with the place's change from two samples."""
+    board = Board(monkeypatch, **DELTA, mounting={})
+    angles, step, force = np.array([0.5, 0.6, 0.4]), np.array([1e-3, -2e-3, 3e-3]), np.array([0.3, -0.2, 0.5])
+    ahead = board.read(struct.pack("<3f", *(angles + step)))[1][:3]
+    behind = board.read(struct.pack("<3f", *(angles - step)))[1][:3]
+    board.read(struct.pack("<3f", *angles))
+    assert board.write(*force, 0.0, 0.0, 0.0) == OK
+    torques = np.array(struct.unpack("<3f", board.sent()[0][1:]))
+    # an error of the third order in steps of 3e-3
+    assert torques @ (2 * step) == pytest.approx(force @ (ahead - behind), rel=1e-4)
+    assert (torques != 0.0).all()

@@ -1,0 +1,544 @@
+"""The exchange with a serial board call by call: which bytes go out, what a frame is taken for, what is counted."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, matrix, turned
+from helpers.serial_devices import rig_options
+
+from softfinger.config.load import build
+from softfinger.drivers import conversation as talk
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, WITHHELD
+from softfinger.drivers.conversation import TALK
+from softfinger.drivers.kinematics.mechanism import NONE, make_mechanism
+from softfinger.drivers.serial import device, exchange
+from softfinger.drivers.serial.device import Options, SerialDevice
+from softfinger.drivers.serial.exchange import AT, CHUNK, Model
+
+pytestmark = BY_CALL
+
+FD = 5
+HALF = np.sqrt(0.5)
+MOUNTING = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [HALF, 0.0, 0.0, HALF]}
+ABOUT_Z = turned(2, np.pi / 2)
+TEXT = {"force_max_n": 5.0, "quiet_s": 0.02, "timeout_s": 0.2, "kick_s": 0.1}
+ZERO = (0.0,) * 6
+
+
+def frame(x: float, y: float, z: float, *rest: float) -> bytes:
+    """A text frame of the board: mm, rad, info."""
+    a, b, d, e, info = rest or (0.0, 0.0, 0.0, 0.0, 0)
+    return f"{x:.3f} {y:.3f} {z:.3f} {a:.4f} {b:.4f} {d:.4f} {e:.4f} {info}".ljust(63).encode() + b"\n"
+
+
+def text(*milli: int) -> bytes:
+    """A text frame to the board."""
+    return " ".join(map(str, [*milli, 2, 0, 0, 0])).ljust(63).encode() + b"\n"
+
+
+class Board:
+    """A driver's block with a port by a script, in the middle of a conversation."""
+
+    block: GuardedBlock
+
+    def __init__(self, options: Options, patch: pytest.MonkeyPatch) -> None:
+        self.clock, self.port = by_call(patch, exchange, talk, device), File(FD)
+        patch.setattr(exchange, "read_waiting", self._read)
+        patch.setattr(exchange, "write_now", self.port.write)
+        patch.setattr(talk, "poll_fd", lambda *_: 0)
+        given = options.kinematics
+        mechanism = NONE if given is None else make_mechanism(given, options.force_max_n)
+        opened = SerialDevice.__new__(SerialDevice)  # without the board's answer to its opening
+        opened._options = options
+        self.block = opened._make_block(FD, Model(*options.mounting.frame(), options.force_max_n, mechanism))
+        self.word = self.block.word
+        self.word[TALK.sensed], self.word[TALK.heard_at] = 1, START_NS
+        self.word[TALK.opened_at] = START_NS - 2000 * MS
+        self.word[TALK.read_at] = self.word[TALK.kicked_at] = START_NS
+
+    def _read(self, fd: int, address: int, size: int, word: int) -> int:
+        """Nothing is read past what there is room for."""
+        if self.word[AT.kind] == exchange.TEXT:
+            assert address + size <= self.block.handle + self.word.nbytes
+        else:
+            assert address + size <= self.word[AT.stream] + self.block._kept[AT.stream].nbytes
+        return self.port.read_waiting(fd, address, size, word)
+
+    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
+        self.port.comes += comes
+        sample = np.full(SAMPLE_SIZE, np.nan)
+        return self.block.call(exchange.read, sample), sample
+
+    def write(self, *wrench: float) -> int:
+        return self.block.call(exchange.write, wrench)
+
+    def wake(self) -> int:
+        return self.block.call(lambda handle: exchange._wake(exchange.Serial(), handle))
+
+    def sent(self) -> bytes:
+        """What the board has got since it was last asked for."""
+        out = b"".join(self.port.sent)
+        self.port.sent.clear()
+        return out
+
+    def counts(self) -> dict[str, int]:
+        """The counters that are not 0."""
+        return {name: count for name, count in self.block.counts().items() if count}
+
+
+@pytest.fixture
+def board(monkeypatch: pytest.MonkeyPatch) -> Board:
+    """WoodenHaptics' board, mounted turned and shifted, that has answered everything."""
+    return Board(rig_options(**TEXT, mounting=MOUNTING), monkeypatch)
+
+
+# --- WoodenHaptics' text ---------------------------------------------------------------------------------
+
+
+def test_a_text_frame_is_a_pose_in_the_world(board: Board) -> None:
+    """R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE) and the place, as mounted; info is a word of 16 bits; time from the
+    opening."""
+    a, b, d, e = 0.3, 0.5, 0.7, -1.1
+    status, sample = board.read(frame(10.0, 20.0, -15.0, a, b, d, e, -2))
+    assert status == OK
+    np.testing.assert_allclose(sample[:3], ABOUT_Z @ (0.01, 0.02, -0.015) + (0.1, 0.2, 0.3), atol=1e-12)
+    wanted = ABOUT_Z @ turned(2, a) @ turned(1, -b) @ turned(0, d) @ turned(1, e)
+    np.testing.assert_allclose(matrix(sample[3:7]), wanted, atol=1e-12)
+    assert sample[7:].tolist() == [2.0, 65534.0, 0.0]
+    assert board.counts() == {"bytes": 64, "frames": 1}
+
+
+def test_every_bit_of_info_is_a_button(board: Board) -> None:
+    """Of 16, and of no more."""
+    for info in (1, 2, 32767, -32768, 4096):
+        assert board.read(frame(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, info))[1][8] == info % 65536
+
+
+def test_frames_of_one_tick_are_counted_and_the_newest_is_taken(board: Board) -> None:
+    """Three at once: two were passed over. What makes none is misread, until the next frame."""
+    status, sample = board.read(frame(1.0, 0.0, 0.0) + frame(2.0, 0.0, 0.0) + frame(3.0, 0.0, 0.0))
+    assert (status, sample[1]) == (OK, pytest.approx(0.203))
+    assert board.counts() == {"bytes": 192, "frames": 3, "drained": 2}
+    assert board.read(b"Marlin\n")[0] == STALE
+    assert board.word[TALK.misread] == 7
+    assert board.read(frame(4.0, 0.0, 0.0)[:40])[0] == STALE
+    assert board.word[TALK.misread] == 47
+    assert board.read(frame(4.0, 0.0, 0.0)[40:])[0] == OK
+    assert board.word[TALK.misread] == 0
+    assert board.counts() == {"bytes": 192 + 7 + 64, "frames": 4, "drained": 2}
+
+
+def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
+    """Of a device that sends without end a tick takes 16 kB, four times what the kernel keeps for a port; what is left
+    is the next tick's."""
+    assert board.read(b" " * 40_000)[0] == STALE
+    assert board.counts() == {"bytes": 16 * 1024}
+    assert board.port.reads == 16
+    board.read()
+    board.read()
+    assert board.counts() == {"bytes": 40_000}
+    reads = board.port.reads
+    board.read(b" " * (CHUNK - 1))
+    assert board.port.reads == reads + 1  # a read that brings less has taken all there was
+
+
+def test_a_port_that_fails_is_lost(board: Board) -> None:
+    """Reads, forces and the newline of a wake say so."""
+    board.port.error = 5
+    assert board.read()[0] == LOST
+    assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
+    board.port.error = 0
+    assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+    board.word[TALK.left] = 10
+    board.port.error = 5
+    assert board.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
+    assert board.wake() == LOST
+    board.word[TALK.left] = board.word[TALK.loaded] = 0
+    assert board.wake() == LOST
+
+
+def test_a_force_reaches_the_board_in_its_own_frame(board: Board) -> None:
+    """To the nearest mN, in the frame of the mounting; past the largest it is cut, and said so."""
+    board.read(frame(0.0, 0.0, 0.0))
+    assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
+    assert board.sent() == text(-1000, -500, 2000)
+    board.read(frame(0.0, 0.0, 0.0))
+    assert board.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
+    assert board.sent() == text(3000, 0, -4000)
+    assert board.counts() == {"bytes": 128, "frames": 2, "written": 2, "cut": 1}
+
+
+def test_the_largest_force_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """5 N on a board that displays 5 N are not limited."""
+    board = Board(rig_options(**TEXT), monkeypatch)
+    assert board.write(0.0, -3.0, 4.0, 0.0, 0.0, 0.0) == OK
+    assert board.sent() == text(0, -3000, 4000)
+    assert board.counts() == {"written": 1}
+
+
+def test_a_force_waits_for_the_whole_answer_to_the_last(board: Board) -> None:
+    """While 63 of the 64 bytes have come no force and no second zero goes out; the zero after a force does not wait."""
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    board.read(frame(0.0, 0.0, 0.0)[:63])
+    assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
+    assert board.sent() == text(0, 0, 1000)
+    assert board.write(*ZERO) == OK
+    assert board.sent() == text(0, 0, 0)
+    assert board.write(*ZERO) == OK  # the board has it already
+    assert board.sent() == b""
+    board.read(b"\n" + frame(0.0, 0.0, 0.0)[:62])
+    assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
+    board.read(b" ")
+    assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
+    assert board.counts() == {"bytes": 127, "frames": 1, "written": 3, "held": 2}
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_force_along_any_axis_has_to_be_ended(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A zero goes out over a missing answer as long as the board has a force, whichever way that is."""
+    board = Board(rig_options(**TEXT), monkeypatch)
+    wrench = [0.0] * 6
+    wrench[axis] = 1.0
+    assert board.write(*wrench) == OK
+    assert board.word[TALK.loaded] == 1
+    board.sent()
+    assert board.write(*ZERO) == OK
+    assert board.sent() == text(0, 0, 0)
+    assert board.word[TALK.loaded] == 0
+
+
+def test_a_zero_into_a_silence_is_for_a_board_with_a_force(board: Board) -> None:
+    """Where nothing has been heard for `quiet_s` a board that has zero gets nothing more, and no force."""
+    board.clock.now += 21 * MS
+    assert board.write(*ZERO) == OK
+    assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert board.sent() == b""
+    board.word[TALK.loaded] = 1
+    assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert board.sent() == text(0, 0, 0)
+
+
+def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
+    """Taken in pieces of 20, 0, 10 and the rest: no other byte comes between them, and a frame of which nothing was
+    taken is not sent."""
+    board.port.room = 20
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert (board.word[TALK.left], board.word[TALK.loaded]) == (44, 1)
+    assert board.write(*ZERO) == HELD
+    board.port.room = 10
+    assert board.write(*ZERO) == HELD
+    assert board.word[TALK.left] == 34
+    assert not board.block.call(exchange.silence)  # as long as a force is on its way, it is not done
+    board.port.room = 34
+    assert board.write(*ZERO) == HELD  # finished; of the zero nothing was taken
+    assert (board.word[TALK.left], board.word[TALK.loaded]) == (0, 1)
+    assert board.sent() == text(0, 0, 1000)
+    assert board.counts() == {"written": 1}
+    board.port.room = None
+    assert board.block.call(exchange.silence)
+    assert board.sent() == text(0, 0, 0)
+    assert board.counts() == {"written": 2}
+
+
+def test_what_is_left_of_a_frame_goes_out_behind_it(board: Board) -> None:
+    """Where the port takes the rest at once, nothing is left."""
+    taken = iter([20, None])
+    write = board.port.write
+
+    def in_parts(fd: int, address: int, size: int) -> int:
+        board.port.room = next(taken)
+        return write(fd, address, size)
+
+    exchange.write_now = in_parts
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert board.word[TALK.left] == 0
+    assert board.sent() == text(0, 0, 1000)
+    board.read(frame(0.0, 0.0, 0.0))
+    broken = iter([False, True])
+
+    def then_broken(fd: int, address: int, size: int) -> int:
+        board.port.room, board.port.error = 20, 5 if next(broken) else 0
+        return write(fd, address, size)
+
+    exchange.write_now = then_broken
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
+
+
+def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
+    """One with a force gets its zero in front; a port that takes nothing has not been kicked."""
+    assert board.wake() == OK
+    assert board.sent() == b"\n"
+    board.word[TALK.loaded] = 1
+    assert board.wake() == OK
+    assert board.sent() == text(0, 0, 0) + b"\n"
+    assert board.counts() == {"kicks": 2, "written": 1}
+    board.port.room = 0
+    assert board.wake() == OK
+    assert board.sent() == b"" and board.counts() == {"kicks": 2, "written": 1}
+    board.word[TALK.loaded] = 1
+    assert board.wake() == HELD  # nor has its force been ended
+    board.port.room = 20
+    assert board.wake() == OK
+    assert board.sent() == text(0, 0, 0)[:20]  # and no newline in the middle of it
+    assert board.wake() == HELD
+    assert board.counts() == {"kicks": 2, "written": 2}
+
+
+@pytest.mark.parametrize("room", [1, 63])
+def test_a_single_byte_counts(room: int, board: Board) -> None:
+    """One byte that was taken, and one that was not: the frame is not sent anew."""
+    board.port.room = room
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert board.word[TALK.left] == 64 - room
+    board.port.room = -1  # a port that says 0
+    assert board.write(*ZERO) == HELD
+    board.port.room = None
+    assert board.write(*ZERO) == OK
+    assert board.sent() == text(0, 0, 1000) + text(0, 0, 0)
+
+
+def test_a_port_that_says_that_it_took_nothing_is_full(board: Board) -> None:
+    """Whether it says so by an error or by 0."""
+    board.port.room = -1
+    assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == HELD
+    assert board.counts() == {}
+
+
+def test_a_frame_that_comes_byte_by_byte(board: Board) -> None:
+    """Each tick has one; the last makes the frame."""
+    whole = frame(1.0, 0.0, 0.0)
+    assert [board.read(bytes([byte]))[0] for byte in whole] == [STALE] * 63 + [OK]
+
+
+def test_silence_is_kicked_by_the_read(board: Board) -> None:
+    """After `quiet_s` each `kick_s`, and once it is longer than `timeout_s` the board is given up: what came and made
+    no frame says whether it speaks at all."""
+    board.clock.now += 21 * MS
+    board.word[TALK.read_at] = board.clock.now
+    board.word[TALK.kicked_at] = START_NS - 100 * MS
+    assert board.read()[0] == STALE
+    assert board.sent() == b"\n"
+    board.clock.now += 180 * MS
+    board.word[TALK.read_at] = board.clock.now
+    assert board.read(b"x" * 64)[0] == PROTOCOL
+
+
+# --- frames that a rig describes -------------------------------------------------------------------------
+
+
+def described(**changes: Any) -> Options:
+    """A board with a handle on a rail or more of a place, a quaternion, buttons and a gripper in its frames, answered
+    one by one and told by their length alone."""
+    fields = [("x", 1), ("y", 5), ("z", 9), ("qw", 13), ("qx", 17), ("qy", 21), ("qz", 25)]
+    frames = {
+        "mode": "answer",
+        "resync": {"byte": 3, "count": 4},
+        "input": {
+            "bytes": 31, "start": [7],
+            "field": [
+                *({"meaning": m, "offset": at, "type": "float32"} for m, at in fields),
+                {"meaning": "buttons", "offset": 29, "type": "uint8"},
+                {"meaning": "gripper", "offset": 30, "type": "uint8", "scale": 0.01},
+            ],
+        },
+        "output": {
+            "bytes": 9, "start": [2],
+            "field": [
+                *({"meaning": f"force_{k}", "offset": 1 + 2 * n, "type": "int16", "scale": 1e4} for n, k in enumerate("xyz")),
+                {"meaning": "constant", "offset": 7, "type": "int16", "scale": 258.0},
+            ],
+        },
+    }  # fmt: skip
+    given = {
+        "path": "/dev/ttyACM0", "force_max_n": 4.0, "stiffness_max_n_per_m": 900.0, "damping_max_ns_per_m": 3.0,
+        "workspace_radius_m": 0.05, "frames": {**frames, **changes.pop("frames", {})}, "mounting": MOUNTING,
+        "kinematics": {"kind": "cartesian"}, "quiet_s": 0.02, "timeout_s": 0.2,
+    }  # fmt: skip
+    return build(Options, {**given, **changes}, "rig")
+
+
+def answer(*numbers: float, buttons: int = 0, gripper: int = 0) -> bytes:
+    """Its frame."""
+    place, q = numbers[:3], numbers[3:] or (1.0, 0.0, 0.0, 0.0)
+    return b"\7" + struct.pack("<7fBB", *place, *q, buttons, gripper)
+
+
+def given(x: int, y: int, z: int) -> bytes:
+    """A frame to it, in 0.1 mN."""
+    return b"\2" + struct.pack("<4h", x, y, z, 258)
+
+
+@pytest.fixture
+def other(monkeypatch: pytest.MonkeyPatch) -> Board:
+    """A described board that has answered everything."""
+    return Board(described(), monkeypatch)
+
+
+def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
+    """Place and orientation as mounted, buttons and gripper as they are; a quaternion of zeros is no orientation."""
+    q = (0.5, 0.1, -0.7, 0.5)
+    status, sample = other.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
+    assert status == OK
+    np.testing.assert_allclose(sample[:3], ABOUT_Z @ (0.25, 0.5, -0.125) + (0.1, 0.2, 0.3), atol=1e-12)
+    np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(q), atol=1e-7)  # a float32 of 0.7
+    assert sample[7:].tolist() == [2.0, 6.0, 0.5]
+    assert other.read(answer(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))[0] == PROTOCOL
+    assert other.counts() == {"bytes": 62, "frames": 2}
+
+
+def test_a_force_is_written_as_described(other: Board) -> None:
+    """In the board's frame, with its marks and constants; what a motor or a field cannot hold is limited, and counted;
+    an end of a force is a frame of zeros."""
+    other.read(answer(0.0, 0.0, 0.0))
+    assert other.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
+    assert other.sent() == given(-10000, -5000, 20000)
+    other.read(answer(0.0, 0.0, 0.0))
+    assert other.write(0.0, 0.0, -30.0, 0.0, 0.0, 0.0) == STALE  # the motors: 4 N, and the field: 3.2768 N
+    assert other.sent() == given(0, 0, -32768)
+    other.read(answer(0.0, 0.0, 0.0))
+    assert other.write(0.0, 3.5, 0.0, 0.0, 0.0, 0.0) == STALE  # the field alone
+    assert other.sent() == given(32767, 0, 0)
+    other.read(answer(0.0, 0.0, 0.0))
+    assert other.write(*ZERO) == OK
+    assert other.sent() == given(0, 0, 0)
+    assert other.counts() == {"bytes": 124, "frames": 4, "written": 4, "cut": 2}
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_force_along_one_axis_is_driven(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever axis it is; what the one before left in the frame is gone."""
+    other = Board(described(mounting={}), monkeypatch)
+    numbers = [0.0, 0.0, 0.0]
+    numbers[axis] = 1.0
+    assert other.write(*numbers, 0.0, 0.0, 0.0) == OK
+    assert other.word[TALK.loaded] == 1
+    assert other.sent() == given(*(round(1e4 * n) for n in numbers))
+    other.read(answer(0.0, 0.0, 0.0))
+    other.write(*ZERO)
+    assert other.sent() == given(0, 0, 0)
+
+
+def test_resync_bytes_stand_in_front_of_a_frame_whose_last_was_not_answered(other: Board) -> None:
+    """The zero after a force that has no answer ends a torn frame first; where all is answered, none are sent."""
+    assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert other.sent() == given(0, 0, 10000)
+    assert other.write(*ZERO) == OK
+    assert other.sent() == b"\3" * 4 + given(0, 0, 0)
+    assert other.wake() == OK
+    assert other.sent() == b"\3" * 4 + given(0, 0, 0)
+    other.read(answer(0.0, 0.0, 0.0))
+    assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert other.sent() == given(0, 0, 10000)
+    assert other.counts() == {"bytes": 31, "frames": 1, "written": 4, "kicks": 1}
+
+
+def test_a_described_board_is_woken_once_its_frame_is_finished(other: Board) -> None:
+    """A port that takes nothing holds the kick back; one that is gone is lost."""
+    other.port.room = 3
+    assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert other.wake() == HELD
+    assert "kicks" not in other.counts()
+    other.port.room = None
+    assert other.wake() == OK
+    assert other.sent() == given(0, 0, 10000) + b"\3" * 4 + given(0, 0, 0)
+    assert other.counts() == {"written": 2, "kicks": 1}
+
+
+def test_an_answer_that_is_known_by_its_length_begins_with_the_request(other: Board) -> None:
+    """Bytes that came before it are thrown away; of a stream they may be the beginning of a frame, and are kept."""
+    other.read(b"\7\7\7")
+    other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    status, sample = other.read(answer(0.25, 0.0, 0.0))
+    assert (status, sample[1]) == (OK, pytest.approx(0.45))
+    assert other.read()[0] == STALE
+    assert [other.read(bytes([byte]))[0] for byte in answer(0.25, 0.0, 0.0)] == [STALE] * 30 + [OK]
+
+
+@pytest.mark.parametrize("mode", ["answer", "stream"])
+def test_a_frame_with_marks_is_found_among_other_bytes(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where it began before the last frame was sent; a stream is not asked, so that no force waits for it."""
+    fields = [{"meaning": m, "offset": 1 + 4 * n, "type": "float32"} for n, m in enumerate("xyz")]
+    marked = {"mode": mode, "input": {"bytes": 14, "start": [7], "end": [9], "field": fields}}
+    board = Board(described(frames=marked), monkeypatch)
+    whole = b"\7" + struct.pack("<3f", 0.25, 0.0, 0.0) + b"\t"
+    board.read(b"xx" + whole[:5])
+    for force in (1.0, 2.0):
+        assert board.write(0.0, 0.0, force, 0.0, 0.0, 0.0) == (OK if force == 1.0 or mode == "stream" else HELD)
+    status, sample = board.read(whole[5:])
+    assert (status, sample[1]) == (OK, pytest.approx(0.45))
+    assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]  # none is sensed, so none is turned
+
+
+PANTOGRAPH = {
+    "kinematics": {"kind": "pantograph", "base_m": 0.038, "inner_m": 0.07, "outer_m": 0.0875, "torque_max_nm": 0.01},
+    "frames": {
+        "input": {
+            "bytes": 8,
+            "field": [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate("ab")],
+        },
+        "output": {
+            "bytes": 8,
+            "field": [{"meaning": f"torque_{m}", "offset": 4 * n, "type": "float32"} for n, m in enumerate("ab")],
+        },
+    },
+}
+
+
+def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the links are in line there is no torque; where they are not, a force past the motors is cut."""
+    board = Board(described(**PANTOGRAPH), monkeypatch)
+    # both inner links out along the line of their joints: 0.178 m apart at their ends, more than the outer ones reach
+    for angles, counts in (((np.pi, 0.0), {"singular": 1}), ((np.radians(150.0), np.radians(30.0)), {"cut": 1})):
+        before = board.counts()
+        assert board.read(struct.pack("<2f", *angles))[0] == OK
+        assert board.write(0.0, 5.0, 0.0, 0.0, 0.0, 0.0) == STALE
+        after = board.counts()
+        assert {name: after.get(name, 0) - before.get(name, 0) for name in counts} == counts
+        torques = np.abs(struct.unpack("<2f", board.sent()))
+        assert torques.max() == pytest.approx(0.0 if "singular" in counts else 0.01)
+        board.read(struct.pack("<2f", *angles))
+        assert board.write(*ZERO) == OK  # a zero needs no motor
+        assert board.counts() == {**after, "bytes": after["bytes"] + 8, "frames": after["frames"] + 1,
+                                  "written": after["written"] + 1}  # fmt: skip
+        board.read(struct.pack("<2f", *angles))
+        board.sent()
+
+
+def delta() -> Options:
+    """Three legs, unmounted."""
+    legs = [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate("abc")]
+    torques = [{"meaning": f"torque_{m}", "offset": 4 * n, "type": "float32"} for n, m in enumerate("abc")]
+    kinematics = {
+        "kind": "delta", "base_m": 0.06, "end_m": 0.03, "arm_m": 0.08, "rod_m": 0.17, "torque_max_nm": 0.2,
+        "origin_m": [0.0, 0.0, 0.2],
+    }  # fmt: skip
+    frames = {"input": {"bytes": 12, "field": legs}, "output": {"bytes": 12, "field": torques}}
+    return described(kinematics=kinematics, frames=frames, mounting={})
+
+
+def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Legs of a delta that do not meet: a place of NaN, which the guard answers with zero."""
+    board = Board(delta(), monkeypatch)
+    status, sample = board.read(struct.pack("<3f", 0.0, np.pi, 0.0))
+    assert status == OK and np.isnan(sample[:3]).all()
+    assert board.counts()["singular"] == 1
+    assert np.isfinite(board.read(struct.pack("<3f", 0.5, 0.5, 0.5))[1]).all()
+    assert board.counts()["singular"] == 1
+
+
+def test_torques_of_a_delta_do_the_work_of_the_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    """tau . d(angles) = f . d(place), with the place's change from two samples."""
+    board = Board(delta(), monkeypatch)
+    angles, step, force = np.array([0.5, 0.6, 0.4]), np.array([1e-3, -2e-3, 3e-3]), np.array([0.3, -0.2, 0.5])
+    ahead = board.read(struct.pack("<3f", *(angles + step)))[1][:3]
+    behind = board.read(struct.pack("<3f", *(angles - step)))[1][:3]
+    board.read(struct.pack("<3f", *angles))
+    assert board.write(*force, 0.0, 0.0, 0.0) == OK
+    torques = np.array(struct.unpack("<3f", board.sent()))
+    # an error of the third order in steps of 3e-3
+    assert torques @ (2 * step) == pytest.approx(force @ (ahead - behind), rel=1e-4)
+    assert (torques != 0.0).all()

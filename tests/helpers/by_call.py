@@ -1,0 +1,151 @@
+"""A driver's exchange call by call, as plain Python: on a clock that goes on as a test says, with what it calls of the
+system or of a maker's library by a script. Nothing in it waits, and no thread runs beside it.
+
+What only machine code can do is done by ctypes. Tests by it are `plain`, and skipped where kernels are compiled.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import config
+from numpy.typing import NDArray
+
+from softfinger.drivers.block import Block
+from softfinger.drivers.system.libc import EAGAIN, EIO
+from softfinger.proxy.kernels.jit import pack, seqlock
+
+BY_CALL = [
+    pytest.mark.plain,
+    pytest.mark.skipif(not config.DISABLE_JIT, reason="what it calls is Python, which no compiled kernel calls"),
+]
+MS = 1_000_000
+START_NS = 10_000 * MS
+"""Time of the clock at first."""
+NOT_OURS = 0x7FF8_0000_DEAD_BEEF
+"""A word around a block; read as a float64 it is no number."""
+
+
+class Clock:
+    """ns."""
+
+    def __init__(self) -> None:
+        self.now = START_NS
+
+    def __call__(self, timespec: int) -> int:
+        return self.now
+
+
+class GuardedBlock(Block):
+    """A block in the middle of memory that is not its own: as much in front of it and behind it as it has itself."""
+
+    def __init__(self, *layouts: tuple[int, ...]) -> None:
+        super().__init__(*layouts)
+        words = len(self.word)
+        self._around = np.full(3 * words, NOT_OURS, np.int64)
+        self.word = self._around[words : 2 * words]
+        self.word[:] = 0
+        self.handle = int(self.word.ctypes.data)
+
+    def call(self, function: Any, *arguments: Any) -> int:
+        """What a C function gives with this handle; it has written to no memory but the block's."""
+        status = int(function(self.handle, *arguments))
+        for part in np.split(self._around, 3)[::2]:
+            assert (part == NOT_OURS).all(), "it has written outside the block"
+        return status
+
+
+def exchange_int64(address: int, value: int) -> int:
+    word = ctypes.c_int64.from_address(address)
+    before, word.value = word.value, value
+    return before
+
+
+def unpack_at(like: Any, address: int) -> Any:
+    leaves = len(pack.flatten(like))
+    return pack.unflatten(like, list((ctypes.c_double * leaves).from_address(int(address))))
+
+
+def by_call(patch: pytest.MonkeyPatch, *modules: ModuleType) -> Clock:
+    """Put the clock, guarded blocks, and plain Python for what is machine code, into these modules."""
+    clock = Clock()
+    here = {"monotonic_ns": clock, "exchange_int64": exchange_int64, "unpack_at": unpack_at, "Block": GuardedBlock}
+    for module in modules:
+        for name, does in here.items():
+            if hasattr(module, name):
+                patch.setattr(module, name, does)
+    for name in ("load_acquire", "load_relaxed"):
+        patch.setattr(seqlock, name, lambda array, index: int(array[index]))
+    for name in ("store_release", "store_relaxed"):
+        patch.setattr(seqlock, name, lambda array, index, value: array.__setitem__(index, value))
+    for name in ("fence_acquire", "fence_release"):
+        patch.setattr(seqlock, name, lambda: None)
+    return clock
+
+
+class File:
+    """A file descriptor of the system by a script.
+
+    comes  what reads find, one after the other; of bytes in a stream a read takes as many as it may
+    room   bytes that it takes; None: all; below 0: none, and it says 0 instead of the error
+    error  of the system, for both; 0: none
+    """
+
+    def __init__(self, number: int, packets: bool = False) -> None:
+        self.number, self._packets = number, packets
+        self.comes: list[bytes] = []
+        self.room: int | None = None
+        self.error = 0
+        self.sent: list[bytes] = []
+        self.reads = 0
+
+    def read(self, fd: int, address: int, size: int) -> int:
+        """As `read_now`."""
+        assert fd == self.number
+        self.reads += 1
+        if self.error:
+            return -self.error
+        if not self.comes:
+            return -EAGAIN
+        given, rest = self.comes[0][:size], self.comes[0][size:]
+        ctypes.memmove(address, given, len(given))
+        self.comes[:1] = [rest] if rest and not self._packets else []
+        return len(given)
+
+    def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
+        """As the function of this name."""
+        count = self.read(fd, address, size)
+        ctypes.c_int64.from_address(word).value = len(b"".join(self.comes)) + max(count, 0)
+        return -EIO if count == 0 else max(count, 0) if count == -EAGAIN else count
+
+    def write(self, fd: int, address: int, size: int) -> int:
+        """As `write_now`."""
+        assert fd == self.number
+        if self.error:
+            return -self.error
+        taken = size if self.room is None else min(size, self.room)
+        if taken <= 0:
+            return -EAGAIN if taken == 0 else 0
+        self.sent.append(ctypes.string_at(int(address), taken))
+        if self.room is not None:
+            self.room -= taken
+        return taken
+
+
+def matrix(q: NDArray[np.float64] | list[float]) -> NDArray[np.float64]:
+    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z), by its columns' definition q e q*."""
+    w, v = q[0], np.asarray(q[1:4])
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.asarray((w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross)
+
+
+def turned(axis: int, angle: float) -> NDArray[np.float64]:
+    """Rotation matrix (3, 3) about axis 0, 1 or 2."""
+    out, (a, b) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
+    out[a, a] = out[b, b] = np.cos(angle)
+    out[b, a], out[a, b] = np.sin(angle), -np.sin(angle)
+    return out
