@@ -1,0 +1,305 @@
+"""The exchange with Force Dimension's library call by call: what it is given, what its answers are taken for."""
+
+from __future__ import annotations
+
+from math import nan
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call, matrix, turned
+
+from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.forcedimension import exchange
+from softfinger.drivers.forcedimension.block import AT, STATUS_WORDS
+from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
+
+pytestmark = BY_CALL
+
+ID = 3
+CALLS = ("get_frame", "get_position", "get_buttons", "get_gripper", "get_status", "get_error", "set_wrench")
+ZERO = (0.0,) * 6
+TO_WORLD = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""From the library's frame (x towards the user, y right, z up) to the world's (x right, y away from the user, z up)."""
+FORCE, ERROR, CAUSE = 5, 9, 14
+"""Places in the library's status words, by its manual."""
+
+
+class Library:
+    """The library and a driver's block that calls it, armed.
+
+    gives  what a function returns, by name; 0 where nothing is said
+    """
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.clock = by_call(patch, exchange)
+        patch.setattr(exchange, "call_int32", self._call)
+        self.block = GuardedBlock(AT)
+        self.word = self.block.word
+        for number, name in enumerate(CALLS, 100):
+            self.word[getattr(AT, name)] = number
+        self.word[AT.id], self.word[AT.open], self.word[AT.armed] = ID, 1, 1
+        self.word[AT.has_frame] = self.word[AT.has_gripper] = self.word[AT.turns] = 1
+        self.word[AT.status_every], self.word[AT.started_at], self.word[AT.cause] = 4, START_NS - 2000 * MS, -1
+        self.word[AT.frame + 3 : AT.frame + 12].view(np.float64)[:] = np.eye(3).ravel()
+        self.gives: dict[str, int] = {}
+        self.place, self.rotation, self.angle = np.array([0.01, 0.02, 0.03]), np.eye(3), 0.25
+        self.status = dict.fromkeys(range(STATUS_WORDS), 0) | {FORCE: 1}
+        self.asked: list[str] = []
+        self.wrenches: list[tuple[float, ...]] = []
+
+    def _call(self, address: int, given: tuple[Any, ...]) -> int:
+        name = CALLS[int(address) - 100]
+        self.asked.append(name)
+        if name == "get_error":
+            assert given == ()
+        else:
+            assert given[-1] == ID and given[-1].itemsize == 4
+        if name in ("get_frame", "get_position"):
+            for k in range(3):
+                given[k][0] = self.place[k]
+        if name == "get_frame":
+            for k in range(9):
+                given[3][k] = self.rotation.ravel()[k]
+        if name == "get_gripper":
+            given[0][0] = self.angle
+        if name == "get_status":
+            for place, value in self.status.items():
+                given[0][place] = value
+        if name == "set_wrench":
+            self.wrenches.append(given[:-1])
+        return self.gives.get(name, 0)
+
+    def read(self) -> tuple[int, np.ndarray]:
+        self.asked.clear()
+        sample = np.full(SAMPLE_SIZE, nan)
+        return self.block.call(exchange.read, sample), sample
+
+    def write(self, *wrench: float) -> int:
+        self.asked.clear()
+        self.wrenches.clear()
+        return self.block.call(exchange.write, wrench)
+
+    def counts(self) -> dict[str, int]:
+        """The counters that are not 0."""
+        return {name: count for name, count in self.block.counts().items() if count}
+
+
+@pytest.fixture
+def library(monkeypatch: pytest.MonkeyPatch) -> Library:
+    return Library(monkeypatch)
+
+
+# --- samples ---------------------------------------------------------------------------------------------
+
+
+def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
+    """Place and rotation turned from the library's frame; 32 buttons, the gripper's angle, time from the opening."""
+    library.rotation = turned(2, 0.3) @ turned(0, 0.7) @ turned(1, -1.1)
+    library.gives["get_buttons"] = -2  # an int32 of a mask
+    status, sample = library.read()
+    assert status == OK
+    np.testing.assert_allclose(sample[:3], TO_WORLD @ library.place, atol=1e-15)
+    np.testing.assert_allclose(matrix(sample[3:7]), TO_WORLD @ library.rotation @ TO_WORLD.T, atol=1e-12)
+    assert sample[7:].tolist() == [2.0, 2.0**32 - 2.0, 0.25]
+    assert library.asked == ["get_frame", "get_buttons", "get_gripper"]
+    for bits in (1, 6, 0x7FFFFFFF):
+        library.gives["get_buttons"] = bits
+        assert library.read()[1][8] == bits
+    assert library.counts() == {"reads": 4}
+
+
+def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
+    """Unturned; without a gripper none is asked for."""
+    library.word[AT.has_frame] = library.word[AT.has_gripper] = 0
+    library.rotation = turned(2, 0.3)
+    status, sample = library.read()
+    assert status == OK
+    np.testing.assert_allclose(sample[:3], TO_WORLD @ library.place, atol=1e-15)
+    assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert sample[9] == 0.0
+    assert library.asked == ["get_position", "get_buttons"]
+
+
+@pytest.mark.parametrize(
+    "rotation",
+    [
+        np.diag([1.0, 1.0, -1.0]), np.diag([1.02, 1.0, 1.0]), np.diag([1.0, 0.98, 1.0]), np.diag([1.0, 1.0, 1.02]),
+        np.diag([1.02, 1 / 1.02, 1.0]), np.diag([1.0, 1.02, 1 / 1.02]), np.diag([1 / 1.02, 1.0, 1.02]), np.zeros((3, 3)),
+        np.full((3, 3), nan), np.array([[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]]),
+    ],
+    ids=["mirror", "long", "short", "last", "volume 1", "volume 1 too", "and so", "zeros", "nan", "askew"],
+)  # fmt: skip
+def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndarray, library: Library) -> None:
+    """Off by more than a hundredth in a row's length or in the volume; what is off by less is one."""
+    library.rotation = rotation
+    status, sample = library.read()
+    assert status == OK
+    assert np.isnan(sample[3:7]).all() and np.isfinite(sample[:3]).all()
+    library.rotation = turned(2, 0.3) @ np.diag([1.004, 1.004, 1.0])
+    assert np.isfinite(library.read()[1]).all()
+
+
+@pytest.mark.parametrize("row", [0, 1, 2])
+@pytest.mark.parametrize("length", [0.9891, 1.0109])
+def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Library) -> None:
+    """Each of them, though the volume is within a hundredth of 1."""
+    scale = np.full(3, length**-0.49)
+    scale[row] = length
+    library.rotation = np.diag(scale)
+    assert abs(np.prod(scale) - 1.0) < 0.01
+    assert np.isnan(library.read()[1][3:7]).all()
+
+
+def test_a_reading_of_before_is_stale(library: Library) -> None:
+    """The library's time guard: the sample is handed on, and counted."""
+    library.gives["get_frame"] = 1
+    assert library.read()[0] == STALE
+    assert library.counts() == {"reads": 1, "reads_guarded": 1}
+
+
+def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: Library) -> None:
+    """Nobody waits for the lock, and the library is not called."""
+    _, before = library.read()
+    library.place += 1.0
+    library.word[AT.lock] = 1
+    status, sample = library.read()
+    assert (status, sample.tolist(), library.asked) == (STALE, before.tolist(), [])
+    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert library.asked == [] and library.word[AT.lock] == 1
+    library.word[AT.lock] = 0
+    assert library.read()[1][0] == before[0] + 1.0
+    assert library.word[AT.lock] == 0
+
+
+def test_a_device_that_is_closed_is_lost(library: Library) -> None:
+    """And its library is not called."""
+    library.word[AT.open] = 0
+    assert library.read()[0] == LOST
+    assert library.asked == []
+
+
+# --- what the library says of failures -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["get_frame", "get_gripper"])
+def test_a_reading_that_fails_says_why(name: str, library: Library) -> None:
+    """The library's time-out is one; of any other error the device is asked, and it is lost. The gripper's angle may
+    be as old as the time guard has it."""
+    library.gives |= {name: -1, "get_error": ERROR_TIMEOUT}
+    assert library.read()[0] == TIMEOUT
+    assert library.word[AT.error] == ERROR_TIMEOUT and library.asked[-1] == "get_error"
+    library.gives["get_error"] = 2
+    library.status |= {FORCE: 0, CAUSE: 6, ERROR: 7}
+    assert library.read()[0] == LOST
+    assert library.asked[-2:] == ["get_error", "get_status"]
+    assert [library.word[at] for at in (AT.error, AT.cause, AT.faulty)] == [2, 6, 7]
+    assert library.counts() == {}
+    if name == "get_gripper":
+        for code in (0, 1):
+            library.gives[name] = code
+            assert library.read()[0] == OK
+
+
+def test_the_status_is_asked_for_each_so_many_reads(library: Library) -> None:
+    """Of an armed device alone: before, its force is off."""
+    asked = []
+    for _ in range(12):
+        assert library.read()[0] == OK
+        asked.append("get_status" in library.asked)
+    assert asked == 3 * [False, False, False, True]
+    library.word[AT.armed] = 0
+    for _ in range(8):
+        library.read()
+        assert "get_status" not in library.asked
+
+
+@pytest.mark.parametrize(
+    ("words", "status"), [({FORCE: 0}, FORCE_OFF), ({ERROR: 9}, FORCE_OFF), ({FORCE: 0, ERROR: 9}, FORCE_OFF), ({}, OK)]
+)
+def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], status: int, library: Library) -> None:
+    """By its status words, with the cause and the error word; a device in order leaves neither."""
+    library.word[AT.reads] = 3
+    library.status |= {CAUSE: 4, **words}
+    assert library.read()[0] == status
+    told = (4, words.get(ERROR, 0)) if status == FORCE_OFF else (-1, 0)
+    assert (library.word[AT.cause], library.word[AT.faulty]) == told
+    assert "get_error" not in library.asked
+
+
+def test_a_status_that_fails_is_a_failure_of_the_library(library: Library) -> None:
+    """What its error says decides."""
+    library.gives |= {"get_status": -1, "get_error": ERROR_TIMEOUT}
+    library.word[AT.reads] = 3
+    assert library.read()[0] == TIMEOUT
+    library.gives["get_error"], library.word[AT.reads] = 2, 3
+    assert library.read()[0] == LOST
+    library.gives["get_status"], library.word[AT.reads] = 1, 3
+    assert library.read()[0] == OK
+
+
+# --- forces ----------------------------------------------------------------------------------------------
+
+
+def test_a_wrench_is_turned_into_the_librarys_frame(library: Library) -> None:
+    """Force and torque; the gripper gets none. Where no motor turns the handle no torque is sent."""
+    assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
+    assert library.wrenches == [(0.2, 0.1, 0.3, 0.02, 0.01, 0.03, 0.0)]
+    assert library.asked == ["set_wrench"]
+    library.word[AT.turns] = 0
+    assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
+    assert library.wrenches == [(0.2, 0.1, 0.3, 0.0, 0.0, 0.0, 0.0)]
+    assert library.counts() == {"writes": 2}
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_a_wrench_that_is_no_number_is_zero(place: int, library: Library) -> None:
+    """In whichever place."""
+    wrench = [1.0] * 6
+    wrench[place] = nan
+    assert library.write(*wrench) == WITHHELD
+    assert library.wrenches == [(0.0,) * 7]
+    assert library.counts() == {"writes": 1}
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_a_device_that_is_not_armed_is_given_nothing(place: int, library: Library) -> None:
+    """Its force is off: no call at all; a zero is no less displayed."""
+    wrench = [0.0] * 6
+    wrench[place] = 1.0
+    for armed, stopped in ((0, 0), (1, 1), (0, 1)):
+        library.word[AT.armed], library.word[AT.stopped] = armed, stopped
+        assert library.write(*wrench) == WITHHELD
+        assert library.write(*ZERO) == OK
+        assert library.asked == []
+    assert library.counts() == {}
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "counts"),
+    [(0, OK, {}), (1, HELD, {"writes_guarded": 1}), (2, STALE, {"saturated": 1}), (3, STALE, {})],
+)
+def test_what_the_library_says_to_a_force(code: int, status: int, counts: dict[str, int], library: Library) -> None:
+    """Taken; held back by its time guard; more than the motors give. One that was no number is withheld in any case."""
+    library.gives["set_wrench"] = code
+    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
+    assert library.counts() == {"writes": 1, **counts}
+    assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert library.counts() == {"writes": 2, **{name: 2 for name in counts}}
+
+
+def test_a_force_that_fails_says_why(library: Library) -> None:
+    """As a reading does; it was not given."""
+    library.gives |= {"set_wrench": -1, "get_error": ERROR_TIMEOUT}
+    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == TIMEOUT
+    library.gives["get_error"] = 2
+    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
+    assert library.counts() == {} and library.word[AT.lock] == 0
+
+
+def test_one_thread_at_a_time_has_the_lock(library: Library) -> None:
+    """Who wants it is told whether it was free."""
+    assert library.block.call(exchange.lock) == 1
+    assert library.block.call(exchange.lock) == 0
+    assert library.block.call(exchange.unlock) == 0
+    assert library.block.call(exchange.lock) == 1

@@ -1,0 +1,234 @@
+"""The servo's side of a Haply call by call: poses out of the block, wrenches into it, what is withheld and counted."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, matrix, turned
+
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.haply import exchange
+from softfinger.drivers.haply.exchange import AT, Model
+from softfinger.proxy.kernels.jit.pack import flatten
+
+pytestmark = BY_CALL
+
+FD = 5
+HALF = np.sqrt(0.5)
+ABOUT_Z = turned(2, np.pi / 2)
+QUIET, TIMEOUT_NS = 20 * MS, 100 * MS
+ZERO = (0.0,) * 6
+Q = (0.5, 0.1, -0.7, 0.5)
+
+
+class Device:
+    """The block as the driver fills it in, with the thread's part by a script; mounted turned and shifted."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, mounting: tuple[Any, Any]) -> None:
+        self.clock, self.woken = by_call(patch, exchange), File(FD)
+        patch.setattr(exchange, "write_now", self.woken.write)
+        self.block = GuardedBlock(AT)
+        self.word = self.block.word
+        self.block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(Model(*mounting, 5.0))
+        self.word[AT.opened_at] = START_NS - 2000 * MS
+        self.word[AT.quiet], self.word[AT.timeout_after] = QUIET, TIMEOUT_NS
+        self.word[AT.wake], self.word[AT.one], self.word[AT.armed] = FD, 1, 1
+
+    def state(self, x: float, y: float, z: float, buttons: float = 0.0) -> None:
+        """The thread has received one, now."""
+        pose = self.block.numbers(AT.pose, exchange.POSE)
+        pose[:] = (x, y, z, *Q, buttons, float(self.clock.now))
+        self.word[AT.pose_sequence] += 2
+
+    def read(self) -> tuple[int, np.ndarray]:
+        sample = np.full(SAMPLE_SIZE, np.nan)
+        return self.block.call(exchange.read, sample), sample
+
+    def write(self, *wrench: float) -> int:
+        return self.block.call(exchange.write, wrench)
+
+    def given(self) -> list[float]:
+        """The newest wrench in the lock: force (N), time (ns), number."""
+        assert self.word[AT.wrench_sequence] == 2 * self.word[AT.written]
+        return self.block.numbers(AT.wrench, exchange.WRENCH).tolist()
+
+    def counts(self) -> dict[str, int]:
+        """The counters that are not 0."""
+        return {name: count for name, count in self.block.counts().items() if count}
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> Device:
+    """Armed, with a first state that the loop has read."""
+    made = Device(monkeypatch, ((0.1, 0.2, 0.3), (HALF, 0.0, 0.0, HALF)))
+    made.state(0.0, 0.0, 0.0)
+    assert made.read()[0] == OK
+    return made
+
+
+def test_the_newest_state_is_a_pose_in_the_world(device: Device) -> None:
+    """As mounted; time from the opening; no gripper. A state is taken once, then repeated."""
+    device.clock.now += 5 * MS
+    device.state(0.25, 0.5, -0.125, 3.0)
+    device.clock.now += 1 * MS
+    for wanted in (OK, STALE):
+        status, sample = device.read()
+        assert status == wanted
+        np.testing.assert_allclose(sample[:3], ABOUT_Z @ (0.25, 0.5, -0.125) + (0.1, 0.2, 0.3), atol=1e-12)
+        np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(Q), atol=1e-12)
+        assert sample[7:].tolist() == [pytest.approx(2.005), 3.0, 0.0]
+
+
+def test_a_state_under_way_is_the_next_ticks(device: Device) -> None:
+    """While the thread writes, the sample of before is repeated."""
+    before = device.read()[1].tolist()
+    device.state(1.0, 2.0, 3.0)
+    device.word[AT.pose_sequence] -= 1
+    status, sample = device.read()
+    assert (status, sample.tolist()) == (STALE, before)
+    device.word[AT.pose_sequence] += 1
+    assert device.read()[0] == OK
+
+
+def test_silence_ends_forces_then_the_run(device: Device) -> None:
+    """Without a state for more than `quiet_s` no force is let through; for more than `timeout_s`, the device is given
+    up."""
+    device.clock.now += QUIET
+    device.word[AT.read_at] = device.clock.now
+    assert device.read()[0] == STALE
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+    device.clock.now += 1
+    assert device.read()[0] == STALE
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    device.clock.now = START_NS + TIMEOUT_NS
+    device.word[AT.read_at] = device.clock.now
+    assert device.read()[0] == STALE
+    device.clock.now += 1
+    assert device.read()[0] == TIMEOUT
+
+
+def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
+    """After more than 30 ms in which the loop did not read, the device is not given up, and its state is not of now:
+    what came at the end of the pause is, and a shorter one is none."""
+    device.clock.now += 2 * TIMEOUT_NS
+    assert device.read()[0] == STALE
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    # as if it had been silent for just more than `quiet_s`, from when on it is listened to
+    device.clock.now += TIMEOUT_NS - QUIET - 1
+    device.word[AT.read_at] = device.clock.now
+    assert device.read()[0] == STALE
+    device.clock.now += 1
+    assert device.read()[0] == TIMEOUT
+    device.state(0.0, 0.0, 0.0)
+    assert device.read()[0] == OK
+    device.clock.now += 31 * MS
+    device.state(0.0, 0.0, 0.0)
+    assert device.read()[0] == OK
+    device.clock.now += 31 * MS
+    device.state(0.0, 0.0, 0.0)
+    device.clock.now += QUIET
+    assert device.read()[0] == OK
+    device.clock.now += 31 * MS
+    device.state(0.0, 0.0, 0.0)
+    device.clock.now += QUIET + 1
+    assert device.read()[0] == STALE
+    heard = int(device.word[AT.heard_at])
+    device.clock.now += 30 * MS
+    assert device.read()[0] == STALE
+    assert device.word[AT.heard_at] == heard  # 30 ms are no pause
+
+
+def test_before_the_first_read_there_is_no_pause(device: Device) -> None:
+    """A loop that has not read yet finds a device that has been silent for too long."""
+    device.word[AT.read_at] = 0
+    device.clock.now += TIMEOUT_NS + 1
+    assert device.read()[0] == TIMEOUT
+
+
+def test_what_ended_the_thread_ends_the_run(device: Device) -> None:
+    """Reads and forces say so; a zero needs nobody."""
+    device.word[AT.failed] = LOST
+    assert device.read()[0] == LOST
+    assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0) == LOST
+    assert device.write(*ZERO) == OK
+    assert device.counts() == {}
+
+
+def test_a_force_that_the_thread_let_go_is_told_once(device: Device) -> None:
+    """So that the guard fades in anew."""
+    device.word[AT.dropped] = 1
+    assert device.read()[0] == WITHHELD
+    assert device.read()[0] == STALE
+    device.word[AT.dropped] = 3
+    device.state(0.0, 0.0, 0.0)
+    assert device.read()[0] == WITHHELD
+    device.state(0.0, 0.0, 0.0)
+    assert device.read()[0] == OK
+
+
+def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> None:
+    """With its time and its number, and the thread is woken; past the largest it is cut, and said so."""
+    device.clock.now += 7
+    assert device.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
+    np.testing.assert_allclose(device.given(), [-1.0, -0.5, 2.0, START_NS + 7, 1.0], atol=1e-12)
+    assert device.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
+    np.testing.assert_allclose(device.given(), [3.0, 0.0, -4.0, START_NS + 7, 2.0], atol=1e-12)
+    assert device.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK  # torque is not displayed
+    assert device.given() == [0.0, 0.0, 0.0, START_NS + 7, 3.0]
+    assert device.woken.sent == [bytes(ctypes.c_int64(1))] * 3
+    assert device.counts() == {"written": 3, "cut": 1}
+
+
+def test_the_largest_force_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """5 N on a device that displays 5 N are not limited."""
+    device = Device(monkeypatch, ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+    device.state(0.0, 0.0, 0.0)
+    device.read()
+    for axis, force in enumerate(np.diag([5.0, -5.0, 5.0])):
+        assert device.write(*force, 0.0, 0.0, 0.0) == OK
+        assert device.given()[axis] == force[axis]
+    assert device.write(3.0, 4.0, 0.0, 0.0, 0.0, 0.0) == OK
+    assert device.given()[:3] == [3.0, 4.0, 0.0]
+    assert device.counts() == {"written": 4}
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device) -> None:
+    """In whichever place; a torque is not looked at."""
+    wrench = [0.0] * 6
+    wrench[axis], wrench[3] = bad, bad
+    assert device.write(*wrench) == WITHHELD
+    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    wrench[axis] = 1.0
+    assert device.write(*wrench) == OK
+
+
+def test_a_force_is_withheld_where_none_may_go_out(device: Device) -> None:
+    """Not armed; closed; stopped by who holds the lock, whose zero is not written over."""
+    device.word[AT.armed] = 0
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    assert device.write(*ZERO) == OK
+    device.word[AT.armed], device.word[AT.wake] = 1, -1
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert device.counts() == {"written": 3}
+    assert len(device.woken.sent) == 2
+    device.word[AT.wake], device.word[AT.lock] = FD, 1
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert device.write(*ZERO) == WITHHELD
+    assert device.counts() == {"written": 3}
+    device.word[AT.lock] = 0
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+    assert device.word[AT.lock] == 0
+
+
+def test_an_eventfd_of_any_number_is_woken(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a process without its standard files, 0."""
+    device.woken.number = device.word[AT.wake] = 0
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+    assert len(device.woken.sent) == 1
