@@ -36,6 +36,7 @@ class Library:
         patch.setattr(exchange, "call_int32", self._call)
         self.block = GuardedBlock(AT)
         self.word = self.block.word
+        self.clock.room = {self.block.handle + 8 * AT.timespec}
         for number, name in enumerate(CALLS, 100):
             self.word[getattr(AT, name)] = number
         self.word[AT.id], self.word[AT.open], self.word[AT.armed] = ID, 1, 1
@@ -72,7 +73,7 @@ class Library:
 
     def read(self) -> tuple[int, np.ndarray]:
         self.asked.clear()
-        sample = np.full(SAMPLE_SIZE, nan)
+        sample = np.full(SAMPLE_SIZE, 7.0)
         return self.block.call(exchange.read, sample), sample
 
     def write(self, *wrench: float) -> int:

@@ -32,6 +32,7 @@ class Device:
         patch.setattr(exchange, "write_now", self.woken.write)
         self.block = GuardedBlock(AT)
         self.word = self.block.word
+        self.clock.room = {self.block.handle + 8 * AT.timespec}
         self.block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(Model(*mounting, 5.0))
         self.word[AT.opened_at] = START_NS - 2000 * MS
         self.word[AT.quiet], self.word[AT.timeout_after] = QUIET, TIMEOUT_NS
@@ -172,6 +173,7 @@ def test_a_force_that_the_thread_let_go_is_told_once(device: Device) -> None:
 
 def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> None:
     """With its time and its number, and the thread is woken; past the largest it is cut, and said so."""
+    before = device.read()[1].tolist()
     device.clock.now += 7
     assert device.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
     np.testing.assert_allclose(device.given(), [-1.0, -0.5, 2.0, START_NS + 7, 1.0], atol=1e-12)
@@ -179,6 +181,7 @@ def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> Non
     np.testing.assert_allclose(device.given(), [3.0, 0.0, -4.0, START_NS + 7, 2.0], atol=1e-12)
     assert device.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK  # torque is not displayed
     assert device.given() == [0.0, 0.0, 0.0, START_NS + 7, 3.0]
+    assert device.read()[1].tolist() == before
     assert device.woken.sent == [bytes(ctypes.c_int64(1))] * 3
     assert device.counts() == {"written": 3, "cut": 1}
 

@@ -42,6 +42,7 @@ class Board:
         given = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
         self.block = HidDevice(build(Options, given, "rig"), FD)._block
         self.word = self.block.word
+        self.clock.room = {self.block.handle + 8 * TALK.timespec}
         self.word[TALK.sensed], self.word[TALK.heard_at] = 1, START_NS
         self.word[TALK.opened_at] = START_NS - 2000 * MS
         self.word[TALK.read_at] = self.word[TALK.kicked_at] = START_NS

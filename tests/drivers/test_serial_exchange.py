@@ -56,6 +56,7 @@ class Board:
         opened._options = options
         self.block = opened._make_block(FD, Model(*options.mounting.frame(), options.force_max_n, mechanism))
         self.word = self.block.word
+        self.clock.room = {self.block.handle + 8 * TALK.timespec}
         self.word[TALK.sensed], self.word[TALK.heard_at] = 1, START_NS
         self.word[TALK.opened_at] = START_NS - 2000 * MS
         self.word[TALK.read_at] = self.word[TALK.kicked_at] = START_NS

@@ -31,12 +31,15 @@ NOT_OURS = 0x7FF8_0000_DEAD_BEEF
 
 
 class Clock:
-    """ns."""
+    """The time (ns), and where a block has room for the system to write it."""
 
     def __init__(self) -> None:
         self.now = START_NS
+        self.room: set[int] = set()
 
     def __call__(self, timespec: int) -> int:
+        """As `monotonic_ns`."""
+        assert timespec in self.room
         return self.now
 
 

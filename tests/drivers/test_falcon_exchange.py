@@ -1,0 +1,698 @@
+"""The exchange with a Falcon call by call, on a libusb and a clock by a script: which packets go out and when, what
+replies and silences are taken for, what is withdrawn. To the nanosecond, which the stand-in in C cannot show."""
+
+from __future__ import annotations
+
+import ctypes
+from math import inf, isnan, nan
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call
+
+from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.falcon import delta, exchange, packets
+from softfinger.drivers.falcon.block import AT
+from softfinger.drivers.falcon.reply import command
+from softfinger.drivers.pause import RESUME_WAIT_NS
+
+pytestmark = BY_CALL
+
+CONTEXT, SUBMIT, EVENTS, CANCEL = 70, 71, 72, 73
+KICK, TIMEOUT_NS = 20 * MS, 200 * MS
+LOST_NS = 5 * MS
+"""An answer that has not come for so long will not."""
+COMPLETED, BROKEN, TIMED_OUT, CANCELLED, STALLED, NO_DEVICE = 0, 1, 2, 3, 4, 5
+"""Of a transfer, by libusb."""
+ERROR_IO, ERROR_NO_DEVICE, ERROR_INTERRUPTED = -1, -4, -10
+ZERO = (0.0,) * 6
+PULL = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+STATUS = b"\x01\x60"
+"""The serial chip's own two bytes in front of every transfer."""
+
+
+def packet(numbers: tuple[int, ...], state: int) -> bytes:
+    """A packet either way: a nibble to a byte, the least significant first."""
+    nibbles = [0x41 + ((n >> (4 * k)) & 15) for n in numbers for k in range(4)]
+    return bytes([0x3C, *nibbles, 0x41 + state, 0x41, 0x3E])
+
+
+def reply(count: int = 0) -> bytes:
+    """Of a knob whose three encoders show the same, homed."""
+    return packet((count,) * 3, 0x70)
+
+
+def counts_of(sent: bytes) -> tuple[int, ...]:
+    """Motor counts of a packet."""
+    nibbles = [byte - 0x41 for byte in sent[1:13]]
+    whole = [sum(n << (4 * k) for k, n in enumerate(nibbles[at : at + 4])) for at in (0, 4, 8)]
+    return tuple(n - 65536 if n >= 32768 else n for n in whole)
+
+
+NOTHING = packet((0, 0, 0), 2)
+"""A zero with the green light."""
+
+
+class Usb:
+    """libusb by a script, and the block of a driver that has been homed and armed.
+
+    comes    of transfers in that have come, what each brought; None: it ended with `ends`
+    answers  whether each packet is answered with the next reply, in the handling of events that completes it
+    """
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.clock = by_call(patch, exchange)
+        patch.setattr(exchange, "call_int32", self._call)
+        self.block = GuardedBlock(AT)
+        self.word = word = self.block.word
+        self.clock.room = {self.block.handle + 8 * AT.timespec}
+        self.transfers = {at: np.zeros(8, np.int64) for at in (AT.transfer_in, AT.transfer_out)}
+        for at, done in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
+            word[at] = self.transfers[at].ctypes.data
+            self.transfers[at][5] = self.block.handle + 8 * done  # user_data
+        word[AT.context], word[AT.submit], word[AT.handle_events], word[AT.cancel] = CONTEXT, SUBMIT, EVENTS, CANCEL
+        word[AT.kick], word[AT.timeout_after], word[AT.lights] = KICK, TIMEOUT_NS, packets.GREEN
+        word[AT.open] = word[AT.armed] = word[AT.in_done] = word[AT.out_done] = word[AT.homed] = 1
+        word[AT.opened_at] = START_NS - 2000 * MS
+        self.block.numbers(AT.centre, 3)[:] = (0.0, 0.0, 0.11)
+        self.block.numbers(AT.gain, 1)[:] = 10000.0
+        self.block.numbers(AT.position, 3)[:] = delta.HOME
+        self.comes: list[bytes | None] = []
+        self.ends, self.answers, self.blocked, self.stubborn, self.error = BROKEN, True, False, False, 0
+        self.interrupted = False
+        self.waits: list[int] = []
+        self.sent: list[bytes] = []
+        self.cancelled: list[int] = []
+        self.number = 0
+        assert self.block.call(exchange.begin) == OK
+
+    def _done(self, at: int, status: int, actual: int = 0) -> None:
+        self.transfers[at].view(np.int32)[4] = status
+        self.transfers[at].view(np.int32)[6] = actual
+        exchange.done(int(self.word[at]))
+
+    def _call(self, address: int, given: tuple[Any, ...]) -> int:
+        assert self.word[AT.lock] == 1 or address == SUBMIT
+        if address == EVENTS:
+            return self._events(*given)
+        (transfer,) = given
+        at = AT.transfer_in if transfer == self.word[AT.transfer_in] else AT.transfer_out
+        assert transfer == self.word[at]
+        if address == CANCEL:
+            self.cancelled.append(at)
+            return 0
+        assert address == SUBMIT
+        assert self.word[AT.in_done if at == AT.transfer_in else AT.out_done] == 0
+        if self.error:
+            return self.error
+        if at == AT.transfer_out:
+            self.sent.append(self.block.octets(AT.buffer_out, packets.SIZE).tobytes())
+        return 0
+
+    def _events(self, context: int, interval: Any, completed: Any) -> int:
+        assert context == CONTEXT and interval[0] == 0 and not completed
+        self.waits.append(interval[1])
+        assert len(self.waits) < 500, "it waits for ever"
+        if self.interrupted:
+            return ERROR_INTERRUPTED
+        if self.error:
+            return self.error
+        for at, done in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
+            if at in self.cancelled and not self.word[done] and not self.stubborn:
+                self._done(at, CANCELLED)
+        if not self.word[AT.out_done] and not self.blocked:
+            self._done(AT.transfer_out, COMPLETED, packets.SIZE)
+            if self.answers:
+                self.number += 1
+                self.comes.append(reply(self.number))
+        if self.word[AT.in_done] or not self.comes:
+            self.clock.now += 1000 * interval[1]
+            return 0
+        data = self.comes.pop(0)
+        if data is None:
+            self._done(AT.transfer_in, self.ends)
+        else:
+            whole = STATUS + data
+            self.block.octets(AT.buffer_in, 64)[: len(whole)] = list(whole[:64])
+            self._done(AT.transfer_in, COMPLETED, len(whole))
+        return 0
+
+    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
+        self.comes += comes
+        self.waits.clear()
+        sample = np.full(SAMPLE_SIZE, nan)
+        status = self.block.call(exchange.read, sample)
+        assert self.word[AT.lock] == 0
+        return status, sample
+
+    def write(self, *wrench: float) -> int:
+        self.waits.clear()
+        status = self.block.call(exchange.write, wrench)
+        assert self.word[AT.lock] == 0
+        return status
+
+    def later(self, ns: int) -> None:
+        """So much time, in which the loop reads nothing but is no pause."""
+        self.clock.now += ns
+        self.word[AT.read_at] = self.clock.now
+
+    def got(self) -> list[bytes]:
+        """Packets since they were last asked for."""
+        out = self.sent[:]
+        self.sent.clear()
+        return out
+
+    def counts(self) -> dict[str, int]:
+        """The counters that are not 0."""
+        return {name: count for name, count in self.block.counts().items() if count}
+
+    def forces(self) -> dict[str, int]:
+        """Of these, those of what is sent."""
+        return {name: n for name, n in self.counts().items() if name in ("written", "held", "kicks", "cut")}
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> Usb:
+    """Not read yet."""
+    return Usb(monkeypatch)
+
+
+@pytest.fixture
+def usb(opened: Usb) -> Usb:
+    """Read once, with nothing under way and nothing counted; replies are the test's own."""
+    assert opened.read()[0] == OK
+    opened.answers = False
+    opened.sent.clear()
+    opened.word[: AT.context] = 0
+    assert opened.word[AT.awaited] == 0
+    return opened
+
+
+# --- the first sample, and one after a pause ----------------------------------------------------------
+
+
+def test_the_first_read_asks_for_a_reply_of_now(opened: Usb) -> None:
+    """With a zero, whose answer it waits for in slices of 2 ms."""
+    status, sample = opened.read()
+    assert status == OK  # nobody was given a force before
+    assert np.isfinite(sample).all()
+    assert opened.got() == [NOTHING]
+    assert set(opened.waits) <= {0, 2000}
+    assert opened.forces() == {"written": 1}
+
+
+def test_a_device_that_never_answers_is_given_up(opened: Usb) -> None:
+    """At the first read after the time-out, asked anew each `kick_s`."""
+    opened.answers = False
+    assert opened.read()[0] == TIMEOUT
+    assert TIMEOUT_NS < opened.clock.now - START_NS <= TIMEOUT_NS + 2 * MS
+    assert opened.got() == [NOTHING] * 11
+    opened.word[AT.timeout_after] = 10 * MS
+    begun = opened.clock.now
+    assert opened.read()[0] == TIMEOUT
+    assert 10 * MS < opened.clock.now - begun <= 12 * MS
+    assert opened.word[AT.sensed] == 0
+
+
+def test_after_a_pause_replies_of_before_are_thrown_away(usb: Usb) -> None:
+    """What has come, and what is still to come for the packets sent before; the read that sends a zero says so."""
+    assert usb.write(*PULL) == OK
+    assert usb.word[AT.awaited] == 1
+    usb.clock.now += 31 * MS
+    usb.answers = False
+    taken = iter([[], [reply(100)], [reply(200)]])
+    events = usb._events
+
+    def late(*given: Any) -> int:
+        usb.comes += next(taken, []) if given[1][1] else []
+        return events(*given)
+
+    usb._events = late  # type: ignore[method-assign]
+    status, sample = usb.read()
+    assert status == WITHHELD
+    assert usb.word[AT.counts] == 200
+    assert np.isfinite(sample).all()
+    assert counts_of(usb.got()[-1]) == (0, 0, 0)
+    assert usb.word[AT.older] == 0
+    assert usb.read(reply(300))[0] == OK
+
+
+def test_a_pause_is_longer_than_thirty_ms(usb: Usb) -> None:
+    """30 ms without a read are none."""
+    usb.clock.now += 30 * MS
+    usb.word[AT.sent_at] = usb.clock.now
+    assert usb.read()[0] == STALE
+    assert usb.got() == []
+    usb.clock.now += 30 * MS + 1
+    usb.answers = True
+    assert usb.read()[0] == WITHHELD
+    assert usb.got() == [NOTHING]
+
+
+def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
+    """A device that does not answer then is waited for 0.1 s and no longer; the sample of before is repeated, no force
+    goes out, and the silence is counted from now."""
+    before = usb.read(reply(5))[1].tolist()
+    usb.got()
+    usb.clock.now += 3 * TIMEOUT_NS
+    begun = usb.clock.now
+    status, sample = usb.read()
+    assert (status, sample.tolist()) == (WITHHELD, before)
+    assert RESUME_WAIT_NS < usb.clock.now - begun <= RESUME_WAIT_NS + 2 * MS
+    assert usb.got() == [NOTHING] * 6
+    assert usb.write(*PULL) == WITHHELD
+    assert usb.word[AT.older] == 0
+    usb.later(1 * MS)
+    assert usb.read(reply(6))[0] == OK
+
+
+def test_what_is_lost_after_a_pause_is_not_waited_for(usb: Usb) -> None:
+    """The answer to a packet of before never came: once the second zero is out, the next reply is of now."""
+    usb.write(*PULL)
+    usb.clock.now += 31 * MS
+    events = usb._events
+
+    def late(*given: Any) -> int:
+        if usb.clock.now > begun + KICK and not usb.comes and not given_one:
+            given_one.append(True)
+            usb.comes.append(reply(9))
+        return events(*given)
+
+    begun, given_one = usb.clock.now, list[bool]()
+    usb._events = late  # type: ignore[method-assign]
+    assert usb.read()[0] == WITHHELD
+    assert usb.word[AT.counts] == 9
+    assert usb.clock.now - begun < 2 * KICK
+
+
+def test_a_bus_that_fails_after_a_pause_is_lost(usb: Usb) -> None:
+    """In its events, and where the zero is refused."""
+    usb.clock.now += 31 * MS
+    usb.error = ERROR_IO
+    assert usb.read()[0] == LOST
+    assert usb.word[AT.error] == ERROR_IO
+    usb.error = 0
+    usb.transfers[AT.transfer_out].view(np.int32)[4] = STALLED
+    usb.clock.now += 31 * MS
+    assert usb.read()[0] == LOST
+    assert usb.word[AT.error] == STALLED
+
+
+# --- replies ---------------------------------------------------------------------------------------------
+
+
+def test_a_reply_is_a_sample_and_then_it_is_repeated(usb: Usb) -> None:
+    """Without a wait; in pieces it is one once it is whole."""
+    status, first = usb.read(reply(5))
+    assert status == OK
+    assert set(usb.waits) == {0}
+    status, again = usb.read()
+    assert (status, again.tolist()) == (STALE, first.tolist())
+    assert usb.read(reply(6)[:7])[0] == STALE
+    status, other = usb.read(reply(6)[7:])
+    assert status == OK and other[1] != first[1]
+    assert usb.counts() == {"replies": 2}
+
+
+def test_replies_of_one_tick_are_counted_and_the_newest_is_taken(usb: Usb) -> None:
+    """Three in two transfers: two were passed over. The chip's own two bytes are no part of the stream."""
+    assert usb.read(reply(1) + reply(2), b"", reply(3))[0] == OK
+    assert usb.word[AT.counts] == 3
+    assert usb.counts() == {"replies": 3, "passed": 2}
+    assert usb.read(reply(4))[0] == OK
+    assert usb.counts() == {"replies": 4, "passed": 2}
+
+
+def test_a_flood_does_not_hold_the_loop(usb: Usb) -> None:
+    """Eight transfers in one tick; the rest is the next tick's."""
+    assert usb.read(*[reply(n) for n in range(20)])[0] == OK
+    assert usb.counts() == {"replies": 8, "passed": 7}
+
+
+def test_a_length_past_the_buffer_is_not_believed(usb: Usb) -> None:
+    """Behind the buffer stands our own packet."""
+    usb.write(*ZERO)
+    usb.block.octets(AT.buffer_in, 64)[:] = 0
+    usb._done(AT.transfer_in, COMPLETED, 200)
+    usb.blocked = True
+    assert usb.read()[0] == STALE
+    assert "replies" not in usb.counts()
+    assert usb.counts()["garbled"] == 62
+
+
+@pytest.mark.parametrize(
+    ("ends", "status", "error"),
+    [
+        (TIMED_OUT, STALE, 0), (CANCELLED, STALE, 0), (BROKEN, LOST, BROKEN), (STALLED, LOST, STALLED), (6, LOST, 6),
+        (NO_DEVICE, LOST, ERROR_NO_DEVICE),
+    ],
+)  # fmt: skip
+def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -> None:
+    """One that ran out of time or was withdrawn is put under way anew; an error of the bus is a loss."""
+    usb.ends = ends
+    usb.comes = [None]
+    assert usb.read()[0] == status
+    assert usb.word[AT.error] == error
+    assert usb.word[AT.in_done] == (status == LOST)
+
+
+def test_a_signal_during_events_is_no_fault(usb: Usb) -> None:
+    """Nothing was finished; the next tick has it."""
+    usb.interrupted = True
+    assert usb.read(reply(1))[0] == STALE
+    usb.interrupted = False
+    assert usb.read()[0] == OK
+
+
+def test_a_transfer_that_is_refused_is_not_under_way(usb: Usb) -> None:
+    """In, and out."""
+    for knob in (AT.in_done, AT.out_done):
+        usb.word[AT.error] = 0
+        call = usb._call
+
+        def refusing(address: int, given: tuple[Any, ...], call: Any = call) -> int:
+            return ERROR_IO if address == SUBMIT else call(address, given)
+
+        exchange.call_int32 = refusing
+        assert (usb.read(reply(1))[0] if knob == AT.in_done else usb.write(*PULL)) == LOST
+        assert usb.word[knob] == 1 and usb.word[AT.error] == ERROR_IO
+        exchange.call_int32 = usb._call
+        assert usb.block.call(exchange.begin) == OK
+    assert usb.forces() == {}
+
+
+def test_a_device_that_lost_its_homing_ends_the_run(usb: Usb) -> None:
+    """The status of the pose is the read's; the sample of before stays."""
+    usb.read(reply(1))
+    assert usb.read(packet((1, 1, 1), 0x30))[0] < 0
+
+
+def test_a_device_that_is_closed_is_lost(usb: Usb) -> None:
+    """Its libusb is not called; a zero needs nobody, a force does not go out."""
+    usb.word[AT.open] = 0
+    assert usb.read()[0] == LOST
+    assert usb.write(*ZERO) == OK
+    assert usb.write(*PULL) == WITHHELD
+    assert usb.waits == [] and usb.got() == []
+
+
+def test_while_the_device_is_being_stopped_nobody_waits(usb: Usb) -> None:
+    """The last sample is repeated, and no wrench is taken."""
+    before = usb.read(reply(5))[1].tolist()
+    usb.word[AT.lock] = 1
+    sample = np.full(SAMPLE_SIZE, nan)
+    assert usb.block.call(exchange.read, sample) == STALE
+    assert sample.tolist() == before
+    assert usb.block.call(exchange.write, PULL) == WITHHELD
+    assert usb.block.call(exchange.silence) == 0
+    assert usb.block.call(exchange.withdraw) == 0
+    assert usb.got() == [] and usb.word[AT.lock] == 1 and usb.word[AT.open] == 1
+
+
+# --- forces ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
+    """As the delta's transposed Jacobian has them, with the light; torque is not displayed."""
+    wrench = [0.0, 0.0, 0.0, 0.5, 0.5, 0.5]
+    wrench[axis] = 1.0
+    wanted, cut = command(usb.block.handle, tuple(wrench[:3]))  # type: ignore[arg-type]
+    assert any(wanted) and not cut
+    assert usb.write(*wrench) == OK
+    assert usb.got() == [packet(wanted, 2)]
+    assert [usb.word[at] for at in (AT.awaited, AT.pushes, AT.sent_at)] == [1, 1, usb.clock.now]
+    assert usb.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK
+    assert usb.got() == [NOTHING]
+    assert [usb.word[at] for at in (AT.awaited, AT.pushes)] == [2, 0]
+    assert usb.forces() == {"written": 2}
+
+
+@pytest.mark.parametrize("leg", [0, 1, 2])
+def test_a_force_of_one_motor_is_one_that_has_to_be_ended(leg: int, usb: Usb, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever motor it is, and however little; the zero that ends it goes out whatever is on its way."""
+    counts = [0, 0, 0]
+    counts[leg] = 1
+    monkeypatch.setattr(exchange, "command", lambda handle, force: (tuple(counts), False))
+    assert usb.write(*PULL) == OK
+    assert usb.word[AT.pushes] == 1
+    usb.write(*PULL)
+    assert usb.write(*PULL) == HELD
+    assert usb.write(*ZERO) == OK
+    assert usb.word[AT.pushes] == 0
+
+
+def test_a_force_past_the_motors_is_cut(usb: Usb) -> None:
+    """And said so."""
+    assert usb.write(0.0, 0.0, 100.0, 0.0, 0.0, 0.0) == STALE
+    assert max(map(abs, counts_of(usb.got()[0]))) == 4095
+    assert usb.forces() == {"written": 1, "cut": 1}
+
+
+def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
+    """The third force is held, for the motors keep the one before; a zero goes out over it, and a second zero is one
+    that they have already. With an answer there is room again."""
+    assert [usb.write(*PULL) for _ in range(3)] == [OK, OK, HELD]
+    assert usb.write(*ZERO) == OK
+    assert usb.write(*ZERO) == STALE
+    assert usb.write(*PULL) == HELD
+    assert [any(counts_of(each)) for each in usb.got()] == [True, True, False]
+    assert usb.forces() == {"written": 3, "held": 3}
+    assert usb.read(reply(1))[0] == OK
+    assert usb.write(*PULL) == HELD
+    assert usb.read(reply(2))[0] == OK
+    assert usb.word[AT.awaited] == 1
+    assert usb.write(*PULL) == OK
+
+
+def test_answers_that_do_not_come_are_lost_after_five_ms(usb: Usb) -> None:
+    """From the packet sent last; with a single one missing there is nothing to wait for."""
+    usb.write(*ZERO)
+    usb.later(LOST_NS + 1)
+    assert usb.read()[0] == STALE
+    assert usb.word[AT.awaited] == 1
+    usb.write(*ZERO)
+    usb.later(LOST_NS)
+    assert usb.read()[0] == STALE
+    assert usb.word[AT.awaited] == 2
+    usb.later(1)
+    assert usb.read()[0] == STALE
+    assert usb.word[AT.awaited] == 0
+
+
+def test_a_packet_that_is_not_through_holds_the_next(usb: Usb) -> None:
+    """Also a zero, which is then not taken; after the time-out the device is given up."""
+    usb.blocked = True
+    assert usb.write(*PULL) == OK
+    assert usb.write(*PULL) == HELD
+    assert usb.waits == [0]
+    assert usb.write(*ZERO) == HELD  # the motors keep their force
+    assert usb.forces() == {"written": 1, "held": 2}
+    usb.word[AT.heard_at] = usb.clock.now = usb.clock.now + TIMEOUT_NS
+    assert usb.write(*PULL) == HELD
+    usb.clock.now += 1
+    assert usb.write(*PULL) == TIMEOUT
+    usb.blocked = False
+    assert usb.write(*PULL) == OK
+
+
+@pytest.mark.parametrize(
+    ("ends", "error"), [(BROKEN, BROKEN), (STALLED, STALLED), (NO_DEVICE, ERROR_NO_DEVICE), (TIMED_OUT, 0)]
+)
+def test_how_a_packet_ended_decides_over_the_next(ends: int, error: int, usb: Usb) -> None:
+    """An error of the bus is a loss."""
+    usb.transfers[AT.transfer_out].view(np.int32)[4] = ends
+    assert usb.write(*PULL) == (LOST if error else OK)
+    assert usb.word[AT.error] == error
+    assert len(usb.got()) == (0 if error else 1)
+
+
+@pytest.mark.parametrize("bad", [nan, inf, -inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_force_that_is_no_number_is_a_zero(axis: int, bad: float, usb: Usb) -> None:
+    """In whichever place; a torque is not looked at."""
+    wrench = [0.0, 0.0, 0.0, bad, bad, bad]
+    wrench[axis] = bad
+    assert usb.write(*wrench) == WITHHELD
+    assert usb.got() == [NOTHING]
+    wrench[axis] = 1.0
+    assert usb.write(*wrench) == OK
+
+
+def test_no_force_where_the_knob_is_nowhere(usb: Usb) -> None:
+    """Encoders to which no place belongs: a zero, and the loop is told, whatever it wanted."""
+    status, sample = usb.read(reply(-3000))
+    assert status == OK and isnan(sample[0])
+    assert usb.write(*PULL) == WITHHELD
+    assert usb.write(*ZERO) == WITHHELD
+    assert usb.got() == [NOTHING] * 2
+
+
+def test_no_force_into_a_silence(usb: Usb) -> None:
+    """For `kick_s` it is let through; then a zero goes out, withheld or not asked for."""
+    usb.read(reply(1))
+    usb.later(KICK)
+    assert usb.write(*PULL) == OK
+    usb.later(1)
+    assert usb.write(*PULL) == WITHHELD
+    assert usb.write(*ZERO) == WITHHELD
+    assert [any(counts_of(each)) for each in usb.got()] == [True, False]
+    usb.word[AT.sensed], usb.word[AT.heard_at] = 0, usb.clock.now
+    assert usb.write(*PULL) == WITHHELD
+
+
+def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
+    """Before `arm`, and for good after `stop`; a zero is then no less displayed."""
+    for armed, stopped in ((0, 0), (1, 1), (0, 1)):
+        usb.word[AT.armed], usb.word[AT.stopped] = armed, stopped
+        usb.word[AT.awaited] = 0
+        assert usb.write(*PULL) == WITHHELD
+        assert usb.write(*ZERO) == OK
+        assert usb.got() == [NOTHING] * 2
+    usb.word[AT.awaited] = 2
+    assert usb.write(*ZERO) == STALE
+    assert usb.write(*PULL) == WITHHELD
+    assert usb.got() == []
+
+
+# --- silences --------------------------------------------------------------------------------------------
+
+
+def test_a_silence_is_kicked_and_then_given_up(usb: Usb) -> None:
+    """A zero each `kick_s` from the packet before, told as WITHHELD; after `timeout_s` the run is over."""
+    usb.read(reply(1))
+    usb.write(*PULL)
+    usb.word[AT.older] = 1
+    usb.later(KICK)
+    assert usb.read()[0] == STALE
+    usb.later(1)
+    assert usb.read()[0] == WITHHELD
+    assert [usb.word[at] for at in (AT.awaited, AT.older, AT.zeroed)] == [1, 0, 0]
+    assert usb.read()[0] == STALE
+    usb.later(KICK)
+    assert usb.read()[0] == STALE
+    usb.later(1)
+    assert usb.read()[0] == WITHHELD
+    assert [any(counts_of(each)) for each in usb.got()] == [True, False, False]
+    assert usb.forces() == {"written": 3, "kicks": 2}
+    usb.word[AT.heard_at] = usb.clock.now - TIMEOUT_NS
+    usb.word[AT.sent_at] = usb.clock.now
+    assert usb.read()[0] == STALE
+    usb.later(1)
+    assert usb.read()[0] == TIMEOUT
+
+
+def test_a_kick_follows_no_packet_of_just_now(usb: Usb) -> None:
+    """In a silence that is longer than `kick_s`, with a zero sent a moment ago."""
+    usb.read(reply(1))
+    usb.later(3 * KICK)
+    usb.write(*ZERO)
+    usb.got()
+    assert usb.read()[0] == STALE
+    assert usb.got() == []
+
+
+def test_a_kick_that_does_not_go_through(usb: Usb) -> None:
+    """Over a packet that hangs it is told as no zero; a bus that fails is lost."""
+    usb.read(reply(1))
+    usb.blocked = True
+    usb.write(*PULL)
+    usb.later(KICK + 1)
+    assert usb.read()[0] == STALE
+    assert usb.forces() == {"written": 1, "kicks": 1}
+    usb.blocked = False
+    usb.transfers[AT.transfer_out].view(np.int32)[4] = BROKEN
+    usb.word[AT.out_done] = 1
+    assert usb.read()[0] == LOST
+
+
+# --- the end ---------------------------------------------------------------------------------------------
+
+
+def stop(usb: Usb) -> int:
+    usb.waits.clear()
+    return usb.block.call(exchange.silence)
+
+
+def test_a_stop_sends_a_zero_and_waits_until_it_is_through(usb: Usb) -> None:
+    """It is armed no more, and after a zero it has nothing left to do."""
+    usb.write(*PULL)
+    usb.got()
+    assert stop(usb) == 0
+    assert usb.waits == [2000]
+    assert usb.got() == [] or usb.sent == []
+    assert [usb.word[at] for at in (AT.stopped, AT.armed, AT.lock)] == [1, 0, 0]
+    for _ in range(3):
+        if stop(usb):
+            break
+    assert stop(usb) == 1
+    assert usb.word[AT.pushes] == 0 and counts_of(usb.block.octets(AT.buffer_out, 16).tobytes()) == (0, 0, 0)
+    assert usb.cancelled == []
+
+
+def test_a_stop_step_by_step(usb: Usb) -> None:
+    """The force goes through; a zero is put under way; the zero goes through."""
+    usb.write(*PULL)
+    assert stop(usb) == 0 and usb.got()[-1] == NOTHING
+    assert stop(usb) == 1 and usb.got() == []
+    usb.word[AT.open] = 0
+    usb.word[AT.pushes] = 1
+    assert stop(usb) == 1 and usb.got() == []
+
+
+def test_a_zero_that_did_not_arrive_is_sent_again(usb: Usb) -> None:
+    """Though the last packet was no force; where the bus takes none, there is nothing left to try."""
+    usb.transfers[AT.transfer_out].view(np.int32)[4] = CANCELLED
+    assert stop(usb) == 0
+    assert usb.got() == [NOTHING]
+    assert stop(usb) == 1
+    usb.transfers[AT.transfer_out].view(np.int32)[4] = BROKEN
+    usb.error = ERROR_NO_DEVICE
+    assert stop(usb) == 1
+
+
+def test_a_force_that_hangs_is_withdrawn(usb: Usb) -> None:
+    """After the time-out, and not before; then the zero follows."""
+    usb.blocked = True
+    usb.write(*PULL)
+    usb.got()
+    usb.clock.now = int(usb.word[AT.sent_at]) + TIMEOUT_NS - 2 * MS  # of which the wait takes 2 ms
+    assert stop(usb) == 0
+    assert usb.cancelled == []
+    assert stop(usb) == 0
+    assert usb.cancelled == [AT.transfer_out]
+    assert stop(usb) == 0
+    assert usb.got() == [NOTHING]
+
+
+def test_closing_withdraws_both_transfers(usb: Usb) -> None:
+    """Those that are under way; it is done when libusb has given both back."""
+    assert usb.block.call(exchange.withdraw) == 1
+    assert usb.cancelled == [AT.transfer_in]
+    assert [usb.word[at] for at in (AT.open, AT.in_done, AT.out_done, AT.lock)] == [0, 1, 1, 0]
+    usb.cancelled.clear()
+    assert usb.block.call(exchange.withdraw) == 1
+    assert usb.cancelled == []
+
+
+@pytest.mark.parametrize("hangs", [AT.transfer_in, AT.transfer_out])
+def test_a_transfer_that_libusb_keeps_is_not_given_back(hangs: int, usb: Usb) -> None:
+    """Neither of the two."""
+    usb.blocked = usb.stubborn = True
+    usb.write(*PULL)
+    usb._done(AT.transfer_in if hangs == AT.transfer_out else AT.transfer_out, CANCELLED)
+    usb.waits.clear()
+    assert usb.block.call(exchange.withdraw) == 0
+    assert usb.cancelled == [hangs]
+    assert usb.waits == [2000]
+    usb.stubborn = False
+    assert usb.block.call(exchange.withdraw) == 1
+
+
+def test_the_call_back_raises_the_word_of_its_transfer() -> None:
+    """Whose address is the transfer's user data, the sixth word of it."""
+    word, transfer = ctypes.c_int64(), (ctypes.c_int64 * 8)()
+    transfer[5] = ctypes.addressof(word)
+    exchange.done(ctypes.addressof(transfer))
+    assert word.value == 1
