@@ -1,0 +1,575 @@
+"""The callback of 3D Systems' library and the servo's side call by call, on a library and a clock by a script: what the
+motors are given in each frame, what errors are taken for, what the servo is told. To the nanosecond, which the stand-in
+in C, whose thread is real, cannot show."""
+
+from __future__ import annotations
+
+import ctypes
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call, matrix, turned
+
+from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.openhaptics import exchange
+from softfinger.drivers.openhaptics.block import AT, WRENCH_SIZE
+
+pytestmark = BY_CALL
+
+DEVICE, OTHER, NOBODY = 17, 42, 0xFFFFFFFF
+CALLS = (
+    "begin_frame", "end_frame", "get_doubles", "get_integers", "get_booleans", "set_doubles", "get_error", "enable",
+    "disable", "is_enabled",
+)  # fmt: skip
+BUTTONS, INKWELL, POSITION, TRANSFORM, TEMPERATURE = 0x2000, 0x2002, 0x2050, 0x2052, 0x2605
+FORCE, TORQUE, OUTPUT = 0x2700, 0x2701, 0x4000
+"""Names of the library's header."""
+INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE = 0x100, 0x101, 0x102, 0x103
+BAD_HANDLE, WARM_MOTORS, FORCE_ERROR, DEVICE_FAULT, COMM_ERROR, COMM_CONFIG_ERROR = (
+    0x104, 0x200, 0x204, 0x300, 0x302, 0x303,
+)  # fmt: skip
+AGE_MAX = 5 * MS
+TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""From the library's frame (x right, y up, z towards the user) to the world's (x right, y away from the user, z up)."""
+ZERO = (0.0,) * 6
+PULL = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+DONE, AGAIN = 0, 1
+
+
+class Library:
+    """The library, and a driver's block as after opening, armed, with a torque."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.clock = by_call(patch, exchange)
+        patch.setattr(exchange, "call_void", self._call)
+        patch.setattr(exchange, "call_int32", self._call)
+        patch.setattr(exchange, "call_two_int64", self._call)
+        self.block = GuardedBlock(AT)
+        self.word = word = self.block.word
+        for number, name in enumerate(CALLS, 100):
+            word[getattr(AT, name)] = number
+        word[AT.device], word[AT.turns], word[AT.age_max], word[AT.started_at] = DEVICE, 1, AGE_MAX, START_NS - 2000 * MS
+        word[AT.open] = word[AT.armed] = word[AT.has_inkwell] = word[AT.has_temperature] = word[AT.switch] = 1
+        word[AT.output], word[AT.read_at], word[AT.framed_at] = -1, START_NS, START_NS
+        self.place, self.rotation, self.buttons, self.switch = np.array([11.0, 22.0, -33.0]), np.eye(3), 0, 1
+        self.temperatures = [0.05] * 6
+        self.output, self.refuses = 0, False
+        self.errors: list[tuple[int, int, int]] = []
+        """(code, internal, device), the newest last."""
+        self.asked: list[Any] = []
+
+    def _call(self, address: int, given: tuple[Any, ...]) -> Any:
+        name = CALLS[int(address) - 100]
+        what = int(given[0]) if given else 0
+        assert all(isinstance(one, np.int32) for one in given[:1])
+        self.asked.append((name, what) if given else name)
+        if name == "get_error":
+            code, internal, device = self.errors.pop() if self.errors else (0, 0, NOBODY)
+            return code | internal << 32, device | 0x5A << 32  # what a struct does not fill is not defined
+        if name == "get_doubles":
+            given_to = {POSITION: self.place, TRANSFORM: self._columns(), TEMPERATURE: self.temperatures}[what]
+            (ctypes.c_double * len(given_to)).from_address(given[1])[:] = list(given_to)
+        elif name == "get_integers":
+            ctypes.c_int32.from_address(given[1]).value = self.buttons
+        elif name == "get_booleans":
+            ctypes.c_uint8.from_address(given[1]).value = self.switch
+        elif name == "set_doubles":
+            self.asked[-1] = (name, what, tuple((ctypes.c_double * 3).from_address(given[1])))
+        elif name in ("enable", "disable") and not self.refuses:
+            self.output = int(name == "enable")
+        return 0x5A00 | self.output if name == "is_enabled" else None  # a char, in an int
+
+    def _columns(self) -> list[float]:
+        whole = np.eye(4)
+        whole[:3, :3], whole[:3, 3] = self.rotation, self.place
+        return [float(v) for v in whole.T.ravel()]
+
+    def frame(self, after: int = MS) -> int:
+        """A frame of the library's thread, so long after the one before."""
+        self.clock.now += after
+        self.clock.room = {self.block.handle + 8 * AT.frame_timespec}
+        self.asked.clear()
+        return self.block.call(exchange.callback)
+
+    def read(self) -> tuple[int, np.ndarray]:
+        self.clock.room = {self.block.handle + 8 * AT.servo_timespec}
+        sample = np.full(SAMPLE_SIZE, 7.0)
+        return self.block.call(exchange.read, sample), sample
+
+    def write(self, *wrench: float) -> int:
+        self.clock.room = {self.block.handle + 8 * AT.servo_timespec}
+        return self.block.call(exchange.write, wrench)
+
+    def given(self, what: int = FORCE) -> list[float]:
+        """What the last frame gave the motors, in the world's frame (N, mN m)."""
+        (vector,) = [one[2] for one in self.asked if one[:2] == ("set_doubles", what)]
+        return [float(v) for v in TURN @ vector]
+
+    def displays(self, *wrench: float) -> bool:
+        """Whether a frame gives just this."""
+        self.frame()
+        return self.given() == list(wrench[:3]) and np.allclose(self.given(TORQUE), 1000.0 * np.array(wrench[3:]))
+
+    def warmed_up(self) -> None:
+        """Frames of the opening, with what is asked for once."""
+        for _ in range(exchange.PROBES + 1):
+            assert self.frame() == AGAIN
+        assert self.read()[0] == OK
+
+    def counts(self) -> dict[str, int]:
+        return self.block.counts()
+
+
+@pytest.fixture
+def opening(monkeypatch: pytest.MonkeyPatch) -> Library:
+    """Without a frame yet."""
+    return Library(monkeypatch)
+
+
+@pytest.fixture
+def library(opening: Library) -> Library:
+    opening.warmed_up()
+    return opening
+
+
+# --- a frame ---------------------------------------------------------------------------------------------
+
+
+def test_the_order_of_a_frame(library: Library) -> None:
+    """State is asked for and set between the frame's beginning and its end, errors after it."""
+    library.frame()
+    assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
+        ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
+        ("get_booleans", INKWELL), ("set_doubles", FORCE), ("set_doubles", TORQUE), ("end_frame", DEVICE), "get_error",
+    ]  # fmt: skip
+    library.word[AT.turns] = library.word[AT.has_inkwell] = 0
+    library.frame()
+    assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
+        ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
+        ("set_doubles", FORCE), ("end_frame", DEVICE), "get_error",
+    ]  # fmt: skip
+
+
+def test_the_motors_are_switched_where_they_are_not_so(opening: Library) -> None:
+    """In the first frame whatever they were, then once; the library says whether they are."""
+    switches: list[list[Any]] = []
+
+    def frame() -> None:
+        opening.frame()
+        switches.append([one[0] for one in opening.asked if one[1:] == (OUTPUT,)])
+
+    frame()
+    frame()
+    opening.word[AT.armed] = 0
+    frame()
+    frame()
+    opening.refuses = True
+    opening.word[AT.armed] = 1
+    frame()
+    frame()
+    on, off = ["enable", "is_enabled"], ["disable", "is_enabled"]
+    assert switches == [on, [], off, [], on, on]
+    assert opening.word[AT.output] == 0
+
+
+def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
+    """mm to m, the matrix column by column, 32 buttons, time from the opening."""
+    library.rotation, library.buttons = turned(2, 0.3) @ turned(0, 0.7) @ turned(1, -1.1), -2
+    library.frame()
+    status, sample = library.read()
+    assert status == OK
+    np.testing.assert_allclose(sample[:3], TURN @ library.place / 1000.0, atol=1e-15)
+    np.testing.assert_allclose(matrix(sample[3:7]), TURN @ library.rotation @ TURN.T, atol=1e-12)
+    assert sample[7] == (library.word[AT.framed_at] - library.word[AT.started_at]) / 1e9
+    assert sample[8:].tolist() == [2.0**32 - 2.0, 0.0]
+    for bits in (1, 10, 0x7FFFFFFF):
+        library.buttons = bits
+        library.frame()
+        assert library.read()[1][8] == bits
+
+
+@pytest.mark.parametrize("row", [0, 1, 2])
+@pytest.mark.parametrize("length", [0.9891, 1.0109])
+def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Library) -> None:
+    """Each of them, though the volume is within a hundredth of 1; else it is an orientation of NaN."""
+    scale = np.full(3, length**-0.49)
+    scale[row] = length
+    assert abs(np.prod(scale) - 1.0) < 0.01
+    library.rotation = np.diag(scale)
+    library.frame()
+    sample = library.read()[1]
+    assert np.isnan(sample[3:7]).all() and np.isfinite(sample[[0, 1, 2, 7, 8, 9]]).all()
+    library.rotation = turned(2, 0.3) @ np.diag([1.004, 1.004, 1.0])
+    library.frame()
+    assert np.isfinite(library.read()[1]).all()
+
+
+@pytest.mark.parametrize(
+    "rotation",
+    [np.diag([1.0, 1.0, -1.0]), np.array([[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]]), np.eye(3) * nan],
+    ids=["mirror", "askew", "nan"],
+)
+def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndarray, library: Library) -> None:
+    """A volume that is off by more than a hundredth."""
+    library.rotation = rotation
+    library.frame()
+    sample = library.read()[1]
+    assert np.isnan(sample[3:7]).all() and np.isfinite(sample[[0, 1, 2, 7, 8, 9]]).all()
+
+
+def test_the_temperature_is_asked_for_each_hundredth_frame(opening: Library) -> None:
+    """And in the second, where the inkwell is not; the warmest counts, in thousandths, up to ten times hot."""
+    asked, inkwell = [], []
+    for number in range(301):
+        opening.frame()
+        asked += [number] if ("get_doubles", TEMPERATURE) in opening.asked else []
+        inkwell += [] if ("get_booleans", INKWELL) in opening.asked else [number]
+    assert asked == [1, 99, 199, 299] and inkwell == [1]
+    for temperatures, wanted in (
+        ([0.1, 0.25, 0.05, 0.0, 0.0, 0.0], 250), ([0.0] * 5 + [0.75], 750), ([nan, 0.5, inf, -inf, 0.25, 0.0], 500),
+        ([1e300] + [0.0] * 5, 10000), ([-1.0] * 6, 0), ([nan] * 6, 0), ([0.5] * 6 + [0.9], 500),
+    ):  # fmt: skip
+        opening.temperatures, opening.word[AT.frames] = temperatures, 99
+        opening.frame()
+        assert opening.word[AT.temperature] == wanted
+    opening.word[AT.has_temperature], opening.word[AT.frames] = 0, 99
+    opening.frame()
+    assert ("get_doubles", TEMPERATURE) not in opening.asked
+    opening.word[AT.frames] = 1
+    opening.frame()
+    assert ("get_doubles", TEMPERATURE) not in opening.asked
+
+
+# --- what the motors are given ---------------------------------------------------------------------------
+
+
+def test_a_wrench_is_given_in_the_librarys_frame(library: Library) -> None:
+    """N as they are, N m in mN m; each frame gives it again, as long as it is fresh."""
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
+    assert library.displays(*PULL)
+    assert library.write(*ZERO) == OK
+    assert library.displays(*ZERO)
+    assert library.word[AT.lapses] == 0
+    assert library.counts()["writes"] == 2
+
+
+def test_a_wrench_under_way_is_the_next_frames(library: Library) -> None:
+    """While the servo writes, the one before is given."""
+    library.write(*PULL)
+    library.frame()
+    library.write(2.0, 2.0, 2.0, 0.0, 0.0, 0.0)
+    library.word[AT.wrench_sequence] -= 1
+    assert library.displays(*PULL)
+    library.word[AT.wrench_sequence] += 1
+    assert library.displays(2.0, 2.0, 2.0, 0.0, 0.0, 0.0)
+
+
+def test_a_force_that_is_too_old_is_ended(library: Library) -> None:
+    """After the rig's time and not before; it counts as a lapse, once, and the servo is told once."""
+    library.write(*PULL)
+    for _ in range(5):
+        assert library.displays(*PULL)
+    assert library.displays(*ZERO)
+    assert library.displays(*ZERO)
+    assert library.counts()["lapses"] == 1
+    assert library.write(*PULL) == WITHHELD
+    assert library.displays(*ZERO)
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
+    assert library.counts()["lapses"] == 1
+
+
+def test_a_force_that_is_too_old_by_a_nanosecond(library: Library) -> None:
+    """`force_age_max_s` is the last moment."""
+    for late in (0, 1):
+        library.write(*PULL)
+        library.frame(AGE_MAX)
+        assert library.given() == list(PULL[:3])
+        library.write(*PULL)
+        library.frame(1 * MS)
+        library.frame(AGE_MAX - 1 * MS + late)
+        assert library.given() == ([0.0, 0.0, 0.0] if late else list(PULL[:3]))
+
+
+def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None:
+    """A fresh force is for where the hand was before it; the next frame gives what is written after the servo knows."""
+    library.write(*PULL)
+    library.frame()
+    library.clock.now += AGE_MAX
+    library.write(*PULL)
+    library.frame(1)
+    assert library.given() == [0.0, 0.0, 0.0]
+    assert library.counts()["lapses"] == 1
+    library.frame()
+    assert library.given() == [0.0, 0.0, 0.0]  # written before the servo knew of it
+    assert library.write(*PULL) == WITHHELD
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_a_wrench_in_one_place_is_a_force_that_can_lapse(place: int, library: Library) -> None:
+    """Also a torque alone."""
+    wrench = [0.0] * 6
+    wrench[place] = 1.0
+    library.write(*wrench)
+    assert library.displays(*wrench)
+    assert library.word[AT.loaded] == 1
+    library.word[AT.armed] = 0
+    assert library.displays(*ZERO)
+    assert library.word[AT.loaded] == 0 and library.counts()["lapses"] == 1
+
+
+@pytest.mark.parametrize(("name", "value"), [("armed", 0), ("stopped", 1), ("leave", 1), ("status", LOST)])
+def test_no_force_where_none_may_go_out(name: str, value: int, library: Library) -> None:
+    """And the motors are switched off; the frame that has seen a stop or the end says so."""
+    library.write(*PULL)
+    library.frame()
+    library.word[getattr(AT, name)] = value
+    assert library.frame() == (DONE if name == "leave" else AGAIN)
+    assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
+    assert library.output == 0
+    assert library.word[AT.silent] == (name == "stopped")
+    assert library.word[AT.left] == (name == "leave")
+
+
+def test_a_stop_during_a_frame_is_told_by_the_next(library: Library) -> None:
+    """What is told of is done: the frame that ran when it came may have given a force."""
+    call = library._call
+
+    def meanwhile(address: int, given: tuple[Any, ...]) -> Any:
+        if CALLS[address - 100] == "end_frame":
+            library.word[AT.stopped] = library.word[AT.leave] = 1
+        return call(address, given)
+
+    exchange.call_void = meanwhile
+    assert library.frame() == AGAIN
+    assert [library.word[at] for at in (AT.silent, AT.left)] == [0, 0]
+    exchange.call_void = call
+    assert library.frame() == DONE
+    assert [library.word[at] for at in (AT.silent, AT.left)] == [1, 1]
+
+
+def test_a_device_that_is_closed_is_not_called_for(library: Library) -> None:
+    """No call of the library, and the callback is done."""
+    library.word[AT.open] = 0
+    assert library.frame() == DONE
+    assert library.asked == []
+    assert library.read()[0] == LOST
+
+
+def test_no_force_in_the_inkwell(library: Library) -> None:
+    """The servo is told that it was ended, then that it is limited to nothing, and undocked once that it starts anew.
+    A device without an inkwell is never docked."""
+    library.write(*PULL)
+    library.frame()
+    library.switch = 0
+    assert library.displays(*ZERO)
+    assert library.word[AT.docked] == 1 and library.output == 1
+    assert [library.write(*PULL) for _ in range(3)] == [WITHHELD, STALE, STALE]
+    assert library.write(*ZERO) == OK
+    assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert library.displays(*ZERO)
+    library.switch = 1
+    library.frame()
+    assert library.word[AT.docked] == 0
+    assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert [library.write(*PULL) for _ in range(2)] == [WITHHELD, OK]
+    assert library.displays(*PULL)
+    library.switch = 0
+    library.frame()
+    library.write(*ZERO)
+    library.write(*ZERO)
+    library.switch = 1
+    library.frame()
+    assert [library.write(*ZERO), library.write(*PULL)] == [OK, OK]  # a zero has begun anew already
+    library.switch = library.word[AT.has_inkwell] = 0
+    library.word[AT.switch] = 0
+    library.frame()
+    assert library.word[AT.docked] == 0
+
+
+def test_a_zero_is_no_less_displayed_after_a_lapse(library: Library) -> None:
+    """Nothing has been withheld from it."""
+    library.write(*PULL)
+    library.frame()
+    library.word[AT.armed] = 0
+    library.frame()
+    assert library.write(*ZERO) == OK
+    library.word[AT.armed] = 1
+    assert library.write(*PULL) == OK
+
+
+@pytest.mark.parametrize("bad", [nan, inf, -inf])
+@pytest.mark.parametrize("place", range(6))
+def test_a_wrench_that_is_no_number_is_zero(place: int, bad: float, library: Library) -> None:
+    """In whichever place, and all of it."""
+    wrench = list(PULL)
+    wrench[place] = bad
+    assert library.write(*wrench) == WITHHELD
+    assert library.displays(*ZERO)
+    assert library.write(*PULL) == OK
+
+
+@pytest.mark.parametrize(("armed", "stopped"), [(0, 0), (1, 1), (0, 1)])
+def test_a_device_that_is_not_armed_withholds(armed: int, stopped: int, library: Library) -> None:
+    """A zero is no less displayed; the wrench that is kept is zero, too."""
+    library.word[AT.armed], library.word[AT.stopped] = armed, stopped
+    assert library.write(*PULL) == WITHHELD
+    assert library.write(*ZERO) == OK
+    library.write(*PULL)
+    library.word[AT.armed], library.word[AT.stopped] = 1, 0
+    assert library.displays(*ZERO)
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_a_wrench_in_one_place_is_no_zero(place: int, library: Library) -> None:
+    """What is withheld of it is told."""
+    wrench = [0.0] * 6
+    wrench[place] = 1.0
+    library.word[AT.armed] = 0
+    assert library.write(*wrench) == WITHHELD
+
+
+def test_what_is_written_to_the_lock(library: Library) -> None:
+    """The wrench, its time from the opening, and the lapses that the servo knew of."""
+    library.word[AT.lapses] = 3
+    library.write(*ZERO)
+    library.clock.now += 7
+    library.write(*PULL)
+    wanted = [*PULL, float(library.clock.now - library.word[AT.started_at]), 3.0]
+    assert library.block.numbers(AT.wrench, WRENCH_SIZE).tolist() == wanted
+    assert library.word[AT.wrench_sequence] == 4
+
+
+# --- errors ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "status"),
+    [
+        (BAD_HANDLE, LOST), (DEVICE_FAULT, LOST), (COMM_ERROR, LOST), (COMM_CONFIG_ERROR, LOST), (WARM_MOTORS, FORCE_OFF),
+        (WARM_MOTORS + 1, FORCE_OFF), (FORCE_ERROR, FORCE_OFF), (FORCE_ERROR + 1, PROTOCOL), (WARM_MOTORS - 1, PROTOCOL),
+        (INVALID_ENUM, PROTOCOL), (0x402, PROTOCOL), (1, PROTOCOL),
+    ],
+)  # fmt: skip
+def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: Library) -> None:
+    """With the codes of library and device, from the next frame on without force; that frame's pose is not handed on."""
+    library.write(*PULL)
+    library.frame()
+    library.read()
+    library.errors = [(code, 7, DEVICE)]
+    library.frame()
+    assert library.asked[-2:] == ["get_error"] * 2
+    assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [status, code, 7]
+    assert library.read()[0] == status
+    assert library.counts()["errors"] == 1
+    sequence = int(library.word[AT.pose_sequence])
+    library.frame()
+    assert library.given() == [0.0, 0.0, 0.0] and library.output == 0
+    assert library.word[AT.pose_sequence] == sequence
+
+
+def test_the_gravest_error_is_told(library: Library) -> None:
+    """What ended the device before what was not allowed; else what came first, also of an earlier frame."""
+    library.errors = [(COMM_ERROR, 1, DEVICE), (WARM_MOTORS, 2, DEVICE), (0x402, 3, DEVICE), (0x401, 4, DEVICE)]
+    library.frame()
+    assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [FORCE_OFF, WARM_MOTORS, 2]
+    library.errors = [(DEVICE_FAULT, 5, DEVICE)]
+    library.frame()
+    assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [FORCE_OFF, WARM_MOTORS, 2]
+    assert library.counts()["errors"] == 5
+
+
+def test_the_first_of_two_alike_is_told(library: Library) -> None:
+    """Two that were not allowed."""
+    library.errors = [(0x401, 4, DEVICE), (0x402, 3, DEVICE)]
+    library.frame()
+    assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [PROTOCOL, 0x402, 3]
+
+
+def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
+    """Each names its device, or none: then it may be this one's."""
+    library.errors = [(COMM_ERROR, 1, OTHER)] * 2
+    library.frame()
+    assert library.read()[0] == OK
+    assert library.counts()["errors"] == 2
+    library.errors = [(COMM_ERROR, 1, NOBODY)]
+    library.frame()
+    assert library.read()[0] == LOST
+
+
+def test_a_frame_takes_eight_errors_off_the_stack(library: Library) -> None:
+    """The rest comes in the next."""
+    library.errors = [(COMM_ERROR, 1, OTHER)] * 20
+    for left in (12, 4, 0):
+        library.frame()
+        assert len(library.errors) == left
+
+
+@pytest.mark.parametrize("code", [INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE])
+def test_what_a_device_does_not_have_is_not_asked_again(code: int, opening: Library) -> None:
+    """A first look that is refused ends no run: of the first frame that for the inkwell, of the second that for the
+    temperature."""
+    opening.errors = [(code, 0, DEVICE)]
+    opening.frame()
+    assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature, AT.status)] == [0, 1, OK]
+    opening.errors = [(code, 0, DEVICE)]
+    opening.frame()
+    assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature, AT.status)] == [0, 0, OK]
+    opening.errors = [(code, 0, DEVICE)]
+    opening.frame()
+    assert opening.word[AT.status] == PROTOCOL
+
+
+@pytest.mark.parametrize("code", [INVALID_ENUM - 1, BAD_HANDLE])
+def test_other_errors_of_a_first_look_end_the_run(code: int, opening: Library) -> None:
+    """A code that refuses nothing."""
+    opening.errors = [(code, 0, DEVICE)]
+    opening.frame()
+    assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature)] == [1, 1]
+    assert opening.word[AT.status] < 0
+
+
+# --- the servo's reads -----------------------------------------------------------------------------------
+
+
+def test_a_frame_is_read_once_and_then_repeated(library: Library) -> None:
+    """One that is being written is the next tick's."""
+    library.frame()
+    first = library.read()[1].tolist()
+    status, sample = library.read()
+    assert (status, sample.tolist()) == (STALE, first)
+    library.place += 1.0
+    library.frame()
+    library.word[AT.pose_sequence] -= 1
+    assert library.read()[1].tolist() == first
+    library.word[AT.pose_sequence] += 1
+    status, sample = library.read()
+    assert status == OK and sample[0] != first[0]
+    assert (library.counts()["reads"], library.counts()["repeated"]) == (5, 2)
+
+
+def test_a_silent_library_is_given_up(library: Library) -> None:
+    """After 0.1 s in which the servo listened: of a pause of its own 10 ms count. A frame begins that anew."""
+    library.read()
+    for _ in range(10):
+        library.clock.now += 10 * MS
+        assert library.read()[0] == STALE
+    library.frame(0)
+    assert library.read()[0] == OK
+    for _ in range(10):
+        library.clock.now += 50 * MS
+        assert library.read()[0] == STALE
+    library.clock.now += 1
+    assert library.read()[0] == TIMEOUT
+
+
+def test_an_error_is_told_before_a_sample(library: Library) -> None:
+    """Each of the statuses below 0."""
+    for status in (-1, LOST, FORCE_OFF, PROTOCOL):
+        library.word[AT.status] = status
+        assert library.read()[0] == status
