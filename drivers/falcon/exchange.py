@@ -120,7 +120,6 @@ def _take(handle: int, wait_us: int) -> int:
         status = _submit(handle, AT.transfer_in, AT.in_done)
         if status != OK:
             return status
-        wait_us = 0
     if came > 1:
         word[AT.passed] += came - 1
     return came

@@ -282,7 +282,7 @@ def test_what_is_lost_after_a_pause_is_not_waited_for(usb: Usb) -> None:
     begun, given_one = usb.clock.now, list[bool]()
     usb._events = late  # type: ignore[method-assign]
     assert usb.read()[0] == WITHHELD
-    assert usb.word[AT.counts] == 9
+    assert [usb.word[at] for at in (AT.counts, AT.awaited, AT.older)] == [9, 1, 0]
     assert usb.clock.now - begun < 2 * KICK
 
 
@@ -322,6 +322,8 @@ def test_replies_of_one_tick_are_counted_and_the_newest_is_taken(usb: Usb) -> No
     assert usb.counts() == {"replies": 3, "passed": 2}
     assert usb.read(reply(4))[0] == OK
     assert usb.counts() == {"replies": 4, "passed": 2}
+    assert usb.read(reply(5), reply(6))[0] == OK
+    assert usb.counts() == {"replies": 6, "passed": 3}
 
 
 def test_a_flood_does_not_hold_the_loop(usb: Usb) -> None:
@@ -581,6 +583,18 @@ def test_a_silence_is_kicked_and_then_given_up(usb: Usb) -> None:
     assert usb.read()[0] == STALE
     usb.later(1)
     assert usb.read()[0] == TIMEOUT
+
+
+def test_a_silence_is_longer_than_the_time_of_a_kick(usb: Usb) -> None:
+    """Though the last packet is longer ago."""
+    usb.write(*ZERO)
+    usb.got()
+    usb.later(1)
+    usb.read(reply(1))
+    usb.later(KICK)
+    assert usb.read()[0] == STALE and usb.got() == []
+    usb.later(1)
+    assert usb.read()[0] == WITHHELD and usb.got() == [NOTHING]
 
 
 def test_a_kick_follows_no_packet_of_just_now(usb: Usb) -> None:

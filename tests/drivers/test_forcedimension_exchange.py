@@ -126,8 +126,8 @@ def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
     "rotation",
     [
         np.diag([1.0, 1.0, -1.0]), np.diag([1.02, 1.0, 1.0]), np.diag([1.0, 0.98, 1.0]), np.diag([1.0, 1.0, 1.02]),
-        np.diag([1.02, 1 / 1.02, 1.0]), np.diag([1.0, 1.02, 1 / 1.02]), np.diag([1 / 1.02, 1.0, 1.02]), np.zeros((3, 3)),
-        np.full((3, 3), nan), np.array([[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]]),
+        np.diag([1.02, 1 / 1.02, 1.0]), np.diag([1.0, 1.02, 1 / 1.02]), np.diag([1 / 1.02, 1.0, 1.02]),
+        np.zeros((3, 3)), np.full((3, 3), nan), np.array([[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]]),
     ],
     ids=["mirror", "long", "short", "last", "volume 1", "volume 1 too", "and so", "zeros", "nan", "askew"],
 )  # fmt: skip
@@ -220,9 +220,13 @@ def test_the_status_is_asked_for_each_so_many_reads(library: Library) -> None:
 )
 def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], status: int, library: Library) -> None:
     """By its status words, with the cause and the error word; a device in order leaves neither."""
-    library.word[AT.reads] = 3
+    library.word[AT.reads] = 2
+    _, before = library.read()
     library.status |= {CAUSE: 4, **words}
+    library.place += 1.0
     assert library.read()[0] == status
+    kept = library.block.numbers(AT.sample, SAMPLE_SIZE).tolist()
+    assert (kept == before.tolist()) is (status == FORCE_OFF)
     told = (4, words.get(ERROR, 0)) if status == FORCE_OFF else (-1, 0)
     assert (library.word[AT.cause], library.word[AT.faulty]) == told
     assert "get_error" not in library.asked
@@ -286,7 +290,7 @@ def test_what_the_library_says_to_a_force(code: int, status: int, counts: dict[s
     assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
     assert library.counts() == {"writes": 1, **counts}
     assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert library.counts() == {"writes": 2, **{name: 2 for name in counts}}
+    assert library.counts() == {"writes": 2, **dict.fromkeys(counts, 2)}
 
 
 def test_a_force_that_fails_says_why(library: Library) -> None:

@@ -15,6 +15,7 @@ from softfinger.config.load import build
 from softfinger.drivers import conversation as talk
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.conversation import TALK
+from softfinger.drivers.fields.table import POSITION, WRIST
 from softfinger.drivers.hid import device, exchange
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.exchange import AT
@@ -42,6 +43,7 @@ class Board:
         given = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
         self.block = HidDevice(build(Options, given, "rig"), FD)._block
         self.word = self.block.word
+        self.block.fixed = [(AT.values + WRIST, AT.values + POSITION), (AT.model, len(self.word))]  # no wrist is sensed
         self.clock.room = {self.block.handle + 8 * TALK.timespec}
         self.word[TALK.sensed], self.word[TALK.heard_at] = 1, START_NS
         self.word[TALK.opened_at] = START_NS - 2000 * MS

@@ -50,7 +50,8 @@ class Library:
         self.word = word = self.block.word
         for number, name in enumerate(CALLS, 100):
             word[getattr(AT, name)] = number
-        word[AT.device], word[AT.turns], word[AT.age_max], word[AT.started_at] = DEVICE, 1, AGE_MAX, START_NS - 2000 * MS
+        word[AT.device], word[AT.turns], word[AT.age_max] = DEVICE, 1, AGE_MAX
+        word[AT.started_at] = START_NS - 2000 * MS
         word[AT.open] = word[AT.armed] = word[AT.has_inkwell] = word[AT.has_temperature] = word[AT.switch] = 1
         word[AT.output], word[AT.read_at], word[AT.framed_at] = -1, START_NS, START_NS
         self.place, self.rotation, self.buttons, self.switch = np.array([11.0, 22.0, -33.0]), np.eye(3), 0, 1
@@ -208,12 +209,12 @@ def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Li
 
 @pytest.mark.parametrize(
     "rotation",
-    [np.diag([1.0, 1.0, -1.0]), np.array([[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]]), np.eye(3) * nan],
+    [np.diag([1.0, 1.0, -1.0]), [[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]], np.eye(3) * nan],
     ids=["mirror", "askew", "nan"],
 )
 def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndarray, library: Library) -> None:
     """A volume that is off by more than a hundredth."""
-    library.rotation = rotation
+    library.rotation = np.array(rotation)
     library.frame()
     sample = library.read()[1]
     assert np.isnan(sample[3:7]).all() and np.isfinite(sample[[0, 1, 2, 7, 8, 9]]).all()
@@ -451,13 +452,14 @@ def test_what_is_written_to_the_lock(library: Library) -> None:
 @pytest.mark.parametrize(
     ("code", "status"),
     [
-        (BAD_HANDLE, LOST), (DEVICE_FAULT, LOST), (COMM_ERROR, LOST), (COMM_CONFIG_ERROR, LOST), (WARM_MOTORS, FORCE_OFF),
-        (WARM_MOTORS + 1, FORCE_OFF), (FORCE_ERROR, FORCE_OFF), (FORCE_ERROR + 1, PROTOCOL), (WARM_MOTORS - 1, PROTOCOL),
+        (BAD_HANDLE, LOST), (DEVICE_FAULT, LOST), (COMM_ERROR, LOST), (COMM_CONFIG_ERROR, LOST),
+        (WARM_MOTORS, FORCE_OFF), (WARM_MOTORS + 1, FORCE_OFF), (FORCE_ERROR, FORCE_OFF),
+        (FORCE_ERROR + 1, PROTOCOL), (WARM_MOTORS - 1, PROTOCOL),
         (INVALID_ENUM, PROTOCOL), (0x402, PROTOCOL), (1, PROTOCOL),
     ],
 )  # fmt: skip
 def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: Library) -> None:
-    """With the codes of library and device, from the next frame on without force; that frame's pose is not handed on."""
+    """With the codes of library and device, from the next frame on without force; no pose of it is handed on."""
     library.write(*PULL)
     library.frame()
     library.read()

@@ -56,6 +56,9 @@ class Board:
         opened._options = options
         self.block = opened._make_block(FD, Model(*options.mounting.frame(), options.force_max_n, mechanism))
         self.word = self.block.word
+        self.block.fixed = [(AT.model, AT.place)]
+        if given is not None:  # no text comes
+            self.block.fixed.append((AT.incoming, len(self.word)))
         self.clock.room = {self.block.handle + 8 * TALK.timespec}
         self.word[TALK.sensed], self.word[TALK.heard_at] = 1, START_NS
         self.word[TALK.opened_at] = START_NS - 2000 * MS
@@ -63,6 +66,7 @@ class Board:
 
     def _read(self, fd: int, address: int, size: int, word: int) -> int:
         """Nothing is read past what there is room for."""
+        assert word == self.block.handle + 8 * AT.waiting
         if self.word[AT.kind] == exchange.TEXT:
             assert address + size <= self.block.handle + self.word.nbytes
         else:
@@ -349,7 +353,10 @@ def described(**changes: Any) -> Options:
         "output": {
             "bytes": 9, "start": [2],
             "field": [
-                *({"meaning": f"force_{k}", "offset": 1 + 2 * n, "type": "int16", "scale": 1e4} for n, k in enumerate("xyz")),
+                *(
+                    {"meaning": f"force_{k}", "offset": 1 + 2 * n, "type": "int16", "scale": 1e4}
+                    for n, k in enumerate("xyz")
+                ),
                 {"meaning": "constant", "offset": 7, "type": "int16", "scale": 258.0},
             ],
         },

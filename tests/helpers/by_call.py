@@ -44,7 +44,10 @@ class Clock:
 
 
 class GuardedBlock(Block):
-    """A block in the middle of memory that is not its own: as much in front of it and behind it as it has itself."""
+    """A block in the middle of memory that is not its own: as much in front of it and behind it as it has itself.
+
+    fixed  first words and ends of what no call may change
+    """
 
     def __init__(self, *layouts: tuple[int, ...]) -> None:
         super().__init__(*layouts)
@@ -53,12 +56,16 @@ class GuardedBlock(Block):
         self.word = self._around[words : 2 * words]
         self.word[:] = 0
         self.handle = int(self.word.ctypes.data)
+        self.fixed: list[tuple[int, int]] = []
 
     def call(self, function: Any, *arguments: Any) -> int:
-        """What a C function gives with this handle; it has written to no memory but the block's."""
+        """What a C function gives with this handle; it has written where it may."""
+        before = [self.word[first:end].copy() for first, end in self.fixed]
         status = int(function(self.handle, *arguments))
         for part in np.split(self._around, 3)[::2]:
             assert (part == NOT_OURS).all(), "it has written outside the block"
+        for (first, end), words in zip(self.fixed, before, strict=True):
+            assert (self.word[first:end] == words).all(), "it has changed what is not its own"
         return status
 
 
