@@ -58,12 +58,25 @@ PARTS: Final = {
         ("drivers/conversation.py",),
         ("drivers/test_conversation", "drivers/test_serial_device", "drivers/test_hid_device", "drivers/test_withheld"),
     ),
-    "serial": Part(("drivers/serial/exchange.py",), ("drivers/test_serial_device", "drivers/test_serial_boards")),
-    "hid": Part(("drivers/hid/exchange.py",), ("drivers/test_hid_device", "drivers/test_hid_threads")),
-    "haply": Part(("drivers/haply/exchange.py",), ("drivers/test_haply_device",)),
-    "falcon": Part(("drivers/falcon/exchange.py",), ("drivers/test_falcon_stub", "drivers/test_falcon_withheld")),
-    "forcedimension": Part(("drivers/forcedimension/exchange.py",), ("drivers/test_forcedimension",)),
-    "openhaptics": Part(("drivers/openhaptics/exchange.py",), ("drivers/test_openhaptics",)),
+    "serial": Part(
+        ("drivers/serial/exchange.py",),
+        ("drivers/test_serial_exchange", "drivers/test_serial_device", "drivers/test_serial_boards"),
+    ),
+    "hid": Part(
+        ("drivers/hid/exchange.py",),
+        ("drivers/test_hid_exchange", "drivers/test_hid_device", "drivers/test_hid_threads"),
+    ),
+    "haply": Part(("drivers/haply/exchange.py",), ("drivers/test_haply_exchange", "drivers/test_haply_device")),
+    "falcon": Part(
+        ("drivers/falcon/exchange.py",),
+        ("drivers/test_falcon_exchange", "drivers/test_falcon_stub", "drivers/test_falcon_withheld"),
+    ),
+    "forcedimension": Part(
+        ("drivers/forcedimension/exchange.py",), ("drivers/test_forcedimension_exchange", "drivers/test_forcedimension")
+    ),
+    "openhaptics": Part(
+        ("drivers/openhaptics/exchange.py",), ("drivers/test_openhaptics_exchange", "drivers/test_openhaptics")
+    ),
 }
 COMPILED: Final = ("arming_is_the_last_act", "after_a_servo", "ends_with_a_failing", "allocates_nothing")
 """Words in the names of tests that need machine code; without these a sweep begins minutes earlier."""
