@@ -15,9 +15,10 @@ import pytest
 from numba import config
 from numpy.typing import NDArray
 
+from helpers.plain_exchange import exchange_int64, unpack_at
 from softfinger.drivers.block import Block
 from softfinger.drivers.system.libc import EAGAIN, EIO
-from softfinger.proxy.kernels.jit import pack, seqlock
+from softfinger.proxy.kernels.jit import seqlock
 
 BY_CALL = [
     pytest.mark.plain,
@@ -67,17 +68,6 @@ class GuardedBlock(Block):
         for (first, end), words in zip(self.fixed, before, strict=True):
             assert (self.word[first:end] == words).all(), "it has changed what is not its own"
         return status
-
-
-def exchange_int64(address: int, value: int) -> int:
-    word = ctypes.c_int64.from_address(address)
-    before, word.value = word.value, value
-    return before
-
-
-def unpack_at(like: Any, address: int) -> Any:
-    leaves = len(pack.flatten(like))
-    return pack.unflatten(like, list((ctypes.c_double * leaves).from_address(int(address))))
 
 
 def by_call(patch: pytest.MonkeyPatch, *modules: ModuleType) -> Clock:

@@ -70,11 +70,20 @@ def _call_two_int64(address: int, arguments: tuple[Any, ...]) -> tuple[int, int]
     return both.first, both.second
 
 
-def _exchange(address: int, value: int) -> int:
+def exchange_int64(address: int, value: int) -> int:
+    """As proxy.kernels.jit.memory has it."""
     with _ATOMIC:
         word = ctypes.c_int64.from_address(int(address))
         before, word.value = word.value, value
         return before
+
+
+def unpack_at(like: Any, address: int) -> Any:
+    """As proxy.kernels.jit.pack has it."""
+    from softfinger.proxy.kernels.jit import pack
+
+    leaves = len(pack.flatten(like))
+    return pack.unflatten(like, list((ctypes.c_double * leaves).from_address(int(address))))
 
 
 def _store(array: Any, index: int, value: int) -> None:
@@ -102,7 +111,7 @@ def install() -> None:
     from softfinger.proxy.kernels.jit import atomics, foreign, memory, pack
     from softfinger.proxy.kernels.jit.compiler.numba_internals import CFunction
 
-    memory.exchange_int64, memory.put_big_endian = _exchange, _put_big_endian
+    memory.exchange_int64, memory.put_big_endian = exchange_int64, _put_big_endian
     memory.address_of = lambda array, index: array.ctypes.data + index * array.itemsize
     foreign.call_int32, foreign.call_void = _called(ctypes.c_int32), _called(None)  # type: ignore[assignment]
     foreign.call_two_int64 = _call_two_int64
@@ -111,10 +120,6 @@ def install() -> None:
     atomics.fence_acquire = atomics.fence_release = lambda: None
     device = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
     atomics.call_device = lambda address, handle, values: device(address)(handle, values.ctypes.data)
-
-    def unpack_at(like: Any, address: int) -> Any:
-        leaves = len(pack.flatten(like))
-        return pack.unflatten(like, list((ctypes.c_double * leaves).from_address(int(address))))
 
     pack.unpack_at = unpack_at
     CFunction.address = property(lambda self: ctypes.cast(_in_c_function(self), ctypes.c_void_p).value)
