@@ -286,7 +286,7 @@ def main(words: Sequence[str]) -> int:
     parts = [part for part in PARTS.values() if any(each.file in part.files for each in mistakes)]
     tests = sorted({f"tests/{name}.py" for part in parts for name in part.tests})
     # the package is imported already, for the exchanges; it has no assertions that pytest would write anew
-    options = ["-q", "-p", "no:cacheprovider", "--timeout=0", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    options = ["-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
     pytest.main([*options, "-m", "not exhaustive", *tests], [sweep])
     listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8")).get("equivalent", [])
     excused = {(one["file"], one["line"], one["mistake"]) for one in listed}

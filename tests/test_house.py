@@ -57,11 +57,12 @@ def test_parameters_are_counted() -> None:
 
 def test_no_failing_test_waits_for_its_program() -> None:
     """The block of a Popen ends with its program, which may run for ever: tests have helpers.programs.Program."""
-    found = []
-    for path in sorted((ROOT / "tests").rglob("test_*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.withitem) and ast.unparse(node.context_expr).startswith("subprocess.Popen("):
-                found.append(f"{name(path)}:{node.context_expr.lineno}")
+    found = [
+        f"{name(path)}:{node.context_expr.lineno}"
+        for path in sorted((ROOT / "tests").rglob("test_*.py"))
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.withitem) and ast.unparse(node.context_expr).startswith("subprocess.Popen(")
+    ]
     assert found == []
 
 
