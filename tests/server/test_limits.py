@@ -162,6 +162,28 @@ def test_a_motor_that_bears_the_largest_force_is_never_hot():
     assert lim.coolest(lim.UNLIMITED, 1.5, 8.0) == 8.0
 
 
+def test_at_its_limit_a_handle_is_not_too_fast_and_at_half_of_it_slow():
+    """Both ends belong to what is allowed."""
+    limits = lim.UNLIMITED._replace(speed=2.0, slow_s=0.5)
+    assert lim.waiting(limits, 0.0, 2.0, True, T) == 0.0
+    assert lim.waiting(limits, 0.25, 1.0, True, T) == 0.25 - T
+
+
+def test_a_tick_of_no_length_changes_no_velocity():
+    """A clock that stood still tells nothing of how fast the handle is."""
+    assert lim.smoothed((0.1, 0.2, 0.3), (0.001, 0.0, 0.0), 0.0) == (0.1, 0.2, 0.3)
+
+
+def test_a_torque_fades_with_the_force():
+    """Where half of the energy beyond the limit was given, both have half of their largest values."""
+    guard = limited(energy=0.2)
+    passed = BEGUN._replace(limited=lim.COLD._replace(given=0.3 * (lim.FORGET_S + T) / lim.FORGET_S))
+    passed, bits = tick(guard, passed, (50.0, 0.0, 0.0), mode=ROLLING, torque=(0.0, 0.0, 5.0))
+    assert bits & g.ENERGY_SPENT
+    assert passed.guarded.force == pytest.approx((6.0, 0.0, 0.0), rel=1e-12)
+    assert passed.guarded.torque == pytest.approx((0.0, 0.0, 0.15), rel=1e-12)
+
+
 def test_energy_given_in_a_contact_fades_the_force():
     """A hand pushed along with constant power P: after n ticks it was given P tau (1 - r^n), r = tau / (tau + T), and
     from the limit E on the force has the share 2 - given / E: in the end E (1 + s) = s P tau."""
