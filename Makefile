@@ -23,6 +23,8 @@ NUMBA_BEFORE := numba==0.67.*
 EMULATORS := umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0
 SUBSCRIBERS := g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev
 BROWSER := chromium
+# A package that was removed is still known to dpkg, by its settings.
+INSTALLED = [ -z "$$(dpkg-query -W -f '$${db:Status-Status}\n' $(1) 2>&1 | grep -vx installed)" ]
 VM_PACKAGES := qemu-system-x86 busybox-static udev systemd dbus libusb-1.0-0
 
 PACKAGES := config drivers proxy server tools
@@ -96,19 +98,19 @@ test-vm: $(STAMP) ## The drivers on a true kernel's USB and HID, the service und
 	@exec $(BIN)/python tests/vm/run.py $(ARGS)
 
 emulators: ## Debian packages that the emulated USB devices of the tests need (as root); without them those tests skip
-	@if dpkg -s $(EMULATORS) >/dev/null 2>&1; then exit 0; fi
+	@if $(call INSTALLED,$(EMULATORS)); then exit 0; fi
 	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(EMULATORS)
 
 browser: ## Debian's Chromium, which the tests of the page in the browser need (as root); without it those tests skip
-	@if dpkg -s $(BROWSER) >/dev/null 2>&1; then exit 0; fi
+	@if $(call INSTALLED,$(BROWSER)); then exit 0; fi
 	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(BROWSER)
 
 vm-packages: ## Debian packages that test-vm needs (as root); the kernel it downloads itself, into ~/.cache/softfinger-vm
-	@if dpkg -s $(VM_PACKAGES) >/dev/null 2>&1; then exit 0; fi
+	@if $(call INSTALLED,$(VM_PACKAGES)); then exit 0; fi
 	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(VM_PACKAGES)
 
 subscribers: ## What the programs of examples/subscribe need: Debian packages (as root), and npm's beside them
-	@if ! dpkg -s $(SUBSCRIBERS) >/dev/null 2>&1; then
+	@if ! $(call INSTALLED,$(SUBSCRIBERS)); then
 	    apt-get -qq update && apt-get -qq install -y --no-install-recommends $(SUBSCRIBERS)
 	fi
 	cd examples/subscribe && npm ci --no-audit --no-fund
