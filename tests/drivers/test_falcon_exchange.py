@@ -203,7 +203,7 @@ def test_the_first_read_asks_for_a_reply_of_now(opened: Usb) -> None:
 
 
 def test_a_device_that_never_answers_is_given_up(opened: Usb) -> None:
-    """At the first read after the time-out, asked anew each `kick_s`."""
+    """At the first read after the time-out; every `kick_s` it is asked again."""
     opened.answers = False
     assert opened.read()[0] == TIMEOUT
     assert TIMEOUT_NS < opened.clock.now - START_NS <= TIMEOUT_NS + 2 * MS
@@ -351,7 +351,7 @@ def test_a_length_past_the_buffer_is_not_believed(usb: Usb) -> None:
     ],
 )  # fmt: skip
 def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -> None:
-    """One that ran out of time or was withdrawn is put under way anew; an error of the bus is a loss."""
+    """After a time-out or a cancellation the transfer is submitted again; an error of the bus is a lost device."""
     usb.ends = ends
     usb.comes = [None]
     assert usb.read()[0] == status

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, matrix, turned
+from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
 
 from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.haply import exchange
@@ -18,7 +18,6 @@ pytestmark = BY_CALL
 
 FD = 5
 HALF = np.sqrt(0.5)
-ABOUT_Z = turned(2, np.pi / 2)
 QUIET, TIMEOUT_NS = 20 * MS, 100 * MS
 ZERO = (0.0,) * 6
 Q = (0.5, 0.1, -0.7, 0.5)
@@ -78,8 +77,7 @@ def test_the_newest_state_is_a_pose_in_the_world(device: Device) -> None:
     for wanted in (OK, STALE):
         status, sample = device.read()
         assert status == wanted
-        np.testing.assert_allclose(sample[:3], ABOUT_Z @ (0.25, 0.5, -0.125) + (0.1, 0.2, 0.3), atol=1e-12)
-        np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(Q), atol=1e-12)
+        check_pose(sample, (0.25, 0.5, -0.125), Q, rounding=1e-12)
         assert sample[7:].tolist() == [pytest.approx(2.005), 3.0, 0.0]
 
 
@@ -160,7 +158,7 @@ def test_what_ended_the_thread_ends_the_run(device: Device) -> None:
 
 
 def test_a_force_that_the_thread_let_go_is_told_once(device: Device) -> None:
-    """So that the guard fades in anew."""
+    """The guard then ramps the force up from zero."""
     device.word[AT.dropped] = 1
     assert device.read()[0] == WITHHELD
     assert device.read()[0] == STALE

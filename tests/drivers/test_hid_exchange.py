@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, matrix, turned
+from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
 from helpers.hid_devices import described
 
 from softfinger.config.load import build
@@ -25,7 +25,6 @@ pytestmark = BY_CALL
 FD = 5
 HALF = np.sqrt(0.5)
 MOUNTING = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [HALF, 0.0, 0.0, HALF]}
-ABOUT_Z = turned(2, np.pi / 2)
 ZERO = (0.0,) * 6
 EIO, ETIMEDOUT = 5, 110
 
@@ -101,8 +100,7 @@ def test_a_report_is_a_pose_in_the_world(board: Board) -> None:
     q = (0.5, 0.1, -0.7, 0.5)
     status, sample = board.read(report(250.0, 500.0, -125.0, *q, buttons=6, gripper=50))
     assert status == OK
-    np.testing.assert_allclose(sample[:3], ABOUT_Z @ (0.25, 0.5, -0.125) + (0.1, 0.2, 0.3), atol=1e-12)
-    np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(q), atol=1e-7)  # a float32 of 0.7
+    check_pose(sample, (0.25, 0.5, -0.125), q, rounding=1e-7)  # a float32 of 0.7
     assert sample[7:].tolist() == [2.0, 6.0, 0.5]
     assert board.counts() == {"reports": 1}
 

@@ -368,7 +368,7 @@ def test_a_device_that_is_closed_is_not_called_for(library: Library) -> None:
 
 
 def test_no_force_in_the_inkwell(library: Library) -> None:
-    """The servo is told that it was ended, then that it is limited to nothing, and undocked once that it starts anew.
+    """The servo is told that it was ended, then that it is limited to nothing, and undocked once that it starts again.
     A device without an inkwell is never docked."""
     library.write(*PULL)
     library.frame()
@@ -400,7 +400,7 @@ def test_no_force_in_the_inkwell(library: Library) -> None:
     library.write(*ZERO)
     library.switch = 1
     library.frame()
-    assert [library.write(*ZERO), library.write(*PULL)] == [OK, OK]  # a zero has begun anew already
+    assert [library.write(*ZERO), library.write(*PULL)] == [OK, OK]  # a zero has started it again already
     library.switch = library.word[AT.has_inkwell] = 0
     library.word[AT.switch] = 0
     library.frame()
@@ -570,7 +570,7 @@ def test_a_frame_is_read_once_and_then_repeated(library: Library) -> None:
 
 
 def test_a_silent_library_is_given_up(library: Library) -> None:
-    """After 0.1 s in which the servo listened: of a pause of its own 10 ms count. A frame begins that anew."""
+    """After 0.1 s in which the servo listened: of a pause of its own 10 ms count. Each frame starts that time again."""
     library.read()
     for _ in range(10):
         library.clock.now += 10 * MS

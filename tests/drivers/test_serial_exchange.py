@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, matrix, turned
+from helpers.by_call import ABOUT_Z, BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose, matrix, turned
 from helpers.serial_devices import rig_options
 
 from softfinger.config.load import build
@@ -24,7 +24,6 @@ pytestmark = BY_CALL
 FD = 5
 HALF = np.sqrt(0.5)
 MOUNTING = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [HALF, 0.0, 0.0, HALF]}
-ABOUT_Z = turned(2, np.pi / 2)
 TEXT = {"force_max_n": 5.0, "quiet_s": 0.02, "timeout_s": 0.2, "kick_s": 0.1}
 ZERO = (0.0,) * 6
 
@@ -295,7 +294,7 @@ def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
 
 @pytest.mark.parametrize("room", [1, 63])
 def test_a_single_byte_counts(room: int, board: Board) -> None:
-    """One byte that was taken, and one that was not: the frame is not sent anew."""
+    """One byte that was taken, and one that was not: the frame is not sent again."""
     board.port.room = room
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.word[TALK.left] == 64 - room
@@ -391,8 +390,7 @@ def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
     q = (0.5, 0.1, -0.7, 0.5)
     status, sample = other.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
     assert status == OK
-    np.testing.assert_allclose(sample[:3], ABOUT_Z @ (0.25, 0.5, -0.125) + (0.1, 0.2, 0.3), atol=1e-12)
-    np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(q), atol=1e-7)  # a float32 of 0.7
+    check_pose(sample, (0.25, 0.5, -0.125), q, rounding=1e-7)  # a float32 of 0.7
     assert sample[7:].tolist() == [2.0, 6.0, 0.5]
     assert other.read(answer(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))[0] == PROTOCOL
     assert other.counts() == {"bytes": 62, "frames": 2}

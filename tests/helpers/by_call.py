@@ -15,14 +15,17 @@ import pytest
 from numba import config
 from numpy.typing import NDArray
 
-from helpers.plain_exchange import exchange_int64, unpack_at
+from helpers.plain_exchange import ORDERED, exchange_int64, unpack_at
 from softfinger.drivers.block import Block
 from softfinger.drivers.system.libc import EAGAIN, EIO
 from softfinger.proxy.kernels.jit import seqlock
 
 BY_CALL = [
     pytest.mark.plain,
-    pytest.mark.skipif(not config.DISABLE_JIT, reason="what it calls is Python, which no compiled kernel calls"),
+    pytest.mark.skipif(
+        not config.DISABLE_JIT,
+        reason="it scripts calls in Python, and compiled code cannot call Python; `make test` runs it uncompiled",
+    ),
 ]
 MS = 1_000_000
 START_NS = 10_000 * MS
@@ -78,12 +81,8 @@ def by_call(patch: pytest.MonkeyPatch, *modules: ModuleType) -> Clock:
         for name, does in here.items():
             if hasattr(module, name):
                 patch.setattr(module, name, does)
-    for name in ("load_acquire", "load_relaxed"):
-        patch.setattr(seqlock, name, lambda array, index: int(array[index]))
-    for name in ("store_release", "store_relaxed"):
-        patch.setattr(seqlock, name, lambda array, index, value: array.__setitem__(index, value))
-    for name in ("fence_acquire", "fence_release"):
-        patch.setattr(seqlock, name, lambda: None)
+    for name, does in ORDERED.items():
+        patch.setattr(seqlock, name, does)
     return clock
 
 
@@ -149,3 +148,13 @@ def turned(axis: int, angle: float) -> NDArray[np.float64]:
     out[a, a] = out[b, b] = np.cos(angle)
     out[b, a], out[a, b] = np.sin(angle), -np.sin(angle)
     return out
+
+
+ABOUT_Z, SHIFT = turned(2, np.pi / 2), (0.1, 0.2, 0.3)
+"""How devices of these tests are mounted: a quarter turn, and m."""
+
+
+def check_pose(sample: NDArray[np.float64], place: tuple[float, ...], q: tuple[float, ...], rounding: float) -> None:
+    """The sample has this place (m) and orientation of the device's frame in the world; `rounding` of a matrix."""
+    np.testing.assert_allclose(sample[:3], ABOUT_Z @ place + SHIFT, atol=1e-12)
+    np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(list(q)), atol=rounding)

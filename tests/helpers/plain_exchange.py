@@ -86,8 +86,23 @@ def unpack_at(like: Any, address: int) -> Any:
     return pack.unflatten(like, list((ctypes.c_double * leaves).from_address(int(address))))
 
 
+def _load(array: Any, index: int) -> int:
+    return int(array[index])
+
+
 def _store(array: Any, index: int, value: int) -> None:
     array[index] = value
+
+
+def _no_fence() -> None:
+    """Plain Python has its own order."""
+
+
+ORDERED: Final[dict[str, Callable[..., Any]]] = {
+    "load_acquire": _load, "load_relaxed": _load, "store_release": _store, "store_relaxed": _store,
+    "fence_acquire": _no_fence, "fence_release": _no_fence,
+}  # fmt: skip
+"""Words of memory, as proxy.kernels.jit.atomics has them."""
 
 
 def _put_big_endian(array: Any, index: int, value: float) -> None:
@@ -115,9 +130,8 @@ def install() -> None:
     memory.address_of = lambda array, index: array.ctypes.data + index * array.itemsize
     foreign.call_int32, foreign.call_void = _called(ctypes.c_int32), _called(None)  # type: ignore[assignment]
     foreign.call_two_int64 = _call_two_int64
-    atomics.load_acquire = atomics.load_relaxed = lambda array, index: int(array[index])
-    atomics.store_release = atomics.store_relaxed = _store
-    atomics.fence_acquire = atomics.fence_release = lambda: None
+    for name, does in ORDERED.items():
+        setattr(atomics, name, does)
     device = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
     atomics.call_device = lambda address, handle, values: device(address)(handle, values.ctypes.data)
 

@@ -237,4 +237,4 @@ def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1]) == {"whole": True, "lost": 0, "heard": True, "state": "armed"}
     seen = {"driver": "replay", "fault": "the link is down for 1000 ticks", "ticks": None, "event": "none"}
-    record_property(SEEN, seen | {"state": "armed", "recovery": "subscribers connect anew by themselves"})
+    record_property(SEEN, seen | {"state": "armed", "recovery": "subscribers reconnect by themselves"})

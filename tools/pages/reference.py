@@ -66,8 +66,8 @@ Keys of a rig's `[device]` besides `driver`; several devices have a table `[devi
     for name in registry.BUILT_IN:
         parts.append(f"## `{name}`")
         for heading, body in schema.sections(registry.load(name).Options, "[device]"):
-            first = seen.setdefault(body, f"{heading} of `{name}`")
-            parts.append(f"### {heading}\n\n{body if first.endswith(f' of `{name}`') else f'As {first}.'}")
+            parts.append(f"### {heading}\n\n{f'As {seen[body]}.' if body in seen else body}")
+            seen.setdefault(body, f"{heading} of `{name}`")
     return _page(head, *parts)
 
 
