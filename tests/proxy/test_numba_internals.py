@@ -14,10 +14,19 @@ import numba
 import numpy as np
 import pytest
 from numba import types
+from numba.core.registry import cpu_target
 
 from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import Folder
-from softfinger.proxy.kernels.jit.compiler.numba_internals import SEEN, CFunction, Choice, Inlined, KernelCache, load
+from softfinger.proxy.kernels.jit.compiler.numba_internals import (
+    SEEN,
+    CFunction,
+    Choice,
+    Inlined,
+    InlinedCode,
+    KernelCache,
+    load,
+)
 from softfinger.proxy.kernels.jit.dispatch import by_count
 
 BY_ITSELF = """
@@ -61,6 +70,26 @@ def test_what_is_forced_inline_is_not_called() -> None:
     assert len(defined) == 1
 
 
+def test_what_is_compiled_into_its_callers_has_no_machine_code(tmp_path: Any) -> None:
+    """`JITCodeLibrary`, `CompilerBase`: callers compute with it, whether it is compiled or comes from a file."""
+
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    folder, hits = Folder(tmp_path / "kernels"), []
+    for _ in range(2):
+        kernel: Any = Inlined(half, decorators.INLINED, decorators.entry)
+        kernel._cache = KernelCache(half, folder, "inlined")
+        caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, kernel=kernel: kernel(x) + kernel(x + 1.0))
+        assert caller(3.0) == 3.5
+        hits.append(sum(kernel.stats.cache_hits.values()))
+        (made,) = kernel.overloads.values()
+        assert isinstance(made.library, InlinedCode) and not made.type_annotation
+        engine = cpu_target.target_context.codegen()._engine
+        assert not engine.is_symbol_defined(made.fndesc.llvm_func_name)
+    assert hits == [0, 1]
+
+
 def test_what_has_no_wrapper_is_compiled_once_more_for_python() -> None:
     """`CPUDispatcher`: numba by itself calls address 0 and ends the program; a kernel of ours answers."""
     done = subprocess.run([sys.executable, "-c", BY_ITSELF], capture_output=True, check=False)
@@ -84,9 +113,9 @@ def test_a_compiled_kernel_goes_to_a_file_and_comes_back(tmp_path: Any) -> None:
         found.append(sum(compiled.stats.cache_hits.values()))
     assert found == [found[0], 0, found[0], 1]
     (kept,) = folder.path.iterdir()  # type: ignore[union-attr]
-    again = load(folder, kept.name, numba.core.registry.cpu_target.target_context)
+    again = load(folder, kept.name, cpu_target.target_context)
     assert again.signature == types.float64(types.float64)
-    assert load(folder, "none.kernel", numba.core.registry.cpu_target.target_context) is None
+    assert load(folder, "none.kernel", cpu_target.target_context) is None
 
 
 def test_a_c_function_has_an_address() -> None:

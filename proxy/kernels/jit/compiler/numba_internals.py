@@ -8,6 +8,9 @@ forceinline              A small kernel is compiled into its callers. Without: a
 no_cpython_wrapper, no_cfunc_wrapper
                          No wrapper round what only kernels call. Without: a scene compiles for 1.6 times as long.
 CPUDispatcher            Such a kernel, called from Python, is compiled once more. Without: numba jumps to address 0.
+JITCodeLibrary, get_executable, compile_result, CompilerBase and its passes
+                         Such a kernel has no machine code, and is spared two passes. Without: a scene compiles for 1.2
+                         times as long, and a third more is kept on the disk.
 _cache, NullCache, serialize.dumps, CompileResult._reduce and ._rebuild, lifted, has_dynamic_globals
                          A cache that trusts nobody (`cache.py`). Without: numba unpickles what it finds, and ends the
                          program where a file is damaged.
@@ -19,7 +22,8 @@ CFunc, cpu_target, get_pointer_to_function, llvm_cfunc_wrapper_name
 types.Callable, resolve_value_type, lower_constant
                          A kernel that is chosen by type is kept, too. Without: `overload` compiles it for every scene.
 
-SEEN names the versions of numba in which they were seen; `tests/proxy/test_numba_internals.py` asks for each.
+SEEN names the versions of numba in which they were seen; `tests/proxy/test_numba_internals.py` asks for each. One file,
+though it is a long one: it is read whole before another version of numba is taken.
 """
 
 from __future__ import annotations
@@ -37,11 +41,13 @@ import llvmlite.binding as llvm
 from numba import types
 from numba.core.caching import NullCache
 from numba.core.ccallback import CFunc
-from numba.core.compiler import CompileResult
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder, compile_result
 from numba.core.errors import TypingError
 from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.serialize import dumps
+from numba.core.typed_passes import AnnotateTypes, NopythonRewrites
 from numba.extending import models, register_model, typeof_impl
 
 from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
@@ -134,7 +140,8 @@ def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | 
                 return None
             if not all(llvm.address_of_symbol(each) is not None for each in calls):  # what numba's runtime offers
                 target_context.refresh()
-            return CompileResult._rebuild(target_context, *reduced)
+            rebuild = InlinedCode.rebuild if reduced[0][1] == InlinedCode.FORM else CompileResult._rebuild
+            return rebuild(target_context, *reduced)
         except Exception as error:  # what another version of a library made of it
             folder.reject(name, error)
             return None
@@ -147,6 +154,63 @@ def _calls(library: Any) -> list[str]:
     return [name for name in names if not name.startswith("llvm.")]
 
 
+class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
+    """The code of a kernel that is compiled into its callers: optimised, but without machine code, which none calls."""
+
+    FORM: Final = "inlined"
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0
+
+    def serialize_using_object_code(self) -> tuple[str, str, bytes]:
+        return self.name, self.FORM, self._get_module_for_linking().as_bitcode()
+
+    @classmethod
+    def rebuild(cls, context: Any, code: Any, described: Any, environment: Any, signature: Any, *rest: Any) -> Any:
+        """What `CompileResult._reduce` made of a kernel with such code."""
+        name, _, bitcode = code
+        library = cls(context.codegen(), name)
+        library._final_module = llvm.parse_bitcode(bitcode)
+        library._finalize_final_module()
+        return compile_result(
+            target_context=context,
+            library=library,
+            fndesc=described,
+            environment=environment,
+            signature=signature,
+            objectmode=False,
+            entry_point=context.get_executable(library, described, environment),
+            referenced_envs=rest[-1],  # which live as long as this does
+        )
+
+    @property
+    def codegen(self) -> InlinedCode:
+        """numba asks for it to call `set_env` alone."""
+        return self
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Nothing: an environment is for what Python calls. numba would write to an address that is not there."""
+
+
+IDLE: Final = (NopythonRewrites, AnnotateTypes)
+"""Passes without work in a kernel: expressions of whole arrays, and a listing for people, which would be kept, too."""
+
+
+class InlinedCompiler(CompilerBase):  # type: ignore[misc]
+    """Compiles a kernel that only kernels call."""
+
+    def define_pipelines(self) -> list[Any]:
+        self.state.library = InlinedCode(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.passes = [each for each in passes.passes if each[0] not in IDLE]
+        passes.finalize()
+        return [passes]
+
+
 class Inlined(CPUDispatcher):  # type: ignore[misc]
     """A kernel for other kernels, without a wrapper for Python.
 
@@ -154,7 +218,7 @@ class Inlined(CPUDispatcher):  # type: ignore[misc]
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], called: Callable[[Any], Any]) -> None:
-        super().__init__(function, targetoptions={"nopython": True} | options)
+        super().__init__(function, targetoptions={"nopython": True} | options, pipeline_class=InlinedCompiler)
         self._called = called
 
     @functools.cached_property
