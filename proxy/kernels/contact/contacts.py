@@ -157,7 +157,8 @@ def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -
     if contact.body < 0.0:
         return Lever(0.0, 0.0, contact.normal)
     k1, k2, along = curvature_of(objects, contact.body, radius, center, contact.normal)
-    if max(k1, k2) * radius > EDGE:
+    flat = k1 == 0.0 and k2 == 0.0  # known when a scene of flat objects is compiled
+    if flat or max(k1, k2) * radius > EDGE:
         return Lever(0.0, 0.0, along)
     most = max(abs(k1), abs(k2)) * contact.push
     depth = contact.push / most if most > 1.0 else contact.push
@@ -177,7 +178,7 @@ def levers_of(objects: Any, contacts: Contacts, radius: float, center: Vec3) -> 
 @jit
 def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
     """The tangent `v` (3,) at the proxy as it is at the probe: v - depth dn/dp v."""
-    if lever.first == 0.0 and lever.second == 0.0:  # known when a scene of flat objects is compiled
+    if lever.first == 0.0 and lever.second == 0.0:
         return v
     across = vec3.cross(normal, lever.along)
     v = vec3.add_scaled(v, -lever.first * vec3.dot(v, lever.along), lever.along)
