@@ -37,7 +37,7 @@ KERNEL_STANDARD_LIBRARY = {
     "rescue.py": {"ctypes"},
     "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
     "dispatch.py": {"functools"},
-    "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets"},
+    "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets", "types"},
     "doing.py": {"contextlib"},
     "arrays.py": {"operator"},
     "rows.py": {"operator"},

@@ -17,7 +17,6 @@ from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.jit.tuples import replace, same_for
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
@@ -31,7 +30,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh, takes_long
+from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
 from softfinger.proxy.kernels.query.objects import (
     NOBODY,
     closest_to_within,
@@ -129,7 +128,7 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     return left >= 0 and gap >= radius
 
 
-@outlined_where(takes_long)
+@jit
 def detect_among_several(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Meeting:
     """First contact on the way of the last proxy, in free space the last probe, to the probe, as each object sees it.
 

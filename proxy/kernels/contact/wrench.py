@@ -10,7 +10,6 @@ from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
 from softfinger.proxy.kernels.friction.torsion import share_of
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NO_OUTCOME,
@@ -22,7 +21,6 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.kinds import takes_long
 from softfinger.proxy.kernels.query.objects import material_of, number_of, pose_of
 from softfinger.proxy.record import CAUSE_NONE
 
@@ -49,7 +47,7 @@ class Wrench(NamedTuple):
     radius: float
 
 
-@outlined_where(takes_long)
+@jit
 def wrench_of(
     rolling: Any, finger: Finger, objects: Any, contact: ContactState, lever: Lever, motion: Motion
 ) -> Wrench:

@@ -73,7 +73,7 @@ class Stand(NamedTuple):
     budget: int
 
 
-@outlined
+@jit
 def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x: Vec3) -> Plane:
     """The tangent plane of an object, a radius away, nearest to `x` (3,) m if the anchor is in front of it; else that
     nearest to the anchor, which is. The object is a triangle or of a shape without a search: nothing is counted."""
@@ -93,7 +93,7 @@ def towards(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3:
     return normal
 
 
-@outlined
+@jit
 def solved(planes: Planes, probe: Vec3, lift: float) -> Planes:
     """With the point nearest to the probe in front of all by `lift` (m), and what pushes it there."""
     one, two, three = planes.one, planes.two, planes.three
@@ -149,8 +149,6 @@ def with_plane(planes: Planes, plane: Plane, radius: float, probe: Vec3, lift: f
 @outlined
 def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> Plane:
     """The plane at the anchor of an object that it touches, or of what is beside it there; none where neither is."""
-    if index < 0.0:
-        return NO_PLANE
     for _ in range(EDGES):
         beyond = neighbour_on(objects, index, anchor)
         if beyond == index:
@@ -163,9 +161,9 @@ def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> P
 @jit
 def planes_at(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Planes:
     """The planes, unsolved, of those objects that touch a proxy at the anchor, of three places."""
-    one = touching_plane(objects, active[0], radius, anchor)
-    two = touching_plane(objects, active[1], radius, anchor)
-    three = touching_plane(objects, active[2], radius, anchor)
+    one = NO_PLANE if active[0] < 0.0 else touching_plane(objects, active[0], radius, anchor)
+    two = NO_PLANE if active[1] < 0.0 else touching_plane(objects, active[1], radius, anchor)
+    three = NO_PLANE if active[2] < 0.0 else touching_plane(objects, active[2], radius, anchor)
     if three.body == one.body or three.body == two.body:
         three = NO_PLANE
     if two.body == one.body:
