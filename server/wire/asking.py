@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping
 from typing import Any, Final, TypeVar
 
 import msgpack
@@ -15,7 +14,6 @@ from softfinger.config.errors import CommandRefused, ConfigError, HapticError
 from softfinger.config.schema import Telemetry, commands_beside, runtime_folder
 from softfinger.server.keys import ClientKeys
 from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
-from softfinger.server.wire.commands import Drive, Hand, Hold, Quaternion, SetScene, Vector, Zero
 from softfinger.server.wire.endpoint import check_runtime_folder
 from softfinger.server.wire.envelope import expiry
 
@@ -112,31 +110,9 @@ def time_for(method: str, timeout_s: float | None) -> float:
     return SCENE_TIMEOUT_S if method in ("set_scene", "reset_world") else TIMEOUT_S
 
 
-def scene_of(scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None, name: str) -> SetScene:
-    return SetScene(scene if isinstance(scene, str) else dict(scene), dict(overrides or {}), name)
-
-
-def pose_of(what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None) -> Drive:
-    return Drive(what, position_m, msgspec.UNSET if orientation_wxyz is None else orientation_wxyz)
-
-
-def hand_of(
-    position_m: Vector | None, orientation_wxyz: Quaternion | None, finger: str | int | None, release: bool
-) -> Hand:
-    return Hand(
-        msgspec.UNSET if position_m is None else position_m,
-        msgspec.UNSET if orientation_wxyz is None else orientation_wxyz,
-        msgspec.UNSET if finger is None else finger,
-        release,
-    )
-
-
-def hold_of(finger: str | int | None) -> Hold:
-    return Hold(msgspec.UNSET if finger is None else finger)
-
-
-def zero_of(position_m: Vector, finger: str | int | None, reset: bool) -> Zero:
-    return Zero(position_m, msgspec.UNSET if finger is None else finger, reset)
+def given(value: R | None) -> R | msgspec.UnsetType:
+    """A parameter that is left out where it is None."""
+    return msgspec.UNSET if value is None else value
 
 
 def number_of(text: str) -> str | float:

@@ -13,9 +13,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from functools import wraps
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Concatenate, ParamSpec, Self
 
 import zmq
 import zmq.asyncio
@@ -28,14 +29,10 @@ from softfinger.server.wire.asking import (
     asking,
     connected,
     default_commands,
-    hand_of,
-    hold_of,
+    given,
     no_answer,
-    pose_of,
     result_of,
-    scene_of,
     time_for,
-    zero_of,
 )
 from softfinger.server.wire.commands import (
     METHODS,
@@ -44,8 +41,11 @@ from softfinger.server.wire.commands import (
     Applied,
     Armed,
     Changed,
+    Drive,
     Empty,
+    Hand,
     Held,
+    Hold,
     Mark,
     OfObject,
     Prompt,
@@ -55,13 +55,17 @@ from softfinger.server.wire.commands import (
     RecordStarted,
     RecordStopped,
     SceneSet,
+    SetScene,
     State,
     Stopping,
     Triangles,
     Vector,
+    Zero,
     Zeroed,
 )
 from softfinger.server.wire.waits import milliseconds
+
+P = ParamSpec("P")
 
 
 class Control(Closing):
@@ -124,7 +128,8 @@ class Control(Closing):
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
     ) -> SceneSet:
         """Another scene, from zero force: the name of a shipped one or a mapping like a file. It is compiled first."""
-        return self._ask("set_scene", scene_of(scene, overrides, name), SceneSet)
+        given_scene = scene if isinstance(scene, str) else dict(scene)
+        return self._ask("set_scene", SetScene(given_scene, dict(overrides or {}), name), SceneSet)
 
     def reset_world(self) -> Applied:
         """The bodies of the scene's [world] back where they began, from zero force."""
@@ -132,7 +137,7 @@ class Control(Closing):
 
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
         """Put a driven object, by name or number, at a place (m, world) with an orientation (w, x, y, z)."""
-        return self._ask("drive", pose_of(what, position_m, orientation_wxyz), Applied)
+        return self._ask("drive", Drive(what, position_m, given(orientation_wxyz)), Applied)
 
     def hand(
         self,
@@ -146,11 +151,11 @@ class Control(Closing):
         What is left out stays as it is; `finger` by name or number, of one finger not needed. `release` lets the hand
         do again what its rig says. Refused for any other device, and for a hand that a puck leads.
         """
-        return self._ask("hand", hand_of(position_m, orientation_wxyz, finger, release), Applied)
+        return self._ask("hand", Hand(given(position_m), given(orientation_wxyz), given(finger), release), Applied)
 
     def hold(self, finger: str | int | None = None) -> Held:
         """The hand on a simulated device stays where it wants to be, with the force that it grips with; says where."""
-        return self._ask("hold", hold_of(finger), Held)
+        return self._ask("hold", Hold(given(finger)), Held)
 
     def arm(self) -> Armed:
         """Let the force fade in along the guard's ramp."""
@@ -167,7 +172,7 @@ class Control(Closing):
 
         Refused while there may be force: `disarm` first.
         """
-        return self._ask("zero", zero_of(position_m, finger, reset), Zeroed)
+        return self._ask("zero", Zero(position_m, given(finger), reset), Zeroed)
 
     def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
         """An event with a label, into the telemetry and every recording of it."""
@@ -217,6 +222,19 @@ class Control(Closing):
         self._socket.close()
 
 
+def _awaited(
+    command: Callable[Concatenate[Control, P], R],
+) -> Callable[Concatenate[AsyncControl, P], Coroutine[Any, Any, R]]:
+    """A command of Control for asyncio: it returns what `_ask` returns, which is to be awaited there."""
+
+    @wraps(command)
+    async def asked(self: AsyncControl, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        answer: Any = command(self, *args, **kwargs)  # type: ignore[arg-type]
+        return await answer  # type: ignore[no-any-return]
+
+    return asked
+
+
 class AsyncControl:
     """A client for asyncio: any number of requests may wait for their answers. Use it with `async with`."""
 
@@ -253,82 +271,26 @@ class AsyncControl:
             if waiting is not None and not waiting.done():
                 waiting.set_result(answer)
 
-    async def get_state(self) -> State:
-        return await self._ask("get_state", Empty(), State)
-
-    async def heartbeat(self) -> Alive:
-        return await self._ask("heartbeat", Empty(), Alive)
-
-    async def set_params(self, values: Mapping[str, Any]) -> Changed:
-        return await self._ask("set_params", values, Changed)
-
-    async def set_scene(
-        self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
-    ) -> SceneSet:
-        return await self._ask("set_scene", scene_of(scene, overrides, name), SceneSet)
-
-    async def reset_world(self) -> Applied:
-        return await self._ask("reset_world", Empty(), Applied)
-
-    async def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
-        return await self._ask("drive", pose_of(what, position_m, orientation_wxyz), Applied)
-
-    async def hand(
-        self,
-        position_m: Vector | None = None,
-        orientation_wxyz: Quaternion | None = None,
-        finger: str | int | None = None,
-        release: bool = False,
-    ) -> Applied:
-        return await self._ask("hand", hand_of(position_m, orientation_wxyz, finger, release), Applied)
-
-    async def hold(self, finger: str | int | None = None) -> Held:
-        return await self._ask("hold", hold_of(finger), Held)
-
-    async def arm(self) -> Armed:
-        return await self._ask("arm", Empty(), Armed)
-
-    async def disarm(self) -> Armed:
-        return await self._ask("disarm", Empty(), Armed)
-
-    async def zero(
-        self, position_m: Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
-    ) -> Zeroed:
-        return await self._ask("zero", zero_of(position_m, finger, reset), Zeroed)
-
-    async def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
-        return await self._ask("mark", Mark(label, dict(data or {})), Applied)
-
-    async def get_prompt(self) -> Prompted:
-        return await self._ask("get_prompt", Empty(), Prompted)
-
-    async def set_prompt(
-        self,
-        title: str = "",
-        text: str = "",
-        progress: tuple[int, int] = (0, 0),
-        choices: Sequence[str] = (),
-        number: tuple[float, float] | None = None,
-    ) -> Prompted:
-        return await self._ask("set_prompt", Prompt(title, text, *progress, tuple(choices), number), Prompted)
-
-    async def answer(self, value: str | float, prompt: int | None = None) -> Applied:
-        return await self._ask("answer", Answer(value, prompt), Applied)
-
-    async def record_start(self, file: str) -> RecordStarted:
-        return await self._ask("record_start", RecordStart(file), RecordStarted)
-
-    async def record_stop(self) -> RecordStopped:
-        return await self._ask("record_stop", Empty(), RecordStopped)
-
-    async def describe(self) -> dict[str, Any]:
-        return await self._ask("describe", Empty(), dict)
-
-    async def mesh(self, what: str | int) -> Triangles:
-        return await self._ask("mesh", OfObject(what), Triangles)
-
-    async def stop(self) -> Stopping:
-        return await self._ask("stop", Empty(), Stopping)
+    get_state = _awaited(Control.get_state)
+    heartbeat = _awaited(Control.heartbeat)
+    set_params = _awaited(Control.set_params)
+    set_scene = _awaited(Control.set_scene)
+    reset_world = _awaited(Control.reset_world)
+    drive = _awaited(Control.drive)
+    hand = _awaited(Control.hand)
+    hold = _awaited(Control.hold)
+    arm = _awaited(Control.arm)
+    disarm = _awaited(Control.disarm)
+    zero = _awaited(Control.zero)
+    mark = _awaited(Control.mark)
+    get_prompt = _awaited(Control.get_prompt)
+    set_prompt = _awaited(Control.set_prompt)
+    answer = _awaited(Control.answer)
+    record_start = _awaited(Control.record_start)
+    record_stop = _awaited(Control.record_stop)
+    describe = _awaited(Control.describe)
+    mesh = _awaited(Control.mesh)
+    stop = _awaited(Control.stop)
 
     async def close(self) -> None:
         """Disconnect. Any number of times."""
@@ -347,7 +309,3 @@ class AsyncControl:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.close()
-
-
-for _name in METHODS:
-    getattr(AsyncControl, _name).__doc__ = getattr(Control, _name).__doc__

@@ -1,5 +1,6 @@
 """docs/protocol.md and the reference of telemetry against the code and against messages as they arrive."""
 
+import inspect
 import re
 import subprocess
 import sys
@@ -27,6 +28,7 @@ from softfinger.server.services.commands import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import described
 from softfinger.server.services.world import told
 from softfinger.server.wire import commands, envelope
+from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.link import LOG_PERIOD_S
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.relay import BELL_MS, HANDED_ON
@@ -206,6 +208,13 @@ def test_schema_of_the_commands_has_every_method():
     drive = listed["drive"]["params"]["$defs"]["Drive"]
     assert set(drive["properties"]) == {"object", "position_m", "orientation_wxyz"}
     assert drive["required"] == ["object", "position_m"] and drive["additionalProperties"] is False
+
+
+def test_both_clients_have_every_method():
+    """That of asyncio with the same signature, to be awaited."""
+    for name in commands.METHODS:
+        one, other = getattr(Control, name), getattr(AsyncControl, name)
+        assert inspect.signature(one) == inspect.signature(other) and inspect.iscoroutinefunction(other), name
 
 
 @pytest.mark.real_time
