@@ -11,7 +11,7 @@ there, as far as the contact lets it, tick by tick as in the daemon with the dev
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -38,6 +38,7 @@ except ImportError as missing:
 
 Array = NDArray[np.float64]
 Observation = dict[str, Any]
+Place = tuple[float, float, float]
 
 NAME: Final = "softfinger/Touch-v0"
 RAMP_S: Final = 0.01
@@ -64,7 +65,7 @@ class Setup:
     hand                          that holds the handle of an omega.6
     """
 
-    home_m: tuple[float, float, float] = (0.0, 0.0, 0.015)
+    home_m: Place = (0.0, 0.0, 0.015)
     reach_m: float = 0.03
     speed_m_per_s: float = 0.05
     turn_rad_per_s: float = 2.0
@@ -75,7 +76,92 @@ class Setup:
     hand: Hand = field(default_factory=Hand)
 
 
-class Touch(gymnasium.Env[Observation, Array]):
+class LedHands(gymnasium.Env[Observation, Array]):
+    """Simulated hands that an agent leads, one for each finger of a scene. A subclass says what is seen and rewarded.
+
+    scene     what `load_scene` takes; ConfigError where it has another number of fingers
+    setup     the dataclass of the subclass
+    homes_m   (3,) m of each hand, where it begins, at rest
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
+    setup: Any
+
+    def __init__(self, scene: SceneSource, setup: Any, homes_m: Sequence[Place]) -> None:
+        self.setup, self.config = setup, load_scene(scene)
+        if (count := len(self.config.fingers)) != len(homes_m):
+            raise ConfigError(f"the scene has {count} fingers: this environment has hands for {len(homes_m)}")
+        self._guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
+        self._devices = [simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
+        self._tuning = packed(make_tuning(self.config, self._guard))
+        self._homes, self._dt = np.array(homes_m), 1.0 / setup.rate_hz
+        self._times = self._dt * np.arange(setup.step_ticks + 1)[:, None]
+        self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """A new episode: hands at home, bodies where the model has them, no contact remembered. Nothing is random."""
+        super().reset(seed=seed)
+        self._start()
+        settling = max(self.setup.step_ticks, round(RAMP_S * self.setup.rate_hz))
+        records = self._run(np.tile(self._goals, (settling + 1, 1, 1)))
+        return self._observed(records), {"records": records}
+
+    def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Lead the hands for `step_ticks`; what is out of the action's range is brought into it."""
+        records = self._run(self._way(np.clip(np.asarray(action, np.float64), -1.0, 1.0)))
+        self._steps += 1
+        over = self._steps >= self.setup.episode_steps
+        return self._observed(records), self.reward(records), self.terminated(records), over, {"records": records}
+
+    def reward(self, records: Any) -> float:
+        """Of a step, from its records."""
+        raise NotImplementedError
+
+    def terminated(self, records: Any) -> bool:
+        """Whether a step ended the task, from its records."""
+        raise NotImplementedError
+
+    def _observed(self, records: Any) -> Observation:
+        raise NotImplementedError
+
+    def _start(self) -> None:
+        scene = self._tuning.like.scene
+        begin_bodies(scene, self._dt)
+        self._memory, self._states = packed(begin(scene)), packed(tuple(each.state for each in self._devices))
+        self._lines = [np.zeros(LINE_SIZE) for _ in self._devices]
+        self._goals: Array = np.array([[*home, 1.0, 0.0, 0.0, 0.0] for home in self._homes])
+        self._ticks = self._steps = 0
+
+    def _way(self, action: Array) -> Array:
+        """Goals (ticks + 1, hands, 7) from where they are, straight: along x, y, z of each hand in turn."""
+        goals = np.tile(self._goals, (len(self._times), 1, 1))
+        velocity = self.setup.speed_m_per_s * action[: 3 * len(self._homes)].reshape(-1, 3)
+        led = self._goals[:, :3] + self._times[:, None] * velocity
+        goals[:, :, :3] = np.clip(led, self._homes - self.setup.reach_m, self._homes + self.setup.reach_m)
+        return goals
+
+    def _run(self, goals: Array) -> Any:
+        """Records by finger of the ticks that lead along goals (ticks + 1, hands, 7), the first of which is now."""
+        intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+        hands = tuple(
+            Held(device.plant, Drive(intention, goals[:, place].reshape(-1), line))
+            for place, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
+        )
+        records = np.zeros((len(goals) - 1, len(hands), RECORD_SIZE))
+        # From tick 0 on, as the goals are numbered; what the first tick of all does is in the memory.
+        record_ticks(self._tuning, self._memory, hands, self._states, self._dt, 0, records)
+        check_bodies(self._tuning.like.scene)
+        records[:, :, AT.timestamp] += self._ticks * self._dt
+        records[:, :, AT.tick] += self._ticks
+        self._ticks += len(records)
+        self._goals = goals[-1]
+        names = [finger.name for finger in self.config.fingers]
+        return {name: Records(np.ascontiguousarray(records[:, place])) for place, name in enumerate(names)}
+
+
+class Touch(LedHands):
     """A fingertip that is led to a scene's objects, for one finger.
 
     scene    what `load_scene` takes
@@ -97,22 +183,12 @@ class Touch(gymnasium.Env[Observation, Array]):
     (1, True, 20)
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
+    setup: Setup
 
     def __init__(self, scene: SceneSource = "paper-plane", setup: Setup | None = None, **changes: Any) -> None:
-        self.setup: Final = setup or Setup(**changes)
-        self.config: Final = load_scene(scene)
-        if len(self.config.fingers) > 1:
-            raise ConfigError(f"the scene has {len(self.config.fingers)} fingers: this environment has a single hand")
-        guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
-        options = Options(position_m=self.setup.home_m, hand=self.setup.hand)
-        self._device = simulation(options, self.setup.rate_hz)
-        self._tuning = packed(make_tuning(self.config, guard))
-        self._begin = begin(self._tuning.like.scene)
-        self._dt = 1.0 / self.setup.rate_hz
-        self._speeds = np.array([self.setup.speed_m_per_s] * 3 + [self.setup.turn_rad_per_s] * 3)
-        self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)
-        force, torque = guard.force_max_n, guard.torque_max_nm
+        setup = setup or Setup(**changes)
+        super().__init__(scene, setup, [setup.home_m])
+        force, torque = self._guard.force_max_n, self._guard.torque_max_nm
 
         def box(most: float, *shape: int) -> spaces.Box:
             return spaces.Box(-most, most, shape, np.float64)
@@ -132,24 +208,6 @@ class Touch(gymnasium.Env[Observation, Array]):
         self.observation_space = spaces.Dict({**self._fields, **goal})
         self._start()
 
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """A new episode: hand and fingertip at home, no contact remembered. Nothing is drawn at random."""
-        super().reset(seed=seed)
-        self._start()
-        settling = max(self.setup.step_ticks, round(RAMP_S * self.setup.rate_hz))
-        records = self._run(np.tile(self._goal, (settling + 1, 1)))
-        return self._observed(records), {"records": records}
-
-    def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Lead the hand for `step_ticks`; what is out of the action's range is brought into it."""
-        velocity = self._speeds * np.clip(np.asarray(action, np.float64), -1.0, 1.0)
-        records = self._run(self._way(velocity))
-        self._steps += 1
-        over = self._steps >= self.setup.episode_steps
-        return self._observed(records), self.reward(records), self.terminated(records), over, {"records": records}
-
     def reward(self, records: Records) -> float:
         """Of a step, from its records: minus the mean distance (N) of the normal force from the goal."""
         return -float(np.abs(records["contact.normal_force"] - self.setup.goal_n).mean())
@@ -158,36 +216,14 @@ class Touch(gymnasium.Env[Observation, Array]):
         """Whether a step ended the task, from its records: never."""
         return False
 
-    def _start(self) -> None:
-        begin_bodies(self._tuning.like.scene, self._dt)
-        self._memory, self._state = packed(self._begin), packed((self._device.state,))
-        self._line = np.zeros(LINE_SIZE)
-        self._goal: Array = np.array([*self.setup.home_m, 1.0, 0.0, 0.0, 0.0])
-        self._ticks = self._steps = 0
-
-    def _way(self, velocity: Array) -> Array:
-        """Goals (ticks + 1, 7) from where it is, straight and evenly turned."""
-        home, reach = np.array(self.setup.home_m), self.setup.reach_m
-        times = self._dt * np.arange(self.setup.step_ticks + 1)[:, None]
-        places = np.clip(self._goal[:3] + times * velocity[:3], home - reach, home + reach)
-        turns = times * velocity[3:]
-        return np.hstack([places, _turned(turns, self._goal[3:])])
+    def _way(self, action: Array) -> Array:
+        goals = super()._way(action)
+        goals[:, 0, 3:] = _turned(self._times * (self.setup.turn_rad_per_s * action[3:]), self._goals[0, 3:])
+        return goals
 
     def _run(self, goals: Array) -> Records:
-        """Records of the ticks that lead along goals (ticks + 1, 7), the first of which is where it is."""
-        records = np.zeros((len(goals) - 1, 1, RECORD_SIZE))
-        intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
-        drive = Drive(intention, np.ascontiguousarray(goals).reshape(-1), self._line)
-        # From tick 0 on, as the goals are numbered; what the first tick of all does is in the memory.
-        hands = (Held(self._device.plant, drive),)
-        record_ticks(self._tuning, self._memory, hands, self._state, self._dt, 0, records)
-        check_bodies(self._tuning.like.scene)
-        named = Records(records[:, 0])
-        named["timestamp"][:] += self._ticks * self._dt
-        records[:, 0, AT.tick] += self._ticks
-        self._ticks += len(named)
-        self._goal = goals[-1]
-        return named
+        records: list[Records] = list(super()._run(goals).values())
+        return records[0]
 
     def _observed(self, records: Records) -> Observation:
         last = records[-1]
@@ -195,7 +231,7 @@ class Touch(gymnasium.Env[Observation, Array]):
             name: np.int64(last[name]) if isinstance(space, spaces.Discrete) else np.array(last[name])
             for name, space in self._fields.items()
         }
-        return seen | {"goal.position": self._goal[:3].copy(), "goal.orientation": self._goal[3:].copy()}
+        return seen | {"goal.position": self._goals[0, :3].copy(), "goal.orientation": self._goals[0, 3:].copy()}
 
 
 def _turned(turns: Array, orientation: Array) -> Array:

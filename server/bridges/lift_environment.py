@@ -17,21 +17,11 @@ from typing import Any, Final
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from softfinger.config.load import SceneSource, load_rig, load_scene
-from softfinger.drivers.simulated.options import Hand, Options, simulation
-from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
-from softfinger.proxy.bodies import begin_bodies, check_bodies
-from softfinger.proxy.kernels.jit.pack import packed
-from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.config.load import SceneSource
+from softfinger.drivers.simulated.options import Hand
 from softfinger.proxy.records import Records
-from softfinger.server.bridges.environment import FAR_M, RAMP_S, Observation
-from softfinger.server.loop.tick import begin
-from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import Held, record_ticks
-
-Array = NDArray[np.float64]
+from softfinger.server.bridges.environment import FAR_M, LedHands, Observation, Place
 
 NAME: Final = "softfinger/Lift-v0"
 GONE_M: Final = 0.5
@@ -52,7 +42,7 @@ class LiftSetup:
     hand                          that holds each handle, of an omega.6
     """
 
-    homes_m: tuple[tuple[float, float, float], tuple[float, float, float]] = ((-0.04, 0.0, 0.02), (0.04, 0.0, 0.02))
+    homes_m: tuple[Place, Place] = ((-0.04, 0.0, 0.02), (0.04, 0.0, 0.02))
     reach_m: float = 0.15
     speed_m_per_s: float = 0.1
     step_ticks: int = 20
@@ -62,7 +52,7 @@ class LiftSetup:
     hand: Hand = field(default_factory=Hand)
 
 
-class Lift(gymnasium.Env[Observation, Array]):
+class Lift(LedHands):
     """Two fingertips that are led to a body, and are to lift it.
 
     scene    what `load_scene` takes: with two fingers, and a [world] whose first moving body is to be lifted
@@ -79,49 +69,21 @@ class Lift(gymnasium.Env[Observation, Array]):
     SafetyStop. For another task override `reward` and `terminated`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
+    setup: LiftSetup
 
     def __init__(self, scene: SceneSource = "lift-a-box", setup: LiftSetup | None = None, **changes: Any) -> None:
-        self.setup: Final = setup or LiftSetup(**changes)
-        self.config: Final = load_scene(scene)
+        setup = setup or LiftSetup(**changes)
+        super().__init__(scene, setup, setup.homes_m)
         self.fingers: Final = tuple(finger.name for finger in self.config.fingers)
-        guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
-        rate = self.setup.rate_hz
-        self._devices = [
-            simulation(Options(position_m=home, hand=self.setup.hand), rate) for home in self.setup.homes_m
-        ]
-        self._tuning = packed(make_tuning(self.config, guard))
-        self._dt = 1.0 / rate
         bodies: Any = self._tuning.like.scene.bodies
         self.world: Final = bodies.block.owner
         self._body = self.world.moving[0]
-        self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)
-        far, force = spaces.Box(-FAR_M, FAR_M, (3,), np.float64), guard.force_max_n * (1.0 + 1e-9)
+        far, force = spaces.Box(-FAR_M, FAR_M, (3,), np.float64), self._guard.force_max_n * (1.0 + 1e-9)
         parts: dict[str, spaces.Space[Any]] = {"body.position": far, "body.orientation": _box(1.0 + 1e-9, 4)}
         for name in self.fingers:
             parts |= {f"{name}.position": far, f"{name}.force": _box(force, 3), f"{name}.goal": far}
         self.observation_space = spaces.Dict(parts)
         self._start()
-
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """A new episode: hands at home, bodies where the model has them. Nothing is drawn at random."""
-        super().reset(seed=seed)
-        self._start()
-        settling = max(self.setup.step_ticks, round(RAMP_S * self.setup.rate_hz))
-        records = self._run(np.tile(self._goals, (settling + 1, 1, 1)))
-        return self._observed(records), {"records": records}
-
-    def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Lead the hands for `step_ticks`; what is out of the action's range is brought into it."""
-        velocity = self.setup.speed_m_per_s * np.clip(np.asarray(action, np.float64), -1.0, 1.0).reshape(2, 3)
-        times = self._dt * np.arange(self.setup.step_ticks + 1)[:, None, None]
-        homes, reach = np.array(self.setup.homes_m), self.setup.reach_m
-        records = self._run(np.clip(self._goals + times * velocity, homes - reach, homes + reach))
-        self._steps += 1
-        over = self._steps >= self.setup.episode_steps
-        return self._observed(records), self.reward(records), self.terminated(records), over, {"records": records}
 
     def reward(self, records: Mapping[str, Records]) -> float:
         """Of a step, from its records and `world`: minus the distance (m) of the body from its goal's height."""
@@ -132,31 +94,8 @@ class Lift(gymnasium.Env[Observation, Array]):
         return bool(np.linalg.norm(self.world.data.xpos[self._body] - self._stood) > GONE_M)
 
     def _start(self) -> None:
-        scene = self._tuning.like.scene
-        begin_bodies(scene, self._dt)
-        self._memory, self._states = packed(begin(scene)), packed(tuple(each.state for each in self._devices))
-        self._lines = [np.zeros(LINE_SIZE) for _ in self._devices]
-        self._goals: Array = np.array(self.setup.homes_m)
+        super()._start()
         self._stood = self.world.data.xpos[self._body].copy()
-        self._ticks = self._steps = 0
-
-    def _run(self, goals: Array) -> dict[str, Records]:
-        """Records of the ticks that lead along goals (ticks + 1, 2, 3), the first of which is where they are."""
-        count = len(goals) - 1
-        upright = np.tile([1.0, 0.0, 0.0, 0.0], (count + 1, 1))
-        intention = Intention(float(count + 1), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
-        hands = tuple(
-            Held(device.plant, Drive(intention, np.hstack([goals[:, place], upright]).reshape(-1), line))
-            for place, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
-        )
-        records = np.zeros((count, len(hands), RECORD_SIZE))
-        record_ticks(self._tuning, self._memory, hands, self._states, self._dt, 0, records)
-        check_bodies(self._tuning.like.scene)
-        records[:, :, AT.timestamp] += self._ticks * self._dt
-        records[:, :, AT.tick] += self._ticks
-        self._ticks += count
-        self._goals = goals[-1]
-        return {name: Records(np.ascontiguousarray(records[:, at])) for at, name in enumerate(self.fingers)}
 
     def _observed(self, records: Mapping[str, Records]) -> Observation:
         data = self.world.data
@@ -167,7 +106,7 @@ class Lift(gymnasium.Env[Observation, Array]):
         for place, (name, rows) in enumerate(records.items()):
             last = rows[-1]
             seen[f"{name}.position"], seen[f"{name}.force"] = np.array(last["probe.position"]), np.array(last["force"])
-            seen[f"{name}.goal"] = self._goals[place].copy()
+            seen[f"{name}.goal"] = self._goals[place, :3].copy()
         return seen
 
 

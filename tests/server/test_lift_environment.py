@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from softfinger.config.errors import ConfigError
 from softfinger.server.bridges import lift_environment
 
 pytestmark = pytest.mark.plain
@@ -22,6 +23,12 @@ def test_gymnasium_takes_the_lift() -> None:
     check_env(env.unwrapped)
     env.reset(seed=1)
     assert [env.step(env.action_space.sample())[3] for _ in range(2)] == [False, True]
+
+
+def test_a_scene_of_one_finger_is_refused() -> None:
+    """There are two hands."""
+    with pytest.raises(ConfigError, match="1 fingers"):
+        lift_environment.Lift("paper-plane")
 
 
 def test_a_script_lifts_the_box() -> None:
