@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from softfinger.config.materials import Entry, Measured
 from softfinger.config.schema import Fingertip, Material
 from softfinger.server.offline.feels import entries, found, whole
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.figures import figure, legends_below, save
 
 Array = NDArray[np.float64]
 
@@ -35,8 +35,7 @@ def draw(name: str, path: Path) -> None:
         patch(axes[0], {name: (entry, tip)})
         torsion(axes[1], {name: tip})
     drawing.suptitle(f"{name}: {entry.about}\nholds for {entry.holds}", fontsize="x-small")
-    for each in axes:
-        each.legend(frameon=False, fontsize="x-small")
+    legends_below(drawing, axes, "x-small")
     save(drawing, path)
 
 
@@ -56,7 +55,7 @@ def friction(axes: Any, entry: Entry, material: Material) -> None:
         across = "" if each.load_n else ", load not said"
         point(axes, load, each, f"C{place + 1}", f"{each.of}{across} ({each.paper})")
     axes.set(xscale="log", xlabel="load [N]", ylabel="coefficient of friction")
-    axes.set_ylim(0.0, 1.6 * axes.get_ylim()[1])  # room for the legend
+    axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
 
 
 def point(axes: Any, x: float, each: Measured, color: str, label: str) -> None:
@@ -139,7 +138,7 @@ def patch(axes: Any, drawn: dict[str, tuple[Entry, Fingertip]]) -> None:
                 at, low, high = band
                 axes.fill_between(at, 1e3 * low, 1e3 * high, alpha=0.2, lw=1.0, label=text)
     axes.set(xlabel="load [N]", ylabel="radius of the patch [mm]")
-    axes.set_ylim(0.0, 2.0 * axes.get_ylim()[1])  # room for the legend
+    axes.set_ylim(bottom=0.0)
 
 
 def patch_band(each: Measured, tip: Fingertip) -> tuple[Array, Array, Array] | None:

@@ -40,6 +40,12 @@ def figure(width: float = 8.0, height: float = 4.5) -> Any:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def legends_below(drawing: Any, axes: Any, size: str) -> None:
+    """Legends of two axes beside each other, below both, where long words cover no data."""
+    for side, each in zip(("left", "right"), axes, strict=True):
+        drawing.legend(*each.get_legend_handles_labels(), loc=f"outside lower {side}", frameon=False, fontsize=size)
+
+
 def save(drawing: Any, path: Path) -> None:
     """Write a figure in the format its name says.
 

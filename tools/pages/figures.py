@@ -24,7 +24,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline import feel_figure, feels
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.figures import figure, legends_below, save
 from softfinger.tools.pages import moving, sketches, states
 
 Array = NDArray[np.float64]
@@ -109,6 +109,8 @@ def materials(axes: Any) -> None:
     feel_figure.overview(axes[0])
     names = ("human-index", "human-index-plateau")
     feel_figure.patch(axes[1], {name: (fingertips()[name], feels.whole("fingertip", name)) for name in names})
+    axes[0].figure.set_figheight(3.6)
+    legends_below(axes[0].figure, axes, "small")
 
 
 def effects(axes: Any) -> None:
@@ -170,38 +172,40 @@ def bodies(axes: Any) -> None:
     axes[1].set(xlabel="time [s]", ylabel="turn of the box [deg]")
 
 
-FIGURES: Final[dict[str, tuple[Callable[[Any], None], int]]] = {
-    "contact": (sketches.contact, 1),
-    "conventions": (sketches.conventions, 2),
-    "normal": (normal, 1),
-    "rolling": (sketches.rolling, 1),
-    "friction": (friction, 1),
-    "patch": (patch, 2),
-    "ellipsoid": (sketches.ellipsoid, 1),
-    "effects": (effects, 1),
-    "materials": (materials, 2),
-    "texture": (texture, 2),
-    "heightmap": (sketches.heightmap, 1),
-    "mesh": (sketches.mesh, 1),
-    "passivity": (passivity, 1),
-    "bodies": (bodies, 2),
+FIGURES: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {
+    "contact": (sketches.contact, ("",)),
+    "conventions": (sketches.conventions, ("", "")),
+    "normal": (normal, ("upper left",)),
+    "rolling": (sketches.rolling, ("",)),
+    "friction": (friction, ("upper right",)),
+    "patch": (patch, ("lower right", "upper left")),
+    "ellipsoid": (sketches.ellipsoid, ("",)),
+    "effects": (effects, ("upper right",)),
+    "materials": (materials, ("", "")),
+    "texture": (texture, ("", "")),
+    "heightmap": (sketches.heightmap, ("upper right",)),
+    "mesh": (sketches.mesh, ("upper right",)),
+    "passivity": (passivity, ("lower left",)),
+    "bodies": (bodies, ("upper left", "")),
 }
-"""What draws the figure of each page, and on how many axes; the page on several patches has one of the study."""
+"""What draws the figure of each page, and where a legend covers nothing in each of its axes, empty where there is none;
+the page on several patches has a figure of the study."""
 
 
-OTHERS: Final[dict[str, tuple[Callable[[Any], None], int]]] = {"states": (states.draw, 1)}
+OTHERS: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {"states": (states.draw, ("",))}
 """The same of pages that are no model's."""
 
 
 def draw(name: str, path: Path) -> None:
     """Draw one figure and save it."""
-    drawn, count = (FIGURES | OTHERS)[name]
+    drawn, legends = (FIGURES | OTHERS)[name]
+    count = len(legends)
     drawing = figure(3.6 * count + 1.8 * (count == 1), 2.8)
     axes = np.atleast_1d(drawing.subplots(1, count))
     drawn(axes)
-    for each in axes:
-        if each.get_legend_handles_labels()[0]:
-            each.legend(frameon=False, fontsize="small")
+    for each, place in zip(axes, legends, strict=True):
+        if place:
+            each.legend(loc=place, frameon=False, fontsize="small")
     save(drawing, path)
 
 

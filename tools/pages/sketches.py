@@ -129,7 +129,7 @@ def mesh(axes: Any) -> None:
         _arrow(axes, place, place + 0.8 * smooth / np.hypot(*smooth), "", RED)
     axes.plot([], [], color=BLUE, label='force direction, shading = "none"')
     axes.plot([], [], color=RED, label='force direction, shading = "normals"')
-    _bare(axes, (-2.4, 4.6), (-1.4, 1.2))
+    _bare(axes, (-2.4, 4.6), (-1.4, 2.0))
 
 
 def _ground(axes: Any, left: float, right: float) -> None:
