@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import re
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
-from helpers.planting import mistakes_in
+from helpers.planting import mistakes_in, plant
 from sweep import PARTS
 
 pytestmark = pytest.mark.plain
@@ -101,6 +103,25 @@ def test_each_mistake_that_is_excused_is_one_of_the_sweep() -> None:
         assert any(each["file"] in part.files for part in PARTS.values()), each["file"]
         planted = {(one.line, one.wrong) for one in mistakes_in(ROOT, each["file"])}
         assert (each["line"], each["mistake"]) in planted, each
+
+
+def test_a_constant_is_planted_where_it_is_imported_and_nowhere_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As an edit of its file does: another module may have a number of the same name, which is the same object."""
+    imported = "from softfinger.there import LEGS"
+    texts = {"softfinger.there": "LEGS: int = 3", "importing": imported, "another": "LEGS = 3"}
+    made = {}
+    for module, text in texts.items():
+        file = tmp_path / f"{module.rpartition('.')[2]}.py"
+        file.write_text(text)
+        spec = importlib.util.spec_from_file_location(module, file)
+        made[module] = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, module, made[module])
+        spec.loader.exec_module(made[module])
+    (mistake,) = mistakes_in(tmp_path, "there.py")
+    plant(tmp_path, mistake, {})
+    assert [each.LEGS for each in made.values()] == [7, 7, 3]
 
 
 def test_the_index_lists_every_page() -> None:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import ast
 import gc
+import inspect
+import symtable
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final, NamedTuple
 
 Functions = Mapping[tuple[str, str], list[FunctionType]]
@@ -217,5 +219,16 @@ def _plant_constant(mistake: Mistake) -> None:
         del before[list(before)[mistake.rule]]
         return
     for other in list(sys.modules.values()):
-        if getattr(other, "__dict__", {}).get(mistake.function) is before:
+        same = getattr(other, "__dict__", {}).get(mistake.function) is before
+        if other is module or (same and _imports(other, mistake.function)):
             setattr(other, mistake.function, 2 * before + 1)
+
+
+def _imports(module: ModuleType, name: str) -> bool:
+    """Whether a module has a name by an import, and so what an edit of the file makes of it. That both numbers are one
+    object does not tell: small ones are so wherever they are written."""
+    try:
+        source = inspect.getsource(module)
+    except (OSError, TypeError):  # a module in C
+        return False
+    return symtable.symtable(source, module.__name__, "exec").lookup(name).is_imported()
