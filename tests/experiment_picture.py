@@ -6,6 +6,7 @@ import io
 import tempfile
 from pathlib import Path
 
+from helpers.browser import eventually
 from helpers.experiment_page import EXPERIMENT, Session, session
 from PIL import Image
 
@@ -28,6 +29,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, session(Path(folder), EXPERIMENT) as run:
         run.page.set_viewport_size(SIZE)
         assert run.waits("guess if you are not sure")
+        field = run.page.get_by_text("theme", exact=True)  # the script of the page hides it a moment after it is there
+        assert eventually(lambda: field.count() and field.is_hidden())
         pictures = [seen(run)]
         run.click("begin")
         assert run.waits("Which was stiffer?")
