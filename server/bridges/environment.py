@@ -90,7 +90,7 @@ class LedHands(gymnasium.Env[Observation, Array]):
     def __init__(self, scene: SceneSource, setup: Any, homes_m: Sequence[Place]) -> None:
         self.setup, self.config = setup, load_scene(scene)
         if (count := len(self.config.fingers)) != len(homes_m):
-            raise ConfigError(f"the scene has {count} fingers: this environment has hands for {len(homes_m)}")
+            raise ConfigError(f"fingers of the scene: {count}; hands of this environment: {len(homes_m)}")
         self._guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
         self._devices = [simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
         self._tuning = packed(make_tuning(self.config, self._guard))

@@ -112,7 +112,7 @@ def test_another_task() -> None:
 
 def test_a_scene_of_two_fingers_is_refused() -> None:
     """There is one hand."""
-    with pytest.raises(ConfigError, match="2 fingers"):
+    with pytest.raises(ConfigError, match="fingers of the scene: 2"):
         Touch("pinch")
 
 

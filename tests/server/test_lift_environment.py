@@ -27,7 +27,7 @@ def test_gymnasium_takes_the_lift() -> None:
 
 def test_a_scene_of_one_finger_is_refused() -> None:
     """There are two hands."""
-    with pytest.raises(ConfigError, match="1 fingers"):
+    with pytest.raises(ConfigError, match="fingers of the scene: 1"):
         lift_environment.Lift("paper-plane")
 
 
