@@ -11,39 +11,26 @@ there, as far as the contact lets it, tick by tick as in the daemon with the dev
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from softfinger.config.errors import ConfigError
-from softfinger.config.load import SceneSource, load_rig, load_scene
-from softfinger.drivers.simulated.options import Hand, Options, simulation
-from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
-from softfinger.proxy.bodies import begin_bodies, check_bodies
-from softfinger.proxy.kernels.jit.pack import packed
-from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.config.load import SceneSource
+from softfinger.drivers.simulated.options import Hand
 from softfinger.proxy.records import Records
-from softfinger.server.loop.tick import begin
-from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import Held, record_ticks
-
-try:
-    import gymnasium
-    from gymnasium import spaces
-except ImportError as missing:
-    raise ConfigError(f"gymnasium is not installed ({missing}): pip install 'softfinger[gymnasium]'") from missing
-
-Array = NDArray[np.float64]
-Observation = dict[str, Any]
-Place = tuple[float, float, float]
+from softfinger.server.bridges.led_hands import (
+    FAR_M,
+    Array,
+    LedHands,
+    Observation,
+    Place,
+    bounded,
+    gymnasium,
+    spaces,
+)
 
 NAME: Final = "softfinger/Touch-v0"
-RAMP_S: Final = 0.01
-"""The guard's, as short as it may be: over before the first step."""
-FAR_M: Final = 1.0
 FAST_M_PER_S: Final = 100.0
 DEEP_M: Final = 0.1
 MANY_RAD: Final = 1e3
@@ -76,91 +63,6 @@ class Setup:
     hand: Hand = field(default_factory=Hand)
 
 
-class LedHands(gymnasium.Env[Observation, Array]):
-    """Simulated hands that an agent leads, one for each finger of a scene. A subclass says what is seen and rewarded.
-
-    scene     what `load_scene` takes; ConfigError where it has another number of fingers
-    setup     the dataclass of the subclass
-    homes_m   (3,) m of each hand, where it begins, at rest
-    """
-
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
-    setup: Any
-
-    def __init__(self, scene: SceneSource, setup: Any, homes_m: Sequence[Place]) -> None:
-        self.setup, self.config = setup, load_scene(scene)
-        if (count := len(self.config.fingers)) != len(homes_m):
-            raise ConfigError(f"fingers of the scene: {count}; hands of this environment: {len(homes_m)}")
-        self._guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
-        self._devices = [simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
-        self._tuning = packed(make_tuning(self.config, self._guard))
-        self._homes, self._dt = np.array(homes_m), 1.0 / setup.rate_hz
-        self._times = self._dt * np.arange(setup.step_ticks + 1)[:, None]
-        self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)
-
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """A new episode: hands at home, bodies where the model has them, no contact remembered. Nothing is random."""
-        super().reset(seed=seed)
-        self._start()
-        settling = max(self.setup.step_ticks, round(RAMP_S * self.setup.rate_hz))
-        records = self._run(np.tile(self._goals, (settling + 1, 1, 1)))
-        return self._observed(records), {"records": records}
-
-    def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Lead the hands for `step_ticks`; what is out of the action's range is brought into it."""
-        records = self._run(self._way(np.clip(np.asarray(action, np.float64), -1.0, 1.0)))
-        self._steps += 1
-        over = self._steps >= self.setup.episode_steps
-        return self._observed(records), self.reward(records), self.terminated(records), over, {"records": records}
-
-    def reward(self, records: Any) -> float:
-        """Of a step, from its records."""
-        raise NotImplementedError
-
-    def terminated(self, records: Any) -> bool:
-        """Whether a step ended the task, from its records."""
-        raise NotImplementedError
-
-    def _observed(self, records: Any) -> Observation:
-        raise NotImplementedError
-
-    def _start(self) -> None:
-        scene = self._tuning.like.scene
-        begin_bodies(scene, self._dt)
-        self._memory, self._states = packed(begin(scene)), packed(tuple(each.state for each in self._devices))
-        self._lines = [np.zeros(LINE_SIZE) for _ in self._devices]
-        self._goals: Array = np.array([[*home, 1.0, 0.0, 0.0, 0.0] for home in self._homes])
-        self._ticks = self._steps = 0
-
-    def _way(self, action: Array) -> Array:
-        """Goals (ticks + 1, hands, 7) from where they are, straight: along x, y, z of each hand in turn."""
-        goals = np.tile(self._goals, (len(self._times), 1, 1))
-        velocity = self.setup.speed_m_per_s * action[: 3 * len(self._homes)].reshape(-1, 3)
-        led = self._goals[:, :3] + self._times[:, None] * velocity
-        goals[:, :, :3] = np.clip(led, self._homes - self.setup.reach_m, self._homes + self.setup.reach_m)
-        return goals
-
-    def _run(self, goals: Array) -> Any:
-        """Records by finger of the ticks that lead along goals (ticks + 1, hands, 7), the first of which is now."""
-        intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
-        hands = tuple(
-            Held(device.plant, Drive(intention, goals[:, place].reshape(-1), line))
-            for place, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
-        )
-        records = np.zeros((len(goals) - 1, len(hands), RECORD_SIZE))
-        # From tick 0 on, as the goals are numbered; what the first tick of all does is in the memory.
-        record_ticks(self._tuning, self._memory, hands, self._states, self._dt, 0, records)
-        check_bodies(self._tuning.like.scene)
-        records[:, :, AT.timestamp] += self._ticks * self._dt
-        records[:, :, AT.tick] += self._ticks
-        self._ticks += len(records)
-        self._goals = goals[-1]
-        names = [finger.name for finger in self.config.fingers]
-        return {name: Records(np.ascontiguousarray(records[:, place])) for place, name in enumerate(names)}
-
-
 class Touch(LedHands):
     """A fingertip that is led to a scene's objects, for one finger.
 
@@ -189,22 +91,18 @@ class Touch(LedHands):
         setup = setup or Setup(**changes)
         super().__init__(scene, setup, [setup.home_m])
         force, torque = self._guard.force_max_n, self._guard.torque_max_nm
-
-        def box(most: float, *shape: int) -> spaces.Box:
-            return spaces.Box(-most, most, shape, np.float64)
-
         self._fields: Final[dict[str, spaces.Space[Any]]] = {
-            "probe.position": box(FAR_M, 3),
-            "probe.orientation": box(1.0 + 1e-9, 4),
-            "probe.velocity": box(FAST_M_PER_S, 3),
-            "force": box(force * (1.0 + 1e-9), 3),
-            "torque": box(torque * (1.0 + 1e-9), 3),
+            "probe.position": bounded(FAR_M, 3),
+            "probe.orientation": bounded(1.0 + 1e-9, 4),
+            "probe.velocity": bounded(FAST_M_PER_S, 3),
+            "force": bounded(force * (1.0 + 1e-9), 3),
+            "torque": bounded(torque * (1.0 + 1e-9), 3),
             "contact.mode": spaces.Discrete(3),
-            "contact.penetration": box(DEEP_M),
-            "contact.normal": box(1.0 + 1e-9, 3),
-            "contact.spin": box(MANY_RAD),
+            "contact.penetration": bounded(DEEP_M),
+            "contact.normal": bounded(1.0 + 1e-9, 3),
+            "contact.spin": bounded(MANY_RAD),
         }
-        goal = {"goal.position": box(FAR_M, 3), "goal.orientation": box(1.0 + 1e-9, 4)}
+        goal = {"goal.position": bounded(FAR_M, 3), "goal.orientation": bounded(1.0 + 1e-9, 4)}
         self.observation_space = spaces.Dict({**self._fields, **goal})
         self._start()
 

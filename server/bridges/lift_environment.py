@@ -14,14 +14,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
 
+from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource
 from softfinger.drivers.simulated.options import Hand
 from softfinger.proxy.records import Records
-from softfinger.server.bridges.environment import FAR_M, LedHands, Observation, Place
+from softfinger.server.bridges.led_hands import FAR_M, LedHands, Observation, Place, bounded, gymnasium, spaces
 
 NAME: Final = "softfinger/Lift-v0"
 GONE_M: Final = 0.5
@@ -76,12 +75,14 @@ class Lift(LedHands):
         super().__init__(scene, setup, setup.homes_m)
         self.fingers: Final = tuple(finger.name for finger in self.config.fingers)
         bodies: Any = self._tuning.like.scene.bodies
+        if bodies is None:
+            raise ConfigError("the scene has no [world]: this environment needs a body that moves by itself")
         self.world: Final = bodies.block.owner
         self._body = self.world.moving[0]
-        far, force = spaces.Box(-FAR_M, FAR_M, (3,), np.float64), self._guard.force_max_n * (1.0 + 1e-9)
-        parts: dict[str, spaces.Space[Any]] = {"body.position": far, "body.orientation": _box(1.0 + 1e-9, 4)}
+        far, force = bounded(FAR_M, 3), self._guard.force_max_n * (1.0 + 1e-9)
+        parts: dict[str, spaces.Space[Any]] = {"body.position": far, "body.orientation": bounded(1.0 + 1e-9, 4)}
         for name in self.fingers:
-            parts |= {f"{name}.position": far, f"{name}.force": _box(force, 3), f"{name}.goal": far}
+            parts |= {f"{name}.position": far, f"{name}.force": bounded(force, 3), f"{name}.goal": far}
         self.observation_space = spaces.Dict(parts)
         self._start()
 
@@ -108,10 +109,6 @@ class Lift(LedHands):
             seen[f"{name}.position"], seen[f"{name}.force"] = np.array(last["probe.position"]), np.array(last["force"])
             seen[f"{name}.goal"] = self._goals[place, :3].copy()
         return seen
-
-
-def _box(most: float, size: int) -> spaces.Box:
-    return spaces.Box(-most, most, (size,), np.float64)
 
 
 gymnasium.register(NAME, entry_point=Lift)

@@ -130,8 +130,9 @@ def test_the_program_of_the_docs_runs() -> None:
     assert names["reward"] == -0.5  # in the air, 0.5 N are wanted
 
 
-def test_without_gymnasium() -> None:
+@pytest.mark.parametrize("module", ["environment", "lift_environment"])
+def test_without_gymnasium(module: str) -> None:
     """One line says what to install."""
-    code = "import sys; sys.modules['gymnasium'] = None; import softfinger.server.bridges.environment"
+    code = f"import sys; sys.modules['gymnasium'] = None; import softfinger.server.bridges.{module}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "pip install 'softfinger[gymnasium]'" in done.stderr.splitlines()[-1]

@@ -25,10 +25,11 @@ def test_gymnasium_takes_the_lift() -> None:
     assert [env.step(env.action_space.sample())[3] for _ in range(2)] == [False, True]
 
 
-def test_a_scene_of_one_finger_is_refused() -> None:
-    """There are two hands."""
-    with pytest.raises(ConfigError, match="fingers of the scene: 1"):
-        lift_environment.Lift("paper-plane")
+@pytest.mark.parametrize(("scene", "why"), [("paper-plane", "fingers of the scene: 1"), ("pinch", r"no \[world\]")])
+def test_a_scene_without_a_grasp_is_refused(scene: str, why: str) -> None:
+    """There are two hands, and something is to be lifted."""
+    with pytest.raises(ConfigError, match=why):
+        lift_environment.Lift(scene)
 
 
 def test_a_script_lifts_the_box() -> None:

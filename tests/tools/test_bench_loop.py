@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from softfinger.config.load import load_rig, load_scene
 from softfinger.tools.bench.loop import devices_of
+
+pytestmark = pytest.mark.plain
 
 
 def test_each_finger_has_the_device_of_its_own_hand() -> None:

@@ -1,0 +1,130 @@
+"""Simulated hands that an agent leads: what the environments of Gymnasium share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import SceneSource, load_rig, load_scene
+from softfinger.drivers.simulated.options import Options, simulation
+from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
+from softfinger.proxy.bodies import begin_bodies, check_bodies
+from softfinger.proxy.kernels.jit.pack import packed
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.proxy.records import Records
+from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.closed_loop import Held, record_ticks
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError as missing:
+    raise ConfigError(f"gymnasium is not installed ({missing}): pip install 'softfinger[gymnasium]'") from missing
+
+__all__ = ["FAR_M", "Array", "LedHands", "Observation", "Place", "bounded", "gymnasium", "spaces"]
+
+Array = NDArray[np.float64]
+Observation = dict[str, Any]
+Place = tuple[float, float, float]
+
+FAR_M: Final = 1.0
+"""A bound of observed positions that nothing real comes near."""
+RAMP_S: Final = 0.01
+"""The guard's, as short as it may be: over before the first step."""
+
+
+def bounded(most: float, *shape: int) -> spaces.Box:
+    """Arrays of a shape, each number between -most and most."""
+    return spaces.Box(-most, most, shape, np.float64)
+
+
+class LedHands(gymnasium.Env[Observation, Array], ABC):
+    """Simulated hands that an agent leads, one for each finger of a scene. A subclass says what is seen and rewarded.
+
+    scene     what `load_scene` takes; ConfigError where it has another number of fingers
+    setup     the dataclass of the subclass
+    homes_m   (3,) m of each hand, where it begins, at rest
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
+    setup: Any
+
+    def __init__(self, scene: SceneSource, setup: Any, homes_m: Sequence[Place]) -> None:
+        self.setup, self.config = setup, load_scene(scene)
+        if (count := len(self.config.fingers)) != len(homes_m):
+            raise ConfigError(f"fingers of the scene: {count}; hands of this environment: {len(homes_m)}")
+        self._guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
+        self._devices = [simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
+        self._tuning = packed(make_tuning(self.config, self._guard))
+        self._homes, self._dt = np.array(homes_m), 1.0 / setup.rate_hz
+        self._times = self._dt * np.arange(setup.step_ticks + 1)[:, None]
+        self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """A new episode: hands at home, bodies where the model has them, no contact remembered. Nothing is random."""
+        super().reset(seed=seed)
+        self._start()
+        settling = max(self.setup.step_ticks, round(RAMP_S * self.setup.rate_hz))
+        records = self._run(np.tile(self._goals, (settling + 1, 1, 1)))
+        return self._observed(records), {"records": records}
+
+    def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Lead the hands for `step_ticks`; what is out of the action's range is brought into it."""
+        records = self._run(self._way(np.clip(np.asarray(action, np.float64), -1.0, 1.0)))
+        self._steps += 1
+        over = self._steps >= self.setup.episode_steps
+        return self._observed(records), self.reward(records), self.terminated(records), over, {"records": records}
+
+    @abstractmethod
+    def reward(self, records: Any) -> float:
+        """Of a step, from its records."""
+
+    @abstractmethod
+    def terminated(self, records: Any) -> bool:
+        """Whether a step ended the task, from its records."""
+
+    @abstractmethod
+    def _observed(self, records: Any) -> Observation:
+        """What the agent sees at the end of a step, from its records."""
+
+    def _start(self) -> None:
+        scene = self._tuning.like.scene
+        begin_bodies(scene, self._dt)
+        self._memory, self._states = packed(begin(scene)), packed(tuple(each.state for each in self._devices))
+        self._lines = [np.zeros(LINE_SIZE) for _ in self._devices]
+        self._goals: Array = np.array([[*home, 1.0, 0.0, 0.0, 0.0] for home in self._homes])
+        self._ticks = self._steps = 0
+
+    def _way(self, action: Array) -> Array:
+        """Goals (ticks + 1, hands, 7) from where they are, straight: along x, y, z of each hand in turn."""
+        goals = np.tile(self._goals, (len(self._times), 1, 1))
+        velocity = self.setup.speed_m_per_s * action[: 3 * len(self._homes)].reshape(-1, 3)
+        led = self._goals[:, :3] + self._times[:, None] * velocity
+        goals[:, :, :3] = np.clip(led, self._homes - self.setup.reach_m, self._homes + self.setup.reach_m)
+        return goals
+
+    def _run(self, goals: Array) -> Any:
+        """Records by finger of the ticks that lead along goals (ticks + 1, hands, 7), the first of which is now."""
+        intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+        hands = tuple(
+            Held(device.plant, Drive(intention, goals[:, place].reshape(-1), line))
+            for place, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
+        )
+        records = np.zeros((len(goals) - 1, len(hands), RECORD_SIZE))
+        # From tick 0 on, as the goals are numbered; what the first tick of all does is in the memory.
+        record_ticks(self._tuning, self._memory, hands, self._states, self._dt, 0, records)
+        check_bodies(self._tuning.like.scene)
+        records[:, :, AT.timestamp] += self._ticks * self._dt
+        records[:, :, AT.tick] += self._ticks
+        self._ticks += len(records)
+        self._goals = goals[-1]
+        names = [finger.name for finger in self.config.fingers]
+        return {name: Records(np.ascontiguousarray(records[:, place])) for place, name in enumerate(names)}
