@@ -147,7 +147,8 @@ def c_function(signature: Any, on_demand: bool = False) -> Callable[[Callable[..
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        compiled: Any = CFunction(function, signature, KernelCache(function, KEPT, "c"))
+        # In plain Python none is loaded: else what asks for an address would work where a compiled run has kept it.
+        compiled: Any = CFunction(function, signature, None if PLAIN else KernelCache(function, KEPT, "c"))
         if not on_demand and not PLAIN:
             compiled.compile()
         return compiled
