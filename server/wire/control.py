@@ -128,8 +128,8 @@ class Control(Closing):
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
     ) -> SceneSet:
         """Another scene, from zero force: the name of a shipped one or a mapping like a file. It is compiled first."""
-        given_scene = scene if isinstance(scene, str) else dict(scene)
-        return self._ask("set_scene", SetScene(given_scene, dict(overrides or {}), name), SceneSet)
+        source = scene if isinstance(scene, str) else dict(scene)
+        return self._ask("set_scene", SetScene(source, dict(overrides or {}), name), SceneSet)
 
     def reset_world(self) -> Applied:
         """The bodies of the scene's [world] back where they began, from zero force."""

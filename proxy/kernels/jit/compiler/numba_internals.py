@@ -10,7 +10,7 @@ no_cpython_wrapper, no_cfunc_wrapper
 CPUDispatcher            Such a kernel, called from Python, is compiled once more. Without: numba jumps to address 0.
 JITCodeLibrary, get_executable, compile_result, CompilerBase and its passes
                          Such a kernel has no machine code, and is spared passes without work. Without: a scene compiles
-                         for 1.2 times as long, and a third more is kept on the disk.
+                         for 1.2 times as long, and half as much again is kept on the disk.
 _cache, NullCache, serialize.dumps, CompileResult._reduce and ._rebuild, lifted, has_dynamic_globals
                          A cache that trusts nobody (`cache.py`). Without: numba unpickles what it finds, and ends the
                          program where a file is damaged.
