@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.compiling import CompilationReport
+from helpers.cpu_report import CpuReport
 from helpers.faults_seen import FaultsSeen
 from helpers.stalls import Patience
 from hypothesis import HealthCheck, settings
@@ -72,7 +72,7 @@ def _no_device_of_another_test() -> Iterator[None]:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("softfinger")
-    group.addoption("--compiled", action="store_true", help="list every file whose tests compile kernels")
+    group.addoption("--cpu-report", metavar="FILE", help="write the CPU seconds of each test here, as JSON")
     group.addoption("--exhaustive", action="store_true", help="all cases of tests marked `scaled`")
     group.addoption("--faults-seen", metavar="FILE", help="write what tests of injected faults saw here")
     group.addoption("--put-off", metavar="FILE", help="name tests of real time here that failed")
@@ -92,12 +92,36 @@ def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         os.environ.pop("NUMBA_DISABLE_JIT", None)
     config.pluginmanager.register(Patience(config.getoption("--put-off")))
-    config.pluginmanager.register(CompilationReport())
+    if file := config.getoption("--cpu-report"):
+        config.pluginmanager.register(CpuReport(file))
     if file := config.getoption("--faults-seen"):
         config.pluginmanager.register(FaultsSeen(file))
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by mark
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave all but some cases of tests marked `sampled` to `make test-all`; skip servo loops in plain Python."""
+    sample_cases(items)
+    skip_servo_loops(items)
+
+
+def sample_cases(items: list[pytest.Item]) -> None:
+    """Mark as `exhaustive` all cases but n, evenly spaced, of each test marked `sampled(n)`."""
+    tests: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("sampled"):
+            tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for of_test in tests.values():
+        marker = of_test[0].get_closest_marker("sampled")
+        assert marker is not None
+        (count,) = marker.args
+        chosen = {round((i + 0.5) * len(of_test) / count - 0.5) for i in range(count)}
+        for i, item in enumerate(of_test):
+            if i not in chosen:
+                item.add_marker("exhaustive")
+
+
+def skip_servo_loops(items: list[pytest.Item]) -> None:
     """A servo loop needs machine code: with kernels as plain Python tests that run one are skipped, with this reason.
     `make test` runs them in a process of their own."""
     if "numba" not in sys.modules or not sys.modules["numba"].config.DISABLE_JIT:

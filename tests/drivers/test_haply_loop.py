@@ -152,7 +152,8 @@ def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
     """Without websockets, `run` says in one line what to install."""
     (tmp_path / "websockets.py").write_text("raise ImportError('not installed')")
     environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
-    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", RIG, "--endpoint", f"ipc://{tmp_path}/a"]
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", "-q", "--rig", RIG]
+    command += ["--endpoint", f"ipc://{tmp_path}/a"]
     done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 4
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr

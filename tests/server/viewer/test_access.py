@@ -157,7 +157,7 @@ def test_the_page_itself_and_names_that_are_allowed_may(page: Page) -> None:
         assert got(page, path(page), Host=host)[0] == 200
 
 
-@pytest.mark.exhaustive
+@pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_in_a_browser_the_page_opens_and_another_site_reaches_nothing(page: Page) -> None:
     """Its own script is let in; that of another port, which has even learned the token, is not, nor may it frame."""

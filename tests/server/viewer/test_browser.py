@@ -16,7 +16,7 @@ from softfinger.server.offline.simulate import run_recording
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 ROLL, SPIN, SLIDE = 4300, 7000, 9000
 """Ticks of the shipped recording: half way through its roll, wound up, and dragged along."""

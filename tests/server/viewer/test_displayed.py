@@ -104,7 +104,7 @@ def test_a_dashed_line_has_gaps_as_long_as_its_dashes() -> None:
 
 
 @pytest.mark.real_time
-@pytest.mark.exhaustive
+@pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_the_page_says_what_a_2diy_does_not_display() -> None:
     """A floor tilted by 45 degrees out of the handle's plane: a part of the force is displayed; a link says why."""

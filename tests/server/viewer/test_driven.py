@@ -72,7 +72,7 @@ def test_a_recording_has_its_bodies_where_they_were(tmp_path: Path) -> None:
 
 
 @pytest.mark.real_time
-@pytest.mark.exhaustive
+@pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_a_recording_has_a_driven_object_where_it_was(tmp_path: Path) -> None:
     """Scrubbed to and fro over two commands, and played over the second: it stands where the last one put it."""

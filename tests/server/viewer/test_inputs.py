@@ -20,7 +20,7 @@ from softfinger.server.viewer.inputs import KEYS, SPEED, SPIN_RAD_S, Nudge, spee
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.tuning import NO_ROLLING
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 PAD = """(axes) => {
     const buttons = Array.from({length: 17}, () => ({pressed: false, value: 0}));

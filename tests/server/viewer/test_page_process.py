@@ -162,7 +162,7 @@ def test_run_without_a_page_names_the_option() -> None:
     assert "--view shows it in the browser" in done.stderr.splitlines()[0]
 
 
-@pytest.mark.exhaustive
+@pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_an_open_browser_goes_on_when_its_page_was_killed() -> None:
     """Without being opened again: it shows ticks of after the page's death, which the new one alone can know."""

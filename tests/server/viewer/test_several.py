@@ -15,7 +15,7 @@ from softfinger.server.remote import Client
 from softfinger.server.viewer.driven import HANDLE_CM
 from softfinger.server.viewer.nodes.looks import CM
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 MATERIAL = {"stiffness_n_per_m": 1000.0}
 TABLE = {"name": "table", "shape": "plane", "material": MATERIAL}
