@@ -81,7 +81,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Where only tests of one mark are asked for, files that do not name it are not imported: all of them take 5 s."""
     mark = str(config.option.markexpr).partition(" ")[0]
-    if mark not in ("plain", "real_time") or not collection_path.match("test_*.py"):
+    if mark not in ("plain", "real_time", "system") or not collection_path.match("test_*.py"):
         return None
     return True if mark not in collection_path.read_text(encoding="utf-8") else None
 

@@ -67,10 +67,8 @@ BY_FILE: Final = ("--max-worker-restart=0", "--dist", "loadfile", "-n")
 3.8, issue 1378). The test that it died in has failed, and the others do the rest."""
 QUICKLY: Final = "not exhaustive and not system"
 QUICK: Final = (
-    Part(
-        "logic", "plain and not exhaustive and not system", (*BY_FILE, "2"), environment=(("NUMBA_DISABLE_JIT", "1"),)
-    ),
-    Part("compiled", "not plain and not real_time and not exhaustive and not system", nice=LESS_NICE),
+    Part("logic", f"plain and {QUICKLY}", (*BY_FILE, "2"), environment=(("NUMBA_DISABLE_JIT", "1"),)),
+    Part("compiled", f"not plain and not real_time and {QUICKLY}", nice=LESS_NICE),
 )
 REAL_TIME: Final = Part("real time", f"real_time and {QUICKLY}", (*BY_FILE, "2"), nice=0)
 """Beside those and each other. What keeps time waits two thirds of its time, so two processes do it in half of that."""
@@ -190,9 +188,7 @@ def print_cpu_table(ended: Sequence[Running]) -> None:
     print(f"{compile:8.1f}  compiling in that process")
     print(f"{programs:8.1f}  programs that tests started")
     print(f"{total - process - programs:8.1f}  starting pytest, collecting")
-    print(
-        f"\nThe {MOST_EXPENSIVE} most expensive tests (process, of which compiling, programs); all are in {CPU_FOLDER}:"
-    )
+    print(f"\nThe {MOST_EXPENSIVE} most expensive tests: process, of which compiling, programs (all: {CPU_FOLDER}):")
     for seconds, part_name, test in sorted(tests, key=lambda each: -each[0][0] - each[0][2])[:MOST_EXPENSIVE]:
         print("".join(f"{value:7.1f}" for value in seconds), f" {part_name:>9} | {test}")
 
