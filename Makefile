@@ -77,7 +77,7 @@ test: $(STAMP) ## Every feature and every mended fault, once: minutes (ARGS= goe
 test-system: $(STAMP) ## Emulated USB devices and the page in a browser (needs `make emulators browser`; ARGS= as above)
 	@exec $(BIN)/python tests/run.py --system $(ARGS)
 
-test-all: $(STAMP) ## The rest, half an hour: ten thousand random cases, long lists, kernels compiled for every scene (ARGS= as above)
+test-all: $(STAMP) ## Exhaustive tests, nightly: ten thousand random cases, long lists, kernels compiled for every scene (ARGS= as above)
 	@exec $(BIN)/python tests/run.py --rest $(ARGS)
 
 test-numba: ## `make test` with the numba before, in an environment of its own

@@ -130,6 +130,7 @@ def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
 
 
+@pytest.mark.exhaustive
 def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path: Path) -> None:
     """With the package installed, its rig passes `check` and the daemon runs on it; a wrong option is refused by name;
     without the package the same rig is not usable."""

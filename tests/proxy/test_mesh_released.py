@@ -192,6 +192,7 @@ def test_a_first_touch_is_felt_or_said_to_be_unknown(crumpled: meshes.Mesh, tmp_
         assert (clearance[~(free & unknown)] >= -np.where(free, GRAZE, 1e-9)[~(free & unknown)]).all()
 
 
+@pytest.mark.exhaustive
 def test_a_magnet_that_does_not_know_its_gap_says_so(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
     """In free space the force is that of the distance from all triangles, or `contact.budget` is 1. Compiled: the tree
     of so many triangles takes plain Python a quarter of a minute."""
