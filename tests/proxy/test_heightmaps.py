@@ -418,8 +418,8 @@ def test_a_cap_feels_as_the_ball(tmp_path: Path) -> None:
     "name", [pytest.param(each, marks=pytest.mark.exhaustive if each == "noise" else ()) for each in MAPS]
 )
 def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """300 ticks on each map but the noise, and 25 000 on all in `make test-all`, with friction, torsion and rolling, deep and shallow,
-    over the rim too."""
+    """With friction, torsion and rolling, deep and shallow, over the rim too: 300 ticks on each map but the noise,
+    25 000 on all in `make test-all`."""
     pitch, heights = MAPS[name]
     half, over = 0.5 * pitch * min(heights.shape), np.ptp(heights)
     poses = stroke(6, cases(600, 25_000), 1.2 * half, R - 0.6 * over - 2e-4, R + over)[:: cases(2, 1)]
