@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import msgspec
 import pytest
 from helpers.called import called
+from helpers.examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -710,7 +711,7 @@ ANYTHING = st.recursive(
 
 
 @given(ANYTHING)
-@settings(max_examples=300, deadline=None)
+@examples(75, 300)
 def test_no_mapping_raises_anything_but_config_error(mapping: object) -> None:
     """Whatever a file or a remote command holds, it is a scene, a rig or a ConfigError."""
     for kind in (Scene, Rig):
@@ -722,7 +723,7 @@ PLACES = [(Scene, scene, fault) for fault in SCENE_FAULTS] + [(Rig, rig, fault) 
 
 
 @given(st.sampled_from(PLACES), ANYTHING)
-@settings(max_examples=400, deadline=None)
+@examples(100, 400)
 def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: object) -> None:
     """Anything at all in one place of a valid scene or rig is taken or refused by ConfigError."""
     kind, make, (key, _, _) = place

@@ -127,7 +127,7 @@ def test_every_type_is_written_as_struct_writes_it(kind: str, value: float, offs
 @pytest.mark.scaled
 def test_reports_of_any_bytes(cases: Callable[[int, int], int]) -> None:
     """Random bytes decode to finite numbers, or are refused; those of integer fields never are."""
-    number = cases(20_000, 500_000)
+    number = cases(5000, 500_000)
     generator = np.random.default_rng(9)
     options = build(Options, described(), "described")
     for wire, floats in ((rig_options("woodenhaptics-polhem-v1").reports.input, False), (options.reports.input, True)):

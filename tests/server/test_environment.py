@@ -32,6 +32,7 @@ def played(env: Touch, actions: np.ndarray) -> Records:
     return Records(np.concatenate(parts))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scene", ["paper-plane", "sphere"])
 def test_gymnasium_takes_it(scene: str) -> None:
     """The checker finds nothing to warn of, as warnings are errors here: spaces, seeds, types of what is returned."""

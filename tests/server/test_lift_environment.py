@@ -32,6 +32,7 @@ def test_a_scene_without_a_grasp_is_refused(scene: str, why: str) -> None:
         lift_environment.Lift(scene)
 
 
+@pytest.mark.exhaustive
 def test_a_script_lifts_the_box() -> None:
     """Squeeze and go up: the box is at its goal, level, pressed from both sides; the same again gives the same bits."""
     env = gymnasium.make(lift_environment.NAME).unwrapped

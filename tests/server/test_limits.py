@@ -427,7 +427,7 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
 def test_a_recorded_hand_comes_to_no_limit():
     """The shipped recording on the shipped plane, on a device with all limits of an omega.6: no bit of theirs."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("omega-6").guard, [ARM])
-    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 1000.0), 1000.0)
+    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     assert not (records[:, AT.servo_guard].astype(int) & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE)).any()
     assert 0.0 < records[:, AT.limits_speed].max() < 0.5 * 2.0
     assert records[:, AT.limits_energy].max() < 0.1 * 0.2

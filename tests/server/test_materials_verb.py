@@ -72,6 +72,7 @@ def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixtu
     assert "softfinger materials NAME --plot FILE" in capsys.readouterr().err
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["aluminium", "finger-pad", "human-index-plateau"])
 def test_one_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An SVG whose legend names every published point."""

@@ -25,6 +25,8 @@ from softfinger.server.offline.simulate import simulate, tick_many
 pytestmark = pytest.mark.plain
 
 T = 0.001
+SLOW_HZ = 250.0
+"""Rate of a whole recording: the sum is over ticks, however long."""
 PUSH = (0.0, 0.0, 2.0)
 NONE = (0.0, 0.0, 0.0)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -61,7 +63,7 @@ def test_energy_is_the_work_against_the_commanded_wrench(mode):
     turn; debts alone outlive a touch."""
     scene = msgspec.structs.replace(load_scene("paper-plane"), passivity=schema.Passivity(mode=mode))
     tuning = make_tuning(scene, load_rig("replay").guard)
-    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 1000.0), 1000.0)
+    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), SLOW_HZ), SLOW_HZ)
     work, expected = 0.0, []
     each = work_a_tick(records)
     for n, touching in enumerate(column(records, "contact.mode") != FREE):
@@ -70,7 +72,7 @@ def test_energy_is_the_work_against_the_commanded_wrench(mode):
         if not touching:
             work = min(work, 0.0)
         expected.append(work)
-    # Ten thousand additions of terms around 1e-5 J.
+    # Thousands of additions of terms around 1e-5 J.
     np.testing.assert_allclose(column(records, "passivity.energy"), expected, rtol=0, atol=1e-15)
     assert max(expected) > 1e-4  # the press alone takes f^2 / 2K = 0.5 mJ
     if mode == "observe":

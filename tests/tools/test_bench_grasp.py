@@ -16,6 +16,7 @@ from softfinger.tools.bench import grasp_drake, grasp_mujoco
 pytestmark = pytest.mark.plain
 
 
+@pytest.mark.exhaustive
 def test_soft_fingertips_hold_what_mujocos_contact_lets_go(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Here the box rests at m g d cos(theta) / (2 k_z); there it goes on, down and round; and it is drawn."""
     assert cli.main(["bench", "grasp", "--seconds", "1", "--json", "--plot", str(tmp_path / "grasp.svg")]) == 0

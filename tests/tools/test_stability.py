@@ -97,6 +97,7 @@ def crossings(loop: LinearLoop) -> list[float]:
     return sorted(k for k in found if k > 0.0)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.plain
 @pytest.mark.parametrize(
     "loop",

@@ -69,6 +69,7 @@ def test_equal_cases_are_computed_once() -> None:
     assert computed == [0, 0]
 
 
+@pytest.mark.exhaustive
 def test_a_local_cluster_gives_the_same_bits() -> None:
     """Processes of a dask cluster on this machine return what threads do."""
     assert bits(run_cases(roots, CASES, label="test", scheduler="local", block=4)) == bits(roots(CASES))
