@@ -88,7 +88,7 @@ class _Handler(WSGIRequestHandler):
     timeout = REQUEST_S
 
     def handle(self) -> None:
-        """Answer one request. `timeout` is for each piece: a client that sends byte by byte would keep all others away."""
+        """Answer one request in REQUEST_S; `timeout` is for each piece of it, and clients are answered in turn."""
         cut_off = threading.Timer(REQUEST_S, self._cut_off)
         cut_off.start()
         try:

@@ -1,8 +1,8 @@
 """A process beside the daemon that gets no more memory, or ends while the daemon has no more file descriptors: the
 daemon holds its force, and the process is started again.
 
-The limit of memory is what the process has at that moment, so the next page that it asks the system for is refused. A recording
-and a black box are written by threads of the daemon, which has its own row of the fault model.
+The limit of memory is what the process has at that moment, so the next page that it asks the system for is refused. A
+recording and a black box are written by threads of the daemon, which has its own row of the fault model.
 """
 
 from __future__ import annotations
